@@ -263,13 +263,9 @@ def test_a_good_recording_passes(
     assert all(name in capsys.readouterr().out for name in names[:1])
 
 
-def test_errors_are_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_errors_are_refused_in_one_line(tmp_path: Path) -> None:
     bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', REPORTED['odom +5 s'])
     mount = load_robot(BAGS / 'robot.yaml')
-    assert main(['check', str(bag), '--robot', str(BAGS / 'robot.yaml')]) == 1
-    assert '5.0' in capsys.readouterr().out
     with pytest.raises(LandmarkNavError, match=r'odom clock: stamped 5\.0') as refused:
         refuse_errors(Bag(bag), diagnose(Bag(bag), mount, most_images=QUICK))
     assert '\n' not in str(refused.value)

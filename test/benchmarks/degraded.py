@@ -1,11 +1,11 @@
 """
 A drive with errors in it: whole streams that are off, then degraded images.
 
-``python test/degraded_check.py`` takes the recorded room in ``bags/``; ``DRIVE --map MAP --robot F
---room F --start X Y THETA`` another. The first table says for each error of a stream what
-``landmark-nav check`` says and whether that names the cause, the second what localization makes of
-degraded images. It exits with 1 if a cause that users reported is not named, if fewer than nine in
-ten of the others are, or if there is an undetected failure.
+``python test/benchmarks degraded`` takes the recorded room in ``bags/``; ``DRIVE --map MAP
+--robot F --room F --start X Y THETA`` another. The first table says for each error of a stream
+what ``landmark-nav check`` says and whether that names the cause, the second what localization
+makes of degraded images. It exits with 1 if a cause that users reported is not named, if fewer
+than nine in ten of the others are, or if there is an undetected failure.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import json
 import logging
 from pathlib import Path
 import re
-import sys
 import tempfile
 
 from as_a_user import as_jpeg, command
@@ -48,7 +47,7 @@ from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame
 
-BAGS = Path(__file__).resolve().parents[1] / 'bags'
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
 
 Degradation = Callable[[ImageArray, np.random.Generator], ImageArray]
 
@@ -227,7 +226,3 @@ def main() -> int:
             command('learn', BAGS / 'learn', *files, '--out', args.map)
         good &= table_of_images(args.drive, args.map, args.robot, args.start)
     return int(not good)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,7 +1,7 @@
 """
 How long an image takes on the live graph: from its arrival to `odometry/fused` corrected by it.
 
-``python test/live_latency.py DRIVE --map MAP --room R --robot R --start X Y THETA`` starts
+``python test/benchmarks latency DRIVE --map MAP --room R --robot R --start X Y THETA`` starts
 `landmark_learner` (which gives the map), `triangulation_localizer`, `odometry_fusion` and
 `triplet_selector` as processes and plays a drive's bag to them so that images come at 15 Hz:
 give one that was recorded at about that (``landmark-nav simulate --camera-rate 20``). It prints
@@ -15,7 +15,6 @@ import argparse
 import os
 from pathlib import Path
 import subprocess
-import sys
 import tempfile
 import time
 from typing import Any
@@ -146,7 +145,3 @@ def main() -> int:
     print('cores used: ' + ', '.join(f'{name} {share:.2f}' for name, share in cpu.items()))
     print('triangulation_localizer: ' + ', '.join(f'{k} {v}' for k, v in status_of.items()))
     return 0 if p95 <= MAX_P95_MS and slope < 1.0 else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

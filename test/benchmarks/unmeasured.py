@@ -2,8 +2,8 @@
 Learning without a plan, one line a room and way: scale from odometry between sweeps (``odom``), or
 from A4 papers at unknown places (``papers``); or walls that are off by 10 cm (``walls``).
 
-``python test/unmeasured_check.py --seeds 801 802`` simulates rooms; ``--study`` takes the study's
-recording; ``--ways`` chooses. ``../shared/tools/add_odometry.py`` puts odometry between sweeps.
+``python test/benchmarks unmeasured --seeds 801 802`` simulates rooms; ``--study`` takes that
+of the study; ``--ways`` chooses. ``../shared/tools/add_odometry.py`` puts odometry between sweeps.
 Exits with 1 if a room misses a bound, or is refused.
 """
 
@@ -28,7 +28,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.setup_files import load_room, wall_entry
 
-SHARED = Path(__file__).resolve().parents[2] / 'shared'
+SHARED = Path(__file__).resolve().parents[3] / 'shared'
 WAYS = ('odom', 'papers', 'walls')
 MAX_POSITION_RMSE_M, MAX_NEES, MAX_SCALE_SIGMAS = 0.008, 8.0, 3.0
 OFF_M = 0.1
@@ -140,7 +140,3 @@ def main() -> int:
                 or figures['undetected'] > 0
             )
     return int(failed)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,7 +1,7 @@
 """
 How well papers show the place of a sweep: many simulated places, errors against covariances.
 
-``python test/papers_check.py --rooms 12`` draws rooms with three to six papers on one wall or
+``python test/benchmarks papers --rooms 12`` draws rooms with three to six papers on one wall or
 several, in changing light, with distractors of the papers' colours and size, and sweeps at five
 places each; what is given of papers, height, axis and joint angles is as wrong as the
 configuration says. It prints a line a place and exits with 1 if a bound is missed.
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-import sys
 
 from as_a_user import as_jpeg
 import cv2
@@ -189,7 +188,3 @@ def main() -> int:
         f'{np.median(millimetres):.1f} mm, 95 % {np.percentile(millimetres, 95):.1f} mm'
     )
     return 0 if good else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,10 +1,10 @@
 """
 Errors of `robot.yaml`, at driving alone and at learning too.
 
-``python test/calibration_check.py`` learns the study with the right mount and with wrong ones, and
-drives with wrong ones and default sigmas. A line gives errors of the whole drive and after the
-first 4 m, the mean NEES, the images that are off by over 5 sigma while the state is OK, and the
-95 % interval of NEES. It exits with 1 if a goal is missed.
+``python test/benchmarks calibration`` learns the study with the right mount and with wrong ones,
+and drives with wrong ones and default sigmas. A line gives errors of the whole drive and after
+the first 4 m, the mean NEES, the images that are off by over 5 sigma while the state is OK, and
+the 95 % interval of NEES. It exits with 1 if a goal is missed.
 
 ``--rooms SEED ...`` simulates rooms instead, with a mount, lens and clock that are drawn at
 random, learns them and calibrates by a drive of at most three minutes. A line gives the errors of
@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 import json
 import logging
 from pathlib import Path
-import sys
 import tempfile
 
 import numpy as np
@@ -49,7 +48,7 @@ from landmark_nav.types import (
     LandmarkMap,
 )
 
-STUDY = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'study'
+STUDY = Path(__file__).resolve().parents[3] / 'shared' / 'data' / 'study'
 START_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.035**2])
 DEGREE = np.pi / 180.0
 # By how much `robot.yaml` is wrong.
@@ -257,7 +256,3 @@ def main() -> int:
     print('\n'.join(lines))
     print('* misses a goal')
     return 0 if good else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -3,8 +3,8 @@ Rooms never seen: simulate, learn from two sweeps, evaluate a drive; one line a 
 
 Before the drive a lamp is dimmed, a piece of furniture moved, and one poster in five exchanged.
 The robot is given a ``room.yaml`` as a person measures it; the exact one with ``--exact``.
-``python test/rooms.py --seeds 201 202 203`` prints the table of the README and exits with 1 if a
-room misses a bound. Seeds are not used anywhere else: nothing is fitted to them.
+``python test/benchmarks rooms --seeds 201 202 203`` prints the table of the README and exits
+with 1 if a room misses a bound. Seeds are not used anywhere else: nothing is fitted to them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-import sys
 import tempfile
 
 from as_a_user import command
@@ -138,7 +137,3 @@ def main() -> int:
         f'{np.sum(ratios > MAX_CRLB_RATIO)} (an estimator at the bound: in {chance:.1f})'
     )
     return 0 if all(meets_bounds(row) for row in rows) else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

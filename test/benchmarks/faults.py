@@ -1,7 +1,7 @@
 """
 What goes wrong on a robot, put into a recorded drive: when it is reported, and when it is over.
 
-``python test/faults_check.py DRIVE --map MAP --robot robot.yaml --start X Y THETA`` spoils the
+``python test/benchmarks faults DRIVE --map MAP --robot robot.yaml --start X Y THETA`` spoils the
 messages of a drive's bag for some seconds, one way after the other, reads each as ``evaluate``
 does, and prints when the state stops saying ``tracking``, why, how long after the fault it is
 right again, and how long after its beginning an image was still sure of a wrong pose (over 5
@@ -16,11 +16,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 import logging
 from pathlib import Path
-import sys
 import tempfile
 from typing import Any
 
-from faults import degraded, faults, FOR_GOOD_S
+from drive_faults import degraded, faults, FOR_GOOD_S
 import numpy as np
 
 from landmark_nav.evaluation.metrics import pose_errors, undetected_failures
@@ -140,7 +139,3 @@ def main() -> int:
         print(f'{name:44}{done}', flush=True)
         good &= not done.wrong_s > REPORTED_S and np.isfinite(done.back_s)
     return 0 if good else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

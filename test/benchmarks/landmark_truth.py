@@ -1,4 +1,4 @@
-"""What a simulated room truly shows where a landmark is said to be; for `landmark_check.py`."""
+"""What a simulated room truly shows where a landmark is said to be; for `landmarks.py`."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """
 Where to look, compared: the active camera, a fixed one, and random triplets.
 
-``python test/camera_check.py --seeds 901 902`` simulates rooms, learns each from two sweeps, and
-drives the same way again and again, each time with another rule for the camera: the pan of the
-simulated unit is commanded, in the loop, by what localization has found until then. One line a
-rule: errors of the fused pose and of single fixes, availability, and the share of images with a
-fix. Nothing was tuned on the seeds from 901 on.
+``python test/benchmarks cameras --seeds 901 902`` simulates rooms, learns each from two sweeps,
+and drives the same way again and again, each time with another rule for the camera: the pan of
+the simulated unit is commanded, in the loop, by what localization has found until then. One line
+a rule: errors of the fused pose and of single fixes, availability, and the share of images with
+a fix. Nothing was tuned on the seeds from 901 on.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
-import sys
 from typing import NamedTuple
 
 from as_a_user import learned_room
@@ -200,7 +199,3 @@ def _row(name: str, runs: list[Run]) -> str:
         f'{np.degrees(np.sqrt(np.mean(fused[:, 2] ** 2))):>10.3f}{1.0 - np.mean(lost):>11.3f}'
         f'{np.mean(known):>8.2f}{1e3 * median:>15.1f}'
     )
-
-
-if __name__ == '__main__':
-    sys.exit(main())

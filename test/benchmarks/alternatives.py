@@ -1,8 +1,8 @@
 """
 One drive, all ways to localize in it: this package, and what a user could put together.
 
-``python test/alternatives.py DRIVE --learn LEARN --map MAP --robot ROBOT --start X Y THETA`` runs
-them on the same bag, one line each:
+``python test/benchmarks alternatives DRIVE --learn LEARN --map MAP --robot ROBOT --start X Y
+THETA`` runs them on the same bag, one line each:
 
 * this package: the fused pose, and its triangulated fixes by themselves;
 * odometry alone, from the start;
@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-import sys
 import time
 from typing import Any, NamedTuple
 
@@ -328,7 +327,3 @@ def _row(name: str, errors: FloatArray, took_ms: float) -> str:
         f'{name:<34}{known.mean():>7.2f}{median:>11.1f}{rmse:>9.1f}{p95:>9.1f}{heading:>10.3f}'
         f'{np.mean(away > WRONG_M):>9.3f}{took_ms:>8.1f}'
     )
-
-
-if __name__ == '__main__':
-    sys.exit(main())

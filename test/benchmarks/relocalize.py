@@ -1,10 +1,10 @@
 """
 Robots put down anywhere: one sweep each, in rooms learned before and changed since.
 
-``python test/relocalize_check.py --seeds 201 202 203`` simulates the rooms, learns their maps,
+``python test/benchmarks relocalize --seeds 201 202 203`` simulates the rooms, learns their maps,
 dims a lamp, moves a box, places the robot at random and prints how many places were found; it
 exits with 1 if one was wrong or too few were right. ``--rooms DIR`` takes rooms that
-``test/rooms.py --out DIR`` has kept.
+``test/benchmarks rooms --out DIR`` has kept.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-import sys
 import time
 
 from as_a_user import as_jpeg, learned_room
@@ -143,7 +142,3 @@ def main() -> int:
     right, wrong, poses = (sum(getattr(r, k) for r in rows) for k in ('right', 'wrong', 'poses'))
     print(f'{right} of {poses} right ({right / poses:.1%}), {wrong} wrong')
     return 0 if wrong == 0 and right >= MIN_RIGHT * poses else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,7 +1,7 @@
 """
 Does planning predict what happens? Learn from planned places in simulation, and compare.
 
-``python test/plan_check.py --seeds 31 32 33`` plans in rooms out of seeds, and learns from the
+``python test/benchmarks plans --seeds 31 32 33`` plans in rooms out of seeds, and learns from the
 plan, from random places that it expects to be good, middling and bad (a tenth, a half and nine
 tenths of all random sets are better) and from the layout of Livatino and Madsen. For each it
 prints what was predicted, what the learned map claims and what is true: landmarks, their errors,
@@ -244,7 +244,3 @@ def main() -> int:
             cells = (v if isinstance(v, str) else f'{v:.4g}' for v in row.values())
             print('  '.join(f'{cell:>11}' for cell in cells), flush=True)
     return 0 if summary(rows) else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,7 +1,7 @@
 """
 The closed form for three bearings beside the same equations in compiled C.
 
-python test/triangulation_check.py [--count 1000000]
+python test/benchmarks triangulation [--count 1000000]
 
 The C follows the paper (Pierlot and Van Droogenbroeck, IEEE T-RO 30(3), 2014): cotangents, the
 position alone or with the heading out of one more arc tangent. It is compiled on the spot, so a C
@@ -15,7 +15,6 @@ import ctypes
 from pathlib import Path
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 
@@ -129,7 +128,3 @@ def main() -> int:
     print(f'{good.sum()} away from the danger circle: largest error {error[:, :2].max():.1e} m, '
           f'{error[:, 2].max():.1e} rad')  # fmt: skip
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

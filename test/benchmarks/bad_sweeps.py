@@ -1,13 +1,13 @@
 """
 Sweeps that went wrong, through ``landmark-nav learn``: a map that is right, or a clear refusal.
 
-``python test/bad_sweeps_check.py`` simulates a room, takes sweeps in it under bad conditions, and
-learns from each pair of them. It exits with 1 if a map holds a landmark that lies farther from
-the truth than its covariance allows, if the covariances of a map are too small as a whole, or if
-something is refused for another reason than its own, or not reported.
+``python test/benchmarks bad_sweeps`` simulates a room, takes sweeps in it under bad conditions,
+and learns from each pair of them. It exits with 1 if a map holds a landmark that lies farther
+from the truth than its covariance allows, if the covariances of a map are too small as a whole,
+or if something is refused for another reason than its own, or not reported.
 ``test/system/test_bad_sweeps.py`` runs some.
 
-``python test/bad_sweeps_check.py --errors FOLDER`` takes the recorded sweeps of a folder with
+``python test/benchmarks bad_sweeps --errors FOLDER`` takes the recorded sweeps of a folder with
 ``learn``, ``room.yaml`` and ``robot.yaml`` (``bags``), gives them with an error each, and prints
 what is said of it. It exits with 1 if a cause is not named.
 """
@@ -24,7 +24,6 @@ import io
 import logging
 from pathlib import Path
 import re
-import sys
 import tempfile
 from unittest.mock import patch
 
@@ -492,7 +491,3 @@ def main() -> int:
         bad += not good
         print(f'{"ok  " if good else "BAD "} {case.name}: {output}', flush=True)
     return 1 if bad else 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,10 +1,10 @@
 """
 Landmarks against the truth, in simulated rooms: where they are, and from where they are found.
 
-``python test/landmark_check.py --seeds 201 202`` simulates rooms, learns them from two sweeps and
-prints a line a room and their sum; it exits with 1 if a bound is missed. ``--rooms DIR`` takes
-rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written. The robot
-is given what a person with a tape would have measured, unless ``--exact`` is given or the rooms
+``python test/benchmarks landmarks --seeds 201 202`` simulates rooms, learns them from two sweeps
+and prints a line a room and their sum; it exits with 1 if a bound is missed. ``--rooms DIR``
+takes rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written. The robot is
+given what a person with a tape would have measured, unless ``--exact`` is given or the rooms
 were kept.
 
 =================  ===============================================================================
@@ -26,13 +26,12 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
-import sys
 
 from as_a_user import learned_room
 from landmark_truth import TrueWalls
 import numpy as np
 import numpy.typing as npt
-from relocalize_check import camera_image, free_poses
+from relocalize import camera_image, free_poses
 
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.triplet.visibility import (
@@ -241,7 +240,3 @@ def main() -> int:
 
 def _show(name: str, row: dict[str, float]) -> None:
     print(f'{name:>9}  ' + '  '.join(f'{value:9.4g}' for value in row.values()), flush=True)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-from faults import CAMERA, Change, frozen, INFO, JOINTS, later, moved, NS, ODOMETRY, pictured
+from drive_faults import CAMERA, Change, frozen, INFO, JOINTS, later, moved, NS, ODOMETRY, pictured
 import numpy as np
 
 from landmark_nav.geometry import se2
@@ -536,7 +536,7 @@ OTHERS = {
     'no odom for 5 s': StreamError((ODOMETRY,), gone(100, 200), 'odom gaps', ''),
 }
 
-# With five of room.yaml, in `bad_sweeps_check.further_of`.
+# With five of room.yaml, in `bad_sweeps.further_of`.
 FURTHER = {
     'odom y mirrored': StreamError((ODOMETRY,), _always(mirrored), 'odom', 'mirrored'),
     'odom yaw in degrees': StreamError((ODOMETRY,), driven(yaw=57.29578), 'odom', 'degrees|57'),
