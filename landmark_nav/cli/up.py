@@ -59,6 +59,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default='auto',
         help='form of camera/image_raw (default auto)',
     )
+    parser.add_argument(
+        '--composed',
+        action='store_true',
+        help='run all nodes in one process: less memory, but learning holds up localization',
+    )
     add_namespace(parser)
 
 
@@ -90,6 +95,7 @@ def run(args: argparse.Namespace) -> int:
             load_on_start=(args.map / 'map.yaml').is_file(),
             image_transport='compressed' if args.sim else args.image_transport,
             namespace=args.namespace,
+            composed=args.composed,
         )
         print(f'ROS domain {chosen_domain() or 0}; robot file {robot}; room file {room or "none"}')
         print('Ctrl-C ends all. In another terminal: landmark-nav status', flush=True)

@@ -12,6 +12,9 @@ from landmark_nav.storage.config_files import shipped_config
 
 __all__ = ['node_command', 'node_commands', 'node_environment']
 
+# The executable of several nodes has no parameter file: its defaults are those of the code.
+_ALL = 'all_nodes'
+
 
 def node_command(name: str, namespace: str = '', **parameters: object) -> list[str]:
     """Command line of a node, with its parameter file and what is given."""
@@ -19,7 +22,7 @@ def node_command(name: str, namespace: str = '', **parameters: object) -> list[s
     settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
     return [
         *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
-        *('--params-file', str(shipped_config(f'{name}.yaml'))),
+        *(() if name == _ALL else ('--params-file', str(shipped_config(f'{name}.yaml')))),
         *(status for setting in settings for status in ('-p', setting)),
         *(('-r', f'__ns:=/{namespace}') if namespace else ()),
     ]
@@ -34,9 +37,10 @@ def node_commands(
     load_on_start: bool = False,
     image_transport: str = 'auto',
     namespace: str = '',
+    composed: bool = False,
 ) -> dict[str, list[str]]:
     """
-    Command line of each node, by its name.
+    Command line of each node, by its name; or of one process for all but the simulator.
 
     Without `room_file` walls and poses are found. `simulator` is what the simulated robot is given
     beside `robot_file`; without it there is none.
@@ -53,6 +57,8 @@ def node_commands(
         'triangulation_localizer': camera,
         'odometry_fusion': {'robot_file': robot},
     }
+    if composed:
+        given = {_ALL: {k: v for one in given.values() for k, v in one.items()}}
     if simulator is not None:
         given = {'room_simulator': {'robot_file': robot, **simulator}} | given
     return {

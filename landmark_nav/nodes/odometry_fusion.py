@@ -76,6 +76,9 @@ class OdometryFusionNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('odometry_fusion', 'fusion', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = self.configure(Parameters)
         calibration = load_calibration(self.required('robot_file', self._config.robot_file))
         self._mount = calibration.mount

@@ -51,6 +51,9 @@ class PanoramaSynthesizerNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('panorama_synthesizer', 'panorama', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = self.configure(Parameters)
         self._known = load_calibration(self.required('robot_file', self._config.robot_file))
         self._room = load_room(self._config.room_file) if self._config.room_file else None

@@ -43,6 +43,9 @@ class SweepCaptureNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('sweep_capture', 'sweep', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = self.configure(Parameters)
         mount = load_robot(self.required('robot_file', self._config.robot_file))
         self._runner = SweepRunner(

@@ -71,6 +71,9 @@ class TripletSelectorNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triplet_selector', 'attention', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = self.configure(Parameters)
         self._mount = load_robot(self.required('robot_file', self._config.robot_file))
         self._calibrated = self._mount

@@ -48,8 +48,13 @@ def declare(node: Node, config_class: type[T], prefix: str = '') -> T:
             _take_former(node, prefix + former, name)
         listed = isinstance(default, tuple)
         try:
-            value = node.declare_parameter(
-                name, list(default) if listed else default, _descriptor(field, default)
+            # A node that is configured again has them.
+            value = (
+                node.get_parameter(name)
+                if node.has_parameter(name)
+                else node.declare_parameter(
+                    name, list(default) if listed else default, _descriptor(field, default)
+                )
             ).value
         except InvalidParameterTypeException as error:
             example = list(default) if listed else default

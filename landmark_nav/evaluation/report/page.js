@@ -49,6 +49,7 @@ function zoomable(svg, bar, whole, cover, changed) {
     return cover ? Math.min(byHeight, whole[2]) : Math.max(byHeight, whole[2]);
   };
   const apply = () => {
+    if (!svg.clientWidth) return;  // not laid out: it will be resized
     box[3] = box[2] * shape();
     for (const k of [0, 1]) {
       const center = box[k] + box[k + 2] / 2, inset = Math.min(box[k + 2], whole[k + 2]) / 2;
