@@ -24,6 +24,7 @@ from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.storage.bags.topics import relative_name
 
 __all__ = [
+    'FIFTH',
     'FOURTH',
     'FURTHER',
     'OTHERS',
@@ -447,6 +448,102 @@ def tilted(angle_rad: float) -> Change:
     return change
 
 
+def slipped(first: int, angle_rad: float) -> Altered:
+    return from_on(first, added(angle_rad))
+
+
+def within(limit_rad: float) -> Altered:
+    """Joints whose values are cut off at a limit."""
+
+    def change(message: Any, _: int) -> Any:
+        message.position = np.clip(np.array(message.position), -limit_rad, limit_rad)
+        return message
+
+    return change
+
+
+def held(every: int) -> Altered:
+    """Joints that are measured now and then, and sent with new stamps in between."""
+    last: list[Any] = []
+
+    def change(message: Any, count: int) -> Any:
+        if count % every == 0:
+            last[:] = [np.array(message.position)]
+        message.position = last[0]
+        return message
+
+    return change
+
+
+def odometry_filtered(seconds: float) -> Altered:
+    """Odometry, pose and twist, behind a low-pass filter."""
+    kept: list[Any] = []
+
+    def change(message: Any, _: int) -> Any:
+        sample = decode.odometry(message)
+        twist = message.twist.twist
+        now = np.array([*sample.pose_odom_base, twist.linear.x, twist.angular.z])
+        if kept:
+            now[2] = kept[1][2] + (now[2] - kept[1][2] + np.pi) % (2.0 * np.pi) - np.pi
+            share = 1.0 - np.exp(-(sample.stamp_ns - kept[0]) / NS / seconds)
+            now = kept[1] + share * (now - kept[1])
+        kept[:] = [sample.stamp_ns, now]
+        at, q = message.pose.pose.position, message.pose.pose.orientation
+        at.x, at.y = float(now[0]), float(now[1])
+        q.z, q.w = float(np.sin(0.5 * now[2])), float(np.cos(0.5 * now[2]))
+        twist.linear.x, twist.angular.z = float(now[3]), float(now[4])
+        return message
+
+    return change
+
+
+def yaw_as_z(message: Any) -> Any:
+    """Yaw written into z of the quaternion."""
+    q = message.pose.pose.orientation
+    yaw = decode.odometry(message).pose_odom_base[2]
+    q.x = q.y = 0.0
+    q.z, q.w = float(yaw), 1.0
+    return message
+
+
+def rounded_stamp(step_s: float) -> Change:
+    def change(message: Any) -> Any:
+        step = round(step_s * NS)
+        return _stamped(message, decode.stamp_ns(message.header) // step * step)
+
+    return change
+
+
+def smaller_info(share: float) -> Change:
+    """Calibration of an image of another size, beside the size of this one."""
+
+    def change(message: Any) -> Any:
+        message.k = np.array(message.k) * [share, 1, share, 1, share, share, 1, 1, 1]
+        return message
+
+    return change
+
+
+def straightened(message: Any) -> Any:
+    message.d = np.zeros(len(message.d))
+    return message
+
+
+def neighbours_exchanged() -> Altered:
+    """Of each three images the second and the third come with each other's content."""
+    seen: list[Any] = []
+
+    def change(message: Any, count: int) -> Any:
+        seen.append(message.data)
+        if count % 3 == 2:
+            message.data = seen[-2]
+        elif count % 3 == 1:
+            message.data = seen[-2] if count > 1 else message.data
+        return message
+
+    return change
+
+
 IMAGES = (CAMERA, INFO)
 _SAME = _always(same)
 
@@ -729,6 +826,76 @@ FOURTH = {
         _always(pictured(lambda i: np.ascontiguousarray(i[::-1]))),
         '(images|camera)',
         'flip|mirror|upside',
+    ),
+}
+
+
+# Written down before any try, of errors that none of the lists above has.
+FIFTH = {
+    'focal length x 0.02': StreamError((INFO,), _always(focus(0.02)), 'camera lens', 'focal|wide'),
+    'cx off by a width': StreamError(
+        (INFO,), _always(centred(600.0, 0.0)), 'camera lens', 'principal|cx'
+    ),
+    'K of an image of half the size': StreamError(
+        (INFO,), _always(smaller_info(0.5)), 'camera lens', 'focal|size'
+    ),
+    'odom in km': StreamError(
+        (ODOMETRY,), driven(1e-3, 1e-3), 'odom', 'times|kilomet|metres|unit'
+    ),
+    'joint_states clock set back by 1 s': StreamError(
+        (JOINTS,), from_on(140, _always(later(-1.0))), 'joint_states', 'step|back'
+    ),
+    'odom behind a filter of 0.5 s': StreamError(
+        (ODOMETRY,), odometry_filtered(0.5), 'odom', 'late|filter|delay'
+    ),
+    'pan slips by 0.3 rad': StreamError(
+        (JOINTS,), slipped(140, 0.3), '(pan|joint|camera heading)', 'jump|step|slip|zero'
+    ),
+    'pan cut off at 0.4 rad': StreamError(
+        (JOINTS,), within(0.4), '(pan|joint)', 'stays|limit|cut|clip'
+    ),
+    'pan measured at 2 Hz, sent at 20': StreamError(
+        (JOINTS,), held(10), '(pan|joint)', 'hold|held|step|repeat|rate|late'
+    ),
+    'odom yaw as z of its quaternion': StreamError(
+        (ODOMETRY,), _always(yaw_as_z), 'odom', 'quaternion|orientation|yaw'
+    ),
+    'odom turns twice': StreamError((ODOMETRY,), driven(yaw=2.0), 'odom yaw', '(2|1.9)'),
+    'image stamps rounded down to 0.4 s': StreamError(
+        (CAMERA,), _always(rounded_stamp(0.4)), 'images (order|stamps|jitter|clock)'
+    ),
+    'camera looks back': StreamError(
+        (),
+        _SAME,
+        'camera heading',
+        '1[78]. deg|backwards',
+        robot=lambda m: replace(m, axis_rpy=(0.0, 0.0, np.pi)),
+    ),
+    'camera_roll of a quarter too much': StreamError(
+        (), _SAME, 'camera roll', '(90|89) deg', robot=lambda m: replace(m, camera_roll_rad=1.5708)
+    ),
+    'pan axis 1.2 m too far left': StreamError(
+        (),
+        _SAME,
+        'camera mount',
+        'axis',
+        robot=lambda m: replace(m, axis_xyz=(m.axis_xyz[0], 1.2, m.axis_xyz[2])),
+    ),
+    'odom at 1 Hz': StreamError((ODOMETRY,), rarely(20), 'odom rate', '1.0 Hz'),
+    'pan reversed, zero off by 0.5 rad': StreamError(
+        (JOINTS,),
+        lambda m, count: added(0.5)(times(-1.0)(m, count), count),
+        'pan sign',
+        'reversed',
+    ),
+    'd of 0 with images of a lens': StreamError(
+        (INFO,), _always(straightened), 'camera lens', 'distortion'
+    ),
+    'neighbouring images exchanged': StreamError(
+        (CAMERA,), neighbours_exchanged(), 'images', 'order|other|repeat'
+    ),
+    'images white': StreamError(
+        (CAMERA,), _always(pictured(lambda i: 0 * i + 255)), 'images', 'white|nothing'
     ),
 }
 

@@ -31,6 +31,9 @@ from landmark_nav.diagnosis.motion import Clock, Linear, linear, Motion, Track
 from landmark_nav.diagnosis.parts import (
     blank_images,
     coarse_values,
+    held_values,
+    jumping_values,
+    limited_values,
     repeated_images,
     staying_values,
     strange_images,
@@ -261,6 +264,12 @@ class _Drive:
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
         if (repeated := repeated_images(motion)) is not None:
             return [*found, repeated], Delays(), False
+        for part in (held_values, limited_values):
+            if (odd := part(motion)) is not None:
+                one, motion = odd
+                found.append(one)
+        if len(motion) < _LEAST_PAIRS:
+            return found, Delays(), False
         staying = staying_values(motion)
         if staying is not None:
             stays, motion = staying
@@ -279,7 +288,7 @@ class _Drive:
             else:
                 path = None
         if slopes.fits:
-            found += motion_findings(motion, slopes, self._room)
+            found += motion_findings(motion, slopes, self._room) + jumping_values(motion)
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
                 found = [f for f in found if f.name not in _OF_PATH]
