@@ -40,7 +40,13 @@ from landmark_nav.diagnosis.parts import (
 )
 from landmark_nav.diagnosis.path import check_jumps, check_path
 from landmark_nav.diagnosis.sources import two_sources
-from landmark_nav.diagnosis.stamps import check_stamps, clock_hints, in_step, longest_part
+from landmark_nav.diagnosis.stamps import (
+    by_arrival,
+    check_stamps,
+    clock_hints,
+    in_step,
+    longest_part,
+)
 from landmark_nav.diagnosis.streams import read_joints, read_stream, Stream, unwrapped
 from landmark_nav.diagnosis.units import check_speed, check_twist
 from landmark_nav.errors import LandmarkNavError
@@ -214,7 +220,9 @@ class _Drive:
             return found, Delays(), True
         if _unstamped(looks.stream) or _unstamped(pan) or (odometry and _unstamped(odometry)):
             return found, Delays(), True
-        return self._against_images(looks, pan, odometry, found)
+        looks = replace(looks, stream=by_arrival(looks.stream))
+        odometry = None if odometry is None else by_arrival(odometry)
+        return self._against_images(looks, by_arrival(pan), odometry, found)
 
     @cached_property
     def _joints(self) -> dict[str, Stream]:
