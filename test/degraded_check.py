@@ -30,6 +30,7 @@ from stream_errors import (
     FURTHER,
     OTHERS,
     REPORTED,
+    SIXTH,
     StreamError,
     SWEEPS,
     THIRD,
@@ -171,6 +172,7 @@ def table_of_streams(drive: str, robot: str, room: str) -> bool:
         ('third', drive, THIRD, 0.9),
         ('fourth', drive, FOURTH, 0.9),
         ('fifth', drive, FIFTH, 0.9),
+        ('sixth', drive, SIXTH, 0.9),
     ):
         print(f'{title:30} named  said')
         hits = 0

@@ -204,7 +204,7 @@ def _named(cause: Cause) -> Finding:
         return Finding(
             'joint names',
             'error',
-            f'joint {cause.name} turns as the camera does, pan_joint does not',
+            f'joint {cause.name} turns as the camera does, that of robot.yaml does not',
             f'set pan_joint: {cause.name} in robot.yaml',
             {'pan_joint': cause.name},
         )

@@ -296,7 +296,10 @@ class _Drive:
             else:
                 path = None
         if slopes.fits:
-            found += motion_findings(motion, slopes, self._room) + jumping_values(motion)
+            jumps = jumping_values(motion)
+            if any(f.name == 'odom jumps' for f in found):
+                jumps = [f for f in jumps if not f.name.startswith(ODOMETRY)]
+            found += motion_findings(motion, slopes, self._room) + jumps
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
                 found = [f for f in found if f.name not in _OF_PATH]

@@ -43,6 +43,8 @@ _OUT_OF_STEP_S = 0.5
 _STEADY = 0.8
 # Jitter of stamps that matters while a camera turns at 1 rad/s.
 _SHAKEN_S = 0.01
+# Of a normal distribution, 90 % lie within so many standard deviations.
+_NORMAL_90 = 1.645
 # What is more often than this out of order was sent so; stamps that come twice so often are
 # rounded.
 _OFTEN, _REPEATED = 0.01, 0.1
@@ -128,10 +130,10 @@ def _rate(name: str, need: _Need | None, rate_hz: float, messages: int) -> Findi
 
 def _jitter(stream: Stream, what: str) -> list[Finding]:
     """Stamps that are shaken while messages arrive evenly."""
-    lag = np.diff(stream.seconds - stream.logged)
-    arrival = np.diff(stream.logged)
-    shaken = float(1.4826 * np.median(np.abs(lag - np.median(lag))))
-    uneven = float(1.4826 * np.median(np.abs(arrival - np.median(arrival))))
+    steps = np.diff([stream.seconds - stream.logged, stream.logged])
+    away = np.abs(steps - np.median(steps, axis=1, keepdims=True))
+    # One message in five that is off counts, a step of a clock does not.
+    shaken, uneven = (np.quantile(away, 0.9, axis=1) / _NORMAL_90).tolist()
     if shaken < _SHAKEN_S or uneven > 0.5 * shaken:
         return []
     return [
