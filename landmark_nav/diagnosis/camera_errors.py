@@ -200,9 +200,9 @@ class _Error:
 
 _QUARTER = 0.5 * np.pi
 _ERRORS = {
-    'tilt': _Error(lambda s, v: replace(s, tilt_rad=s.tilt_rad + v), 1.0),
-    'axis pitch': _Error(lambda s, v: _mounted(s, pitch=v), 1.0),
-    'axis roll': _Error(lambda s, v: _mounted(s, roll=v), 1.0),
+    'tilt': _Error(lambda s, v: replace(s, tilt_rad=s.tilt_rad + v), _QUARTER),
+    'axis pitch': _Error(lambda s, v: _mounted(s, pitch=v), _QUARTER),
+    'axis roll': _Error(lambda s, v: _mounted(s, roll=v), _QUARTER),
     # By half a turn, nothing that turns shows which way up images are; the pan does.
     'roll': _Error(_rolled, 0.6, starts=(0.0, _QUARTER, -_QUARTER)),
     'focal length': _Error(

@@ -68,7 +68,7 @@ _LEAST_PAIRS = 12
 _COVERED = 0.1
 # Without motion, times of recording separate clocks to about this.
 _BY_LOG_S = 0.5
-# Scale of focal length or pan that calibration finds in a sweep.
+# Scale of focal length or pan that calibration finds in a sweep; angles of as many radians.
 _CALIBRATED = 1.2
 # Delays are not known better from how images turn.
 _LEAST_SIGMA_S = 1e-3
@@ -399,8 +399,9 @@ class _Sweeps:
         looks = look(self._bag, self._images, infos, self._mount, most_images)
         of_camera = []
         if error := _camera_error(self._bag, looks, self._mount):
-            # Learning estimates lens and mount.
-            of_camera = [replace(camera_finding(error), level='warning')]
+            of_camera = [camera_finding(error)]
+            if abs(error.value) < np.log(_CALIBRATED):
+                of_camera = [replace(of_camera[0], level='warning')]
             self._mount = error.setup.mount
             looks = look(self._bag, self._images, infos, error.setup, most_images)
         stream = replace(looks.stream, name='sweep images')
