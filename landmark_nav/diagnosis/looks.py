@@ -153,8 +153,7 @@ def _cameras(bag: Bag, infos: tuple[str, ...]) -> tuple[CameraInfos | None, tupl
         return CameraInfos.read(bag, *infos), ()
     except LandmarkNavError as error:
         text = str(error).removeprefix(f'{bag.path}: ')
-        advice = 'calibrate the camera, and record its camera_info'
-        return None, (Finding('camera lens', 'error', text, advice, when_read=True),)
+        return None, (Finding('camera lens', 'error', text, when_read=True),)
 
 
 def _tracked(chosen: set[int]) -> set[int]:

@@ -108,6 +108,7 @@ def test_half_field_of_view_is_the_smaller_side() -> None:
         ({'distortion': (-1.5,)}, 'folds back'),
         ({'fx': 1.0, 'fy': 1.0}, 'sees too wide'),
         ({'fx': 57000.0, 'fy': 57000.0}, 'to one side'),
+        ({'fx': 11.0, 'fy': 11.0}, 'deg wide'),
         ({'cx': 1e6}, 'outside of the image'),
         ({'cy': -1e6}, 'outside of the image'),
         ({'distortion': (1e300, 0, 0, 0, 0, -1e300)}, 'folds back'),
