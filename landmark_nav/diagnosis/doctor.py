@@ -31,13 +31,22 @@ from landmark_nav.diagnosis.motion import Clock, Linear, linear, Motion, Track
 from landmark_nav.diagnosis.parts import (
     blank_images,
     coarse_values,
+    held_values,
+    jumping_values,
+    limited_values,
     repeated_images,
     staying_values,
     strange_images,
 )
 from landmark_nav.diagnosis.path import check_jumps, check_path
 from landmark_nav.diagnosis.sources import two_sources
-from landmark_nav.diagnosis.stamps import check_stamps, clock_hints, in_step, longest_part
+from landmark_nav.diagnosis.stamps import (
+    by_arrival,
+    check_stamps,
+    clock_hints,
+    in_step,
+    longest_part,
+)
 from landmark_nav.diagnosis.streams import read_joints, read_stream, Stream, unwrapped
 from landmark_nav.diagnosis.units import check_speed, check_twist
 from landmark_nav.errors import LandmarkNavError
@@ -59,7 +68,7 @@ _LEAST_PAIRS = 12
 _COVERED = 0.1
 # Without motion, times of recording separate clocks to about this.
 _BY_LOG_S = 0.5
-# Scale of focal length or pan that calibration finds in a sweep.
+# Scale of focal length or pan that calibration finds in a sweep; angles of as many radians.
 _CALIBRATED = 1.2
 # Delays are not known better from how images turn.
 _LEAST_SIGMA_S = 1e-3
@@ -211,7 +220,9 @@ class _Drive:
             return found, Delays(), True
         if _unstamped(looks.stream) or _unstamped(pan) or (odometry and _unstamped(odometry)):
             return found, Delays(), True
-        return self._against_images(looks, pan, odometry, found)
+        looks = replace(looks, stream=by_arrival(looks.stream))
+        odometry = None if odometry is None else by_arrival(odometry)
+        return self._against_images(looks, by_arrival(pan), odometry, found)
 
     @cached_property
     def _joints(self) -> dict[str, Stream]:
@@ -261,6 +272,12 @@ class _Drive:
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
         if (repeated := repeated_images(motion)) is not None:
             return [*found, repeated], Delays(), False
+        for part in (held_values, limited_values):
+            if (odd := part(motion)) is not None:
+                one, motion = odd
+                found.append(one)
+        if len(motion) < _LEAST_PAIRS:
+            return found, Delays(), False
         staying = staying_values(motion)
         if staying is not None:
             stays, motion = staying
@@ -279,7 +296,10 @@ class _Drive:
             else:
                 path = None
         if slopes.fits:
-            found += motion_findings(motion, slopes, self._room)
+            jumps = jumping_values(motion)
+            if any(f.name == 'odom jumps' for f in found):
+                jumps = [f for f in jumps if not f.name.startswith(ODOMETRY)]
+            found += motion_findings(motion, slopes, self._room) + jumps
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
                 found = [f for f in found if f.name not in _OF_PATH]
@@ -379,8 +399,9 @@ class _Sweeps:
         looks = look(self._bag, self._images, infos, self._mount, most_images)
         of_camera = []
         if error := _camera_error(self._bag, looks, self._mount):
-            # Learning estimates lens and mount.
-            of_camera = [replace(camera_finding(error), level='warning')]
+            of_camera = [camera_finding(error)]
+            if abs(error.value) < np.log(_CALIBRATED):
+                of_camera = [replace(of_camera[0], level='warning')]
             self._mount = error.setup.mount
             looks = look(self._bag, self._images, infos, error.setup, most_images)
         stream = replace(looks.stream, name='sweep images')

@@ -102,7 +102,7 @@ def look(
     strips: dict[int, Strip] = {}
     view: StripView | None = None
     camera: CameraModel | None = None
-    cameras: CameraInfos | None = None
+    cameras, refused = _cameras(bag, infos)
     setup = mounted if isinstance(mounted, CameraSetup) else None
     tracked = set() if setup else _tracked(chosen)
     points: dict[int, tuple[FloatArray, FloatArray]] = {}
@@ -113,11 +113,9 @@ def look(
         logged.append(entry.stamp_ns)
         unstamped += entry.header_ns == 0
         frames[str(entry.message.header.frame_id)] = None
-        if index not in chosen:
+        if index not in chosen or cameras is None:
             continue
         try:
-            if cameras is None:
-                cameras = CameraInfos.read(bag, *infos)
             image, seen_by = decode.camera_image(entry.message, cameras.at(stamps[-1]), True)
             if view is None:
                 camera = setup.camera if setup else seen_by
@@ -144,9 +142,18 @@ def look(
         origin_ns=bag.start_ns,
         unstamped=unstamped,
     )
-    findings = (*_encoding(failed, kinds, len(chosen)), *_lens(camera))
+    findings = (*refused, *_encoding(failed, kinds, len(chosen)), *_lens(camera))
     each = np.array(pairs, dtype=np.intp).reshape(-1, 2)
     return Looks(stream, each, findings, strips, view, camera, points)
+
+
+def _cameras(bag: Bag, infos: tuple[str, ...]) -> tuple[CameraInfos | None, tuple[Finding, ...]]:
+    """Read the calibrations of a bag; or say why none can be used."""
+    try:
+        return CameraInfos.read(bag, *infos), ()
+    except LandmarkNavError as error:
+        text = str(error).removeprefix(f'{bag.path}: ')
+        return None, (Finding('camera lens', 'error', text, when_read=True),)
 
 
 def _tracked(chosen: set[int]) -> set[int]:

@@ -45,6 +45,8 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
     """
     # As they arrive: stamps may go back.
     order = np.argsort(stream.logged, kind='stable')
+    # A source that sends a value again says nothing new.
+    order = order[np.append(True, (np.diff(stream.values[order], axis=0) != 0.0).any(1))]
     times, values = stream.logged[order], stream.values[order]
     is_angle = np.isin(np.arange(values.shape[1]), angles)
     speed = np.where(is_angle, _FASTEST_RAD_S, _FASTEST_M_S)

@@ -24,10 +24,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from stream_errors import (
+    FIFTH,
     FOURTH,
     FURTHER,
     OTHERS,
     REPORTED,
+    SIXTH,
     StreamError,
     SWEEPS,
     THIRD,
@@ -35,6 +37,7 @@ from stream_errors import (
 )
 
 from landmark_nav.arrays import ImageArray
+from landmark_nav.calibration import Calibration
 from landmark_nav.diagnosis import diagnose
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import pose_errors
@@ -43,7 +46,7 @@ from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.response import light_of, values_of
 from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.robot_files import load_calibration, save_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame
 
@@ -142,9 +145,11 @@ def named(drive: str, error: StreamError, robot: str, room: str) -> tuple[bool, 
     with tempfile.TemporaryDirectory() as scratch:
         path = write_drive(Bag(drive), Path(scratch) / 'drive', error)
         try:
-            found = diagnose(
-                Bag(path), error.robot(mount) if error.robot else mount, load_room(room)
-            )
+            if error.robot:
+                given = Path(scratch) / 'robot.yaml'
+                save_calibration(Calibration.of_mount(error.robot(mount)), given)
+                mount = load_robot(given)
+            found = diagnose(Bag(path), mount, load_room(room))
         except LandmarkNavError as refused:
             hit = bool(error.finding and re.search(error.finding, str(refused)))
             return hit, [str(refused)]
@@ -165,6 +170,8 @@ def table_of_streams(drive: str, robot: str, room: str) -> bool:
         ('further', drive, FURTHER, 0.9),
         ('third', drive, THIRD, 0.9),
         ('fourth', drive, FOURTH, 0.9),
+        ('fifth', drive, FIFTH, 0.9),
+        ('sixth', drive, SIXTH, 0.9),
     ):
         print(f'{title:30} named  said')
         hits = 0
