@@ -39,6 +39,7 @@ from landmark_nav.learning.reference_area import joint_covariance, ReferenceArea
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again, Found
+from landmark_nav.learning.stereo.own_plane import Depths
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
@@ -109,6 +110,7 @@ def learn_from_panoramas(
     config: LearningConfig,
     log: StageLog | None = None,
     places: FloatArray | None = None,
+    depths: Sequence[Depths] = (),
 ) -> LearningResult:
     """
     Learn landmarks from two panoramas or more.
@@ -126,6 +128,8 @@ def learn_from_panoramas(
     places : ndarray, shape (4 v, 4 v), optional
         Joint covariance of the viewpoints before there are measurements; without it they were
         measured from papers, or each for itself.
+    depths : sequence of Depths, optional
+        Distances of features that panoramas share, of each of them.
 
     Raises
     ------
@@ -145,13 +149,13 @@ def learn_from_panoramas(
     if places is None:
         places = joint_covariance(panoramas, room, config.reference_area)
     with log.measure('stereo'):
-        found = find_again(panoramas, candidates, greys, room, config.stereo)
+        found = find_again(panoramas, candidates, greys, room, config.stereo, depths)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
             free = _adjust(found, panoramas, places, room, _without_walls(config))
             moved = moved_walls(free, found.walls, room, config.adjustment)
             if moved is not room:
                 room = moved
-                found = find_again(panoramas, candidates, greys, room, config.stereo)
+                found = find_again(panoramas, candidates, greys, room, config.stereo, depths)
     outcomes = found.outcomes
     if len(found.patches) < 3:
         raise LandmarkNavError(
@@ -234,7 +238,9 @@ def _adjust(
     expected: AdjustmentConfig,
 ) -> Adjustment:
     start = np.array([patch.position for patch in found.patches])
-    return adjust(found.measurements, found.walls, start, panoramas, places, room, expected)
+    return adjust(
+        found.measurements, found.walls, start, panoramas, places, room, expected, found.normals
+    )
 
 
 def _adjusted(
@@ -247,8 +253,8 @@ def _adjusted(
     """Adjust with the walls and without; how far before each wall things lie, and what is odd."""
     without_walls = _without_walls(config)
     hidden = check_walls(
-        _adjust(found.anywhere, panoramas, places, room, without_walls),
-        found.anywhere.walls,
+        _adjust(found.before_walls, panoramas, places, room, without_walls),
+        found.before_walls.walls,
         room,
         config.adjustment,
         config.wall_fit,
@@ -261,7 +267,7 @@ def _adjusted(
         adjustment,
         free,
         found.measurements,
-        room.normals[walls],
+        found.normals,
         config.adjustment,
         config.election.max_depth_sigma_m,
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+import logging
 
 import cv2
 import numpy as np
@@ -21,8 +22,10 @@ from landmark_nav.learning.calibration.axis_tilt import levelled
 from landmark_nav.learning.facades import (
     FacadesConfig,
     find_facades,
+    open_room,
     room_of,
     seen_points,
+    SeenPoints,
 )
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
@@ -38,6 +41,7 @@ from landmark_nav.learning.relative_pose import (
 from landmark_nav.learning.relative_pose.epipolar import center
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.stereo.own_plane import depths_of
 from landmark_nav.learning.sweep_pipeline import (
     panorama_from_sweep,
     PanoramaStages,
@@ -54,6 +58,8 @@ __all__ = [
     'locate',
     'locate_sweeps',
 ]
+
+_LOG = logging.getLogger(__name__)
 
 # How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
 RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
@@ -87,12 +93,14 @@ class Located:
 
     `places` (4 v, 4 v) is the joint covariance of the viewpoints by the sources of the scale, were
     the scale known: the map is right in its own metre, which is off by `poses.scale_sigma`.
+    `points` are those that each panorama shares with others.
     """
 
     panoramas: tuple[Panorama, ...]
     room: Room
     places: FloatArray
     poses: RelativePoses
+    points: tuple[SeenPoints, ...]
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -153,10 +161,21 @@ def locate(
         poses = relative_poses(features, known, lever, config.relative_pose, sheets)
     with log.measure('facades'):
         sigma = config.relative_pose.direction_sigma_rad
-        points = seen_points(poses.states, poses.pairs, lever, sigma)
+        points = [seen_points(poses.states, [p], lever, sigma) for p in poses.pairs]
         eyes = np.array([center(state, lever) for state in poses.states])
-        facades = find_facades(points, config.facades)
-        room = room_of(facades, eyes, config.facades, 'map')
+        joined = SeenPoints.joined(points)
+        facades = find_facades(joined, config.facades)
+        try:
+            room = room_of(facades, eyes, config.facades, 'map')
+        except LandmarkNavError as error:
+            _LOG.warning('%s: only what stands for itself is learned', error)
+            room = open_room(joined, eyes, config.facades, 'map')
+        shared = tuple(
+            SeenPoints.joined(
+                [p for p, pair in zip(points, poses.pairs, strict=True) if k in (pair.one, pair.other)]
+            )
+            for k in range(len(panoramas))
+        )
     located = [
         replace(
             p,
@@ -166,8 +185,8 @@ def locate(
         )
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
-    shared = _viewpoints(poses, eyes, lever, config.relative_pose)
-    return Located(tuple(located), room, shared, poses)
+    places = _viewpoints(poses, eyes, lever, config.relative_pose)
+    return Located(tuple(located), room, places, poses, shared)
 
 
 def locate_sweeps(
@@ -238,7 +257,17 @@ def learn_located(
     """Learn landmarks on the walls that were found; as `learn_from_panoramas`."""
     adjustment = replace(config.adjustment, camera_weight=unmeasured.camera_weight)
     config = replace(config, adjustment=adjustment)
-    result = learn_from_panoramas(located.panoramas, located.room, config, log, located.places)
+    result = learn_from_panoramas(
+        located.panoramas,
+        located.room,
+        config,
+        log,
+        located.places,
+        [
+            depths_of(points.positions, panorama)
+            for points, panorama in zip(located.points, located.panoramas, strict=True)
+        ],
+    )
     return replace(result, map=_turned(result.map, unmeasured.relative_pose.heading_sigma_rad))
 
 

@@ -110,7 +110,8 @@ class Problem:
     Measurements of n landmarks, the walls they hang on, and what is known of the panoramas.
 
     `own_sigma` (k, 2) is what matching says of each measurement; `landmark` and `view` (k,) hold
-    what it is of; `stretch` (n,) numbers the stretch of wall that each landmark hangs on.
+    what it is of; `stretch` (n,) numbers the stretch of wall that each landmark hangs on. Those on
+    no wall, -1, have planes of their own: `normals` (n, 3) and where they are at `start` (n, 3).
     """
 
     def __init__(
@@ -121,6 +122,8 @@ class Problem:
         panoramas: Sequence[Panorama],
         places: FloatArray,
         room: Room,
+        normals: FloatArray,
+        start: FloatArray,
     ) -> None:
         """Collect what does not change while it is solved."""
         flat = [(k, s) for k, group in enumerate(measurements) for s in group]
@@ -130,14 +133,16 @@ class Problem:
         self.count, self.views = len(measurements), len(panoramas)
         self._seen = np.array([(s.azimuth_rad, s.tangent) for _, s in flat])
 
-        self.normal = room.normals[np.asarray(walls, dtype=np.intp)]
+        self.wall = np.asarray(walls, dtype=np.intp)
+        self.on_wall = self.wall >= 0
+        self.normal = np.where(self.on_wall[:, None], room.normals[self.wall], normals)
         starts = np.array([room.walls[w].start for w in walls])
+        starts[~self.on_wall] = start[~self.on_wall, :2]
         self._level = np.sum(self.normal[:, :2] * starts, 1)
 
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
-        self.wall = np.asarray(walls, dtype=np.intp)
         # Which wall, and which stretch of one, each landmark hangs on: (n, walls + stretches).
-        self._hangs = np.hstack(
+        self._hangs = self.on_wall[:, None] * np.hstack(
             [np.eye(len(room.walls))[self.wall], np.eye(int(stretch.max()) + 1)[stretch]]
         )
         plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
@@ -343,6 +348,7 @@ def wall_stretches(
     side = np.array([wall.along for wall in room.walls])[list(walls)]
     along = np.sum((points[:, :2] - start) * side, 1)
     cells = np.stack([np.asarray(walls), np.floor(along / length_m)], 1)
+    cells[cells[:, 0] < 0] = -1
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1], np.intp).ravel()
 
 
