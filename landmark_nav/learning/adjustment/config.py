@@ -25,6 +25,12 @@ class AdjustmentConfig(Config):
         minimum=0,
         maximum=0.1,
     )
+    tilt_sigma_rad: float = parameter(
+        0.0,
+        'how far the pan axis of each sweep leans otherwise than known; 0 does not estimate it',
+        minimum=0,
+        maximum=0.2,
+    )
     relief_sigma_m: float = parameter(
         0.015,
         'how differently far from the wall things on one stretch of it hang',

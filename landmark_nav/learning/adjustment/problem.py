@@ -3,7 +3,7 @@ The measurements of an adjustment, linearized, and their normal equations.
 
 Unknowns are the landmarks, and what they share: poses of panoramas, for each wall how far things
 hang before it on average, for each stretch of a wall how far what hangs there does, and the
-calibration of the robot. Landmarks
+calibration of the robot, tilt of each sweep. Landmarks
 are eliminated first (Schur complement; Triggs et al., Bundle Adjustment, 2000): each meets the
 shared ones alone, so that the sparse structure is a stack of blocks of 3 x 3.
 """
@@ -124,6 +124,7 @@ class Problem:
         room: Room,
         normals: FloatArray,
         start: FloatArray,
+        tilt_sigma_rad: float,
     ) -> None:
         """Collect what does not change while it is solved."""
         flat = [(k, s) for k, group in enumerate(measurements) for s in group]
@@ -154,10 +155,13 @@ class Problem:
         # What all walls have in common, each wall alone, and each stretch of one.
         self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
         self._mounted, known, self._calibration, self._made_with = _calibration(panoramas)
-        self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known])
+        tilts = np.zeros(2 * self.views if tilt_sigma_rad else 0)
+        self._tilt_variance = np.diag(tilts + tilt_sigma_rad**2)
+        self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known, tilts])
         self._poses = slice(0, poses.size)
         self._walls = slice(poses.size, poses.size + len(plane))
-        self._calibrated = slice(self._walls.stop, len(self.prior))
+        self._calibrated = slice(self._walls.stop, self._walls.stop + len(known))
+        self._tilts = slice(self._calibrated.stop, len(self.prior))
         self._places = places
         self._height = np.arange(poses.size) % _POSE == 2
 
@@ -205,6 +209,11 @@ class Problem:
         by_pose[rows, :, self.view, :3] = -by_point
         by_pose[rows, 0, self.view, 3] = -1.0
         by_shared[..., self._poses] = by_pose.reshape(len(d), 2, -1)
+        if len(self._tilt_variance):
+            by_tilt = np.zeros((len(d), 2, self.views, 2))
+            by_tilt[rows, :, self.view] = self._by_turns()
+            by_shared[..., self._tilts] = by_tilt.reshape(len(d), 2, -1)
+            seen -= by_shared[..., self._tilts] @ shared[self._tilts]
         if len(self._calibration):
             by_errors = self._by_errors(reach)
             by_shared[..., self._calibrated] = by_errors
@@ -216,22 +225,21 @@ class Problem:
 
     def _by_errors(self, reach: FloatArray) -> FloatArray:
         """Derivatives (k, 2, c) of azimuths and tangents by errors of the calibration."""
-        azimuth, tangent = self._seen.T
-        cos, sin, square = np.cos(azimuth), np.sin(azimuth), 1.0 + tangent**2
-        # By small turns of the pan axis about x and y of the base.
-        turned = np.stack(
-            [
-                np.stack([tangent * cos, tangent * sin], 1),
-                np.stack([-sin, cos], 1) * square[:, None],
-            ],
-            1,
-        )
+        tangent = self._seen[:, 1]
+        square = 1.0 + tangent**2
         out = np.zeros((len(reach), 2, len(CALIBRATED)))
         # A camera before the axis is nearer, one to its left sees things more to the right.
         out[:, 1, 0], out[:, 0, 1] = tangent / reach, -1.0 / reach
         out[:, 1, 2], out[:, 1, 3] = -square, tangent
-        out[:, :, 4:] = turned @ self._mounted
+        out[:, :, 4:] = self._by_turns() @ self._mounted
         return out
+
+    def _by_turns(self) -> FloatArray:
+        """Derivatives (k, 2, 2) of azimuths and tangents by small turns about x and y of the base."""
+        azimuth, tangent = self._seen.T
+        cos, sin, square = np.cos(azimuth), np.sin(azimuth), 1.0 + tangent**2
+        by_azimuth = np.stack([tangent * cos, tangent * sin], 1)
+        return np.stack([by_azimuth, np.stack([-sin, cos], 1) * square[:, None]], 1)
 
     def normal_equations(
         self,
@@ -291,7 +299,8 @@ class Problem:
         factor = np.where(self._height, height, plan)
         off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
         places = self._places * np.outer(factor, factor)
-        return np.asarray(block_diag(places, off_walls + self._given, self._calibration))
+        walls = off_walls + self._given
+        return np.asarray(block_diag(places, walls, self._calibration, self._tilt_variance))
 
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray

@@ -19,6 +19,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.config import AdjustmentConfig
 from landmark_nav.learning.adjustment.problem import Linearized, Problem, wall_stretches
 from landmark_nav.learning.least_squares import Damping, root_of
+from landmark_nav.learning.stereo.ties import Ties
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
@@ -102,6 +103,7 @@ def adjust(
     room: Room,
     config: AdjustmentConfig,
     normals: FloatArray | None = None,
+    ties: Ties | None = None,
 ) -> Adjustment:
     """
     Adjust landmarks and panorama poses to all measurements.
@@ -124,11 +126,19 @@ def adjust(
         Standard deviations to expect.
     normals : ndarray, shape (n, 3), optional
         Of the landmarks; those on walls have that of their wall.
+    ties : Ties, optional
+        What else panoramas share: it is no landmark, but joins them.
     """
     if normals is None:
         normals = room.normals[np.asarray(walls, dtype=np.intp)]
+    count = len(start)
+    if ties is not None:
+        measurements = [*measurements, *ties.measurements]
+        walls = [*walls, *[-1] * len(ties.positions)]
+        start = np.concatenate([start, ties.positions])
+        normals = np.concatenate([normals, np.tile([1.0, 0.0, 0.0], (len(ties.positions), 1))])
     stretch = wall_stretches(start, walls, room, config.hanging_length_m)
-    problem = Problem(measurements, walls, stretch, panoramas, places, room, normals, start)
+    problem = Problem(measurements, walls, stretch, panoramas, places, room, normals, start, config.tilt_sigma_rad)
     expected = np.array(
         [
             config.azimuth_sigma_rad,
@@ -165,15 +175,15 @@ def adjust(
     )
     covariance = equations.shared_covariance()
     root = root_of(covariance)
-    shared_loading, rest, axes = _main_factors(-equations.gain @ root)
+    shared_loading, rest, axes = _main_factors((-equations.gain @ root)[:count])
     return Adjustment(
-        points,
-        influence[:, None, None] * equations.own_covariance() + rest,
+        points[:count],
+        (influence[:, None, None] * equations.own_covariance())[:count] + rest,
         shared_loading,
         problem.poses(shared),
         problem.pose_covariance(covariance),
-        problem.off_wall(points),
-        _misfit(problem, at, noise, trusted),
+        problem.off_wall(points)[:count],
+        _misfit(problem, at, noise, trusted)[:count],
         noise,
         *problem.calibration(shared, covariance),
         problem.calibration_rows(root) @ axes,

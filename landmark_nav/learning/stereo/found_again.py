@@ -10,7 +10,8 @@ import numpy as np
 from landmark_nav.arrays import Float32Array, FloatArray
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.config import StereoConfig
-from landmark_nav.learning.stereo.own_plane import Depths, is_off_wall, match_freely
+from landmark_nav.learning.stereo.own_plane import depths_of, is_off_wall, match_freely
+from landmark_nav.learning.stereo.ties import Ties
 from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
@@ -59,16 +60,16 @@ def find_again(
     greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
-    depths: Sequence[Depths] = (),
+    ties: Ties | None = None,
 ) -> Found:
     """
     Look for each candidate in the other panoramas: on the wall behind it, else wherever it is.
 
-    `depths` are those of matched features, of each panorama.
+    `ties` are features that panoramas share: they say how far what is around them is.
     """
     found = Found([], [], [], [[] for _ in panoramas])
     for i, panorama in enumerate(panoramas):
-        features = depths[i] if depths else None
+        features = None if ties is None else depths_of(ties.seen_by(i), panorama)
         for n, candidate in enumerate(candidates[i]):
             again = _on_wall(candidate, i, panoramas, greys, room, config)
             if isinstance(again, Refusal) or is_off_wall(*again, panoramas, config):
