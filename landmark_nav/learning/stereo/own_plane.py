@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,6 +35,8 @@ _MIN_SCORE = 0.88
 _MAX_RIVAL = 0.95
 # Features so near to a patch, as a share of its size, tell its depth; this share is searched.
 _AROUND, _DEPTH_SHARE = 0.75, 0.1
+# So many do not agree by chance.
+_AGREED, _ONE_PX = 3, 6.0
 # Turns that are tried, and how much more alike a larger turn must make both views.
 _TURNS = np.array([0.0, *(s * k for k in (0.2, 0.4, 0.6, 0.8, 1.0, 1.2) for s in (1.0, -1.0))])
 _TURN_PRICE = 0.02
@@ -78,10 +81,13 @@ def match_freely(
     """
     others = [j for j in range(len(panoramas)) if j != source]
     known = _known_depth(candidate, panoramas[source], depths)
+    if depths is not None and known is None:
+        return Refusal('no feature around it is found again')
+    strict = replace(config, min_score=max(config.min_score, _MIN_SCORE))
     best: tuple[float, WallPatch] | None = None
     refused = Refusal('found at no depth')
     for other in others:
-        at = known or _depth(candidate, source, other, panoramas, greys, config)
+        at = known or _depth(candidate, source, other, panoramas, greys, strict)
         if isinstance(at, Refusal):
             refused = at
             continue
@@ -98,6 +104,10 @@ def match_freely(
             refused = found
         else:
             seen.append(found)
+    # Two other views, or several features, do not err alike by chance; one may.
+    if seen and len(seen) < 2 and not (known and known.agreed):
+        seen = [found for found in seen if found.score >= strict.min_score]
+        refused = Refusal('low correlation', f'less than {strict.min_score:.2f}')
     return (patch, [own_measurement(patch, panoramas[source]), *seen]) if seen else refused
 
 
@@ -129,26 +139,39 @@ def is_off_wall(
     return min(off) > config.max_off_wall_m
 
 
+class _Depth(NamedTuple):
+    """Distance of a patch, how far before and behind it is searched, whether features agree."""
+
+    distance_m: float
+    near_m: float
+    agreed: bool = False
+
+
 def _known_depth(
     candidate: Candidate, panorama: Panorama, depths: Depths | None
-) -> tuple[float, float] | None:
-    """Distance that features about a candidate agree on, and how far it is searched; or None."""
+) -> _Depth | None:
+    """Distance that features about a candidate have; None if there are none."""
     if depths is None:
         return None
     cylinder, (azimuth, tangent, distance) = panorama.cylinder, depths
     column = cylinder.column_of(azimuth)
     half = 0.5 * cylinder.width
-    across = np.abs((column - candidate.column + half) % cylinder.width - half)
-    down = np.abs(cylinder.row_of(tangent) - candidate.row)
-    near = (across < _AROUND * candidate.width_px) & (down < _AROUND * candidate.height_px)
+    across = (column - candidate.column + half) % cylinder.width - half
+    down = cylinder.row_of(tangent) - candidate.row
+    near = np.abs(across) < _AROUND * candidate.width_px
+    near &= np.abs(down) < _AROUND * candidate.height_px
     if not near.any():
         return None
     middle = float(np.median(distance[near]))
     spread = float(np.median(np.abs(distance[near] - middle)))
     if spread > _DEPTH_SHARE * middle:
-        nearest = np.argmin(np.where(near, across + down, np.inf))
+        nearest = np.argmin(np.where(near, across**2 + down**2, np.inf))
         middle, spread = float(distance[nearest]), 0.0
-    return middle, _DEPTH_SHARE * middle + spread
+    near &= np.abs(distance - middle) < _DEPTH_SHARE * middle
+    # One corner may be several features, of one false match.
+    cells = np.stack([across, down], 1)[near] // _ONE_PX
+    agreed = len(np.unique(cells, axis=0)) >= _AGREED
+    return _Depth(middle, _DEPTH_SHARE * middle + spread, agreed)
 
 
 def _depth(
@@ -158,7 +181,7 @@ def _depth(
     panoramas: Sequence[Panorama],
     greys: Sequence[Float32Array],
     config: StereoConfig,
-) -> tuple[float, float] | Refusal:
+) -> _Depth | Refusal:
     """Distance at which another panorama shows a candidate, by all of its epipolar curve."""
     here, there = panoramas[source], panoramas[other]
     found: list[tuple[float, float]] = []
@@ -168,7 +191,6 @@ def _depth(
             continue
         wide = replace(
             config,
-            min_score=max(config.min_score, _MIN_SCORE),
             before_wall_m=min(step, _WIDEST_M),
             behind_wall_m=min(1.3 * step, _WIDEST_M),
             # It is seldom turned as it is taken to be.
@@ -185,7 +207,7 @@ def _depth(
     rivals = [s for s, d in found if abs(np.log(d / distance)) > -np.log(1.0 - 2 * _DEPTH_SHARE)]
     if rivals and max(rivals) > _MAX_RIVAL * score:
         return Refusal('found at two depths')
-    return distance, _NEAR_M
+    return _Depth(distance, _NEAR_M)
 
 
 def _moved(
@@ -229,14 +251,14 @@ def _turned(
     candidate: Candidate,
     source: int,
     other: int,
-    at: tuple[float, float],
+    at: _Depth,
     panoramas: Sequence[Panorama],
     greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> tuple[float, WallPatch] | None:
     """Score and patch, at its distance and turned until two views of it are most alike."""
     here, there = panoramas[source], panoramas[other]
-    distance, near = at
+    distance, near, _ = at
     best: tuple[float, WallPatch, PatchMeasurement] | None = None
     for turn in _TURNS:
         patch = _patch(candidate, source, distance, float(turn), here, there)
