@@ -256,6 +256,7 @@ def learn_located(
         config.adjustment,
         camera_weight=unmeasured.camera_weight,
         tilt_sigma_rad=unmeasured.relative_pose.tilt_sigma_rad,
+        wave_sigma_rad=located.poses.wave_sigma_rad,
     )
     config = replace(config, adjustment=adjustment)
     result = learn_from_panoramas(

@@ -38,6 +38,8 @@ CALIBRATED = (
     'axis_roll',
     'axis_pitch',
 )
+# Azimuths of a panorama err in common by so many waves a turn at most: lenses, bearings, seams.
+_WAVES = 4
 # No calibration is better known than this, metres, radians or a share.
 _LEAST_ERROR = 1e-7
 # Nothing is nearer to a panorama, metres.
@@ -125,6 +127,7 @@ class Problem:
         normals: FloatArray,
         start: FloatArray,
         tilt_sigma_rad: float,
+        wave_sigma_rad: float,
     ) -> None:
         """Collect what does not change while it is solved."""
         flat = [(k, s) for k, group in enumerate(measurements) for s in group]
@@ -155,13 +158,17 @@ class Problem:
         # What all walls have in common, each wall alone, and each stretch of one.
         self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
         self._mounted, known, self._calibration, self._made_with = _calibration(panoramas)
-        tilts = np.zeros(2 * self.views if tilt_sigma_rad else 0)
-        self._tilt_variance = np.diag(tilts + tilt_sigma_rad**2)
-        self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known, tilts])
+        # Of each panorama: its tilt, and waves of its azimuths.
+        wave = wave_sigma_rad / np.sqrt(_WAVES)
+        sigma = np.array([tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
+        self._warps = np.flatnonzero(sigma)
+        self._warp_variance = np.diag(np.tile(sigma[self._warps] ** 2, self.views))
+        warps = np.zeros(len(self._warp_variance))
+        self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known, warps])
         self._poses = slice(0, poses.size)
         self._walls = slice(poses.size, poses.size + len(plane))
         self._calibrated = slice(self._walls.stop, self._walls.stop + len(known))
-        self._tilts = slice(self._calibrated.stop, len(self.prior))
+        self._warped = slice(self._calibrated.stop, len(self.prior))
         self._places = places
         self._height = np.arange(poses.size) % _POSE == 2
 
@@ -209,11 +216,11 @@ class Problem:
         by_pose[rows, :, self.view, :3] = -by_point
         by_pose[rows, 0, self.view, 3] = -1.0
         by_shared[..., self._poses] = by_pose.reshape(len(d), 2, -1)
-        if len(self._tilt_variance):
-            by_tilt = np.zeros((len(d), 2, self.views, 2))
-            by_tilt[rows, :, self.view] = self._by_turns()
-            by_shared[..., self._tilts] = by_tilt.reshape(len(d), 2, -1)
-            seen -= by_shared[..., self._tilts] @ shared[self._tilts]
+        if len(self._warps):
+            by_warp = np.zeros((len(d), 2, self.views, len(self._warps)))
+            by_warp[rows, :, self.view] = self._by_warps()[..., self._warps]
+            by_shared[..., self._warped] = by_warp.reshape(len(d), 2, -1)
+            seen -= by_shared[..., self._warped] @ shared[self._warped]
         if len(self._calibration):
             by_errors = self._by_errors(reach)
             by_shared[..., self._calibrated] = by_errors
@@ -233,6 +240,13 @@ class Problem:
         out[:, 1, 2], out[:, 1, 3] = -square, tangent
         out[:, :, 4:] = self._by_turns() @ self._mounted
         return out
+
+    def _by_warps(self) -> FloatArray:
+        """Derivatives (k, 2, w) of azimuths and tangents by tilt and waves of their panorama."""
+        phase = self._seen[:, :1] * np.arange(1, _WAVES + 1)
+        waves = np.zeros((len(phase), 2, 2 * _WAVES))
+        waves[:, 0] = np.hstack([np.cos(phase), np.sin(phase)])
+        return np.concatenate([self._by_turns(), waves], -1)
 
     def _by_turns(self) -> FloatArray:
         """Derivatives (k, 2, 2) of azimuths and tangents by small turns about x and y of the base."""
@@ -300,7 +314,7 @@ class Problem:
         off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
         places = self._places * np.outer(factor, factor)
         walls = off_walls + self._given
-        return np.asarray(block_diag(places, walls, self._calibration, self._tilt_variance))
+        return np.asarray(block_diag(places, walls, self._calibration, self._warp_variance))
 
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray

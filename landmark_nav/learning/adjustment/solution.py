@@ -138,7 +138,10 @@ def adjust(
         start = np.concatenate([start, ties.positions])
         normals = np.concatenate([normals, np.tile([1.0, 0.0, 0.0], (len(ties.positions), 1))])
     stretch = wall_stretches(start, walls, room, config.hanging_length_m)
-    problem = Problem(measurements, walls, stretch, panoramas, places, room, normals, start, config.tilt_sigma_rad)
+    problem = Problem(
+        measurements, walls, stretch, panoramas, places, room, normals, start,
+        config.tilt_sigma_rad, config.wave_sigma_rad,
+    )  # fmt: skip
     expected = np.array(
         [
             config.azimuth_sigma_rad,

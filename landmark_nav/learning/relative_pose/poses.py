@@ -21,6 +21,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     center,
     EpipolarFit,
     fit_poses,
+    misses,
     RayPairs,
     STATE,
 )
@@ -54,6 +55,7 @@ _NO_WAY = 0.8
 _FIXED_SIGMA = 1e-6
 _UNKNOWN_SIGMA = (10.0, 10.0, 3.0)
 _ROUNDS = 3
+_MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,8 @@ class RelativePoses:
         What each source says of the scale.
     scale_sigma : float
         Relative standard deviation of the scale by all of them.
+    wave_sigma_rad : float
+        By how much more than features are uncertain directions of panoramas err.
 
     """
 
@@ -81,6 +85,7 @@ class RelativePoses:
     pairs: tuple[RayPairs, ...]
     scales: tuple[ScaleShare, ...]
     scale_sigma: float
+    wave_sigma_rad: float
 
 
 def relative_poses(
@@ -130,7 +135,18 @@ def relative_poses(
         tuple(p.chosen(which) for p, which in zip(pairs_along, fit.agrees, strict=True)),
         shares,
         scale_sigma(shares),
+        _wave_sigma(fit.states, pairs_along, lever, config),
     )
+
+
+def _wave_sigma(
+    states: FloatArray, pairs: Sequence[RayPairs], lever: FloatArray, config: RelativePoseConfig
+) -> float:
+    """What matches miss each other by that features alone would not."""
+    off = [misses(states, p, lever, config.direction_sigma_rad)[0] for p in pairs]
+    seen = _MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(off))))
+    variance = (seen * config.direction_sigma_rad) ** 2 - config.feature_sigma_rad**2
+    return float(np.sqrt(max(variance, 0.0)))
 
 
 def _found(
