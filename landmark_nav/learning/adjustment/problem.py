@@ -124,10 +124,10 @@ class Problem:
         panoramas: Sequence[Panorama],
         places: FloatArray,
         room: Room,
-        normals: FloatArray,
-        start: FloatArray,
-        tilt_sigma_rad: float,
-        wave_sigma_rad: float,
+        normals: FloatArray | None = None,
+        start: FloatArray | None = None,
+        tilt_sigma_rad: float = 0.0,
+        wave_sigma_rad: float = 0.0,
     ) -> None:
         """Collect what does not change while it is solved."""
         flat = [(k, s) for k, group in enumerate(measurements) for s in group]
@@ -139,9 +139,11 @@ class Problem:
 
         self.wall = np.asarray(walls, dtype=np.intp)
         self.on_wall = self.wall >= 0
-        self.normal = np.where(self.on_wall[:, None], room.normals[self.wall], normals)
+        self.normal = room.normals[self.wall]
         starts = np.array([room.walls[w].start for w in walls])
-        starts[~self.on_wall] = start[~self.on_wall, :2]
+        if normals is not None and start is not None:
+            self.normal = np.where(self.on_wall[:, None], self.normal, normals)
+            starts[~self.on_wall] = start[~self.on_wall, :2]
         self._level = np.sum(self.normal[:, :2] * starts, 1)
 
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
