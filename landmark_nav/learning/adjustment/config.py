@@ -25,6 +25,19 @@ class AdjustmentConfig(Config):
         minimum=0,
         maximum=0.1,
     )
+    tilt_sigma_rad: float = parameter(
+        0.0,
+        'how far the pan axis of each sweep leans otherwise than known; 0 does not estimate it',
+        minimum=0,
+        maximum=0.2,
+    )
+    wave_sigma_rad: float = parameter(
+        0.0,
+        'how far azimuths of one panorama err in common, in waves of a quarter turn and longer; 0 '
+        'does not estimate it',
+        minimum=0,
+        maximum=0.1,
+    )
     relief_sigma_m: float = parameter(
         0.015,
         'how differently far from the wall things on one stretch of it hang',

@@ -23,6 +23,12 @@ class RelativePoseConfig(Config):
     direction_sigma_rad: float = parameter(
         1.5e-3, 'standard deviation of the direction of a feature', minimum=1e-5, maximum=0.1
     )
+    feature_sigma_rad: float = parameter(
+        5e-4,
+        'the same of a feature alone, in a panorama that has no errors',
+        minimum=1e-5,
+        maximum=0.1,
+    )
     tilt_sigma_rad: float = parameter(
         0.01, "standard deviation of a sweep's tilt, about x and y", minimum=1e-6, maximum=0.2
     )

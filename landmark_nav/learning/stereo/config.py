@@ -43,6 +43,18 @@ class StereoConfig(Config):
         minimum=0.05,
         maximum=100,
     )
+    max_off_wall_m: float = parameter(
+        0.06,
+        'how far off its wall a patch may hang; farther off it is on a plane of its own',
+        minimum=0,
+        maximum=1,
+    )
+    max_relief_px: float = parameter(
+        2.0,
+        'the same of a patch that does not hang on a wall, whose location is then less certain',
+        minimum=0.05,
+        maximum=100,
+    )
     margin_m: float = parameter(
         0.04,
         'search around the epipolar line, at least: more where places are uncertain',

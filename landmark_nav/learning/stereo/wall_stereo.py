@@ -35,6 +35,8 @@ __all__ = ['compare', 'hypothesize', 'match_in']
 # How far places may be wrong, in their sigmas, and where a search on the wall ends.
 _SIGMAS = 3.0
 _LARGEST_MARGIN_M = 0.5
+# What is not flat errs by this share of how far a quarter of it seems out of place.
+_RELIEF_SHARE = 0.5
 # How near to where it came from a match must lead back.
 _MAX_RETURN_PX = 1.0
 
@@ -170,6 +172,10 @@ def compare(
     reach = float(np.hypot(ray[0], ray[1]))
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach
     sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m / reach
+    if not patch.on_wall:
+        # What is not flat is matched by one part of it or another.
+        relief = _RELIEF_SHARE * displaced * coarser * patch.texel_m / reach
+        sigma = np.hypot(sigma, relief)
     nearer = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
     return PatchMeasurement(
         other,
