@@ -12,10 +12,11 @@ import numpy as np
 
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.figures_world import FiguresWorld
-from landmark_nav.cli.learn import LearningStages, located_sweeps
+from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.progress import progress
+from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures.area_figure import (
     AreaTest,
@@ -217,7 +218,7 @@ def _unmeasured(
     attention: AttentionConfig,
 ) -> _Data:
     """As `_learned`, where walls and poses are found."""
-    config = replace(LearningStages(), attention=attention)
+    config = replace(Configuration(), attention=attention)
     located, _ = located_sweeps(bag, mount, config, StageLog())
     learned = None
     if wanted & _LEARNED:

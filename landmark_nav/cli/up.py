@@ -10,14 +10,15 @@ from tempfile import TemporaryDirectory
 import time
 
 from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_namespace
+from landmark_nav.cli.options import add_config, add_namespace
+from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.demo.graph import node_commands
 from landmark_nav.demo.interruption import Interruption
 from landmark_nav.demo.room import prepare_room
 from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import chosen_domain, require_ros
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.setup_files import load_room
 
 __all__ = ['add_arguments', 'run']
 
@@ -56,14 +57,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--image-transport',
         choices=('auto', 'raw', 'compressed'),
-        default='auto',
-        help='form of camera/image_raw (default auto)',
+        help='form of camera/image_raw (default: that of the parameters, auto)',
     )
     parser.add_argument(
         '--composed',
         action='store_true',
         help='run all nodes in one process: less memory, but learning holds up localization',
     )
+    add_config(parser)
     add_namespace(parser)
 
 
@@ -82,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         else:
             robot, room = args.robot.resolve(), args.room and args.room.resolve()
             # A wrong file gives one error here instead of one from every node.
-            load_robot(robot)
+            load_configuration(args.config, robot, *READS)
             if room is not None:
                 load_room(room)
             if simulator is not None and room is not None:
@@ -93,7 +94,8 @@ def run(args: argparse.Namespace) -> int:
             args.map.resolve(),
             simulator=simulator,
             load_on_start=(args.map / 'map.yaml').is_file(),
-            image_transport='compressed' if args.sim else args.image_transport,
+            image_transport='compressed' if args.sim else args.image_transport or '',
+            parameter_file=args.config and Path(args.config).resolve(),
             namespace=args.namespace,
             composed=args.composed,
         )

@@ -27,10 +27,14 @@ NODES = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the nodes, each with its file in config/ and what is given here."""
+    """Return the nodes with their parameter file and what is given here."""
     share = Path(get_package_share_directory('landmark_nav'))
-    config = share / 'config'
     arguments = [
+        DeclareLaunchArgument(
+            'params_file',
+            default_value=str(share / 'config' / 'landmark_nav.yaml'),
+            description='parameters of all nodes',
+        ),
         DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
         DeclareLaunchArgument(
             'room_file',
@@ -72,18 +76,20 @@ def generate_launch_description() -> LaunchDescription:
             name=name,
             namespace=LaunchConfiguration('namespace'),
             output='screen',
-            parameters=[str(config / f'{name}.yaml'), given(*taken)],
+            parameters=[LaunchConfiguration('params_file'), given(*taken)],
             condition=UnlessCondition(composed),
         )
         for name, taken in NODES.items()
     ]
-    # Its nodes have the defaults of their files, which are those of the code.
     together = Node(
         package='landmark_nav',
         executable='all_nodes',
         namespace=LaunchConfiguration('namespace'),
         output='screen',
-        parameters=[given(*sorted({name for taken in NODES.values() for name in taken}))],
+        parameters=[
+            LaunchConfiguration('params_file'),
+            given(*sorted({name for taken in NODES.values() for name in taken})),
+        ],
         condition=IfCondition(composed),
     )
     # The layout's topics are relative, so that RViz finds them in its namespace.

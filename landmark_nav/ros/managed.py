@@ -78,7 +78,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
         Until then, what the node makes is its foundation: it works in all states, and stays.
         """
         self._foundation = self._made()
-        if declare(self, Startup).autostart:
+        if declare(self, Startup(), ('autostart',)).autostart:
             for step in (self.trigger_configure, self.trigger_activate):
                 if step() != TransitionCallbackReturn.SUCCESS:
                     raise self._failure or LandmarkNavError(f'{self.get_name()} does not start')

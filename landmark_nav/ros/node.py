@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import logging
 import re
 import traceback
-from typing import Any, cast, TypeVar
+from typing import Any, cast
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException
@@ -27,7 +27,6 @@ from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
 from landmark_nav.ros.managed import ManagedNode
-from landmark_nav.ros.parameters import declare, misspelt
 from landmark_nav.ros.renamed_topics import (
     FORMER_NAMES,
     FormerSubscription,
@@ -37,7 +36,6 @@ from landmark_nav.ros.topics import TOPICS, with_depth
 
 __all__ = ['LandmarkNode']
 
-T = TypeVar('T')
 
 # Parameters that name files end so.
 _FILES = ('_file', '_folder', 'bag')
@@ -133,13 +131,6 @@ class LandmarkNode(ManagedNode):
         if self._awaits and not any(one.waits() for one in self.inputs.awaited()):
             self._awaits = False
             self._log.info('has all that it waited for')
-
-    def configure(self, config_class: type[T]) -> T:
-        """Declare a dataclass as parameters and return it filled."""
-        config = declare(self, config_class)
-        for name, meant in misspelt(self).items():
-            self.get_logger().warning(f'no parameter {name}: did you mean {meant}?')
-        return config
 
     def required(self, name: str, value: str) -> str:
         """Value of a parameter that has no sensible default, such as the path of a file."""

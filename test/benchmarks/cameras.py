@@ -93,15 +93,15 @@ def compare(seed: int, scene: Scene, landmark_map: LandmarkMap, seconds: float) 
 
 def _with_views(views: str) -> LocalizationConfig:
     config = LocalizationConfig()
-    triplet = replace(config.observation.triplet, views=views, pan_rate_rad_s=2.1)
-    return replace(config, observation=replace(config.observation, triplet=triplet))
+    triplet = replace(config.triplet, views=views, pan_rate_rad_s=2.1)
+    return replace(config, triplet=triplet)
 
 
 class _Active:
     """Looks at the triplet that is best, chosen anew every half second."""
 
     def __init__(self, landmark_map: LandmarkMap, config: LocalizationConfig) -> None:
-        self._camera = ActiveCamera(landmark_map, DEFAULT_MOUNT, config.observation.triplet)
+        self._camera = ActiveCamera(landmark_map, DEFAULT_MOUNT, config.triplet)
         self._pan: float | None = None
         self._until_s = 0.0
 

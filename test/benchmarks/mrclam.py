@@ -20,11 +20,10 @@ from typing import Any
 from as_a_user import command
 import numpy as np
 
+from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.run_report import pose_report, run_errors
-from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.bags import Bag, sensor_events
-from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 
@@ -50,7 +49,7 @@ def driven(robot: int, data: Path, folder: Path, seconds: float = np.inf) -> dic
         events,
         posts,
         calibration,
-        load_config(REPOSITORY / 'config' / 'mrclam.yaml', LocalizationConfig()),
+        load_configuration(folder / 'log_config.yaml', folder / 'log_robot.yaml', *READS),
         np.array(start, float),
         np.diag([0.05, 0.05, 0.035]) ** 2,
     )

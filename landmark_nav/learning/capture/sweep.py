@@ -267,7 +267,8 @@ class SweepCapture(Generic[FrameT]):
             self.stop(f'{seen} and does not come to rest')
         elif not self.reach.stop(last.pan_rad, step.target_rad):
             self.stop(
-                f'{seen} and does not move: if that is its limit, set pan_min_rad and pan_max_rad'
+                f'{seen} and does not move: if that is its limit, give pan_min, pan_max in '
+                'robot.yaml'
             )
         else:
             _LOG.warning(

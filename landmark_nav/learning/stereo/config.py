@@ -13,51 +13,29 @@ __all__ = ['StereoConfig']
 class StereoConfig(Config):
     """What counts as the same patch seen from two places."""
 
-    min_score: float = parameter(
-        0.75, 'least normalized cross-correlation between two views', minimum=0, maximum=1
-    )
-    max_second_ratio: float = parameter(
-        0.9, 'greatest share of the peak that another place may reach', minimum=0, maximum=1
-    )
-    max_incidence_rad: float = parameter(
-        1.15, 'greatest angle between a view and the normal', minimum=0.1, maximum=1.5
-    )
-    min_parallax_rad: float = parameter(
-        0.04, 'least angle between two views of a landmark', minimum=0, maximum=1.5
-    )
-    min_approach: float = parameter(
-        1.25,
-        'how many times nearer one of two views in line must be, for depth from scale',
-        minimum=1,
-        maximum=100,
-    )
-    behind_wall_m: float = parameter(
-        0.15, 'how far behind the wall a match is searched', minimum=0, maximum=2
-    )
-    before_wall_m: float = parameter(
-        0.5, 'how far before the wall a match is searched', minimum=0, maximum=5
-    )
+    # Least normalized cross-correlation between two views.
+    min_score: float = 0.75
+    # Greatest share of the peak that another place may reach.
+    max_second_ratio: float = 0.9
+    # Greatest angle between a view and the normal.
+    max_incidence_rad: float = 1.15
+    # Least angle between two views of a landmark.
+    min_parallax_rad: float = 0.04
+    # How many times nearer one of two views in line must be, for depth from scale.
+    min_approach: float = 1.25
+    # How far behind the wall a match is searched.
+    behind_wall_m: float = 0.15
+    # How far before the wall a match is searched.
+    before_wall_m: float = 0.5
     max_displaced_px: float = parameter(
         0.7,
         'how far a quarter of a patch may seem out of place between two views, pixels',
         minimum=0.05,
         maximum=100,
     )
-    max_off_wall_m: float = parameter(
-        0.06,
-        'how far off its wall a patch may hang; farther off it is on a plane of its own',
-        minimum=0,
-        maximum=1,
-    )
-    max_relief_px: float = parameter(
-        2.0,
-        'the same of a patch that does not hang on a wall, whose location is then less certain',
-        minimum=0.05,
-        maximum=100,
-    )
-    margin_m: float = parameter(
-        0.04,
-        'search around the epipolar line, at least: more where places are uncertain',
-        minimum=0.005,
-        maximum=0.5,
-    )
+    # How far off its wall a patch may hang, m; farther off it is on a plane of its own.
+    max_off_wall_m: float = 0.06
+    # The same of a patch that does not hang on a wall, whose location is then less certain, px.
+    max_relief_px: float = 2.0
+    # Search around the epipolar line, at least: more where places are uncertain.
+    margin_m: float = 0.04
