@@ -47,13 +47,6 @@ class TripletConfig(Config):
     margin_sigmas: float = 3.0
     # A new triplet must score so much better than the one looked at.
     hysteresis: float = 0.3
-    views: str = parameter(
-        'one',
-        'whether one view must hold a triplet, or several, one after the other',
-        choices=('one', 'several'),
-    )
-    # How long several views may take, s.
-    fix_window_s: float = 5.0
     # Time of a look, beside which that of turning counts, s.
     dwell_time_s: float = 1.0
     # Rate of the pan unit, rad/s.
