@@ -65,7 +65,8 @@ def test_simulation_gives_the_simulator_parameters_that_it_has() -> None:
 
 
 def test_the_analyzers_of_diagnostics_name_nodes_and_their_work() -> None:
-    text = shipped_config('diagnostic_aggregator.yaml').read_text(encoding='utf-8')
+    file = LAUNCH.parents[1] / 'config' / 'diagnostic_aggregator.yaml'
+    text = file.read_text(encoding='utf-8')
     parameters = yaml.safe_load(text)['/**']['ros__parameters']
     groups = [group for group in parameters.values() if isinstance(group, dict)]
     names = {name for group in groups for name in group['startswith']}

@@ -449,7 +449,8 @@ function drawPanoramas() {
   for (const parent of document.querySelectorAll('.panorama')) {
     const {image, size: [width, height], candidates} = data.panoramas[parent.dataset.panorama];
     const bar = add(parent, 'div', {class: 'bar'});
-    const says = add(bar, 'span', {'aria-live': 'polite'}, 'Green and bold: elected, with number. Click one.');
+    const says = add(bar, 'span', {'aria-live': 'polite'}, candidates.length
+      ? 'Green and bold: elected, with number. Click one.' : 'Thin: candidates. Green and bold: landmarks, with number.');
     const svg = add(parent, 'svg', {class: 'over', tabindex: 0, role: 'group',
       'aria-label': 'panorama: arrow keys go from candidate to candidate, + and - zoom'});
     svg.style.setProperty('--tall', `${100 * height / width}cqw`);
