@@ -46,9 +46,10 @@ lint: install
 test-offline: install
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
 
-# One after the other: these start nodes as processes of their own.
+# These start nodes as processes of their own, each test in a ROS domain of its own. The demo takes
+# a process for half of the time.
 test-nodes: install test-offline
-	$(BIN)/pytest -q test/nodes
+	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py test/nodes
 
 bench: install
 	$(BIN)/landmark-nav bench

@@ -24,7 +24,6 @@ def known() -> dict[str, Case]:
 @pytest.mark.parametrize(
     'name',
     [
-        'a lamp switched between',
         'an overexposed window',
         'upside down, as given',
         'people in most images',
