@@ -67,6 +67,8 @@ RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
 # Covariance of a pose that is only given to know how far the walls are.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
+# Less than half a pixel at the horizon: panoramas are upright.
+_UPRIGHT_RAD = 1e-3
 # The scale is taken as it is, up to this: relief would shrink with it, and speak for less.
 _FIXED_SCALE = 1e-5
 
@@ -224,15 +226,18 @@ def locate_sweeps(
     places = known(stamped)
     lever = np.array([*mount.axis_xyz[:2], panoramas[0].center_map[2]])
     located = locate(panoramas, places, lever, config, log)
+    tilts = located.poses.states[:, 4:]
+    if not stages.calibration.enabled or np.abs(tilts).max() < _UPRIGHT_RAD:
+        tilts = np.zeros(tilts.shape)
     again = [
         panorama_from_sweep(
             replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, state[:3], _KNOWN)),
             located.room,
-            leant(mount, state[4:]) if stages.calibration.enabled else mount,
+            leant(mount, tilt) if tilt.any() else mount,
             stages,
             log,
         )
-        for sweep, state in zip(sweeps(), located.poses.states, strict=True)
+        for sweep, state, tilt in zip(sweeps(), located.poses.states, tilts, strict=True)
     ]
     if all(
         np.array_equal(new.image, old.image) for new, old in zip(again, panoramas, strict=True)

@@ -38,6 +38,8 @@ CALIBRATED = (
     'axis_roll',
     'axis_pitch',
 )
+# Share of the tilt of sweeps by which all of them lean, beside the mount.
+_LEANS_ALIKE = 0.1
 # Azimuths of a panorama err in common by so many waves a turn at most: lenses, bearings, seams.
 _WAVES = 4
 # No calibration is better known than this, metres, radians or a share.
@@ -164,7 +166,11 @@ class Problem:
         wave = wave_sigma_rad / np.sqrt(_WAVES)
         sigma = np.array([tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
         self._warps = np.flatnonzero(sigma)
-        self._warp_variance = np.diag(np.tile(sigma[self._warps] ** 2, self.views))
+        apart = np.diag(sigma[self._warps] ** 2)
+        # What all sweeps lean alike is the mount's, which the calibration has.
+        alike = np.where(self._warps < 2, 1.0 - _LEANS_ALIKE**2, 0.0) / self.views
+        self._warp_variance = np.kron(np.eye(self.views), apart)
+        self._warp_variance -= np.kron(np.ones((self.views, self.views)), alike * apart)
         warps = np.zeros(len(self._warp_variance))
         self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known, warps])
         self._poses = slice(0, poses.size)

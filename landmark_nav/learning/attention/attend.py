@@ -49,8 +49,8 @@ def attend(
     """
     Select candidates and say why others were refused.
 
-    Features at pixels `matched` (n, 2), which another panorama shows as well, are proposed beside
-    what stands out.
+    Where less stands out than `candidates`, features at pixels `matched` (n, 2), which another
+    panorama shows as well, are proposed, too.
 
     Raises
     ------
@@ -93,6 +93,8 @@ def _about(
     centers = [(c.column, c.row) for c in taken]
     found: list[Candidate] = []
     for column, row in np.floor(pixels) + 0.5 * (1 - size % 2):
+        if len(centers) >= config.candidates:
+            break
         first = int(row - 0.5 * (size - 1))
         if first < 0 or first + size > height:
             continue

@@ -37,8 +37,11 @@ _MAX_RIVAL = 0.95
 _AROUND, _DEPTH_SHARE = 0.75, 0.1
 # So many do not agree by chance.
 _AGREED, _ONE_PX = 3, 6.0
-# Turns that are tried, and how much more alike a larger turn must make both views.
-_TURNS = np.array([0.0, *(s * k for k in (0.2, 0.4, 0.6, 0.8, 1.0, 1.2) for s in (1.0, -1.0))])
+# Turns that are tried, then those beside the best one; how much more alike a larger turn must make
+# both views.
+_TURNS, _FINER = (0.0, 0.5, -0.5, 1.0, -1.0), (0.25,)
+# Until it is turned right it looks less alike, by this share.
+_TURNING_SHARE = 0.8
 _TURN_PRICE = 0.02
 _LEAST_COSINE = 0.35
 # Errors of directions that do not make a patch hang off its wall.
@@ -91,7 +94,8 @@ def match_freely(
         if isinstance(at, Refusal):
             refused = at
             continue
-        turned = _turned(candidate, source, other, at, panoramas, greys, config)
+        loose = replace(config, min_score=_TURNING_SHARE * config.min_score)
+        turned = _turned(candidate, source, other, at, panoramas, greys, loose)
         if turned is not None and (best is None or turned[0] > best[0]):
             best = turned
     if best is None:
@@ -216,7 +220,7 @@ def _moved(
     """The patch at all depths, facing both cameras and turned to either side."""
     distance = _FARTHEST_M
     while distance > _NEAREST_M:
-        for turn in (0.0, 0.7, -0.7):
+        for turn in _TURNS:
             patch = _patch(candidate, source, distance, turn, here, there)
             if patch is not None:
                 yield patch
@@ -258,27 +262,28 @@ def _turned(
 ) -> tuple[float, WallPatch] | None:
     """Score and patch, at its distance and turned until two views of it are most alike."""
     here, there = panoramas[source], panoramas[other]
-    distance, near, _ = at
-    best: tuple[float, WallPatch, PatchMeasurement] | None = None
-    for turn in _TURNS:
-        patch = _patch(candidate, source, distance, float(turn), here, there)
-        if patch is None:
-            continue
-        found = _near(patch, other, panoramas, greys, config, near)
-        if isinstance(found, Refusal):
-            continue
-        worth = found.score - _TURN_PRICE * abs(float(turn))
-        if best is None or worth > best[0]:
-            best = worth, patch, found
-    if best is None:
-        return None
-    worth, patch, found = best
-    exact = _distance(patch, found, here, there, config)
-    if exact is None:
-        return None
-    share = exact / distance
-    position = here.center_map + share * (patch.position - here.center_map)
-    return worth, replace(patch, position=position, texel_m=share * patch.texel_m)
+    distance, near_m, _ = at
+    best: tuple[float, float, float, WallPatch] | None = None
+    turns = _TURNS
+    for finer in (*_FINER, None):
+        for turn in turns:
+            patch = _patch(candidate, source, distance, turn, here, there)
+            found = patch and _near(patch, other, panoramas, greys, config, near_m)
+            if patch is None or not isinstance(found, PatchMeasurement):
+                continue
+            exact = _distance(patch, found, here, there, config)
+            worth = found.score - _TURN_PRICE * abs(turn)
+            if exact is not None and (best is None or worth > best[0]):
+                share = exact / distance
+                position = here.center_map + share * (patch.position - here.center_map)
+                patch = replace(patch, position=position, texel_m=share * patch.texel_m)
+                best = worth, turn, exact, patch
+        if best is None or finer is None:
+            break
+        _, turn, distance, _ = best
+        near_m = _NEAR_M
+        turns = (turn - finer, turn + finer)
+    return best and (best[0], best[3])
 
 
 def _near(
