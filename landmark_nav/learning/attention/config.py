@@ -45,10 +45,6 @@ class AttentionConfig(Config):
     weight_radial_symmetry: float = 0.2
     # Weight of symmetry about vertical lines.
     weight_line_symmetry: float = 0.1
-    # Gradient at which an edge goes on, grey levels per px.
-    edge_low: float = 4.0
-    # Gradient at which an edge starts, grey levels per px.
-    edge_high: float = 10.0
     # Least width and height of a patch, px.
     size_min_px: int = 28
     # Largest width and height of a patch, px.
@@ -64,10 +60,6 @@ class AttentionConfig(Config):
     neighborhood_columns_px: int = 60
     # How far up and down a patch may be mistaken.
     neighborhood_rows_px: int = 16
-    # Largest correlation with another place near by.
-    ambiguity_max: float = 0.75
-    # Noise of one frame, standard deviation in grey levels.
-    noise_gray: float = 3.0
 
     @property
     def weights(self) -> dict[str, float]:

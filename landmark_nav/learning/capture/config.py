@@ -33,10 +33,6 @@ class CaptureConfig(Config):
     pan_max_rad: float = np.pi
     # Distance from the commanded pan that counts as arrived, rad.
     arrival_tolerance_rad: float = 0.01
-    # Time for which the joint must stand still, s.
-    settled_s: float = 0.08
-    # Rate over that time or longer that counts as standing still, rad/s.
-    settled_velocity_rad_s: float = 0.01
     step_timeout_s: float = parameter(
         5.0,
         'time without getting nearer to the next frame before giving up',
@@ -47,17 +43,8 @@ class CaptureConfig(Config):
     retakes: int = 10
     # Pause before a frame is taken again, s.
     retake_pause_s: float = 0.2
-    # Gradient energy, relative to that of neighbouring frames in what both show, below which a
-    # frame counts as blurred; 0 takes every frame.
-    least_sharpness: float = 0.75
     # How far the stamps of images and joint states may be apart, s.
     stamp_gap_s: float = 0.3
-    # Way of the robot, by odom, that ends a sweep, m.
-    moved_m: float = 0.01
-    # Turn of the robot, by odom, that ends a sweep, rad.
-    moved_rad: float = 0.01
-    # Age up to which an interrupted sweep is gone on with by the same process, s.
-    resume_s: float = 600.0
 
     def __post_init__(self) -> None:
         """Check that the joint can reach any of the angles."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from landmark_nav.geometry import se2
-from landmark_nav.learning.capture.config import CaptureConfig
 from landmark_nav.types import OdometrySample
 
 __all__ = ['Place']
+
+# Way and turn by odometry that end a sweep, m and rad: chosen by hand.
+_MOVED_M, _MOVED_RAD = 0.01, 0.01
 
 
 class Place:
     """Where the frames so far were taken, by odometry; without any the robot stands."""
 
-    def __init__(self, config: CaptureConfig) -> None:
-        self._config = config
+    def __init__(self) -> None:
         self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
 
@@ -37,6 +38,6 @@ class Place:
             return ''
         way = se2.relative(self._first.pose_odom_base, self._last.pose_odom_base)
         way_m, turn_rad = float(np.hypot(way[0], way[1])), abs(float(way[2]))
-        if way_m <= self._config.moved_m and turn_rad <= self._config.moved_rad:
+        if way_m <= _MOVED_M and turn_rad <= _MOVED_RAD:
             return ''
         return f'{100.0 * way_m:.1f} cm and {np.degrees(turn_rad):.1f} deg'
