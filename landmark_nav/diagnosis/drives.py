@@ -175,7 +175,8 @@ class DriveChecks:
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
         if (repeated := repeated_images(motion)) is not None:
             return [*found, repeated], Delays(), False
-        for part in (held_values, limited_values):
+        # A pan that stops for each image holds its values, too, and explains what images show.
+        for part in () if linear(motion).quiet else (held_values, limited_values):
             if (odd := part(motion)) is not None:
                 one, motion = odd
                 found.append(one)
