@@ -34,6 +34,9 @@ __all__ = ['compare', 'hypothesize', 'match_in']
 # How far places may be wrong, in their sigmas, and where a search on the wall ends.
 _SIGMAS = 3.0
 _LARGEST_MARGIN_M = 0.5
+# Greatest share of the peak that another place may reach. On walls it gains nothing; far before
+# them, where the whole epipolar band is searched, it was not left out.
+_MAX_SECOND_RATIO = 0.9
 # What is not flat errs by this share of how far a quarter of it seems out of place.
 _RELIEF_SHARE = 0.5
 # How near to where it came from a match must lead back.
@@ -135,7 +138,7 @@ def compare(
         blur_to(search, own, seen),
         template,
         min_score=config.min_score,
-        max_second_ratio=1.0,
+        max_second_ratio=_MAX_SECOND_RATIO,
     )
     if isinstance(match, Refusal):
         return match
@@ -147,8 +150,12 @@ def compare(
     if search is None or found is None:
         return Refusal('not covered by both panoramas')
     found = blur_to(found, own, seen)
-    # Where two places look alike, only the one way back shows which is meant.
-    back = match_template(blur_to(search, seen, own), found, min_score=0.9 * config.min_score)
+    back = match_template(
+        blur_to(search, seen, own),
+        found,
+        min_score=0.9 * config.min_score,
+        max_second_ratio=_MAX_SECOND_RATIO,
+    )
     if isinstance(back, Refusal):
         return Refusal('no way back', str(back))
     across, below = (back.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
