@@ -80,22 +80,17 @@ def compare(seed: int, scene: Scene, landmark_map: LandmarkMap, seconds: float) 
     start = landmark_map.panorama_poses[0].pose[:2]
     path = plan_tour(scene, start, 0.42 * seconds + 2.0, rng)
     world = RobotWorld(scene, np.zeros(3), seed)
-    one, several = _with_views('one'), _with_views('several')
+    config = LocalizationConfig()
+    triplet = replace(config.observation.triplet, pan_rate_rad_s=2.1)
+    config = replace(config, observation=replace(config.observation, triplet=triplet))
     return {
         name: _drive(seed, scene, world.renderer, landmark_map, path, seconds, config, rule)
-        for name, config, rule in (
-            ('active, one view', one, _Active(landmark_map, one)),
-            ('active, several views', several, _Active(landmark_map, several)),
-            ('fixed pan', _with_views('one'), lambda _update, _time: 0.0),
-            ('random triplets', _with_views('one'), _Random(landmark_map, seed)),
+        for name, rule in (
+            ('active', _Active(landmark_map, config)),
+            ('fixed pan', lambda _update, _time: 0.0),
+            ('random triplets', _Random(landmark_map, seed)),
         )
     }
-
-
-def _with_views(views: str) -> LocalizationConfig:
-    config = LocalizationConfig()
-    triplet = replace(config.observation.triplet, views=views, pan_rate_rad_s=2.1)
-    return replace(config, observation=replace(config.observation, triplet=triplet))
 
 
 class _Active:
@@ -108,7 +103,7 @@ class _Active:
 
     def __call__(self, update: LocalizationUpdate, time_s: float) -> float | None:
         self._camera.saw(update.observation.detections)
-        if self._camera.done_here or time_s >= self._until_s:
+        if time_s >= self._until_s:
             now = CameraState(self._pan)
             chosen = self._camera.choose(update.fused, DEFAULT_CAMERA, now).chosen
             self._pan = chosen.pan_rad if isinstance(chosen, Triplet) else self._pan

@@ -45,8 +45,8 @@ _UPDATES = 15
 def localization_comparisons(world: World) -> Iterator[Comparison]:
     """Triplet, detection, triangulation, fusion, and all of them in one update."""
     yield _triplet(world)
-    for count, views in ((40, 'several'), (200, 'several'), (200, 'one'), (1000, 'one')):
-        yield _triplet_of(count, views)
+    for count in (40, 200, 1000):
+        yield _triplet_of(count)
     yield _detection(world)
     yield _triangulation(world)
     yield _closed_form(world)
@@ -80,8 +80,8 @@ def _triplet(world: World) -> Comparison:
     )
 
 
-def _triplet_of(count: int, views: str) -> Comparison:
-    """Choice among `count` landmarks around a room, from all triplets that the views allow."""
+def _triplet_of(count: int) -> Comparison:
+    """Choice among `count` landmarks around a room, from all triplets that fit a view."""
     rng = np.random.default_rng(count)
     along = rng.uniform(0.05, 0.95, count)
     walls = [((0.0, 0.0), (7.0, 0.0)), ((7.0, 0.0), (7.0, 4.5)), ((7.0, 4.5), (0.0, 4.5))]
@@ -107,11 +107,11 @@ def _triplet_of(count: int, views: str) -> Comparison:
         )
     landmark_map = LandmarkMap(tuple(landmarks))
     prior = PoseEstimate(0, np.array([3.2, 2.0, 0.4]), np.diag([0.01, 0.01, 0.005]) ** 2)
-    config, camera_state = TripletConfig(views=views), CameraState(pan_rad=0.5)
+    config, camera_state = TripletConfig(), CameraState(pan_rad=0.5)
     few = np.array(list(combinations(range(min(count, 40)), 3)))
     tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
     return Comparison(
-        f'triplet among {count}, views: {views}',
+        f'triplet among {count}',
         lambda: rank_triplets(prior, landmark_map, CAMERA, MOUNT, config, camera_state),
         f'variances of {len(few)} triplets, all at once',
         lambda: mean_variance(tables, few),

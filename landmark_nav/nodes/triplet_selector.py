@@ -124,8 +124,6 @@ class TripletSelectorNode(LandmarkNode):
         """Count what was found of what should have been in view."""
         if self._camera is not None:
             self._camera.saw(decode.detections(message))
-            if self._camera.done_here:
-                self._choose()
 
     def _on_command(self, pan_rad: float) -> None:
         """Leave the camera to who else turns it, such as a sweep."""

@@ -36,7 +36,6 @@ def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ('section', 'former', 'name', 'value'),
     [
-        ('observation.triplet', 'gather_s', 'fix_window_s', 2.0),  # keep
         ('observation.triplet', 'look_s', 'dwell_time_s', 2.0),  # keep
         ('observation.detection', 'enough', 'target_count', 7),  # keep
     ],

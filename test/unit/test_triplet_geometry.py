@@ -79,24 +79,23 @@ class TestGeometry:
                 assert cost == pytest.approx(1.0 + travel_s(way, 1.0, 8.0), abs=0.02)
             if np.isfinite(cost):
                 pan = tours.pan_rad[mine][np.argmin(tours.cost[mine])]
-                assert np.ptp(pan) == 0.0
-                assert limits[0] <= pan[0] <= limits[1]
+                assert limits[0] <= pan <= limits[1]
                 assert np.all(np.abs(wrap_rad(pan - azimuth[triple])) <= reach[triple] + 1e-12)
 
     @settings(max_examples=60)
-    @given(st.integers(0, 10_000), st.sampled_from(['one', 'several']))
-    def test_a_triplet_costs_the_most_of_its_pairs(self, seed: int, views: str) -> None:
+    @given(st.integers(0, 10_000))
+    def test_a_triplet_costs_the_most_of_its_pairs(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
         azimuth, reach = rng.uniform(-np.pi, np.pi, 8), rng.uniform(0.05, 0.4, 8)
         limits, now = (-np.pi, rng.uniform(1.0, 4.0)), rng.uniform(-3.0, 1.0)
-        windows = PanWindows.around(azimuth, reach, limits, now, TripletConfig(views=views))
+        windows = PanWindows.around(azimuth, reach, limits, now, CONFIG)
         triples = np.array(list(combinations(range(len(windows.place)), 3)), dtype=np.intp)
         i, j, k = (triples := triples.reshape(-1, 3)).T
         place, pairs, tours = windows.place, windows.costs(), windows.tours(triples)
         distinct = (place[i] != place[j]) & (place[i] != place[k]) & (place[j] != place[k])
         most = np.maximum(np.maximum(pairs[i, j], pairs[i, k]), pairs[j, k])
         np.testing.assert_allclose(tours.cost[distinct], most[distinct])
-        off = np.abs(wrap_rad(tours.pan_rad - azimuth[place[triples]]))
+        off = np.abs(wrap_rad(tours.pan_rad[:, None] - azimuth[place[triples]]))
         assert np.all((off <= reach[place[triples]] + 1e-12)[np.isfinite(tours.cost) & distinct])
 
     def test_variance_against_the_inverse_matrix(self) -> None:

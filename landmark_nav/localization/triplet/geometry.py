@@ -26,13 +26,12 @@ class PairTables(NamedTuple):
     """
     What pairs out of n landmarks are worth from viewpoints (...).
 
-    `gradient` (..., 2, n) of the bearings by x and y of the viewpoint, `own` (..., n) the part of
-    their variances that they do not share; `error` (..., n, n) is the variance of the difference
-    of two bearings, `distance` (..., n, n) the squared distance of their gradients.
+    `gradient` (..., 2, n) of the bearings by x and y of the viewpoint; `error` (..., n, n) is the
+    variance of the difference of two bearings, `distance` (..., n, n) the squared distance of
+    their gradients.
     """
 
     gradient: FloatArray
-    own: FloatArray
     error: FloatArray
     distance: FloatArray
 
@@ -48,7 +47,7 @@ def pair_tables(
     x, y = gradient[..., 0], gradient[..., 1]
     distance = (x[..., :, None] - x[..., None, :]) ** 2
     distance += (y[..., :, None] - y[..., None, :]) ** 2
-    return PairTables(np.ascontiguousarray(np.swapaxes(gradient, -1, -2)), own, error, distance)
+    return PairTables(np.ascontiguousarray(np.swapaxes(gradient, -1, -2)), error, distance)
 
 
 def position_variance(

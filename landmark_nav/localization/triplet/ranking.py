@@ -103,9 +103,9 @@ class Ranking:
     chance : ndarray, shape (m,)
         That all three are found.
     travel_s : ndarray, shape (m,)
-        Time to turn there, and from view to view.
-    pan_rad : ndarray, shape (m, 3)
-        That sees each landmark.
+        Time to turn there.
+    pan_rad : ndarray, shape (m,)
+        That sees all three.
     score : ndarray, shape (m,)
         Variance by chance, times the time relative to that of a look; m^2.
 
@@ -125,8 +125,7 @@ class Ranking:
         """Return a ranking without triplets."""
         empty = np.empty(0)
         ids = np.empty((0, 3), dtype=np.int64)
-        pans = np.empty((0, 3))
-        return cls(reason, visibility, ids, np.empty((0, 3, 3)), empty, empty, pans, empty)
+        return cls(reason, visibility, ids, np.empty((0, 3, 3)), empty, empty, empty, empty)
 
     @property
     def sigma_m(self) -> FloatArray:
@@ -136,7 +135,7 @@ class Ranking:
     def table(self) -> npt.NDArray[np.void]:
         """One row (m,) a triplet, for other tools; `reason` is a `Verdict`."""
         rows = np.zeros(len(self.score), dtype=_ROW)
-        rows['id'], rows['pan'], rows['sigma'] = self.ids, self.pan_rad, self.sigma_m
+        rows['id'], rows['pan'], rows['sigma'] = self.ids, self.pan_rad[:, None], self.sigma_m
         rows['chance'], rows['travel'], rows['score'] = self.chance, self.travel_s, self.score
         rows['covariance'] = self.covariances.reshape(-1, 9)
         rows['reason'] = self.verdicts()

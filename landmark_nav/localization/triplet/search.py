@@ -25,13 +25,6 @@ __all__ = ['best_triplets', 'first_of_each', 'mean_variance']
 _PAIRS = 1500
 # Pairs that are completed in every way for a first bound.
 _FIRST_PAIRS = 16
-# With no more landmarks, or no greater share of pairs left, as where one view must hold a triplet,
-# closer bounds cost more than they save; else there are 2^4 groups of third landmarks.
-_FEW = 64
-_SPARSE = 0.4
-_HALVINGS = 4
-# Instead of a distance of zero.
-_NOWHERE = 1e-150
 # Bounds are compared with so much room for rounding.
 _ROUNDING = 1.0 + 1e-9
 # Triplets that can't be combined have a score of infinity.
@@ -78,55 +71,10 @@ def best_triplets(
     search = _Search(tables, factor, cost, count)
     search.add(_around_best_pairs(bound).T)
     good = bound <= search.limit * _ROUNDING
-    if len(factor) > _FEW and np.mean(good) > _SPARSE:
-        _add_across(least, tables, good)
-        good &= least.mean(axis=0) * weight <= search.limit * _ROUNDING
     search.expect(least)
     for triplets in _triangles(good & np.isfinite(bound)):
         search.add(triplets)
     return search.scores, search.triplets
-
-
-def _add_across(least: FloatArray, tables: PairTables, good: npt.NDArray[np.bool_]) -> None:
-    """
-    Raise the least variances (p, n, n) of pairs by what remains across the pair's line.
-
-    A third inverse point at distance q from the line adds its own variance over q squared, and
-    that of the best mean of the pair. Third points are taken in groups: the least variance of a
-    group and the greatest q that its enclosing circle allows.
-    """
-    first, second = np.nonzero(np.triu(good, 1))
-    groups = _groups(tables.gradient[0].T)
-    for point, table in zip(
-        least, (PairTables(*t) for t in zip(*tables, strict=True)), strict=True
-    ):
-        x, y = table.gradient
-        length = np.maximum(np.sqrt(table.distance[first, second]), _NOWHERE)
-        normal_x, normal_y = (y[second] - y[first]) / length, (x[first] - x[second]) / length
-        offset = normal_x * x[first] + normal_y * y[first]
-        pair = table.own[first] * table.own[second] / (table.own[first] + table.own[second])
-        across = np.full(len(first), np.inf)
-        for group in groups:
-            center_x, center_y = x[group].mean(), y[group].mean()
-            radius = np.hypot(x[group] - center_x, y[group] - center_y).max()
-            reach = np.abs(normal_x * center_x + normal_y * center_y - offset) + radius
-            least_own = table.own[group].min() + pair
-            across = np.minimum(across, least_own / np.maximum(reach, _NOWHERE) ** 2)
-        point[first, second] += across
-        point[second, first] += across
-
-
-def _groups(points: FloatArray) -> list[IndexArray]:
-    """Indices of points (n, 2) that lie close together, by halving again and again."""
-    groups = [np.arange(len(points))]
-    for _ in range(_HALVINGS):
-        halves = []
-        for group in groups:
-            wide = int(np.argmax(np.ptp(points[group], axis=0)))
-            order = group[np.argsort(points[group, wide], kind='stable')]
-            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
-        groups = halves
-    return groups
 
 
 class _Search:

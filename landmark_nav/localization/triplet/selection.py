@@ -5,8 +5,7 @@ they take.
 Madsen and Andersen, Optimal landmark selection for triangulation of robot position, Robotics and
 Autonomous Systems 23(4), 1998: propagate the measurement noise through the triangulation for every
 triplet that fits one view. Here the map's errors count too, those that landmarks share as such; so
-do the prior's spread, the chance that all three are found, and the time to turn to them. A triplet
-may also be spread over several views, one after the other.
+do the prior's spread, the chance that all three are found, and the time to turn to them.
 
 The score is variance x time / chance: the inverse of the information to be expected in a second.
 """
@@ -48,7 +47,6 @@ def rank_triplets(
     camera_state: CameraState | None = None,
     previous: Triplet | None = None,
     found_rate: npt.ArrayLike | None = None,
-    among: npt.ArrayLike | None = None,
 ) -> Ranking:
     """
     Compare all triplets that can be seen and choose one.
@@ -67,24 +65,19 @@ def rank_triplets(
         What is being looked at; kept unless another is better by `config.hysteresis`.
     found_rate : array_like, shape (n,), optional
         How often each landmark of the map was found when looked for, (0, 1].
-    among : array_like, optional
-        Ids of the landmarks that triplets are made of; by default those of the map.
 
     Returns
     -------
     Ranking
         Of the chosen triplet `sigma_rad` is the spread of the expected bearings by prior and map,
-        `covariance` that of the base's pose, and `pan_rad` the first pan to look at.
+        `covariance` that of the base's pose, and `pan_rad` where to look.
 
     """
     scene = PlanningScene(
         prior, landmark_map, camera, mount, config, camera_state or CameraState()
     )
     visibility = scene.visibility()
-    usable = visibility == LandmarkVisibility.USABLE
-    if among is not None:
-        usable &= np.isin(landmark_map.ids, among)
-    index = np.flatnonzero(usable)
+    index = np.flatnonzero(visibility == LandmarkVisibility.USABLE)
     if len(index) < 3:
         detail = f'{len(index)} of {len(visibility)}'
         return Ranking.none(Refusal('fewer than three landmarks are visible', detail), visibility)
@@ -117,8 +110,7 @@ class _TripletSearch:
         once = first_of_each(np.sort(self._index[triplets[order]]))
         order = order[np.sort(once)[:_RANKED]]
         if not len(order):
-            views = 'one view' if self._config.views == 'one' else 'the views'
-            reason = Refusal(f'fewer than three landmarks fit {views}', 'of those visible')
+            reason = Refusal('fewer than three landmarks fit one view', 'of those visible')
             return Ranking.none(reason, visibility)
         tours = Tours(*(part[order] for part in tours))
         return self._ranking(triplets[order], tours, score[order], visibility)
@@ -145,7 +137,7 @@ class _TripletSearch:
         """Tours of triplets (t, 3) that show all patches whole."""
         tours = self._windows.tours(triplets)
         corners = self._corners[triplets].reshape(-1, 4, 3)
-        whole = self._scene.whole(corners, tours.pan_rad.reshape(-1))
+        whole = self._scene.whole(corners, np.repeat(tours.pan_rad, 3))
         good = whole.reshape(-1, 3).all(axis=1)
         return tours._replace(cost=np.where(good, tours.cost, np.inf))
 
@@ -200,7 +192,7 @@ class _TripletSearch:
                 bearing,
                 sigma,
                 base_from_axis(fix, self._scene.mount).covariance,
-                float(self._nearest(pan[0])),
+                float(pan[0]),
             )
         return Ranking(
             best,
@@ -212,12 +204,6 @@ class _TripletSearch:
             pan,
             score,
         )
-
-    def _nearest(self, pan_rad: FloatArray) -> float:
-        """Where a tour of pans (3,) starts: at its end that is nearer to where it looks now."""
-        ends = np.array([pan_rad.min(), pan_rad.max()])
-        now = self._scene.camera_state.pan_rad
-        return float(ends[0] if now is None else ends[np.argmin(np.abs(ends - now))])
 
 
 def _viewpoints(axis: PoseEstimate, nearest_m: float) -> FloatArray:

@@ -1,8 +1,7 @@
 """
-Views that take in three landmarks, and how long the pan-tilt unit needs for them.
+Views that take in three landmarks, and how long the pan-tilt unit needs to turn to them.
 
-A landmark is seen whole while the pan is within its reach of its azimuth. Three are seen in one
-view, or in several, one after the other, the way between them included.
+A landmark is seen whole while the pan is within its reach of its azimuth.
 """
 
 from __future__ import annotations
@@ -27,9 +26,8 @@ class Tours(NamedTuple):
     """
     How triplets (t,) are looked at.
 
-    `pan_rad` (t, 3) sees each landmark of a triplet, the same one where a view holds several;
-    `cost` (t,) is the time of a look and of the turn until all were in view, relative to that of
-    a look: infinite where there is no way.
+    `pan_rad` (t,) sees all three; `cost` (t,) is the time of a look and of the turn to it,
+    relative to that of a look: infinite where no view holds them.
     """
 
     pan_rad: FloatArray
@@ -58,7 +56,7 @@ class PanWindows:
     pan_rad : float or None
         Where the camera looks now, if that is to count.
     config : TripletConfig
-        Number of views, and the unit's speed.
+        The unit's speed.
 
     """
 
@@ -104,61 +102,21 @@ class PanWindows:
         Cost (m, m) of looking at two, relative to one look without a turn.
 
         A triplet costs the most of its pairs. Infinite for windows of the same landmark, and
-        where one view is asked for and can't hold both.
+        where no view holds both.
         """
         near = np.minimum(self.upper[:, None], self.upper)
         far = np.maximum(self.lower[:, None], self.lower)
-        possible = self.place[:, None] != self.place
-        if self.config.views == 'one':
-            possible &= far <= near
-        cost = np.full(possible.shape, np.inf)
-        cost[possible] = self._cost(near[possible], far[possible])
-        return cost
+        return np.where(self.place[:, None] != self.place, self._cost(near, far), np.inf)
 
     def tours(self, triplets: IndexArray) -> Tours:
         """Return how to see each of the triplets (t, 3)."""
-        lower, upper = self.lower[triplets], self.upper[triplets]
-        cost = self._cost(upper.min(axis=-1), lower.max(axis=-1))
-        return Tours(self._stops(lower, upper), cost)
+        near, far = self.upper[triplets].min(axis=-1), self.lower[triplets].max(axis=-1)
+        return Tours(0.5 * (far + near), self._cost(near, far))
 
     def _cost(self, near: FloatArray, far: FloatArray) -> FloatArray:
-        """
-        Cost (...) of a turn until all windows were in view.
-
-        Parameters
-        ----------
-        near, far : ndarray, shape (...)
-            Least upper and greatest lower edge of the windows: in one view from `far` to `near`
-            if that is not empty, else on the way from `near` to `far`.
-
-        """
-        across = np.maximum(far - near, 0.0)
-        way = across
+        """Cost (...) of a turn to where windows overlap, `far` to `near`; infinite: nowhere."""
+        way = np.zeros_like(near)
         if self.pan_rad is not None:
-            first, last = np.minimum(near, far), np.maximum(near, far)
-            outside = np.maximum(np.maximum(first - self.pan_rad, self.pan_rad - last), 0.0)
-            ends = np.minimum(np.abs(near - self.pan_rad), np.abs(far - self.pan_rad))
-            way = across + np.where(across > 0.0, ends, outside)
-        if self.config.views == 'one':
-            way = np.where(across > 0.0, np.inf, way)
+            way = np.maximum(far - self.pan_rad, self.pan_rad - near)
         seconds = travel_s(way, self.config.pan_rate_rad_s, self.config.pan_acceleration_rad_s2)
-        return np.asarray(1.0 + seconds / self.config.dwell_time_s)
-
-    @staticmethod
-    def _stops(lower: FloatArray, upper: FloatArray) -> FloatArray:
-        """Pans (t, 3) amid windows (t, 3), one for all neighbours that can share it."""
-        order = np.argsort(lower + upper, axis=-1, kind='stable')
-        lower, upper = (np.take_along_axis(edge, order, -1) for edge in (lower, upper))
-        pan = 0.5 * (lower + upper)
-        first = np.zeros(len(pan), dtype=np.intp)  # of those that share a pan
-        least, most = lower[:, 0], upper[:, 0]
-        for k in (1, 2):
-            shared = np.maximum(least, lower[:, k]) <= np.minimum(most, upper[:, k])
-            least = np.where(shared, np.maximum(least, lower[:, k]), lower[:, k])
-            most = np.where(shared, np.minimum(most, upper[:, k]), upper[:, k])
-            first = np.where(shared, first, k)
-            group = (np.arange(3) >= first[:, None]) & (np.arange(3) <= k)
-            pan = np.where(group, 0.5 * (least + most)[:, None], pan)
-        unsorted = np.empty_like(pan)
-        np.put_along_axis(unsorted, order, pan, axis=-1)
-        return unsorted
+        return np.where(far <= near, 1.0 + seconds / self.config.dwell_time_s, np.inf)

@@ -53,18 +53,6 @@ class TripletConfig(Config):
         minimum=0.0,
         maximum=100.0,
     )
-    views: str = parameter(
-        'one',
-        'Whether one view must hold a triplet, or several, one after the other.',
-        choices=('one', 'several'),
-    )
-    fix_window_s: float = parameter(
-        5.0,
-        'How long several views may take, s.',
-        minimum=0.1,
-        maximum=60.0,
-        formerly='gather_s',
-    )
     dwell_time_s: float = parameter(
         1.0,
         'Time of a look, beside which that of turning counts, s.',
