@@ -22,7 +22,6 @@ from landmark_nav.learning.adjustment import (
     Adjustment,
     AdjustmentConfig,
     CALIBRATED,
-    depth_from_scale,
     WallFitConfig,
 )
 from landmark_nav.learning.adjustment.wall_fit import (
@@ -257,14 +256,6 @@ def _adjusted(
     free = _adjust(found, panoramas, places, room, without_walls)
     adjustment = _adjust(found, panoramas, places, room, config.adjustment)
     residuals = wall_residuals(adjustment, walls, room, config.adjustment)
-    adjustment, free = depth_from_scale(
-        adjustment,
-        free,
-        found.measurements,
-        room.normals[walls],
-        config.adjustment,
-        config.election.max_depth_sigma_m,
-    )
     return adjustment, free, residuals, hidden
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from landmark_nav.learning.adjustment.config import AdjustmentConfig, WallFitConfig
-from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
 from landmark_nav.learning.adjustment.problem import CALIBRATED
 from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 
@@ -13,5 +12,4 @@ __all__ = [
     'AdjustmentConfig',
     'WallFitConfig',
     'adjust',
-    'depth_from_scale',
 ]

@@ -19,12 +19,6 @@ class AdjustmentConfig(Config):
     tangent_sigma: float = parameter(
         1e-3, 'what a panorama adds to each tangent of elevation', minimum=0, maximum=0.1
     )
-    nearness_sigma: float = parameter(
-        1.5e-3,
-        'what two panoramas add to the ratio of their distances that sizes give',
-        minimum=0,
-        maximum=0.1,
-    )
     relief_sigma_m: float = parameter(
         0.015,
         'how differently far from the wall things on one stretch of it hang',

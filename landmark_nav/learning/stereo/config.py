@@ -16,20 +16,11 @@ class StereoConfig(Config):
     min_score: float = parameter(
         0.75, 'least normalized cross-correlation between two views', minimum=0, maximum=1
     )
-    max_second_ratio: float = parameter(
-        0.9, 'greatest share of the peak that another place may reach', minimum=0, maximum=1
-    )
     max_incidence_rad: float = parameter(
         1.15, 'greatest angle between a view and the normal', minimum=0.1, maximum=1.5
     )
     min_parallax_rad: float = parameter(
         0.04, 'least angle between two views of a landmark', minimum=0, maximum=1.5
-    )
-    min_approach: float = parameter(
-        1.25,
-        'how many times nearer one of two views in line must be, for depth from scale',
-        minimum=1,
-        maximum=100,
     )
     behind_wall_m: float = parameter(
         0.15, 'how far behind the wall a match is searched', minimum=0, maximum=2

@@ -19,7 +19,6 @@ from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.config import StereoConfig
 from landmark_nav.learning.stereo.likeness import displaced_quarter
-from landmark_nav.learning.stereo.magnification import log_nearer
 from landmark_nav.learning.stereo.wall_patch import (
     covered_rows,
     PatchMeasurement,
@@ -98,13 +97,10 @@ def match_in(
     to_there = there.center_map - patch.position
     if to_there @ patch.normal < np.cos(config.max_incidence_rad) * np.hypot(*to_there[:2]):
         return Refusal('too oblique from the other place')
-    # Straight ahead of both, what hangs higher or lower than the camera has parallax in height,
-    # and all grows on the way to it.
+    # Straight ahead of both, what hangs higher or lower than the camera has parallax in height.
     turn = float(np.linalg.norm(np.cross(to_here, to_there)))
     parallax = float(np.arctan2(turn, to_here @ to_there))
-    reach, reach_there = float(np.linalg.norm(to_here)), float(np.linalg.norm(to_there))
-    approach = max(reach, reach_there) / min(reach, reach_there)
-    if parallax < config.min_parallax_rad and approach < config.min_approach:
+    if parallax < config.min_parallax_rad:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
     return compare(patch, other, panoramas, greys, config)
 
@@ -137,7 +133,7 @@ def compare(
         blur_to(search, own, seen),
         template,
         min_score=config.min_score,
-        max_second_ratio=config.max_second_ratio,
+        max_second_ratio=1.0,
     )
     if isinstance(match, Refusal):
         return match
@@ -149,12 +145,8 @@ def compare(
     if search is None or found is None:
         return Refusal('not covered by both panoramas')
     found = blur_to(found, own, seen)
-    back = match_template(
-        blur_to(search, seen, own),
-        found,
-        min_score=0.9 * config.min_score,
-        max_second_ratio=config.max_second_ratio,
-    )
+    # Where two places look alike, only the one way back shows which is meant.
+    back = match_template(blur_to(search, seen, own), found, min_score=0.9 * config.min_score)
     if isinstance(back, Refusal):
         return Refusal('no way back', str(back))
     across, below = (back.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
@@ -170,7 +162,6 @@ def compare(
     reach = float(np.hypot(ray[0], ray[1]))
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach
     sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m / reach
-    nearer = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -178,7 +169,6 @@ def compare(
         float(sigma[0]) * cosine,
         float(sigma[1]),
         match.score,
-        *nearer,
     )
 
 
