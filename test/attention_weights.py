@@ -37,9 +37,8 @@ from landmark_nav.localization.triplet.visibility import (
     TripletConfig,
     visible_landmarks,
 )
-from landmark_nav.simulation.furnishing import another_day
+from landmark_nav.simulation.furnishing import another_day, generate_scene
 from landmark_nav.simulation.places import choose_sweep_places
-from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
 from landmark_nav.types import (

@@ -50,8 +50,8 @@ from landmark_nav.localization.triplet.visibility import (
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Forecast, forecast, plan_positions
 from landmark_nav.planning.prediction import CAP_M
-from landmark_nav.planning.room_grid import free_floor
-from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.planning.views import free_floor
+from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal, Sweep

@@ -21,9 +21,9 @@ from landmark_nav.learning.pipeline import (
     PanoramaStages,
 )
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
+from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,

@@ -14,7 +14,7 @@ import tty
 
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_namespace
-from landmark_nav.demo.interruption import Interruption
+from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import require_ros
 

@@ -13,9 +13,8 @@ import numpy as np
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.figures_world import FiguresWorld
 from landmark_nav.cli.learn import LearningStages, located_sweeps
-from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.numbers import within
-from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures.area_figure import (
     AreaTest,

@@ -10,7 +10,7 @@ import sys
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from landmark_nav.demo.interruption import Interruption
+from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros import chosen_domain, require_ros
 

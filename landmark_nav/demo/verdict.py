@@ -5,9 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from landmark_nav.evaluation.alignment import aligned, aligned_report
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import pose_report, run_errors, RunErrors, spells
+from landmark_nav.evaluation.run_report import (
+    aligned,
+    aligned_report,
+    pose_report,
+    run_errors,
+    RunErrors,
+    spells,
+)
 from landmark_nav.types import LandmarkMap
 
 __all__ = ['Check', 'figures', 'judge']

@@ -45,7 +45,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.message_filter import naming
+from landmark_nav.storage.bags.reader import naming
 from landmark_nav.storage.bags.timelines import JointHistory, logged_joints
 from landmark_nav.types import JointSample
 

@@ -23,11 +23,16 @@ from landmark_nav.localization.estimator import (
 from landmark_nav.localization.estimator.filter import State
 from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
 from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion
-from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
-from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
-from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
-from landmark_nav.localization.start import checked_start
+from landmark_nav.localization.odometry.track import (
+    Ahead,
+    ClockStep,
+    ClockWatch,
+    Distrusted,
+    HORIZON_S,
+    OdometryTrack,
+)
+from landmark_nav.localization.start import checked_start, is_prior_uncertain
 from landmark_nav.types import (
     CameraFrame,
     Detections,

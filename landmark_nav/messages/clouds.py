@@ -9,11 +9,31 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.messages.buffers import bytes_array
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.messages.layouts import Layout
 
-__all__ = ['pack_cloud', 'unpack_cloud']
+
+def bytes_array(data: Any) -> npt.NDArray[np.uint8]:
+    """
+    View a ``uint8[]`` field (ndarray, array.array, bytes or list) as an array (n,).
+
+    Raises
+    ------
+    LandmarkNavError
+        It holds no bytes, as a stranger defined the message.
+
+    """
+    try:
+        if isinstance(data, np.ndarray):
+            return np.ascontiguousarray(data).reshape(-1).view(np.uint8)
+        if isinstance(data, list | tuple):
+            return np.array(data, dtype=np.uint8)
+        return np.frombuffer(data, dtype=np.uint8)
+    except (TypeError, ValueError, OverflowError):
+        raise LandmarkNavError(
+            f'the data of the message are {type(data).__name__}, not bytes: record it again'
+        ) from None
+
 
 # sensor_msgs/PointField datatype codes.
 _CODES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}

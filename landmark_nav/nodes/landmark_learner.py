@@ -17,9 +17,9 @@ from landmark_nav.nodes.unmeasured_learner import UnmeasuredLearner, UnmeasuredP
 from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room

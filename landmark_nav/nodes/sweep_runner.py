@@ -17,7 +17,7 @@ from landmark_nav.learning.capture import (
     Shot,
     SweepCapture,
 )
-from landmark_nav.learning.sharpness import Look, look_at
+from landmark_nav.learning.capture.frames import Look, look_at
 from landmark_nav.messages import decode
 from landmark_nav.nodes.sweep_output import SweepOutput
 from landmark_nav.ros.health import Health, Level

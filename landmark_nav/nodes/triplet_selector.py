@@ -20,10 +20,10 @@ from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.clocks import own_clock
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import listen_for_pan, PanCommander, PanCommandParameters
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.topics import RELIABLE
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet

@@ -18,11 +18,24 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area import LEAST_PAPERS
 from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.layouts import left_right_layout, random_sets
 from landmark_nav.planning.prediction import Predictor
-from landmark_nav.planning.room_grid import free_floor, is_free, sample_walls
-from landmark_nav.planning.search import best_places, exchange, Show, spread
-from landmark_nav.planning.views import ahead_rad, look, sweep_poses, turns_rad
+from landmark_nav.planning.search import (
+    best_places,
+    exchange,
+    left_right_layout,
+    random_sets,
+    Show,
+    spread,
+)
+from landmark_nav.planning.views import (
+    ahead_rad,
+    free_floor,
+    is_free,
+    look,
+    sample_walls,
+    sweep_poses,
+    turns_rad,
+)
 from landmark_nav.types import FloatArray
 
 __all__ = ['Forecast', 'Plan', 'forecast', 'plan_positions']

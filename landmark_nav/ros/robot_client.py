@@ -18,13 +18,12 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.joining import join_ros
+from landmark_nav.ros.joining import join_ros, listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.service_discovery import ServiceDiscovery
 from landmark_nav.ros.topics import TOPICS, with_depth
 from landmark_nav.storage.bags import BagWriter
-from landmark_nav.storage.bags.robot_transforms import RobotTransforms
+from landmark_nav.storage.bags.transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
 
 __all__ = ['NodeStatus', 'RobotClient']

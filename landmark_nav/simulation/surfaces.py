@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.simulation.lighting import irradiance
-from landmark_nav.simulation.response import light_of, values_of
+from landmark_nav.simulation.lighting import irradiance, light_of, values_of
 from landmark_nav.simulation.scene import Lamp
 from landmark_nav.types import FloatArray, ImageArray
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from landmark_nav.geometry.paper_colors import NAMED_HUES_DEG, paper_bgr
-from landmark_nav.simulation.photos import draw_photo
 from landmark_nav.simulation.textures import (
     Color,
+    draw_photo,
     fractal_noise,
     random_color,
     to_uint8,

@@ -12,8 +12,7 @@ import yaml
 from landmark_nav.calibration import Calibration, NAMES, UNITS
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.atomic_io import write_atomically
-from landmark_nav.storage.fields import array_field, number_field
-from landmark_nav.storage.reading import read_yaml_mapping
+from landmark_nav.storage.reading import array_field, number_field, read_yaml_mapping
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import FloatArray
 

@@ -17,9 +17,8 @@ from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import ImagePoints, JointFilter, Status
 from landmark_nav.localization.fusion import Fusion
-from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
 from landmark_nav.localization.odometry.noise import Motion
-from landmark_nav.localization.odometry.track import Distrusted
+from landmark_nav.localization.odometry.track import Ahead, ClockStep, ClockWatch, Distrusted
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.types import (

@@ -18,7 +18,7 @@ from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
 from landmark_nav.learning.reference_area.refusals import size_warning
-from landmark_nav.learning.seen_otherwise import why_seen_otherwise
+from landmark_nav.learning.sweep_pipeline import why_seen_otherwise
 from landmark_nav.types import FloatArray, Sweep
 
 

@@ -25,7 +25,7 @@ from landmark_nav.evaluation.figures.style import (
     ODOMETRY,
     save,
 )
-from landmark_nav.geometry.observation import observed_well
+from landmark_nav.geometry.patches import observed_well
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.triplet import TripletConfig
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap

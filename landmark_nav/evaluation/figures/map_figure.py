@@ -12,19 +12,17 @@ from matplotlib.lines import Line2D
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.evaluation.figures.labels import (
-    keep_in_view,
-    metres_per_inch,
-    places_of_numbers,
-)
 from landmark_nav.evaluation.figures.style import (
     add_ellipse,
     draw_papers,
     draw_walls,
     FUSED,
+    keep_in_view,
     LANDMARK,
     legend_beside,
+    metres_per_inch,
     new_figure,
+    places_of_numbers,
     plain,
     save,
 )

@@ -11,8 +11,12 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.learning.calibration.overlap import track_overlaps
-from landmark_nav.learning.calibration.overlap_fit import COMMON, corrected, OverlapProblem
+from landmark_nav.learning.calibration.overlap_fit import (
+    COMMON,
+    corrected,
+    OverlapProblem,
+    track_overlaps,
+)
 from landmark_nav.learning.calibration.sweep_calibration import fit_significant
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import Sweep

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from landmark_nav.learning.capture.config import CaptureConfig
+from landmark_nav.learning.capture.frames import Look
 from landmark_nav.learning.capture.sweep import SweepCapture
-from landmark_nav.learning.sharpness import Look
 
 __all__ = ['begin_or_resume']
 

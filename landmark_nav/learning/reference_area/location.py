@@ -25,18 +25,19 @@ from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
-from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
 from landmark_nav.learning.reference_area.refusals import (
     check_prior,
     is_grey,
     LEAST_AGREED,
     measured_papers,
+    MountError,
     place_text,
     size_warning,
     why_not,
     WITHOUT_COLOR,
     wrong_height,
     WRONG_PRIOR,
+    WrongMountError,
 )
 from landmark_nav.learning.reference_area.search import (
     find_places,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 
 import numpy as np
@@ -14,22 +14,37 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
-from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
 from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
-from landmark_nav.types import ImageArray
+from landmark_nav.types import FloatArray, ImageArray
 
-__all__ = [
-    'LEAST_AGREED',
-    'WITHOUT_COLOR',
-    'WRONG_PRIOR',
-    'check_prior',
-    'is_grey',
-    'measured_papers',
-    'place_text',
-    'size_warning',
-    'why_not',
-    'wrong_height',
-]
+# What a person may be off by; more is another mistake.
+_MOST_M, _MOST_RAD = 0.3, float(np.radians(10.0))
+
+
+@dataclass(frozen=True, eq=False)
+class MountError:
+    """
+    How much higher the camera is than given, and how its pan axis tilts, about.
+
+    `tilt_roll_rad` (2,) is about x and y of the base.
+    """
+
+    rise_m: float = 0.0
+    tilt_roll_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    @property
+    def reasonable(self) -> bool:
+        """Whether a person with a tape and a spirit level may be off by it."""
+        return abs(self.rise_m) < _MOST_M and float(np.hypot(*self.tilt_roll_rad)) < _MOST_RAD
+
+
+class WrongMountError(LandmarkNavError):
+    """Papers fit a mount that is off by `found` from the given one."""
+
+    def __init__(self, message: str, found: MountError) -> None:
+        super().__init__(message)
+        self.found = found
+
 
 # Shares of a paper's edges: what must be found of it, and what of that must fit.
 _LEAST_SEEN, LEAST_AGREED = 0.2, 0.7

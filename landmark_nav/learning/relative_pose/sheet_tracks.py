@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.rotation import rot_z
+from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.relative_pose.epipolar import center, STATE, turned
 from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.learning.sheets.view import SheetView

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.rotation import rot_z
-from landmark_nav.geometry.se2 import rotation
+from landmark_nav.geometry.se2 import rot_z, rotation
 from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import center, fit_poses, RayPairs, STATE
 from landmark_nav.types import FloatArray

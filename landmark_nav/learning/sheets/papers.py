@@ -6,7 +6,7 @@ import numpy as np
 
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
-from landmark_nav.learning.reference_area.outlines import outline_blobs
+from landmark_nav.learning.reference_area.edges import outline_blobs
 from landmark_nav.learning.sheets.config import SheetsConfig
 from landmark_nav.learning.sheets.view import SheetView
 from landmark_nav.types import FloatArray, Panorama

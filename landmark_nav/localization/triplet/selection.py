@@ -20,11 +20,16 @@ import numpy.typing as npt
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.triangulation.model import base_from_axis
-from landmark_nav.localization.triplet.geometry import fix_covariances, pair_tables, PairTables
-from landmark_nav.localization.triplet.planning_scene import CameraState, PlanningScene
+from landmark_nav.localization.triplet.planning_scene import CameraState, PlanningScene, Tours
 from landmark_nav.localization.triplet.ranking import LandmarkVisibility, Ranking
-from landmark_nav.localization.triplet.search import best_triplets, first_of_each, mean_variance
-from landmark_nav.localization.triplet.views import Tours
+from landmark_nav.localization.triplet.search import (
+    best_triplets,
+    first_of_each,
+    fix_covariances,
+    mean_variance,
+    pair_tables,
+    PairTables,
+)
 from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, Triplet
 

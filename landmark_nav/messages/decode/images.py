@@ -14,7 +14,7 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.image_codec import decode_image, image_size
-from landmark_nav.messages.buffers import bytes_array
+from landmark_nav.messages.clouds import bytes_array
 from landmark_nav.messages.decode.cameras import CameraInfo
 from landmark_nav.types import ImageArray
 

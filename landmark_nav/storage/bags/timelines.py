@@ -14,8 +14,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.messages import decode
 from landmark_nav.messages.decode import JointNames
-from landmark_nav.storage.bags.message_filter import MessageFilter
-from landmark_nav.storage.bags.reader import Bag, BagMessage
+from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter
 from landmark_nav.storage.bags.transforms import joints_of_transforms
 from landmark_nav.types import JointSample, Refusal
 
