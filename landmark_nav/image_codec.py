@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['MAX_PIXELS', 'decode_image', 'encode_image', 'image_size']
-
 # An image of 8K video; larger ones are refused before memory is taken for them.
 MAX_PIXELS = 7680 * 4320
 

@@ -27,9 +27,9 @@ import numpy as np
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import bearings
 from landmark_nav.learning.attention import attend, AttentionConfig, AttentionMaps, FEATURES
-from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.stereo import hypothesize, StereoConfig
 from landmark_nav.learning.stereo.wall_patch import wall_texture, WallPatch
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.triplet.visibility import (
     axis_position,

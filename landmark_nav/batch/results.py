@@ -20,8 +20,6 @@ from landmark_nav.batch.work import Outcome
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.reading import read_text
 
-__all__ = ['Change', 'compare', 'page', 'read_table', 'row', 'table_csv', 'write_parquet']
-
 Row = dict[str, Any]
 
 

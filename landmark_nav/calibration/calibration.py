@@ -18,8 +18,6 @@ from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-__all__ = ['NAMES', 'UNITS', 'Calibration', 'scaled', 'shown']
-
 # Name -> unit, default sigma. A person with a tape and a spirit level is off by 2 cm and 1 degree;
 # lens, clocks and encoders by what their calibrations leave.
 _QUANTITIES: dict[str, tuple[str, float]] = {

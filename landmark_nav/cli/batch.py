@@ -24,8 +24,6 @@ from landmark_nav.cli.numbers import within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 
-__all__ = ['add_arguments', 'run']
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what the command takes."""

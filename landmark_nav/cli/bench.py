@@ -22,8 +22,6 @@ from landmark_nav.cli.lines import progress
 from landmark_nav.cli.numbers import within
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 
-__all__ = ['add_arguments', 'run']
-
 
 @dataclass(frozen=True)
 class Row:

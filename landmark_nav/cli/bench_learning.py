@@ -29,8 +29,6 @@ from landmark_nav.planning.planner import forecast, plan_positions
 from landmark_nav.planning.views import free_floor
 from landmark_nav.types import ImageArray
 
-__all__ = ['learning_comparisons']
-
 _COLUMNS, _ROWS = np.meshgrid(
     np.arange(512, dtype=np.float32) + np.float32(0.3), np.arange(512, dtype=np.float32)
 )

@@ -10,8 +10,6 @@ from landmark_nav.cli.options import add_namespace
 from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.ros import require_ros
 
-__all__ = ['add_arguments', 'run']
-
 _SERVICES = {
     'capture_sweep': 'turn the camera all around and make a panorama',
     'learn_landmarks': 'make a map out of the panoramas',

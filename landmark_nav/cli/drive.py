@@ -18,8 +18,6 @@ from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import require_ros
 
-__all__ = ['Keys', 'add_arguments', 'run']
-
 # Terminals do not report that a key is released; held down, it repeats after at most 0.7 s.
 _HOLD_S = 0.8
 _PERIOD_S = 0.05

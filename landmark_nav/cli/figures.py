@@ -29,14 +29,9 @@ from landmark_nav.evaluation.true_places import true_places, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.attention import AttentionConfig, FEATURES
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningConfig,
-    LearningResult,
-    panorama_from_sweep,
-    PanoramaStages,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.atomic_io import check_writable

@@ -29,8 +29,6 @@ from landmark_nav.types import (
     Sweep,
 )
 
-__all__ = ['FiguresWorld']
-
 _FRAMES = 72
 _GRID_M = 0.45
 _CLEARANCE_M = 0.25

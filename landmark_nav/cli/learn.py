@@ -27,17 +27,11 @@ from landmark_nav.evaluation.report import check_report, learning_page, write_re
 from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningConfig,
-    LearningResult,
-    panorama_from_sweep,
-    PanoramaStages,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.sheets import SheetsConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import record_papers
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages, record_papers
 from landmark_nav.learning.unmeasured import (
     learn_located,
     locate_sweeps,

@@ -17,8 +17,6 @@ from landmark_nav.ros import chosen_domain, require_ros
 if TYPE_CHECKING:
     from landmark_nav.ros.robot_client import NodeStatus
 
-__all__ = ['add_arguments', 'run', 'table']
-
 # Diagnostics come once a second.
 _GATHER_S = 2.5
 _REFRESH_S = 1.0

@@ -17,8 +17,6 @@ from landmark_nav.simulation.setup_documents import robot_document, room_documen
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.types import FloatArray
 
-__all__ = ['DemoRoom', 'prepare_room']
-
 
 @dataclass(frozen=True, eq=False)
 class DemoRoom:

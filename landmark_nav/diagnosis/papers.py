@@ -8,10 +8,8 @@ from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.storage.bags import Bag, read_sweeps
-
-__all__ = ['check_papers']
 
 
 def check_papers(bag: Bag, mount: PanTiltMount, room: Room) -> list[Finding]:

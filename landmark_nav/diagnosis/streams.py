@@ -14,8 +14,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagMessage
 
-__all__ = ['Stream', 'read_joints', 'read_stream', 'unwrapped']
-
 # Numbers of one message; None where it has none of use.
 Values = Callable[[Any], 'FloatArray | None']
 

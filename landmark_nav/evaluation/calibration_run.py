@@ -27,15 +27,6 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = [
-    'CalibrationDrive',
-    'Residuals',
-    'advice',
-    'broken_promises',
-    'calibrate_by_drive',
-    'trade_offs',
-]
-
 # Papers that hang off by a millimetre tilt a map so much against the floor, radians: no drive
 # shows the lean of the axis better.
 _LEVEL_RAD = 5e-4

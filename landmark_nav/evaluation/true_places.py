@@ -14,8 +14,6 @@ from landmark_nav.storage.bags.reader import MessageFilter
 from landmark_nav.storage.bags.sensors import truth_decoder
 from landmark_nav.types import FloatArray, Landmark
 
-__all__ = ['check_truth_frame', 'true_places', 'truth_of_bag']
-
 
 def truth_of_bag(bag: Bag) -> PoseTrack:
     """Ground truth of a bag; empty where it has none."""

@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['check_one_turn', 'unwrap_joint', 'wrap_one_rad', 'wrap_rad']
-
 # No pan or tilt joint turns faster.
 _FASTEST_RAD_S = 10.0
 

@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 
-__all__ = ['describe_coverage', 'unseen_arcs']
-
 # Angles that a text names at most.
 _LISTED = 4
 

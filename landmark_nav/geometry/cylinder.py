@@ -15,8 +15,6 @@ import numpy.typing as npt
 from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['STEEPEST_TANGENT', 'Cylinder']
-
 # Rows end here, 60 degrees above and below the horizon: the poles are infinitely far away, and
 # what is seen so steeply on a wall is too oblique to be recognised.
 STEEPEST_TANGENT = math.sqrt(3.0)

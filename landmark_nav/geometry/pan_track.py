@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray
 
-__all__ = ['LaggedPan', 'PanTrack']
-
 # Gauss-Hermite nodes of a standard normal variable, and their weights.
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
 _WEIGHTS /= _WEIGHTS.sum()

@@ -7,8 +7,6 @@ import re
 
 from landmark_nav.errors import LandmarkNavError, shown
 
-__all__ = ['NAMED_HUES_DEG', 'paper_bgr']
-
 NAMED_HUES_DEG = {
     'red': 0,
     'orange': 26,

@@ -16,15 +16,6 @@ from scipy.linalg import solve_triangular
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'Damping',
-    'checked_covariance',
-    'covariance_of',
-    'levenberg_marquardt',
-    'root_of',
-    'solve_positive',
-]
-
 # Share of the diagonal that is added where a matrix is not positive by rounding, at first.
 _RIDGE = 1e-14
 # Damping at first, by what it grows and falls, and where a step is given up.

@@ -11,8 +11,6 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, PoseEstimate, Sweep
 
-__all__ = ['assemble_sweep', 'missing_frames']
-
 _LOG = logging.getLogger(__name__)
 
 

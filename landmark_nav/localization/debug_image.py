@@ -10,8 +10,6 @@ from landmark_nav.localization.detection.expectation import Expectation
 from landmark_nav.localization.observer import Observation
 from landmark_nav.types import FloatArray, ImageArray, PoseEstimate
 
-__all__ = ['draw_observation']
-
 _Bgr = tuple[int, int, int]
 _Box = tuple[int, int, int, int]
 

@@ -45,8 +45,6 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['Fusion']
-
 _LOG = logging.getLogger(__name__)
 
 # While a clock was set back the robot may have moved as far as in a blind second.

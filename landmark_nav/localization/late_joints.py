@@ -9,13 +9,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.types import CameraFrame, JointSample
 
-__all__ = [
-    'DELAY_BOUND_S',
-    'JointDelay',
-    'PanMotion',
-    'in_time',
-]
-
 # A delay is known with this sigma: half a degree at a fast 2 rad/s.
 _KNOWN_S = 0.005
 # Sigma of a delay that nothing tells, for headings that are found while the pan turns.

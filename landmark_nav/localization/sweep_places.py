@@ -14,8 +14,6 @@ from landmark_nav.localization.odometry.motions import chained, Motions, motions
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray, OdometrySample, PlaceChain, PoseEstimate
 
-__all__ = ['carried_on', 'known_places', 'places_by_odometry']
-
 # A robot that moves farther while it takes a sweep, by odometry, does not stand: m and rad.
 _STANDS_M, _STANDS_RAD = 0.03, 0.02
 # Samples before and after the times that are asked for.

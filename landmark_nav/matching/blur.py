@@ -7,8 +7,6 @@ import numpy as np
 
 from landmark_nav.arrays import Float32Array, FloatArray
 
-__all__ = ['MATCHED_PX', 'Pair', 'blur_by', 'blur_sigmas', 'blur_to', 'for_matching', 'sigmas_of']
-
 Pair = tuple[float, float] | FloatArray
 
 # Bilinear interpolation of raw pixels pulls the optimum towards whole pixels; this blur of both

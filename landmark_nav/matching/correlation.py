@@ -14,8 +14,6 @@ from landmark_nav.matching.alignment import align
 from landmark_nav.matching.blur import for_matching, Pair
 from landmark_nav.types import Refusal, RefusalCode
 
-__all__ = ['Match', 'Query', 'match_template', 'match_templates']
-
 # Standard deviation of a template, grey levels.
 _LEAST_CONTRAST = 4.0
 _NEIGHBOURS = np.ones((3, 3), np.uint8)

@@ -13,8 +13,6 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
-__all__ = ['LivePose', 'ThinnedPath']
-
 _PERIOD_S = 0.2
 # Points of a line are at least so far apart, and no more than so many.
 _STEP_M, _MOST_POINTS = 0.05, 1000

@@ -12,8 +12,6 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate, Triplet
 
-__all__ = ['LiveView']
-
 _JPEG_QUALITY = 75
 # Drawing an image takes ten milliseconds of the thread that looks at images.
 _PERIOD_S = 0.2

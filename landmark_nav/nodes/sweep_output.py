@@ -13,8 +13,6 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import JointSample
 
-__all__ = ['SweepOutput']
-
 
 class SweepOutput:
     """Publishers of ``sweep/*``."""

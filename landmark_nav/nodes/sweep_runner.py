@@ -24,8 +24,6 @@ from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.pan_command import PanCommander
 from landmark_nav.types import JointSample, OdometrySample
 
-__all__ = ['SweepRunner']
-
 _LOG = logging.getLogger(__name__)
 
 _POLL_S = 0.1

@@ -38,8 +38,6 @@ from landmark_nav.planning.views import (
 )
 from landmark_nav.types import FloatArray
 
-__all__ = ['Forecast', 'Plan', 'forecast', 'plan_positions']
-
 # How finely a room is looked at, at most: it bounds time and memory in halls.
 _MOST_PLACES = 220
 _MOST_SEEDS = 32

@@ -16,8 +16,6 @@ from rclpy.executors import (
 )
 from rclpy.task import Task
 
-__all__ = ['CallbackExecutor']
-
 # Where a callback closes a subscription as another thread is about to wait for its events, rclpy
 # throws the first of these; the next wait goes without it.
 _NOTHING_TO_DO = InvalidHandle, ExternalShutdownException, ShutdownException, TimeoutException

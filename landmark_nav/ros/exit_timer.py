@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 import time
 
-__all__ = ['ExitTimer']
-
 _SIGEV_THREAD = 2
 
 

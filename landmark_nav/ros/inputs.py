@@ -14,8 +14,6 @@ from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.topics import SENSOR_DATA, Topic, TOPICS
 
-__all__ = ['Input', 'Inputs', 'IrrelevantError']
-
 # A stream from which nothing came for so long is silent.
 _SILENCE_S = 2.0
 # Two sources whose messages alternated within so long are both at work.

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from threading import Condition, Thread
 from typing import Any
 
-__all__ = ['LatestOnlyWorker']
-
 
 class LatestOnlyWorker:
     """

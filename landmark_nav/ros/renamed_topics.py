@@ -12,8 +12,6 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-__all__ = ['FORMER_NAMES', 'FormerSubscription', 'RenamedPublisher']
-
 # Name -> that in the last release.
 FORMER_NAMES = {
     'global_localization/pose': 'found_place',

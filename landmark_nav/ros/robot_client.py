@@ -26,8 +26,6 @@ from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.bags.transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
 
-__all__ = ['NodeStatus', 'RobotClient']
-
 _POLL_S = 0.02
 # A node is there within that time after its start, also where a machine starts many at once.
 _START_S = 30.0

@@ -9,8 +9,6 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.task import Future
 
-__all__ = ['ServiceDiscovery']
-
 _AGAIN_S = 0.5
 
 

@@ -10,8 +10,6 @@ from types import FrameType
 
 from landmark_nav.ros.exit_timer import ExitTimer
 
-__all__ = ['ShutdownGuard']
-
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 

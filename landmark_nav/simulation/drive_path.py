@@ -13,9 +13,6 @@ from landmark_nav.geometry.se2 import bearings
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import FloatArray
 
-__all__ = ['PathFollower', 'plan_tour', 'plan_way']
-
-
 _CELL_M = 0.1
 _CLEARANCE_M = 0.42
 _LOOK_AHEAD_M = 0.45

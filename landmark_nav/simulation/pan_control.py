@@ -12,9 +12,6 @@ from landmark_nav.simulation.places import item_points, view_quality
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import FloatArray
 
-__all__ = ['PanControl']
-
-
 # The camera stays this far inside its limits, so that it can follow while the base turns.
 _RESERVE_RAD = 0.4
 

@@ -10,16 +10,6 @@ import numpy.typing as npt
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'EYE_HEIGHT_M',
-    'SweepPlaces',
-    'choose_sweep_places',
-    'item_points',
-    'seen_from_all',
-    'view_quality',
-]
-
-
 # Height of the camera that decides what low furniture hides.
 EYE_HEIGHT_M = 1.1
 

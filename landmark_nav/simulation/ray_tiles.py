@@ -9,9 +9,6 @@ from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import FloatArray, ImageArray
 
-__all__ = ['TILE_PX', 'RayTiles', 'coverage', 'edge_forms']
-
-
 # Pixels are worked on in square tiles: what a tile does not show is skipped.
 TILE_PX = 32
 

@@ -14,8 +14,6 @@ from landmark_nav.simulation.pan_control import PanControl
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.types import CameraFrame, FloatArray, JointSample
 
-__all__ = ['STATE_RATE_HZ', 'Recorded', 'drive_messages', 'sweep_messages']
-
 _FRAME = 'camera_optical_frame'
 
 # Joint states and odometry of a drive come at this rate; physics runs at a multiple of it.

@@ -13,9 +13,6 @@ from landmark_nav.simulation.lighting import irradiance, light_of, values_of
 from landmark_nav.simulation.scene import Lamp
 from landmark_nav.types import FloatArray, ImageArray
 
-__all__ = ['Pyramid', 'Surface']
-
-
 # Border around each level, so that interpolation at its edge does not meet the next level.
 _BORDER_PX = 3
 

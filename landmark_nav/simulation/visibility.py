@@ -10,9 +10,6 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.types import FloatArray
 
-__all__ = ['PainterOrder']
-
-
 _WIDEST_VIEW_RAD = np.radians(80.0)
 
 # Corners are kept in arrays of four: the two ends of a wall twice.

@@ -19,8 +19,6 @@ from landmark_nav.simulation.textures import (
 )
 from landmark_nav.types import ImageArray
 
-__all__ = ['draw_item']
-
 Generator = np.random.Generator
 
 

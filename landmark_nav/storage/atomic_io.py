@@ -15,8 +15,6 @@ import sys
 
 from landmark_nav.errors import LandmarkNavError, why
 
-__all__ = ['atomic_folder', 'check_new', 'check_writable', 'left_over', 'write_atomically']
-
 # What /dev/stdout and /dev/fd/3 lead to: an open file of this process. It has no name.
 _DESCRIPTOR = re.compile(rf'/(?:dev|proc/(?:self|thread-self|{os.getpid()}))/fd/(\d+)')
 

@@ -28,9 +28,6 @@ from landmark_nav.types import (
     PoseEstimate,
 )
 
-__all__ = ['MrclamLog', 'read_mrclam']
-
-
 # Subjects up to here are the robots themselves.
 _ROBOTS = 5
 # Unpacked; stamps are seconds since 1970.

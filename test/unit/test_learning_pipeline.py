@@ -30,15 +30,10 @@ from landmark_nav.learning.attention import AttentionConfig
 from landmark_nav.learning.calibration import CalibrationConfig
 from landmark_nav.learning.calibration.combined import levelled
 from landmark_nav.learning.election import ElectionConfig
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningConfig,
-    LearningResult,
-    panorama_from_sweep,
-    PanoramaStages,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.types import FloatArray, Landmark, Panorama, PoseEstimate, Refusal, Sweep
 
 CAMERA = CameraModel(

@@ -29,8 +29,6 @@ from landmark_nav.evaluation.figures.style import (
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.types import LandmarkMap, PoseEstimate
 
-__all__ = ['draw_landmarks', 'draw_map', 'number_landmarks']
-
 # Ellipses of millimetres would not be seen in a room: they are drawn this many times as large.
 _MAGNIFIED = 10.0
 _NORMAL_M = 0.18

@@ -22,8 +22,6 @@ from landmark_nav.evaluation.figures.style import (
 )
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
-__all__ = ['draw_panorama']
-
 # Around the image: left, bottom, right, top, inches.
 _MARGINS_IN = (0.7, 0.6, 0.2, 0.4)
 # Width of a digit of a label, of its border, and its height, pixels.

@@ -31,8 +31,6 @@ from landmark_nav.evaluation.smoothed_run import Smoothed
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['body_frame', 'draw_errors', 'draw_trajectory', 'driven']
-
 
 def draw_trajectory(
     run: Replay, landmark_map: LandmarkMap, path: Path | BytesIO, smoothed: Smoothed | None = None

@@ -21,8 +21,6 @@ from landmark_nav.learning.calibration.sweep_calibration import fit_significant
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import Sweep
 
-__all__ = ['SweepAlignment', 'align_sweep']
-
 _ROUNDS = 2
 _LEAST_PER_FRAME = 6
 

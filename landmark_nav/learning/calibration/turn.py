@@ -21,8 +21,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.panorama.projection import frame_slab, sweep_cylinder
 from landmark_nav.types import FloatArray, Sweep
 
-__all__ = ['PAN_REVERSED', 'SweepTurn', 'check_turn', 'measure_turn']
-
 # Columns per radian that are enough.
 _PX_PER_RAD = 80.0
 # Pairs of frames that are compared, and the least that must be alike.

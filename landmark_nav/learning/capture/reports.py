@@ -9,8 +9,6 @@ import numpy as np
 from landmark_nav.geometry.coverage import describe_coverage
 from landmark_nav.learning.capture.sweep import SweepCapture
 
-__all__ = ['describe_progress', 'describe_sweep']
-
 
 def describe_progress(sweep: SweepCapture[Any], now_ns: int) -> str:
     """How far it is: "frame 12 of 72, at 35.0 deg, 62 s to go"."""

@@ -9,8 +9,6 @@ from landmark_nav.learning.capture.config import CaptureConfig
 from landmark_nav.learning.capture.frames import Look
 from landmark_nav.learning.capture.sweep import SweepCapture
 
-__all__ = ['begin_or_resume']
-
 FrameT = TypeVar('FrameT')
 
 

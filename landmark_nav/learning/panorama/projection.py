@@ -21,8 +21,6 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
 
-__all__ = ['FrameSlab', 'RangeOfAzimuth', 'frame_slab', 'frame_window', 'sweep_cylinder']
-
 # Spacing of the exact projections; the map between them is interpolated, within 0.02 px.
 _GRID_PX = 8
 

@@ -20,8 +20,6 @@ from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['joined', 'joint_covariance', 'pose_errors']
-
 # Of an edge, beside what its points share: some tens of profiles, by frame and along it.
 _PROFILES_PX = 0.03
 

@@ -33,15 +33,6 @@ from landmark_nav.learning.reference_area.search import (
 )
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'PaperFault',
-    'PaperFaults',
-    'PaperRecord',
-    'PaperView',
-    'paper_faults',
-    'view_papers',
-]
-
 # x, y, heading, roll and pitch of the pan axis of each view; then what all have in common: height
 # of the camera, size of all papers, focal length; then of each paper what `_OF_PAPER` names.
 _VIEW, _OF_ALL = 5, ('camera_height', 'sizes', 'focal')

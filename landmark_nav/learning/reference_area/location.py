@@ -47,14 +47,6 @@ from landmark_nav.learning.reference_area.search import (
 )
 from landmark_nav.types import FloatArray, Sweep
 
-__all__ = [
-    'SweepPlace',
-    'check_agreement',
-    'locate_sweep',
-    'optical_height',
-    'papers_fit',
-]
-
 # What is seen of all of them together, in whole papers.
 _LEAST_EVIDENCE = 1.6
 _MOST_MISFIT = 6.0

@@ -20,8 +20,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
 from landmark_nav.types import FloatArray
 
-__all__ = ['LEAST_PAPERS', 'PaperPlace', 'find_places', 'papers_in_view']
-
 # Papers that it takes; with two nothing shows whether one hangs elsewhere.
 LEAST_PAPERS = 3
 

@@ -16,8 +16,6 @@ from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.types import FloatArray, ImageArray
 
-__all__ = ['Features', 'alike', 'find_features']
-
 # A feature looks so far around itself, pixels: round the seam, and away from what is uncovered.
 _SEAM_PX, _MARGIN_PX = 48, 9
 _CONTRAST = 0.01

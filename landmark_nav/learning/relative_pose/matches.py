@@ -11,8 +11,6 @@ from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turne
 from landmark_nav.learning.relative_pose.features import Features
 from landmark_nav.types import FloatArray
 
-__all__ = ['matches_along']
-
 # Half the width of the band about the curve, standard deviations: poses are not yet exact.
 _BAND = 6.0
 # Least cosine of two descriptors that may be one feature.

@@ -22,8 +22,6 @@ from landmark_nav.learning.relative_pose.epipolar import center, STATE
 from landmark_nav.learning.relative_pose.sheet_tracks import sheet_misses, SheetTrack
 from landmark_nav.types import FloatArray, PlaceChain
 
-__all__ = ['PlaceSource', 'ScaleShare', 'SheetSource', 'Source', 'scale_sigma', 'stacked']
-
 _LOG = logging.getLogger(__name__)
 
 # Chance that given poses miss the shape that the panoramas show by more; their variances then

@@ -20,8 +20,6 @@ from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.learning.sheets.view import SheetView
 from landmark_nav.types import FloatArray
 
-__all__ = ['FINE', 'ROUGH', 'SheetTrack', 'sheet_misses', 'sheet_tracks']
-
 # How well relative poses are known that are found but not yet fitted, and then, rad: two views of
 # one sheet miss each other by it, times their distance.
 ROUGH, FINE = 0.006, 0.0015

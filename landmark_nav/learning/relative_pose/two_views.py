@@ -17,8 +17,6 @@ from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import center, fit_poses, RayPairs, STATE
 from landmark_nav.types import FloatArray
 
-__all__ = ['TwoViews', 'hypotheses', 'turn_support', 'two_views_of']
-
 # Grid of headings and directions that is tried, and how far off a match then may be.
 _GRID, _TOLERANCE = 120, 0.02
 # The most distinct matches are tried; so many of the best places are refined.

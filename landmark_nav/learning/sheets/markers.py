@@ -14,8 +14,6 @@ from landmark_nav.learning.sheets.config import SheetsConfig
 from landmark_nav.learning.sheets.view import SheetView
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['find_markers', 'locate_square']
-
 # Step of the derivatives of a pose, metres and radians.
 _STEP = 1e-5
 

@@ -11,8 +11,6 @@ from landmark_nav.learning.sheets.config import SheetsConfig
 from landmark_nav.learning.sheets.view import SheetView
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['find_papers']
-
 # Shape of what may be a paper, width by height, as a share of that of the sheet: seen from the
 # side it is narrower. Blobs are rough, outlines are not.
 _ROUGHLY, _NARROWEST, _WIDEST = 1.3, 0.2, 1.05

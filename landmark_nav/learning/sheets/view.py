@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from landmark_nav.types import FloatArray
 
-__all__ = ['SheetView']
-
 
 @dataclass(frozen=True, eq=False)
 class SheetView:

@@ -178,12 +178,7 @@ def compare(
     own, seen = (texels_per_pixel(patch, p) for p in (here, there))
     coarser = max(own.max(), seen.max())
     template = blur_to(template, seen, own)
-    match = match_template(
-        blur_to(search, own, seen),
-        template,
-        min_score=config.min_score,
-        max_second_ratio=1.0,
-    )
+    match = match_template(blur_to(search, own, seen), template, min_score=config.min_score)
     if isinstance(match, Refusal):
         return match
     right, down = patch_axes(patch.normal)
@@ -194,7 +189,6 @@ def compare(
     if search is None or found is None:
         return Refusal('not covered by both panoramas')
     found = blur_to(found, own, seen)
-    # Where two places look alike, only the one way back shows which is meant.
     back = match_template(blur_to(search, seen, own), found, min_score=0.9 * config.min_score)
     if isinstance(back, Refusal):
         return Refusal('no way back', str(back))

@@ -24,8 +24,6 @@ from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.types import FloatArray
 
-__all__ = ['LEAST_STEP_S', 'ImagePoints', 'Projection', 'moved', 'project']
-
 # Where each block of the state begins: pose of the base; pitch and roll of the base by an uneven
 # floor; scale, drift and turn scale of the odometry, its side slip and the way lost in turns; the
 # calibration; after it the shared map factors.

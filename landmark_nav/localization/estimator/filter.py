@@ -58,8 +58,6 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.types import Expectation, FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = ['JointFilter', 'State', 'Update']
-
 # Iterations of an update, and the change of the pose that ends them, metres and radians: what is
 # not linear in it is a hundredth of the noise.
 _ITERATIONS, _CONVERGED = 5, 3e-3

@@ -23,8 +23,6 @@ from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, PoseEstimate
 
-__all__ = ['smoothed_poses']
-
 # Eigenvalues of a correlation matrix below this are rounding.
 _ROUNDING = 1e-12
 

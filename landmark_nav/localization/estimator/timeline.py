@@ -16,8 +16,6 @@ from landmark_nav.localization.estimator.filter import JointFilter, Update
 from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
-__all__ = ['REACH_NS', 'Timeline', 'move_to']
-
 # Motion is compounded in steps of about this.
 _STEP_NS = 100_000_000
 # Odometry is kept for so long: a place may be found in an image that old.

@@ -16,9 +16,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.types import Detections, FloatArray, OdometrySample
 
-__all__ = ['command_delay_s', 'integrate_commands']
-
-
 _DELAYS_S = np.arange(0.0, 0.601, 0.01)
 # Detections of one landmark that are compared are at most this far apart, seconds.
 _PAIR_S = 1.0

@@ -6,12 +6,11 @@ import numpy as np
 
 from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.triplet.planning_scene import CameraState
 from landmark_nav.localization.triplet.ranking import Ranking
-from landmark_nav.localization.triplet.selection import CameraState, rank_triplets, TripletConfig
+from landmark_nav.localization.triplet.selection import rank_triplets
+from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.types import Detections, FloatArray, LandmarkMap, PoseEstimate, Triplet
-
-__all__ = ['ActiveCamera', 'FoundRecord']
-
 
 # A landmark begins as if it had been found so often, and in so many looks.
 _FOUND_BEFORE = 4.0

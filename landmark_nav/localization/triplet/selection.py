@@ -30,10 +30,8 @@ from landmark_nav.localization.triplet.search import (
     pair_tables,
     PairTables,
 )
-from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
+from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Refusal, Triplet
-
-__all__ = ['CameraState', 'TripletConfig', 'rank_triplets', 'visible_landmarks']
 
 # How many of the best triplets are looked at more closely, at first.
 _SHORTLIST = 24

@@ -13,8 +13,6 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
 
-__all__ = ['CameraInfo', 'camera_info', 'camera_model']
-
 _LOG = logging.getLogger(__name__)
 
 # Images may be larger or smaller than their calibration by whole factors up to this.

@@ -10,20 +10,6 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'check_frame',
-    'covariances',
-    'duration_ns',
-    'finite',
-    'is_unstamped',
-    'landmark_ids',
-    'same_frame',
-    'seconds',
-    'set_stamp',
-    'stamp_ns',
-    'yaw_rad',
-]
-
 _SECOND_NS = 1_000_000_000
 # Beyond any length, angle, rate or variance of a robot; "unknown" is reported as less.
 _MOST = 1e12

@@ -18,8 +18,6 @@ from landmark_nav.messages.clouds import bytes_array
 from landmark_nav.messages.decode.cameras import CameraInfo
 from landmark_nav.types import ImageArray
 
-__all__ = ['BitDepth', 'camera_image', 'image', 'image_bgra']
-
 _Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 # Bits of the analogue-to-digital converters that there are.

@@ -11,14 +11,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.decode.headers import duration_ns, finite, stamp_ns
 from landmark_nav.types import JointSample
 
-__all__ = [
-    'JointNames',
-    'joint_sample',
-    'lone_tilt',
-    'matching_name',
-    'sweep_trajectory',
-]
-
 # Names of joints are kept up to so many: a robot has some tens.
 _MOST_NAMES = 200
 

@@ -22,8 +22,6 @@ from landmark_nav.messages.decode.poses import FARTHEST_M
 from landmark_nav.messages.layouts import LANDMARKS
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap
 
-__all__ = ['landmark_map']
-
 # Of a patch on a wall; of a threshold, a saliency or a loading.
 _LARGEST_M, _MOST = 100.0, 1e3
 # Less is no wall, m; normals travel as float32.

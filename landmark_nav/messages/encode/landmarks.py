@@ -15,8 +15,6 @@ from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.messages.layouts import LANDMARKS
 from landmark_nav.types import ImageArray, LandmarkMap
 
-__all__ = ['landmark_map']
-
 _ATLAS_WIDTH = 1024
 
 

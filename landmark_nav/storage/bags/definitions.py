@@ -13,8 +13,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags.container import ChannelInfo
 
-__all__ = ['STANDARD_NAMES', 'MessageReader', 'has_header']
-
 # Types that ROS 1 calls otherwise.
 STANDARD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
 

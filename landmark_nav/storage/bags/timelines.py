@@ -18,8 +18,6 @@ from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter
 from landmark_nav.storage.bags.transforms import joints_of_transforms
 from landmark_nav.types import JointSample, Refusal
 
-__all__ = ['CameraInfos', 'JointHistory', 'JointLog', 'logged_joints']
-
 # Pan between two joint states is known if they are this close.
 _MAX_JOINT_GAP_NS = 500_000_000
 # So far beyond them the last rate gives it: a joint may start or stop at any moment.

@@ -6,15 +6,6 @@ from collections.abc import Iterable, Mapping
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = [
-    'MAP_TOPICS',
-    'TOPIC_TYPES',
-    'find_topic',
-    'listed',
-    'relative_name',
-    'remedy_of_missing',
-]
-
 # Latched: who comes later still gets the last one.
 MAP_TOPICS = ('landmarks', 'landmarks/atlas', 'landmarks/markers')
 

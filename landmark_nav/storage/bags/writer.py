@@ -23,8 +23,6 @@ from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags.topics import MAP_TOPICS
 
-__all__ = ['BagWriter']
-
 # `ros2 bag play` latches these again: it publishes each topic as it was offered.
 _LATCHED_TOPICS = {f'/{topic}' for topic in (*MAP_TOPICS, 'tf_static')}
 _NEVER = QosTime(9223372036, 854775807)
