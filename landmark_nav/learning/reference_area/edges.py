@@ -237,11 +237,6 @@ def outline_blobs(view: CylinderImage, color: str, blobs: PaperBlobs) -> PaperOu
     ----------
     view : CylinderImage
         A sweep as a cylinder in the base frame.
-    color : str
-        Of the papers.
-    blobs : PaperBlobs
-        What may be one.
-
     """
     hue = hue_direction(color)
     rows = []

@@ -198,14 +198,11 @@ def paper_faults(
         What panoramas of one room show, each from an unknown pose. The last four are used.
     room : Room
         Walls and papers. With fewer than three papers nothing can be judged.
-    config : ReferenceAreaConfig
-        Standard deviations of what is given.
 
     Returns
     -------
     PaperFaults
         With `fits` true where too little is seen to judge.
-
     """
     if len(room.papers) < LEAST_PAPERS:
         return _NOTHING
@@ -242,17 +239,7 @@ _NOTHING = PaperFaults(True, 0.0, 0, ())
 
 
 class PaperRecord:
-    """
-    Papers as the last sweeps of one room showed them, to judge all of these together.
-
-    Parameters
-    ----------
-    room : Room
-        Its papers.
-    config : ReferenceAreaConfig
-        Standard deviations of what is given.
-
-    """
+    """Papers as the last sweeps of one room showed them, to judge all of these together."""
 
     def __init__(self, room: Room, config: ReferenceAreaConfig) -> None:
         self._room, self._config = room, config

@@ -74,14 +74,11 @@ def find_places(blobs: list[PaperBlobs], room: Room, eye_height_m: float) -> lis
     ----------
     blobs : list of PaperBlobs
         Of each paper of the room.
-    eye_height_m : float
-        Height of the optical centre.
 
     Returns
     -------
     list of PaperPlace
         The most fitting first, no two of them alike.
-
     """
     problem = _Problem(blobs, room, eye_height_m)
     poses = problem.pair_places()
