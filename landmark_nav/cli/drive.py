@@ -34,16 +34,10 @@ class Keys:
     """
     Velocities of keys; the robot stops if none came for 0.8 s, or at any other key.
 
-    Parameters
-    ----------
-    linear_m_s, angular_rad_s : float
-        Speeds at first.
-
     Attributes
     ----------
     ended : bool
         Whether the key that ends was pressed.
-
     """
 
     def __init__(self, linear_m_s: float, angular_rad_s: float) -> None:

@@ -41,11 +41,8 @@ class Supervisor:
     ----------
     log_folder : Path or None
         Where what each of them prints goes, ``NAME.log``; None where it goes where ours goes.
-    environment : mapping
-        Their whole environment.
     grace_s : float
         How long each signal may take at the end.
-
     """
 
     def __init__(

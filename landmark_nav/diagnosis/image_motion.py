@@ -35,13 +35,10 @@ class StripView:
 
     Parameters
     ----------
-    camera : CameraModel
-        Its lens.
     mount : PanTiltMount
         How it is mounted: tilt and roll matter here.
     tilt_rad : float
         Usual tilt of the joints.
-
     """
 
     def __init__(self, camera: CameraModel, mount: PanTiltMount, tilt_rad: float = 0.0) -> None:

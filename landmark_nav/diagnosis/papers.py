@@ -22,9 +22,6 @@ def check_papers(bag: Bag, mount: PanTiltMount, room: Room) -> list[Finding]:
         Of sweeps; one without any has no papers to see.
     mount : PanTiltMount
         How the camera is mounted.
-    room : Room
-        Walls and papers.
-
     """
     found: list[Finding] = []
     if not (bag.find('sweep/image') or bag.find('sweep/image/compressed')):

@@ -87,13 +87,10 @@ def read_stream(bag: Bag, name: str, topic: str, values: Values | None = None) -
 
     Parameters
     ----------
-    bag : Bag
-        Where it is.
     name, topic : str
         The contract's name, and that in the bag.
     values : callable, optional
         Numbers of one message, always as many; None where a message is about something else.
-
     """
     stamps, logged, numbers = [], [], []
     frames: dict[str, None] = {}

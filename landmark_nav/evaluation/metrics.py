@@ -239,8 +239,6 @@ def posterior_bound(
         Base in map.
     images : sequence of ImagePoints
         What was used of each image: landmarks and covariances count, points do not.
-    landmark_map : LandmarkMap
-        Positions and joint covariance.
     calibration : Calibration
         True values, with the covariance of what was known at the start.
     config : LocalizationConfig
@@ -252,7 +250,6 @@ def posterior_bound(
     -------
     ndarray, shape (n, 3, 3)
         NaN where the truth is not known, and everywhere where it moves as nothing does.
-
     """
     try:
         return _bound(truth, images, landmark_map, calibration, config, start)

@@ -113,14 +113,11 @@ class Damping:
         cost_with : callable
             Takes a step with a damping, which is a share of the diagonal of the normal equations,
             and returns the cost after it. The last step that it took is the one to keep.
-        cost : float
-            Cost before.
 
         Returns
         -------
         bool
             False where no step does.
-
         """
         while self._by < _MOST:
             if cost_with(self._by) <= cost * (1.0 + _ROUNDING) + _ROUNDING:

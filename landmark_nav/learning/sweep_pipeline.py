@@ -151,8 +151,6 @@ def panorama_from_sweep(
     ----------
     sweep : Sweep
         Frames of one turn, or of a part of one; its place too, if it is known from elsewhere.
-    room : Room
-        Walls and reference papers.
     given : Calibration or PanTiltMount
         What is known of the robot: the prior. A mount has default standard deviations.
     log : StageLog, optional
@@ -165,7 +163,6 @@ def panorama_from_sweep(
     LandmarkNavError
         No frames, a pan that does not turn as reported, a camera that is mounted quite otherwise
         than given, or otherwise than given as exact, or papers that do not give one place.
-
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')

@@ -108,8 +108,6 @@ def most_informative(
         Places in the map to choose from.
     bearing_sigma : float
         Expected measurement sigma, radians.
-    count : int
-        How many to choose.
     novelty : ndarray, shape (landmarks of the map,), optional
         Factor on the gain of each landmark: seen again, it repeats the error of the map.
 
@@ -117,7 +115,6 @@ def most_informative(
     -------
     ndarray of int, shape (min(n, count),)
         In the order of the map.
-
     """
     if len(index) <= count:
         return index
@@ -211,15 +208,12 @@ class Observer:
 
     Parameters
     ----------
-    landmark_map : LandmarkMap
-        What to look for.
     calibration : Calibration
         Prior of mount, lens and clocks.
     config : LookingConfig
         Of the stages that look at an image.
     step : EstimatorConfig
         By how much camera or base may be turned at once.
-
     """
 
     def __init__(

@@ -36,8 +36,6 @@ def checked_start(
 
     Parameters
     ----------
-    start : PoseEstimate
-        As it was given.
     odometry_ns : tuple of int or None
         First and last stamp of the odometry.
     now_ns : int or None
@@ -47,7 +45,6 @@ def checked_start(
     ------
     LandmarkNavError
         A pose or covariance that is not finite, or a covariance that is not positive.
-
     """
     if not is_finite(start):
         raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')

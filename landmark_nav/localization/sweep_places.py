@@ -71,14 +71,11 @@ def places_by_odometry(
         First and last stamp of each sweep.
     samples : sequence of OdometrySample
         By time, from the first sweep to the last.
-    config : OdometryNoiseConfig
-        Noise of the odometry.
 
     Raises
     ------
     LandmarkNavError
         Odometry does not cover a sweep, or the robot moved in one.
-
     """
     for number, (begin, end) in enumerate(spans_ns, 1):
         if not samples or samples[0].stamp_ns > end or samples[-1].stamp_ns < begin:

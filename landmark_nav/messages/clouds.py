@@ -50,15 +50,10 @@ def pack_cloud(
 
     Parameters
     ----------
-    factory : MessageFactory
-        Builds the message.
-    header : std_msgs/Header
-        Stamp and frame.
     points : ndarray of a structured dtype, shape (n,)
         Little-endian scalars or one-dimensional sub-arrays.
     dense : bool
         Whether all points are valid, that is without NaN.
-
     """
     fields = []
     layout: Mapping[str, Any] = points.dtype.fields or {}

@@ -25,11 +25,8 @@ class LiveView:
 
     Parameters
     ----------
-    node : LandmarkNode
-        Whose topics they are.
     frame_id : str
         Frame of the map.
-
     """
 
     def __init__(self, node: LandmarkNode, frame_id: str) -> None:

@@ -125,8 +125,6 @@ def plan_positions(
         Where the camera turns on the robot.
     count : int
         How many places, 2 or more.
-    config : PlanConfig
-        Camera and expectations.
     rng : numpy.random.Generator
         Draws the random sets; the proposal depends on it only if one of these is the best.
     show : callable
@@ -136,7 +134,6 @@ def plan_positions(
     ------
     LandmarkNavError
         Fewer than two places, one or two papers, or no places from which papers are seen.
-
     """
     _check(room, count)
     floor = free_floor(room, config.clearance_m, config.spacing_m, _MOST_PLACES)

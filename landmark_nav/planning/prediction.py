@@ -229,11 +229,6 @@ class Predictor:
         What there is to see.
     cells : ndarray, shape (c, 2)
         Where the robot may have to find its place later.
-    room : Room
-        Walls that hide.
-    config : PlanConfig
-        Error models and bounds.
-
     """
 
     def __init__(

@@ -137,14 +137,11 @@ def left_right_layout(room: Room, count: int, share: float, config: PlanConfig) 
         How many places are planned.
     share : float
         Distance of L and of R from the middle, as a share of the room's extent.
-    config : PlanConfig
-        Clearance.
 
     Returns
     -------
     ndarray, shape (k, 2)
         2 or 4 places; none if one of them is not on the free floor.
-
     """
     corners = np.array([wall.start for wall in room.walls])
     middle = 0.5 * (room.bounds[0] + room.bounds[1])
@@ -175,14 +172,11 @@ def random_sets(
         All places.
     count, sets : int
         How many places a set has, and how many sets.
-    rng : numpy.random.Generator
-        Draws them.
 
     Returns
     -------
     ndarray of int, shape (sets, count)
         No two places of a set are the same or, if there are others, next to each other.
-
     """
     drawn = []
     for _ in range(sets):

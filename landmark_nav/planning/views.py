@@ -33,8 +33,6 @@ def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> F
 
     Parameters
     ----------
-    clearance_m : float
-        Least distance from them.
     spacing_m : float
         Grid; wider in rooms where that gives more than `most` points.
     most : int
@@ -44,7 +42,6 @@ def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> F
     -------
     ndarray, shape (n, 2)
         Row by row; empty in a room that is too narrow.
-
     """
     low, high = room.bounds[0] + clearance_m, room.bounds[1] - clearance_m
     if np.any(high < low):

@@ -39,8 +39,6 @@ class Input:
 
     Parameters
     ----------
-    node : Node
-        Who listens.
     topics : mapping of str to Topic or None
         Names, relative or not, and what is known of them.
 
@@ -52,7 +50,6 @@ class Input:
         Whether it comes all the time, from sensors.
     is_awaited : bool
         Whether a node can do nothing before it is there.
-
     """
 
     def __init__(self, node: Node, topics: Mapping[str, Topic | None]) -> None:

@@ -26,13 +26,10 @@ class RenamedPublisher:
 
     Parameters
     ----------
-    node : Node
-        Who publishes.
     publisher, former : Publisher
         Of the new name and of the former one.
     warn : callable
         Takes a warning; it logs each once.
-
     """
 
     def __init__(
@@ -65,15 +62,12 @@ class FormerSubscription:
 
     Parameters
     ----------
-    node : Node
-        Who subscribes.
     former, name : str
         Resolved names of the topic.
     callback : callable
         Takes each message.
     warn : callable
         Takes a warning; it logs each once.
-
     """
 
     def __init__(

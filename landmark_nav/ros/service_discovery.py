@@ -26,9 +26,6 @@ class ServiceDiscovery:
     ----------
     node : Node
         Who has made a client of that service already.
-    service : str
-        Which.
-
     """
 
     def __init__(self, node: Node, service: str) -> None:

@@ -89,8 +89,6 @@ def plan_tour(
         Where it begins, or nearby if something stands there.
     length_m : float
         It is at least this long.
-    rng : numpy.random.Generator
-        Where it leads.
 
     Returns
     -------
@@ -101,7 +99,6 @@ def plan_tour(
     ------
     LandmarkNavError
         There is no space to drive.
-
     """
     grid = _FreeGrid(scene)
     at = grid.nearest(start_xy)
@@ -194,9 +191,6 @@ class PathFollower:
     ----------
     path_xy : ndarray, shape (n, 2)
         The way, map frame, metres.
-    speed_m_s : float
-        On straight parts.
-
     """
 
     def __init__(self, path_xy: FloatArray, speed_m_s: float) -> None:

@@ -38,15 +38,12 @@ class PanControl:
     ----------
     scene : Scene
         What there is to see.
-    mount : PanTiltMount
-        Where the camera is.
     pan_limit_rad : float
         How far it turns to both sides.
     rng : numpy.random.Generator
         Which thing is next, and for how long.
     preferred : ndarray of bool, shape (n,), optional
         Which of the scene's items it looks at if any of them is in sight: those it knows.
-
     """
 
     def __init__(

@@ -81,15 +81,8 @@ class WalkingPeople:
 
     Parameters
     ----------
-    scene : Scene
-        Where they walk.
-    count : int
-        How many.
     robot_xy : ndarray, shape (2,)
         Where they don't begin.
-    rng : numpy.random.Generator
-        Their looks and ways.
-
     """
 
     def __init__(

@@ -24,21 +24,14 @@ def fractal_noise(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Source of randomness.
-    shape : (int, int)
-        Rows and columns.
     cell_px : (float, float)
         Size of the coarsest grain down and across, pixels; each octave halves it.
-    octaves : int
-        How many.
     persistence : float
         Amplitude of an octave relative to the coarser one.
 
     Returns
     -------
     ndarray of float32, shape `shape`
-
     """
     rows, columns = shape
     noise = np.zeros(shape, np.float32)

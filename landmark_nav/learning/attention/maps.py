@@ -328,8 +328,6 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
     ----------
     panorama_gray : ndarray of uint8, shape (height, width)
         Of a full turn: the last column borders on the first.
-    config : AttentionConfig
-
     """
     weights = {name: weight for name, weight in config.weights.items() if weight > 0.0}
     height, width = panorama_gray.shape

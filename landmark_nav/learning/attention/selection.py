@@ -47,7 +47,6 @@ def select(
         Of a full turn: the last column borders on the first.
     covered : ndarray of bool, shape (height, width)
         A rectangle lies on these pixels only.
-    config : AttentionConfig
     examine : callable
         Says why an attended rectangle is of no use, or None.
 
@@ -56,7 +55,6 @@ def select(
     accepted : tuple of Candidate
         In the order of attention, at most `candidates_per_sector` in each sector of azimuth.
     refused : tuple of (Candidate, Refusal)
-
     """
     width = saliency.shape[1]
     taken = np.zeros(_SECTORS, dtype=int)
@@ -209,11 +207,8 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
 
     Parameters
     ----------
-    candidate : Candidate
     gray : ndarray of uint8, shape (height, width)
         Of a full turn: the last column borders on the first.
-    config : AttentionConfig
-
     """
     window, column, row = _neighborhood(candidate, gray, config)
     patch = window[row : row + candidate.height_px, column : column + candidate.width_px]

@@ -85,8 +85,6 @@ def with_terms(
 
     Parameters
     ----------
-    known : Calibration
-        Before the sweep.
     before : Calibration
         That the sweep was taken to have: terms are errors of it.
     terms : tuple of CalibrationTerm
@@ -96,7 +94,6 @@ def with_terms(
     ------
     LandmarkNavError
         A term contradicts what is exact.
-
     """
     for term in terms:
         if term.name in _QUANTITIES:
@@ -116,8 +113,6 @@ def with_papers(
 
     Parameters
     ----------
-    known : Calibration
-        Before.
     used : Calibration
         That papers were measured with.
     score, information : ndarray, shape (3,), (3, 3)
@@ -129,7 +124,6 @@ def with_papers(
     ------
     LandmarkNavError
         It contradicts what is exact.
-
     """
     size, axes = np.linalg.eigh(information)
     if size[-1] <= 0.0:

@@ -210,15 +210,10 @@ class OverlapProblem:
 
     Parameters
     ----------
-    overlaps : Overlaps
-        Matches.
     sweep : Sweep
         As it is given, all frames with one camera.
-    mount : PanTiltMount
-        As it is given.
     range_m : callable, optional
         Horizontal distance from the axis of what is seen at azimuths and tangents (n,).
-
     """
 
     def __init__(

@@ -87,8 +87,6 @@ def relative_sharpness(look: Look, other: Look, turned_rad: float) -> float | No
 
     Parameters
     ----------
-    look, other : Look
-        Of both.
     turned_rad : float
         Pan of the first less that of the other.
 
@@ -96,7 +94,6 @@ def relative_sharpness(look: Look, other: Look, turned_rad: float) -> float | No
     -------
     float or None
         About 1 if both are equally sharp; None if they have too little in common.
-
     """
     at = look.azimuth_rad + turned_rad
     both = (at >= other.azimuth_rad[0]) & (at <= other.azimuth_rad[-1])

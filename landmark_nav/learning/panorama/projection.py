@@ -128,15 +128,12 @@ def frame_slab(
     ----------
     frame : CameraFrame
         BGR or grey; the slab is alike.
-    cylinder : Cylinder
-        Around the pan axis.
     crop_px : int
         Side of the central square that is used; 0 uses all.
     range_m : callable, optional
         Horizontal distance of what is seen at azimuths (n,) in the base frame.
     reach_rad : float
         How far from its optical axis the frame is used, to both sides.
-
     """
     camera = frame.camera
     rotation, center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)

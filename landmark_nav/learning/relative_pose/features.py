@@ -43,11 +43,6 @@ def find_features(grey: ImageArray, mask: BoolArray, cylinder: Cylinder, most: i
         Of a full turn: the last column borders on the first.
     mask : ndarray of bool, shape (height, width)
         What is covered.
-    cylinder : Cylinder
-        Its geometry.
-    most : int
-        How many at most.
-
     """
     width = grey.shape[1]
     columns = np.arange(-_SEAM_PX, width + _SEAM_PX) % width

@@ -198,8 +198,6 @@ def sheet_misses(
     ----------
     states : ndarray, shape (v, 6)
         Of the sweeps.
-    track : SheetTrack
-        The sheet.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame.
 
@@ -210,7 +208,6 @@ def sheet_misses(
         By the states.
     by_shared : ndarray, shape (3 m, q)
         By the errors that all sheets of the kind share.
-
     """
     count = len(track.views)
     off, weight = np.empty((count, 3)), np.zeros((count, 3, 3))

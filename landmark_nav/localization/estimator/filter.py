@@ -157,14 +157,11 @@ class JointFilter:
         Pose of the base in map, with its covariance.
     config : EstimatorConfig
         Noise of floor, map and mount.
-    odometry : OdometryNoiseConfig
-        Noise of the wheels.
 
     Attributes
     ----------
     predicted : State
         What was expected before the last image.
-
     """
 
     def __init__(

@@ -67,15 +67,12 @@ def learned(
 
     Parameters
     ----------
-    scales : NoiseScales
-        Before.
     innovation : ndarray, shape (m,)
         Measured minus predicted.
     covariance : ndarray, shape (m, m)
         Its covariance according to the filter.
     by_noise : ndarray, shape (NOISES, m, m)
         Part of that covariance by each noise.
-
     """
     if not scales.prior_sigma:
         return scales

@@ -49,13 +49,10 @@ def smoothed_poses(
     ----------
     joint : JointFilter
         At the start; afterwards it is at the last image.
-    track : OdometryTrack
-        All odometry.
     images : sequence of ImagePoints
         By time.
     lost : ndarray of bool, shape (n,), optional
         Before which images nothing is known of the motion.
-
     """
     if not images:
         return []

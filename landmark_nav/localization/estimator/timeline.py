@@ -39,13 +39,10 @@ class Timeline:
 
     Parameters
     ----------
-    joint : JointFilter
-        At its start.
     track : OdometryTrack
         May hold odometry from before.
     window_s : float
         How late a measurement may come.
-
     """
 
     def __init__(self, joint: JointFilter, track: OdometryTrack, window_s: float = 2.0) -> None:

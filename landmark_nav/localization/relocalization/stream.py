@@ -61,15 +61,12 @@ def shows_new(
 
     Parameters
     ----------
-    frame : CameraFrame
-        The image.
     direction : ndarray, shape (2,)
         Its `view_direction`.
     directions : ndarray, shape (n, 2)
         Those of the earlier images, each in its own base frame.
     poses : ndarray, shape (n, 3)
         Poses of the base at the earlier images, in the base frame of this one.
-
     """
     off = np.reshape(directions, (-1, 2)) - direction
     off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2])

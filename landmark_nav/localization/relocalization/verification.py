@@ -169,11 +169,8 @@ def verify(
     ----------
     pose_map_base : ndarray, shape (3,)
         Hypothesis: the base at the images' common time, good to some 10 cm and 2 degrees.
-    carried : CarriedFrames
-        The images.
     tilt_sigma_rad : float
         How far tilt and roll of the camera may be off; a small roll is found without.
-
     """
     estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
     if tilt_sigma_rad:

@@ -148,8 +148,6 @@ def best_triplets(
     cost : ndarray, shape (n, n)
         Of each pair, at least 1, symmetric; a triplet costs the most of its pairs. Infinite for
         pairs that can't be combined.
-    count : int
-        How many are wanted.
 
     Returns
     -------
@@ -157,7 +155,6 @@ def best_triplets(
         Ascending; fewer than `count` if there are no more.
     triplets : ndarray of int, shape (m, 3)
         Each ascending.
-
     """
     with np.errstate(divide='ignore', invalid='ignore'):
         least = tables.error / tables.distance

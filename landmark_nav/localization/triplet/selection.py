@@ -58,8 +58,6 @@ def rank_triplets(
     ----------
     prior : PoseEstimate
         Of the base in map; its spread widens the margins and averages the expected covariance.
-    camera, mount : CameraModel, PanTiltMount
-        What looks.
     config : TripletConfig
         What counts as visible, and what time costs.
     camera_state : CameraState, optional
@@ -74,7 +72,6 @@ def rank_triplets(
     Ranking
         Of the chosen triplet `sigma_rad` is the spread of the expected bearings by prior and map,
         `covariance` that of the base's pose, and `pan_rad` where to look.
-
     """
     scene = PlanningScene(
         prior, landmark_map, camera, mount, config, camera_state or CameraState()

@@ -83,12 +83,6 @@ def finite(
     ----------
     values : array-like
         As they came: whoever defined the message may have taken any type.
-    what : str
-        Names them: 'odometry position'.
-    stamp : int
-        When, nanoseconds.
-    within : float
-        Largest magnitude.
     least : float, optional
         Least value, where that is not the negative of it.
     count : int, optional
@@ -98,7 +92,6 @@ def finite(
     ------
     LandmarkNavError
         One is NaN, infinite or out of bounds, is no number, or the count is another one.
-
     """
     where = f'{what} at {stamp * 1e-9:.3f} s'
     try:

@@ -26,13 +26,10 @@ def landmark_map(
 
     Parameters
     ----------
-    factory : MessageFactory
-        Builds the messages.
     landmarks : LandmarkMap
         What was learned; it may be empty.
     stamp_ns : int
         When it was published: the three belong together by it.
-
     """
     members = landmarks.landmarks
     views = [view.patch for k in members for view in k.views]

@@ -48,15 +48,10 @@ def odometry(
 
     Parameters
     ----------
-    factory : MessageFactory
-        Builds the message.
     sample : OdometrySample
         Pose of the base in `frame_id`, whichever that is, and speeds.
     covariance : ndarray, shape (3, 3), optional
         Of x, y, heading; unknown by default.
-    frame_id, child_frame_id : str
-        Frames.
-
     """
     x, y, yaw = sample.pose_odom_base
     twist = factory(

@@ -163,8 +163,6 @@ class McapFile:
 
     Parameters
     ----------
-    path : Path
-        The file.
     on_warning : callable
         Gets one line if the file lost its end.
     name : Path, optional
@@ -178,7 +176,6 @@ class McapFile:
         Log times of the first and last message; 0 in an empty file.
     complete : bool
         Whether the file has its end.
-
     """
 
     def __init__(

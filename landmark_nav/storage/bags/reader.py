@@ -390,15 +390,12 @@ class MessageFilter:
 
     Parameters
     ----------
-    bag : Bag
-        Whose topic it is.
     topic : str
         Its name in the bag.
     what : str
         What it holds, for the complaint.
     needed : bool
         Whether there must be something of it.
-
     """
 
     def __init__(

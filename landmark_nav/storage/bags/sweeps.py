@@ -29,10 +29,6 @@ def check_coverage(
 
     Parameters
     ----------
-    bag : Bag
-        Where it comes from.
-    start_ns : int
-        Its start.
     frames : sequence of CameraFrame
         What there is, by time.
     missing : sequence of JointSample
@@ -49,7 +45,6 @@ def check_coverage(
     ------
     LandmarkNavError
         There is no frame at all.
-
     """
     where = f'{bag.path}: the sweep of {start_ns * 1e-9:.1f} s'
     pans = [frame.pan_rad for frame in frames]
@@ -110,8 +105,6 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     bag : Bag
         Holds ``sweep/image`` or its compressed form and ``sweep/camera_info``; may hold
         ``sweep/trajectory``, ``sweep/pose`` and ``joint_states``.
-    mount : PanTiltMount
-        Names of the joints.
 
     Yields
     ------
@@ -124,7 +117,6 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
         A topic is missing, a sweep has no frames at all or cannot do without one that is damaged,
         or an angle cannot be read. Frames that are missing, and directions that nothing sees, go
         to the bag's `warn`.
-
     """
     topic = bag.require('sweep/image', 'sweep/image/compressed')
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')

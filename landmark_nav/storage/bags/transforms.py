@@ -157,12 +157,6 @@ class RobotTransforms:
 
     The tree is map, odom, base, pan link, tilt link, camera; map to odom follows from
     ``odometry/fused``.
-
-    Parameters
-    ----------
-    mount : PanTiltMount
-        Where the camera sits.
-
     """
 
     def __init__(self, mount: PanTiltMount) -> None:

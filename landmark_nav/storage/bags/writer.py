@@ -48,8 +48,6 @@ class BagWriter:
 
     Parameters
     ----------
-    path : path-like
-        Folder to make.
     overwrite : bool
         Whether a bag that is there may be replaced.
 
@@ -57,7 +55,6 @@ class BagWriter:
     ------
     LandmarkNavError
         Something is there already.
-
     """
 
     def __init__(self, path: Path | str, overwrite: bool = False) -> None:
@@ -114,11 +111,6 @@ class BagWriter:
         ----------
         topic : str
             Absolute or relative name; a relative one is put under ``/``.
-        message : object
-            A rosbags message.
-        stamp_ns : int
-            Log time.
-
         """
         type_name = message.__msgtype__
         data = self._store.serialize_cdr(message, type_name)
@@ -132,15 +124,10 @@ class BagWriter:
 
         Parameters
         ----------
-        topic : str
-            Absolute or relative name.
         type_name : str
             Of a standard message, ``sensor_msgs/msg/Image``.
         data : bytes
             CDR with its four bytes of encapsulation.
-        stamp_ns : int
-            Log time.
-
         """
         topic = '/' + topic.lstrip('/')
         if topic not in self._connections:
