@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
-from landmark_nav.demo.room import prepare_room
+from landmark_nav.demo.scenario import prepare_room
 
 NODES = (
     'sweep_capture',

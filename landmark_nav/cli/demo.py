@@ -14,8 +14,7 @@ from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.demo.graph import node_commands, node_environment
 from landmark_nav.demo.recorded_run import recorded_run
-from landmark_nav.demo.room import prepare_room
-from landmark_nav.demo.scenario import Narrator, run_scenario
+from landmark_nav.demo.scenario import Narrator, prepare_room, run_scenario
 from landmark_nav.demo.supervisor import Interruption, Supervisor
 from landmark_nav.demo.verdict import Check, figures, judge
 from landmark_nav.errors import LandmarkNavError

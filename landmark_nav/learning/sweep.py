@@ -8,7 +8,7 @@ import logging
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import CameraModel
-from landmark_nav.geometry.coverage import describe_coverage
+from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, PoseEstimate, Sweep
 
 _LOG = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError, one_line
-from landmark_nav.geometry.coverage import describe_coverage
+from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import (

@@ -11,8 +11,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.capture import CaptureConfig, describe_sweep
 from landmark_nav.messages import decode
-from landmark_nav.nodes.sweep_output import SweepOutput
-from landmark_nav.nodes.sweep_runner import SweepRunner
+from landmark_nav.nodes.sweep_runner import SweepOutput, SweepRunner
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.image_source import image_topics, ImageSource, TRANSPORTS

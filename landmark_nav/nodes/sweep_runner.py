@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import hashlib
 import logging
 from threading import Condition
 import time
 from typing import Any
 
+from sensor_msgs.msg import CompressedImage
+
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.capture import (
     begin_or_resume,
     CaptureConfig,
@@ -19,10 +22,34 @@ from landmark_nav.learning.capture import (
 )
 from landmark_nav.learning.capture.frames import Look, look_at
 from landmark_nav.messages import decode
-from landmark_nav.nodes.sweep_output import SweepOutput
+from landmark_nav.messages.encode import sweep_trajectory
+from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import PanCommander
 from landmark_nav.types import JointSample, OdometrySample
+
+
+class SweepOutput:
+    """Publishers of ``sweep/*``."""
+
+    def __init__(self, node: LandmarkNode, mount: PanTiltMount) -> None:
+        self._mount = mount
+        self._raw = node.advertise('sweep/image')
+        self._compressed = node.advertise('sweep/image/compressed')
+        self._info = node.advertise('sweep/camera_info')
+        self._trajectory = node.advertise('sweep/trajectory')
+
+    def frame(self, image: Any, info: Any) -> None:
+        """Publish a frame in the form it came in, and its calibration with the same stamp."""
+        info.header.stamp = image.header.stamp
+        (self._compressed if isinstance(image, CompressedImage) else self._raw).publish(image)
+        self._info.publish(info)
+
+    def end(self, samples: Sequence[JointSample]) -> None:
+        """Publish the angles of all frames, which ends the sweep."""
+        self._trajectory.publish(sweep_trajectory(ros_factory, samples, self._mount))
+
 
 _LOG = logging.getLogger(__name__)
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.localization.triplet import CameraState, TripletConfig
-from landmark_nav.localization.triplet.active_camera import ActiveCamera
 from landmark_nav.localization.triplet.look_around import is_known, LookAround, LookAroundConfig
 from landmark_nav.localization.triplet.ranking import Ranking
+from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.parameters import check_order, Config, parameter

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from landmark_nav.geometry.coverage import describe_coverage, unseen_arcs
+from landmark_nav.geometry.cylinder import describe_coverage, unseen_arcs
 from landmark_nav.quality import PanoramaQuality
 
 

@@ -12,8 +12,7 @@ from wire import FACTORY, over_the_wire
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import ImagePoints, JointFilter, Status
 from landmark_nav.localization.fusion import Fusion

@@ -11,7 +11,7 @@ import pytest
 from rendered_drives import camera_image, MAP, MOUNT, START, START_SIGMA, Step
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.localization.late_joints import in_time
 from landmark_nav.localization.localizer import (
     LocalizationConfig,

@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
+from landmark_nav.ros.executor import LatestOnlyWorker
 from landmark_nav.ros.latency import Latency
-from landmark_nav.ros.latest_only_worker import LatestOnlyWorker
 
 
 def test_what_waits_makes_way_for_what_is_newer() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.geometry.angles import PanTrack
 
 TIMES = np.linspace(-1.0, 1.0, 401)
 

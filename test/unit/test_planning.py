@@ -15,11 +15,13 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.planner import forecast, Plan, plan_positions
-from landmark_nav.planning.search import (
+from landmark_nav.planning.planner import (
     best_places,
     exchange,
+    forecast,
     left_right_layout,
+    Plan,
+    plan_positions,
     random_sets,
     spread,
 )

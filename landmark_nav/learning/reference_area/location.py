@@ -18,7 +18,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.coverage import describe_coverage
+from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.panorama import CylinderImage

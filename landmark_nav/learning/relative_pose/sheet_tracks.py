@@ -17,7 +17,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.relative_pose.epipolar import center, STATE, turned
 from landmark_nav.learning.relative_pose.two_views import TwoViews
-from landmark_nav.learning.sheets.view import SheetView
+from landmark_nav.learning.sheets.papers import SheetView
 from landmark_nav.types import FloatArray
 
 # How well relative poses are known that are found but not yet fitted, and then, rad: two views of

@@ -18,9 +18,8 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import NAMES
-from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.types import FloatArray
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.coverage import describe_coverage, unseen_arcs
+from landmark_nav.geometry.cylinder import describe_coverage, unseen_arcs
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter, naming, once
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory

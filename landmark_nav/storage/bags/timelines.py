@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import unwrap_joint
+from landmark_nav.geometry.angles import PanTrack, unwrap_joint
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.messages import decode
 from landmark_nav.messages.decode import JointNames
 from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter
