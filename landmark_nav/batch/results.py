@@ -87,16 +87,12 @@ def read_table(path: Path) -> list[Row]:
     """
     Read ``table.csv`` of an earlier batch.
 
+    Raises `LandmarkNavError`: it is no such table.
+
     Parameters
     ----------
     path : Path
         The file, or the folder that holds it.
-
-    Raises
-    ------
-    LandmarkNavError
-        It is no such table.
-
     """
     path = path / 'table.csv' if path.is_dir() else path
     rows = list(csv.DictReader(StringIO(read_text(path))))

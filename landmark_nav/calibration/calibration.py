@@ -56,6 +56,8 @@ class Calibration:
     """
     Values of `NAMES` with their joint covariance.
 
+    Raises `LandmarkNavError`: values that are not finite, or a matrix that is no covariance.
+
     Parameters
     ----------
     values : ndarray, shape (15,)
@@ -71,12 +73,6 @@ class Calibration:
     by_map : ndarray, shape (15, m), optional
         Covariance of `values` with the factors of unit variance that all landmarks of a map share:
         the map was learned with this calibration.
-
-    Raises
-    ------
-    LandmarkNavError
-        Values that are not finite, or a matrix that is no covariance.
-
     """
 
     values: FloatArray
@@ -170,18 +166,14 @@ class Calibration:
         What contradicts the values that were given counts by itself: their error was given too
         small.
 
+        Raises `LandmarkNavError`: it contradicts what is given as exact.
+
         Parameters
         ----------
         rows : ndarray, shape (m, 15)
             What was measured: its derivatives.
         values, covariance : ndarray, shape (m,), (m, m)
             Of the measurement.
-
-        Raises
-        ------
-        LandmarkNavError
-            It contradicts what is given as exact.
-
         """
         prior, off = self.covariance.copy(), values - rows @ self.values
         known = np.einsum('mi,ij,mj->m', rows, prior, rows)

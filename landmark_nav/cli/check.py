@@ -62,11 +62,7 @@ def refuse_errors(bag: Bag, found: Diagnosis) -> None:
     """
     Pass warnings on, a line each; refuse errors in one line.
 
-    Raises
-    ------
-    LandmarkNavError
-        There is an error.
-
+    Raises `LandmarkNavError`: there is an error.
     """
     for finding in found.warnings:
         if not finding.when_read:

@@ -65,11 +65,7 @@ def prepare_room(
 
     If it is `measured`, ``room.yaml`` as well.
 
-    Raises
-    ------
-    LandmarkNavError
-        A room of this seed has no places for sweeps, or no space to drive.
-
+    Raises `LandmarkNavError`: a room of this seed has no places for sweeps, or no space to drive.
     """
     scene = generate_scene(seed)
     places = choose_sweep_places(scene)
@@ -205,11 +201,7 @@ def run_scenario(
 
     Leaves ``map`` and ``recording`` in `folder`.
 
-    Raises
-    ------
-    LandmarkNavError
-        Something does not work out; says what.
-
+    Raises `LandmarkNavError`: something does not work out; says what.
     """
     narrator.title(f'Starting {len(nodes)} nodes, each a process')
     robot.wait(

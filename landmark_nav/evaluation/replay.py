@@ -183,6 +183,9 @@ def replay(
     """
     Localize along a recorded drive.
 
+    Raises `LandmarkNavError`: no image or no odometry in it, stamps that stand still, or nowhere
+    in it a place was found.
+
     Parameters
     ----------
     events : iterable of SensorEvent
@@ -195,13 +198,6 @@ def replay(
         own place.
     start_covariance : ndarray, shape (3, 3), optional
         How sure the start is; goes with it.
-
-    Raises
-    ------
-    LandmarkNavError
-        No image or no odometry in it, stamps that stand still, or nowhere in it a place was
-        found.
-
     """
     localizer = Localizer(landmark_map, calibration, config)
     start: PoseEstimate | None = None

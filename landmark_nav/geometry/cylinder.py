@@ -53,11 +53,7 @@ class Cylinder:
         """
         Square-pixel cylinder of about `px_per_rad` that covers tangents of elevation.
 
-        Raises
-        ------
-        LandmarkNavError
-            It would have too many pixels to hold.
-
+        Raises `LandmarkNavError`: it would have too many pixels to hold.
         """
         ends = np.clip([tan_min, tan_max], -STEEPEST_TANGENT, STEEPEST_TANGENT)
         if not 0.0 <= 2.0 * np.pi * px_per_rad * px_per_rad * np.ptp(ends) <= _MAX_PIXELS:

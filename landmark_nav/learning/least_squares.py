@@ -29,11 +29,7 @@ def root_of(matrix: FloatArray) -> FloatArray:
     """
     Lower triangular root L (n, n) of a symmetric matrix (n, n) that is not negative: ``L L^T``.
 
-    Raises
-    ------
-    LandmarkNavError
-        Values that are not numbers.
-
+    Raises `LandmarkNavError`: values that are not numbers.
     """
     if not np.isfinite(matrix).all():
         raise LandmarkNavError('the sweeps do not determine an adjustment: take them again')
@@ -67,6 +63,9 @@ def checked_covariance(covariance: FloatArray, most_sigma: FloatArray, what: str
     """
     Covariance (n, n) that was given, made symmetric.
 
+    Raises `LandmarkNavError`: values that are not numbers, variances that are negative or too
+    large.
+
     Parameters
     ----------
     covariance : ndarray, shape (n, n)
@@ -75,12 +74,6 @@ def checked_covariance(covariance: FloatArray, most_sigma: FloatArray, what: str
         Standard deviations beyond which it is of no use.
     what : str
         Whose it is, to begin the message with.
-
-    Raises
-    ------
-    LandmarkNavError
-        Values that are not numbers, variances that are negative or too large.
-
     """
     even = 0.5 * (covariance + covariance.T)
     if not np.isfinite(even).all():

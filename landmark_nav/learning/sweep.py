@@ -29,6 +29,8 @@ def assemble_sweep(
     """
     Join angles and images by their stamps; what is missing, or not seen at all, is logged.
 
+    Raises `LandmarkNavError`: no angles at all, or not one image.
+
     Parameters
     ----------
     trajectory : sequence of JointSample
@@ -38,12 +40,6 @@ def assemble_sweep(
         aside.
     pose_map_base : PoseEstimate, optional
         Where it was taken, if that is known.
-
-    Raises
-    ------
-    LandmarkNavError
-        No angles at all, or not one image.
-
     """
     if not trajectory:
         raise LandmarkNavError('the sweep has no frames: take it again')

@@ -147,6 +147,10 @@ def panorama_from_sweep(
     Height and lean of the camera that papers show otherwise than given are used, as far as
     a person with a tape and a spirit level may be off by them.
 
+    Raises `LandmarkNavError`: no frames, a pan that does not turn as reported, a camera that is
+    mounted quite otherwise than given, or otherwise than given as exact, or papers that do not
+    give one place.
+
     Parameters
     ----------
     sweep : Sweep
@@ -157,12 +161,6 @@ def panorama_from_sweep(
         Where times go.
     papers : PaperRecord, optional
         Papers in other sweeps of the room, which help to name what is wrong; this one is added.
-
-    Raises
-    ------
-    LandmarkNavError
-        No frames, a pan that does not turn as reported, a camera that is mounted quite otherwise
-        than given, or otherwise than given as exact, or papers that do not give one place.
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
@@ -309,11 +307,7 @@ def unplaced_panorama(
     """
     Make the panorama of a sweep of which no place is known: its pose is that in the base frame.
 
-    Raises
-    ------
-    LandmarkNavError
-        No frames, or a pan that does not turn as reported.
-
+    Raises `LandmarkNavError`: no frames, or a pan that does not turn as reported.
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')

@@ -117,11 +117,8 @@ class Fusion:
         A stamp that is not near the odometry of the last seconds is taken as now, `now_ns` or
         the last odometry.
 
-        Raises
-        ------
-        LandmarkNavError
-            A pose or covariance that is not finite, or a covariance that is not positive.
-
+        Raises `LandmarkNavError`: a pose or covariance that is not finite, or a covariance that is
+        not positive.
         """
         ends = self._track.stamps_ns
         recent = ends and (max(ends[0], ends[1] - round(1e9 * self._config.history_s)), ends[1])
@@ -139,11 +136,7 @@ class Fusion:
         """
         Go on from a place that images show; the last of them was taken at these joints.
 
-        Raises
-        ------
-        LandmarkNavError
-            As `initialize`.
-
+        Raises `LandmarkNavError`: as `initialize`.
         """
         found = checked_start(found, self._reach_ns, now_ns)
         late = self._prior_late if self._line is None else self.late

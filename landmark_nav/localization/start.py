@@ -34,17 +34,15 @@ def checked_start(
 
     Its sigmas are those of a pose that is not known at most, 100 m and half a turn.
 
+    Raises `LandmarkNavError`: a pose or covariance that is not finite, or a covariance that is not
+    positive.
+
     Parameters
     ----------
     odometry_ns : tuple of int or None
         First and last stamp of the odometry.
     now_ns : int or None
         Present time; the last odometry's if that is later.
-
-    Raises
-    ------
-    LandmarkNavError
-        A pose or covariance that is not finite, or a covariance that is not positive.
     """
     if not is_finite(start):
         raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')

@@ -17,11 +17,7 @@ def bytes_array(data: Any) -> npt.NDArray[np.uint8]:
     """
     View a ``uint8[]`` field (ndarray, array.array, bytes or list) as an array (n,).
 
-    Raises
-    ------
-    LandmarkNavError
-        It holds no bytes, as a stranger defined the message.
-
+    Raises `LandmarkNavError`: it holds no bytes, as a stranger defined the message.
     """
     try:
         if isinstance(data, np.ndarray):
@@ -90,12 +86,8 @@ def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
     It has all fields of the layout, whatever their order, width and byte order in the message, and
     none beside.
 
-    Raises
-    ------
-    LandmarkNavError
-        A field is missing, has another type or count, or lies outside its point; or the sizes
-        contradict each other or the bytes that are there.
-
+    Raises `LandmarkNavError`: a field is missing, has another type or count, or lies outside its
+    point; or the sizes contradict each other or the bytes that are there.
     """
     where = f'point cloud of {layout.topic}'
     height, width, step = int(msg.height), int(msg.width), int(msg.point_step)

@@ -109,11 +109,7 @@ class SweepRunner:
         """
         Take a sweep, or the rest of one; returns it and what became of earlier frames.
 
-        Raises
-        ------
-        LandmarkNavError
-            It was interrupted; the message says by what.
-
+        Raises `LandmarkNavError`: it was interrupted; the message says by what.
         """
         with self._progress:
             sweep, note = begin_or_resume(self._sweep, self._config, self._inspect, self._now_ns())

@@ -290,6 +290,9 @@ def plan_positions(
     """
     Propose places for panoramas.
 
+    Raises `LandmarkNavError`: fewer than two places, one or two papers, or no places from which
+    papers are seen.
+
     Parameters
     ----------
     mount : PanTiltMount
@@ -300,11 +303,6 @@ def plan_positions(
         Draws the random sets; the proposal depends on it only if one of these is the best.
     show : callable
         Shows progress: passes items through, with what is done and how many there are.
-
-    Raises
-    ------
-    LandmarkNavError
-        Fewer than two places, one or two papers, or no places from which papers are seen.
     """
     _check(room, count)
     floor = free_floor(room, config.clearance_m, config.spacing_m, _MOST_PLACES)
@@ -368,6 +366,8 @@ def forecast(
     """
     Predict what sets of places are worth.
 
+    Raises `LandmarkNavError`: a place does not see enough papers.
+
     Parameters
     ----------
     sets : sequence of ndarray, shape (n, 3)
@@ -381,12 +381,6 @@ def forecast(
     -------
     list of Forecast
         In the order of `sets`.
-
-    Raises
-    ------
-    LandmarkNavError
-        A place does not see enough papers.
-
     """
     samples = sample_walls(room, config.spacing_m, _MOST_SAMPLES)
     poses = np.concatenate(sets)

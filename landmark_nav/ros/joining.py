@@ -20,18 +20,14 @@ def join_ros(context: Context | None = None, domain_id: int | None = None) -> in
     """
     Initialise ROS by the command line, signals left alone; return the domain.
 
+    Raises `LandmarkNavError`: ROS refuses the arguments, a parameter file or the environment.
+
     Parameters
     ----------
     context : Context, optional
         The process's own by default.
     domain_id : int, optional
         That of the environment by default.
-
-    Raises
-    ------
-    LandmarkNavError
-        ROS refuses the arguments, a parameter file or the environment.
-
     """
     domain_id = (chosen_domain() or 0) if domain_id is None else domain_id
     try:

@@ -216,11 +216,8 @@ class RobotClient:
 
         `meanwhile` is called while waiting for the answer.
 
-        Raises
-        ------
-        LandmarkNavError
-            It is not there soon, does not answer in time, or refuses; then with its reason.
-
+        Raises `LandmarkNavError`: it is not there soon, does not answer in time, or refuses; then
+        with its reason.
         """
         client: Any = self._node.create_client(Trigger, service)
         there = f'the service {service} in ROS domain {self._domain_id}'

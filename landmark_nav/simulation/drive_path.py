@@ -81,6 +81,8 @@ def plan_tour(
     """
     Plan a way through the room, from one random place to the next.
 
+    Raises `LandmarkNavError`: there is no space to drive.
+
     Parameters
     ----------
     scene : Scene
@@ -94,11 +96,6 @@ def plan_tour(
     -------
     ndarray, shape (n, 2)
         Points of the way, about 5 cm apart, corners rounded.
-
-    Raises
-    ------
-    LandmarkNavError
-        There is no space to drive.
     """
     grid = _FreeGrid(scene)
     at = grid.nearest(start_xy)
@@ -124,6 +121,8 @@ def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> F
     """
     Plan the way from one place to another.
 
+    Raises `LandmarkNavError`: there is no way between them.
+
     Parameters
     ----------
     scene : Scene
@@ -135,12 +134,6 @@ def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> F
     -------
     ndarray, shape (n, 2)
         Points of the way, about 5 cm apart, corners rounded.
-
-    Raises
-    ------
-    LandmarkNavError
-        There is no way between them.
-
     """
     grid = _FreeGrid(scene)
     start, goal = grid.nearest(start_xy), grid.nearest(goal_xy)

@@ -196,11 +196,8 @@ def save_map(landmarks: LandmarkMap, folder: Path | str, overwrite: bool = True)
     """
     Write a map folder whole or not at all; one that is there is replaced if `overwrite`.
 
-    Raises
-    ------
-    LandmarkNavError
-        `folder` holds something else, or a map that stays, or cannot be written.
-
+    Raises `LandmarkNavError`: `folder` holds something else, or a map that stays, or cannot be
+    written.
     """
     with atomic_folder(Path(folder), MAP_FILES, overwrite) as growing:
         write_map(landmarks, growing)
@@ -246,11 +243,8 @@ def load_map(folder: Path | str) -> LandmarkMap:
     """
     Read a map folder.
 
-    Raises
-    ------
-    LandmarkNavError
-        No map there, another schema version, or anything in it that cannot be.
-
+    Raises `LandmarkNavError`: no map there, another schema version, or anything in it that cannot
+    be.
     """
     folder = Path(folder)
     path = folder / 'map.yaml'

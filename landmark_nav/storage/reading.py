@@ -45,11 +45,8 @@ def check_regular(path: Path) -> int:
     """
     Size of a file in bytes.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is not there, or is a folder, a pipe or a device, which may never end.
-
+    Raises `LandmarkNavError`: it is not there, or is a folder, a pipe or a device, which may never
+    end.
     """
     try:
         status = path.stat()
@@ -65,11 +62,8 @@ def read_bytes(path: Path, max_bytes: int = _MAX_BYTES) -> bytes:
     """
     Content of a file.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is no regular file, has more than `max_bytes`, or can not be read.
-
+    Raises `LandmarkNavError`: it is no regular file, has more than `max_bytes`, or can not be
+    read.
     """
     size = check_regular(path)
     if size > max_bytes:
@@ -89,11 +83,8 @@ def read_image(
     """
     Pixels of a PNG or JPEG file, 8 bits each, as of `decode_image`.
 
-    Raises
-    ------
-    LandmarkNavError
-        As of `read_bytes`, or it is no such image, or has more than `max_pixels`.
-
+    Raises `LandmarkNavError`: as of `read_bytes`, or it is no such image, or has more than
+    `max_pixels`.
     """
     data = read_bytes(path)
     try:
@@ -106,11 +97,7 @@ def read_text(path: Path, max_bytes: int = _MAX_BYTES) -> str:
     """
     Text of a file in UTF-8, with or without byte order mark.
 
-    Raises
-    ------
-    LandmarkNavError
-        As of `read_bytes`, or it is no such text.
-
+    Raises `LandmarkNavError`: as of `read_bytes`, or it is no such text.
     """
     data = read_bytes(path, max_bytes)
     try:
@@ -127,11 +114,8 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
     Values are those of YAML 1.1, and numbers as JSON writes them. Dates are text; tags and aliases
     are refused.
 
-    Raises
-    ------
-    LandmarkNavError
-        It can not be read, is no such YAML, or is larger than any file of this package.
-
+    Raises `LandmarkNavError`: it can not be read, is no such YAML, or is larger than any file of
+    this package.
     """
     text = read_text(path)
     try:

@@ -97,11 +97,8 @@ def align_frames(a: LandmarkMap, b: LandmarkMap) -> FrameAlignment:
     """
     Find the frame and the metre of map b in those of map a.
 
-    Raises
-    ------
-    LandmarkNavError
-        The maps share too few landmarks, or more than one transformation fits.
-
+    Raises `LandmarkNavError`: the maps share too few landmarks, or more than one transformation
+    fits.
     """
     scale_sigma = float(np.hypot(_scale_sigma(a), _scale_sigma(b)))
     matches = _matches(a, b, scale_sigma)

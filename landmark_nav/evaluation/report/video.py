@@ -29,11 +29,7 @@ def write_video(path: Path, page: Page) -> None:
     """
     Write a drive as MPEG-4, in real time.
 
-    Raises
-    ------
-    LandmarkNavError
-        It cannot be written.
-
+    Raises `LandmarkNavError`: it cannot be written.
     """
     drive = page['data']['run']
     span_s = drive['t'][-1] - drive['t'][0]

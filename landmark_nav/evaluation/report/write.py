@@ -26,11 +26,7 @@ def write_report(path: Path, page: Page) -> None:
     """
     Write a page.
 
-    Raises
-    ------
-    LandmarkNavError
-        It cannot be written.
-
+    Raises `LandmarkNavError`: it cannot be written.
     """
     write_atomically(path, page_html(page))
 

@@ -60,6 +60,8 @@ def check_walls(
     """
     Compare patches, placed without the walls, with the walls.
 
+    Raises `LandmarkNavError`: walls that don't fit, each with its residuals.
+
     Parameters
     ----------
     free : Adjustment
@@ -75,12 +77,6 @@ def check_walls(
     -------
     str
         Walls that may be hidden by furniture or be elsewhere; nothing where there is none.
-
-    Raises
-    ------
-    LandmarkNavError
-        Walls that don't fit, each with its residuals.
-
     """
     complaints: list[str] = []
     warnings: list[str] = []

@@ -50,11 +50,7 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
     """
     Mend pan, tilt and roll of each frame and the common camera.
 
-    Raises
-    ------
-    LandmarkNavError
-        Fewer than three frames, or no texture that neighbours share.
-
+    Raises `LandmarkNavError`: fewer than three frames, or no texture that neighbours share.
     """
     if len(sweep.frames) < 3:
         raise LandmarkNavError(f'{len(sweep.frames)} frames are too few to align: take a sweep')

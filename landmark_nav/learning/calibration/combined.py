@@ -83,17 +83,14 @@ def with_terms(
     """
     Join what the overlaps of a sweep show with what was known.
 
+    Raises `LandmarkNavError`: a term contradicts what is exact.
+
     Parameters
     ----------
     before : Calibration
         That the sweep was taken to have: terms are errors of it.
     terms : tuple of CalibrationTerm
         Used in the panorama or not.
-
-    Raises
-    ------
-    LandmarkNavError
-        A term contradicts what is exact.
     """
     for term in terms:
         if term.name in _QUANTITIES:
@@ -111,6 +108,8 @@ def with_papers(
     """
     Join what papers show of height and lean of the pan axis with what was known.
 
+    Raises `LandmarkNavError`: it contradicts what is exact.
+
     Parameters
     ----------
     used : Calibration
@@ -119,11 +118,6 @@ def with_papers(
         Of height and of small turns about x and y of the base, in information form.
     floor_rad : float
         Sigma by which the base leans on the floor.
-
-    Raises
-    ------
-    LandmarkNavError
-        It contradicts what is exact.
     """
     size, axes = np.linalg.eigh(information)
     if size[-1] <= 0.0:

@@ -61,12 +61,8 @@ def check_turn(sweep: Sweep, mount: PanTiltMount) -> None:
     """
     Check that a sweep turns, and as its pan angles say.
 
-    Raises
-    ------
-    LandmarkNavError
-        Angles in degrees, a pan that stands still or is reversed, a focal length or pan that is
-        off by more than calibration mends.
-
+    Raises `LandmarkNavError`: angles in degrees, a pan that stands still or is reversed, a focal
+    length or pan that is off by more than calibration mends.
     """
     pans = np.array([frame.pan_rad for frame in sweep.frames])
     if len(pans) < _LEAST_PANS:

@@ -56,6 +56,9 @@ def sweep_cylinder(
     """
     Cylinder as high as the middle columns of the frames see.
 
+    Raises `LandmarkNavError`: the camera looks so far up or down that it sees no walls, or the
+    cylinder has too many pixels.
+
     Parameters
     ----------
     sweep : Sweep
@@ -64,13 +67,6 @@ def sweep_cylinder(
         Side of the central square used of each frame; 0 uses all.
     px_per_rad : float
         Columns per radian; 0 takes the camera's focal length.
-
-    Raises
-    ------
-    LandmarkNavError
-        The camera looks so far up or down that it sees no walls, or the cylinder has too many
-        pixels.
-
     """
     camera = sweep.frames[0].camera
     _, top, _, bottom = frame_window(sweep.frames[0], crop_px)

@@ -261,11 +261,7 @@ def check_agreement(
     """
     Compare a place that is given, (3,) and (3, 3), with what papers give, where they are in sight.
 
-    Raises
-    ------
-    LandmarkNavError
-        They disagree.
-
+    Raises `LandmarkNavError`: they disagree.
     """
     try:
         seen = locate_sweep(sweep, view, room, mount, config)

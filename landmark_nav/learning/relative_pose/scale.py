@@ -85,11 +85,7 @@ class PlaceSource:
         """
         Let variances grow by the misfit, but for that of the scale, where it is significant.
 
-        Raises
-        ------
-        LandmarkNavError
-            Poses beyond all reason.
-
+        Raises `LandmarkNavError`: poses beyond all reason.
         """
         self.inflation = 1.0
         rows = self.rows(states)
@@ -177,11 +173,7 @@ def scale_sigma(shares: Sequence[ScaleShare]) -> float:
     """
     Relative standard deviation of the scale by all sources; as large as their disagreement.
 
-    Raises
-    ------
-    LandmarkNavError
-        Two contradict each other.
-
+    Raises `LandmarkNavError`: two contradict each other.
     """
     sigma = float(sum(share.sigma**-2 for share in shares) ** -0.5)
     for one, other in combinations(shares, 2):

@@ -66,6 +66,8 @@ def sheet_tracks(
     """
     Find which views show the same sheets.
 
+    Raises `LandmarkNavError`: as many sheets agree on another length.
+
     Parameters
     ----------
     sheets : sequence of sequence of SheetView
@@ -80,12 +82,6 @@ def sheet_tracks(
     tracks : list of SheetTrack
     lengths : dict
         Way between the viewpoints of pairs that share sheets, metres.
-
-    Raises
-    ------
-    LandmarkNavError
-        As many sheets agree on another length.
-
     """
     links: list[_Link] = []
     lengths = {}

@@ -106,11 +106,7 @@ def find_markers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
     """
     Find markers of one dictionary.
 
-    Raises
-    ------
-    LandmarkNavError
-        An OpenCV that can't.
-
+    Raises `LandmarkNavError`: an OpenCV that can't.
     """
     if not hasattr(cv2, 'aruco') or not hasattr(cv2.aruco, 'ArucoDetector'):
         raise LandmarkNavError(

@@ -32,11 +32,8 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
     """
     Map out of ``landmarks`` and ``landmarks/atlas``; provenance does not travel.
 
-    Raises
-    ------
-    LandmarkNavError
-        Fields are missing, values are not numbers, or a patch lies outside the atlas.
-
+    Raises `LandmarkNavError`: fields are missing, values are not numbers, or a patch lies outside
+    the atlas.
     """
     points = unpack_cloud(landmarks_msg, LANDMARKS)
     frame_id = str(landmarks_msg.header.frame_id)

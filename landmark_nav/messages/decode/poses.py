@@ -51,11 +51,7 @@ def odometry(msg: Any) -> OdometrySample:
     """
     Wheel odometry of a nav_msgs/Odometry.
 
-    Raises
-    ------
-    LandmarkNavError
-        A value is not a number, or no place, heading or speed of a robot.
-
+    Raises `LandmarkNavError`: a value is not a number, or no place, heading or speed of a robot.
     """
     stamp, twist = stamp_ns(msg.header), msg.twist.twist
     speeds = [twist.linear.x, twist.angular.z]
@@ -67,11 +63,7 @@ def pose_estimate(msg: Any) -> PoseEstimate:
     """
     Planar pose of a geometry_msgs/PoseWithCovarianceStamped or a nav_msgs/Odometry.
 
-    Raises
-    ------
-    LandmarkNavError
-        A value is not a number, or no place or heading of a robot.
-
+    Raises `LandmarkNavError`: a value is not a number, or no place or heading of a robot.
     """
     stamp = stamp_ns(msg.header)
     pose = _planar(msg.pose.pose, 'pose', stamp)
@@ -94,11 +86,8 @@ def global_pose(msg: Any) -> GlobalPose:
     """
     A place and what it was found from, out of ``global_localization/pose``.
 
-    Raises
-    ------
-    LandmarkNavError
-        Fields are missing or of another kind, no point, or values that are not numbers.
-
+    Raises `LandmarkNavError`: fields are missing or of another kind, no point, or values that are
+    not numbers.
     """
     points, stamp = unpack_cloud(msg, GLOBAL_POSE), stamp_ns(msg.header)
     if not len(points):
@@ -120,11 +109,8 @@ def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySam
     """
     Where the camera should be, and the speeds of the base, out of ``expectation``.
 
-    Raises
-    ------
-    LandmarkNavError
-        Fields are missing or of another kind, not one point, or values that are not numbers.
-
+    Raises `LandmarkNavError`: fields are missing or of another kind, not one point, or values that
+    are not numbers.
     """
     points, stamp = unpack_cloud(msg, EXPECTATION), stamp_ns(msg.header)
     if len(points) != 1:
@@ -162,11 +148,8 @@ def detections(msg: Any) -> Detections:
     """
     Landmarks found in one image, and those missed in it, out of ``detections``.
 
-    Raises
-    ------
-    LandmarkNavError
-        Fields are missing or of another kind, or values are not numbers within bounds.
-
+    Raises `LandmarkNavError`: fields are missing or of another kind, or values are not numbers
+    within bounds.
     """
     points, stamp = unpack_cloud(msg, DETECTIONS), stamp_ns(msg.header)
     (delay,) = seconds(points['joint_delay'][:1].tolist() or [0.0], 'detections delay', stamp)
@@ -198,11 +181,8 @@ def triplet(msg: Any) -> Triplet:
     """
     The chosen three, out of ``triplet``.
 
-    Raises
-    ------
-    LandmarkNavError
-        Fields are missing or of another kind, not three points, or values that are not numbers.
-
+    Raises `LandmarkNavError`: fields are missing or of another kind, not three points, or values
+    that are not numbers.
     """
     points, stamp = unpack_cloud(msg, TRIPLET), stamp_ns(msg.header)
     if len(points) != 3:
@@ -225,11 +205,8 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
     """
     Panorama out of ``panorama/image``, ``panorama/camera_info`` and ``panorama/pose``.
 
-    Raises
-    ------
-    LandmarkNavError
-        The three do not belong together, or the geometry is not cylindrical.
-
+    Raises `LandmarkNavError`: the three do not belong together, or the geometry is not
+    cylindrical.
     """
     stamp = stamp_ns(image_msg.header)
     others = (stamp_ns(info_msg.header), stamp_ns(pose_msg.header))

@@ -82,11 +82,8 @@ def unpack_file(path: Path, target: IO[bytes]) -> None:
     """
     Write the content of a file compressed by zstd or lz4 to `target`.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is damaged, unpacks to more than a recording does, or the disk is full.
-
+    Raises `LandmarkNavError`: it is damaged, unpacks to more than a recording does, or the disk is
+    full.
     """
     most = max(_SMALL_FILE_BYTES, most_bytes(path.stat().st_size))
     written = 0

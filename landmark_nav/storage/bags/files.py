@@ -39,11 +39,7 @@ class RosbagsFile:
 
     Messages of ROS 1 have the message encoding ``ros1``.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is damaged, or no bag.
-
+    Raises `LandmarkNavError`: it is damaged, or no bag.
     """
 
     complete = True
@@ -152,18 +148,14 @@ def open_files(path: Path, on_warning: Callable[[str], None]) -> tuple[list[BagF
     """
     Files of a bag, and whether each of their messages is compressed by itself.
 
+    Raises `LandmarkNavError`: there is no bag, or a file of it is missing or damaged.
+
     Parameters
     ----------
     path : Path
         A rosbag2 folder, a folder of bag files, or such a file, itself perhaps compressed.
     on_warning : callable
         Gets what had to be passed over, in one line each.
-
-    Raises
-    ------
-    LandmarkNavError
-        There is no bag, or a file of it is missing or damaged.
-
     """
     paths, by_message = _paths(path, on_warning)
     return [_opened(file, on_warning) for file in paths], by_message

@@ -25,11 +25,7 @@ def read_sweep_folder(folder: Path | str) -> Sweep:
 
     Their centre is the principal point; stamps just count.
 
-    Raises
-    ------
-    LandmarkNavError
-        The list or an image is missing, or a value does not fit.
-
+    Raises `LandmarkNavError`: the list or an image is missing, or a value does not fit.
     """
     folder = Path(folder)
     path = folder / 'frames.csv'

@@ -120,6 +120,8 @@ class Bag:
     """
     A bag that can be read several times.
 
+    Raises `LandmarkNavError`: it is not there, or is no bag of a kind that can be read.
+
     Parameters
     ----------
     path : path-like
@@ -139,12 +141,6 @@ class Bag:
         From the first to the last message.
     complete : bool
         Whether every file has its end.
-
-    Raises
-    ------
-    LandmarkNavError
-        It is not there, or is no bag of a kind that can be read.
-
     """
 
     def __init__(
@@ -192,11 +188,7 @@ class Bag:
         """
         Topic that carries what the contract calls `name`, if it has messages.
 
-        Raises
-        ------
-        LandmarkNavError
-            Several could be it, or it is of another type.
-
+        Raises `LandmarkNavError`: several could be it, or it is of another type.
         """
         try:
             topic = find_topic(name, self._filled(), self._given)
@@ -225,11 +217,8 @@ class Bag:
         """
         Topic of the first of `alternatives` that the bag has.
 
-        Raises
-        ------
-        LandmarkNavError
-            None of them is there; says which topics are, and which could be it.
-
+        Raises `LandmarkNavError`: none of them is there; says which topics are, and which could be
+        it.
         """
         for name in alternatives:
             if topic := self.find(name):
@@ -248,16 +237,12 @@ class Bag:
         """
         Messages by log time.
 
+        Raises `LandmarkNavError`: a file is damaged, or a topic is not written as ROS 2 messages.
+
         Parameters
         ----------
         topics : collection of str, optional
             Absolute names as in `types`; all by default.
-
-        Raises
-        ------
-        LandmarkNavError
-            A file is damaged, or a topic is not written as ROS 2 messages.
-
         """
         for file in self._files:
             for info in file.counts:

@@ -80,11 +80,7 @@ def sensor_events(
     reported through ``bag.warn``. A bag without images may bring ``detections`` instead, of this
     package or another sensor.
 
-    Raises
-    ------
-    LandmarkNavError
-        A topic is missing, or nothing of it can be used.
-
+    Raises `LandmarkNavError`: a topic is missing, or nothing of it can be used.
     """
     if not any(bag.find(name) for name in _IMAGES) and bag.find('detections'):
         yield from _detections_and_motion(bag)

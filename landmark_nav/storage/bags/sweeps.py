@@ -27,6 +27,8 @@ def check_coverage(
     """
     Say which angles a sweep lacks, through the `warn` of its bag.
 
+    Raises `LandmarkNavError`: there is no frame at all.
+
     Parameters
     ----------
     frames : sequence of CameraFrame
@@ -40,11 +42,6 @@ def check_coverage(
     -------
     bool
         Whether the sweep can be used; one that was cut off cannot, unless it is whole.
-
-    Raises
-    ------
-    LandmarkNavError
-        There is no frame at all.
     """
     where = f'{bag.path}: the sweep of {start_ns * 1e-9:.1f} s'
     pans = [frame.pan_rad for frame in frames]
@@ -100,6 +97,10 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     sweep ends: where there is none, or the bag was cut off before it, ``joint_states`` give it.
     Images that cannot be decoded are left out, unless nothing else sees what they saw.
 
+    Raises `LandmarkNavError`: a topic is missing, a sweep has no frames at all or cannot do
+    without one that is damaged, or an angle cannot be read. Frames that are missing, and
+    directions that nothing sees, go to the bag's `warn`.
+
     Parameters
     ----------
     bag : Bag
@@ -110,13 +111,6 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     ------
     Sweep
         Frames by time.
-
-    Raises
-    ------
-    LandmarkNavError
-        A topic is missing, a sweep has no frames at all or cannot do without one that is damaged,
-        or an angle cannot be read. Frames that are missing, and directions that nothing sees, go
-        to the bag's `warn`.
     """
     topic = bag.require('sweep/image', 'sweep/image/compressed')
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')

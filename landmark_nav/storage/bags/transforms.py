@@ -34,6 +34,8 @@ def joints_of_transforms(
     The pan is the angle by which the frame that turns with the joint is turned about the pan axis
     of `mount`, the tilt the one by which the frame on it looks up; each with its sign in space.
 
+    Raises `LandmarkNavError`: `frame` is not in ``/tf``, or does not turn about the pan axis.
+
     Parameters
     ----------
     frame : str
@@ -44,12 +46,6 @@ def joints_of_transforms(
     -------
     list
         Empty where the bag has no such frame.
-
-    Raises
-    ------
-    LandmarkNavError
-        `frame` is not in ``/tf``, or does not turn about the pan axis.
-
     """
     topic = bag.find('tf')
     if topic is None:

@@ -46,15 +46,12 @@ class BagWriter:
     A context manager. The bag appears at `path` when the context ends without an exception;
     until then it grows in a hidden folder beside it.
 
+    Raises `LandmarkNavError`: something is there already.
+
     Parameters
     ----------
     overwrite : bool
         Whether a bag that is there may be replaced.
-
-    Raises
-    ------
-    LandmarkNavError
-        Something is there already.
     """
 
     def __init__(self, path: Path | str, overwrite: bool = False) -> None:
