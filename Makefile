@@ -16,13 +16,11 @@ export ROS_DOMAIN_ID := $(shell echo $$(($$$$ % 90 + 10)))
 endif
 
 BIN = .venv/bin
-NODES = sweep_capture panorama_synthesizer landmark_learner triplet_selector triangulation_localizer \
-	odometry_fusion room_simulator bag_player
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
 .PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation unmeasured \
-	latency papers bad-sweeps degraded faults calibration fuzz config docs docs-images test-oldest test-colcon clean
+	latency papers bad-sweeps degraded faults calibration fuzz docs docs-images test-oldest test-colcon clean
 
 install: .venv/installed
 
@@ -115,10 +113,6 @@ faults: install
 N ?= 1000
 fuzz: install
 	FUZZ_N=$(N) $(BIN)/pytest -q -n 2 test/fuzz
-
-# The parameter files say what the code says; run it after changing a parameter.
-config: install
-	for node in $(NODES); do $(BIN)/python -m landmark_nav.nodes.describe $$node > config/$$node.yaml; done
 
 # The site, docs/_build/html: fails on warnings, dead links and what has no description.
 docs: .venv/docs-installed

@@ -11,7 +11,6 @@ import argparse
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import redirect_stdout
-import dataclasses
 from importlib import import_module
 import io
 import os
@@ -21,18 +20,11 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
+from landmark_nav.configuration import Configuration, READS
 from landmark_nav.demo.scenario import prepare_room
-
-NODES = (
-    'sweep_capture',
-    'panorama_synthesizer',
-    'landmark_learner',
-    'triplet_selector',
-    'triangulation_localizer',
-    'odometry_fusion',
-    'room_simulator',
-    'bag_player',
-)
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.parameters import leaves, unit_of
+from landmark_nav.storage.config_files import read_parameters, shipped_config
 
 # Nodes subscribe to images while they use them.
 _WHILE_NEEDED = {
@@ -139,7 +131,9 @@ def _ends_of_nodes(
     rclpy.init(args=[])
     try:
         # That of the bag player depends on its bag.
-        for name in NODES[:-1]:
+        for name in READS:
+            if name == 'bag_player':
+                continue
             node = _started(name, files)
             former = {node.resolve_topic_name(topic) for topic in FORMER_NAMES.values()}
             for found, ends in ((publishers, node.publishers), (subscribers, node.subscriptions)):
@@ -172,8 +166,7 @@ def _started(name: str, files: dict[str, str]) -> Any:
         and issubclass(value, LandmarkNode)
         and value is not LandmarkNode
     )
-    known = {field.name for field in dataclasses.fields(module.Parameters)}
-    given = [Parameter(key, value=value) for key, value in files.items() if key in known]
+    given = [Parameter(key, value=value) for key, value in files.items() if key in READS[name]]
     return kind(parameter_overrides=given)
 
 
@@ -222,43 +215,58 @@ def _services(services: dict[str, str]) -> Iterator[str]:
 
 
 def _parameters() -> Iterator[str]:
+    users = read_parameters(shipped_config('landmark_nav.yaml'), ())
     yield from (
         '# Parameters',
         '',
-        'Of the nodes: `--ros-args -p NAME:=VALUE`, or a file for `--params-file`; those that are '
-        'installed in `share/landmark_nav/config` hold the defaults. Sections (names with a dot) '
-        'are taken by `--config` of `landmark-nav learn` and `evaluate` as well, without '
-        '`ros__parameters`. All are read once, when a node starts.',
+        'One file in the format of ROS serves all: `--params-file` of the nodes, `params_file:=` '
+        'of the launch files, `--config` of `landmark-nav`. `config/landmark_nav.yaml` (installed '
+        'in `share/landmark_nav/config`) holds those in **bold**, which a user may change, with '
+        'their defaults. `--ros-args -p NAME:=VALUE` gives a single one to a node. All are '
+        'read once, when a node starts. A name that nothing reads is reported, with the one that '
+        'it is like; those of the last release are taken or explained.',
+        '',
+        '| parameter | default | range, unit | nodes | |',
+        '|---|---|---|---|---|',
     )
-    for node in NODES:
-        parameters = import_module(f'landmark_nav.nodes.{node}').Parameters()
-        yield from ('', f'## {node}', '', '| parameter | default | range | |', '|---|---|---|---|')
-        for name, field, value in _leaves(parameters):
-            description = field.metadata['description'].rstrip('.')
-            yield _row(f'`{name}`', f'`{_shown(value)}`', _range(field.metadata), description)
-
-
-def _leaves(config: Any, prefix: str = '') -> Iterator[tuple[str, Any, Any]]:
-    """Name, field and default of each parameter; a section's after those beside it."""
-    fields = [(field, getattr(config, field.name)) for field in dataclasses.fields(config)]
-    for field, value in sorted(fields, key=lambda pair: dataclasses.is_dataclass(pair[1])):
-        if dataclasses.is_dataclass(value):
-            yield from _leaves(value, f'{prefix}{field.name}.')
-        else:
-            yield prefix + field.name, field, value
+    for name, field, value in sorted(leaves(Configuration()), key=lambda leaf: '.' in leaf[0]):
+        nodes = [
+            node
+            for node, read in READS.items()
+            if any(name == wanted or name.startswith(f'{wanted}.') for wanted in read)
+        ]
+        shown = f'**`{name}`**' if name in users else f'`{name}`'
+        description = field.metadata['description']
+        limits = _range(name, field.metadata)
+        yield _row(shown, f'`{_shown(value)}`', limits, _names(nodes), description)
+    yield from (
+        '',
+        '## Of the robot',
+        '',
+        'Section `odometry` of [robot.yaml](../files.md#robot-file): noise of the wheels.',
+        '',
+        '| field | default | range, unit | |',
+        '|---|---|---|---|',
+    )
+    for name, field, value in leaves(OdometryNoiseConfig()):
+        description = field.metadata['description'].rstrip('.')
+        yield _row(f'`{name}`', f'`{_shown(value)}`', _range(name, field.metadata), description)
 
 
 def _shown(value: Any) -> str:
-    return f'{value:g}' if isinstance(value, float) else str(value).lower() or "''"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'{value:g}' if isinstance(value, float) else str(value) or "''"
 
 
-def _range(metadata: Any) -> str:
-    low, high = metadata['minimum'], metadata['maximum']
+def _range(name: str, metadata: Any) -> str:
+    low, high, unit = metadata['minimum'], metadata['maximum'], unit_of(name)
     if metadata['choices']:
         return ', '.join(f'`{choice}`' for choice in metadata['choices'])
-    if low is not None and high is not None:
-        return f'{low:g} to {high:g}'
-    return f'≥ {low:g}' if low is not None else f'≤ {high:g}' if high is not None else ''
+    if low is None and high is None:
+        return ''
+    limits = f'{low:g} to {high:g}' if high is not None else f'≥ {low:g}'
+    return f'{limits} {unit}'.strip()
 
 
 def _commands() -> Iterator[str]:

@@ -1,22 +1,56 @@
 """
-Parameters: frozen dataclasses whose fields carry a description and a range.
+Parameters: fields of frozen dataclasses with a description and a range.
 
-The same dataclass configures a stage offline and is declared as ROS parameters by its node.
+The same dataclass configures a stage offline and is declared as ROS parameters by its node. Fields
+without a description are settings that only code changes, such as a test. Names have a dot for
+each dataclass in a dataclass: ``capture.frames``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 import dataclasses
+import difflib
 from typing import Any, TypeVar
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError, shown
 
-__all__ = ['Config', 'check_order', 'former_name', 'parameter', 'renamed', 'unit_hint']
+__all__ = [
+    'OF_ROBOT',
+    'Config',
+    'changed',
+    'leaves',
+    'parameter',
+    'resembling',
+    'unit_hint',
+    'unit_of',
+]
 
 T = TypeVar('T')
+
+# Metadata of a field whose dataclass `robot.yaml` gives: it holds no parameters.
+OF_ROBOT = {'of_robot': True}
+# The end of a name is its unit.
+_UNITS = {
+    '_rad_s': 'rad/s',
+    '_m_s': 'm/s',
+    '_rad': 'rad',
+    '_m': 'm',
+    '_s': 's',
+    '_hz': 'Hz',
+    '_px': 'px',
+}
+# Longer ones were not mistyped.
+_LONGEST_NAME = 100
+_KINDS = {
+    bool: 'true or false',
+    int: 'a whole number',
+    float: 'a number',
+    str: 'a word',
+    tuple: 'a list',
+}
 
 
 def parameter(
@@ -26,13 +60,8 @@ def parameter(
     minimum: float | None = None,
     maximum: float | None = None,
     choices: Sequence[str] | None = None,
-    formerly: str = '',
 ) -> T:
-    """
-    Dataclass field with a description and what it may be (inclusive range or choices).
-
-    `formerly` is its name in the last release, which files may still give.
-    """
+    """Dataclass field with a description and what it may be (inclusive range or choices)."""
     return dataclasses.field(
         default=default,
         metadata={
@@ -40,19 +69,8 @@ def parameter(
             'minimum': minimum,
             'maximum': maximum,
             'choices': tuple(choices) if choices is not None else None,
-            'formerly': formerly,
         },
     )
-
-
-def former_name(field: dataclasses.Field[Any]) -> str:
-    """Name of a parameter in the last release, '' if it is the same."""
-    return str(field.metadata.get('formerly', ''))
-
-
-def renamed(former: str, name: str) -> str:
-    """Warning about a parameter that is given by its former name."""
-    return f'parameter {former} is now called {name}: its old name ends with the next release'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,24 +107,72 @@ class Config:
                 )
 
 
-def unit_hint(name: str) -> str:
-    """What to say of the unit of a parameter out of its range: angles are mistaken for degrees."""
-    return '; it is in radians' if name.endswith('_rad') else ''
+def leaves(config: Any, prefix: str = '') -> Iterator[tuple[str, dataclasses.Field[Any], Any]]:
+    """Name, field and value of each parameter."""
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if field.metadata == OF_ROBOT:
+            continue
+        if dataclasses.is_dataclass(value):
+            yield from leaves(value, f'{prefix}{field.name}.')
+        elif 'description' in field.metadata:
+            yield prefix + field.name, field, value
 
 
-def check_order(config: Any, least: str, largest: str) -> None:
+def changed(config: T, values: Mapping[str, Any]) -> T:
     """
-    Check that one field is not greater than another.
+    Return a copy with other values of parameters, by their names.
 
     Raises
     ------
     LandmarkNavError
-        It is.
+        No such parameter, or a value that it may not take.
 
     """
-    low, high = getattr(config, least), getattr(config, largest)
-    if low > high:
-        raise LandmarkNavError(
-            f'parameter {least} of {type(config).__name__} is {low:g}, more than {largest}, '
-            f'{high:g}: swap them'
-        )
+    known = {name: value for name, _, value in leaves(config)}
+    changes: dict[str, Any] = {}
+    sections: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        if name not in known:
+            raise LandmarkNavError(f'no parameter {shown(name)}{resembling(name, known)}')
+        section, _, rest = name.partition('.')
+        if rest:
+            sections.setdefault(section, {})[rest] = value
+        else:
+            changes[name] = _converted(value, known[name], name)
+    for section, inside in sections.items():
+        try:
+            changes[section] = changed(getattr(config, section), inside)
+        except LandmarkNavError as error:
+            raise LandmarkNavError(f'{section}: {error}') from error
+    return dataclasses.replace(config, **changes) if changes else config  # type: ignore[type-var]
+
+
+def _converted(value: Any, old: Any, name: str) -> Any:
+    """Value of the type of the one it replaces; an integer will do for a float."""
+    if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(old, tuple) and isinstance(value, list):
+        return tuple(value)
+    if type(value) is not type(old):
+        raise LandmarkNavError(f'{name} is {shown(value)}: take {_KINDS[type(old)]}')
+    return value
+
+
+def resembling(name: str, known: Collection[str]) -> str:
+    """Question after a name that is not known: which one was meant; '' if none is like it."""
+    short = len(name) <= _LONGEST_NAME
+    like = difflib.get_close_matches(name, list(known), 1) if short else []
+    return f': did you mean {like[0]}?' if like else ''
+
+
+def unit_of(name: str) -> str:
+    """Unit of a parameter, which its name ends with; '' for counts, shares, ratios and words."""
+    if '_per_' in name:
+        return ''
+    return next((unit for end, unit in _UNITS.items() if name.endswith(end)), '')
+
+
+def unit_hint(name: str) -> str:
+    """What to say of the unit of a parameter out of its range: angles are mistaken for degrees."""
+    return '; it is in radians' if name.endswith('_rad') else ''

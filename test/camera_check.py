@@ -81,8 +81,7 @@ def compare(seed: int, scene: Scene, landmark_map: LandmarkMap, seconds: float) 
     path = plan_tour(scene, start, 0.42 * seconds + 2.0, rng)
     world = RobotWorld(scene, np.zeros(3), seed)
     config = LocalizationConfig()
-    triplet = replace(config.observation.triplet, pan_rate_rad_s=2.1)
-    config = replace(config, observation=replace(config.observation, triplet=triplet))
+    config = replace(config, triplet=replace(config.triplet, pan_rate_rad_s=2.1))
     return {
         name: _drive(seed, scene, world.renderer, landmark_map, path, seconds, config, rule)
         for name, rule in (
@@ -97,7 +96,7 @@ class _Active:
     """Looks at the triplet that is best, chosen anew every half second."""
 
     def __init__(self, landmark_map: LandmarkMap, config: LocalizationConfig) -> None:
-        self._camera = ActiveCamera(landmark_map, DEFAULT_MOUNT, config.observation.triplet)
+        self._camera = ActiveCamera(landmark_map, DEFAULT_MOUNT, config.triplet)
         self._pan: float | None = None
         self._until_s = 0.0
 

@@ -37,7 +37,6 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.detection.appearance import APPEARANCES
 from landmark_nav.localization.localizer import LocalizationConfig
-from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     bearing_gradients,
@@ -136,7 +135,7 @@ def drive(
 ) -> dict[str, float]:
     """Errors of a whole drive, and the median time of an update."""
     calibration, landmarks = load_calibration(robot_path), load_map(map_path)
-    localization = LocalizationConfig(observation=LookingConfig(detection=config))
+    localization = LocalizationConfig(detection=config)
     pose = np.array(json.loads(Path(start).read_text(encoding='utf-8'))['pose'])
     covariance = np.diag([0.05, 0.05, 0.035]) ** 2
     events = sensor_events(Bag(bag_path), calibration.mount)

@@ -25,9 +25,10 @@ from stereo_figure import draw_reconstruction
 from sweep_figure import draw_sweeps
 
 from landmark_nav.cli.bags import add_topic_argument, open_bag
-from landmark_nav.cli.learn import LearningStages, located_sweeps
+from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.numbers import within
+from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.true_places import truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
@@ -181,7 +182,7 @@ def _unmeasured(
     wanted: set[int],
 ) -> _Data:
     """As `_learned`, where walls and poses are found."""
-    config = LearningStages()
+    config = Configuration()
     located, _ = located_sweeps(bag, mount, config, StageLog())
     learned = None
     if wanted & _LEARNED:

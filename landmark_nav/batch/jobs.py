@@ -223,7 +223,9 @@ def _stage(
             arguments.append(_flag(option))
         elif value is not False and value is not None:
             arguments += [_flag(option), *words]
-    text = json.dumps(config, sort_keys=True) if config and isinstance(config, dict) else ''
+    text = ''
+    if config and isinstance(config, dict):
+        text = json.dumps({'/**': {'ros__parameters': config}}, sort_keys=True)
     content.update(json.dumps([command, arguments, text, sorted(after.values())]).encode())
     key = f'{command}-{content.hexdigest()[:16]}'
     return Stage(command, tuple(arguments), text, tuple(after.values()), key)

@@ -21,7 +21,6 @@ from landmark_nav.localization.detection import (
 )
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
-from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.triangulation import triangulate, triangulate_three
 from landmark_nav.localization.triplet import CameraState, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet.search import mean_variance, pair_tables
@@ -220,8 +219,7 @@ def _fusion(world: World) -> Comparison:
 
 def _update(world: World) -> Comparison:
     """Predict, find three patches, fuse: 15 images a second."""
-    observation = LookingConfig(detection=DetectionConfig(max_count=3))
-    config = LocalizationConfig(observation=observation)
+    config = LocalizationConfig(detection=DetectionConfig(max_count=3))
     localizer = Localizer(world.learned.map, Calibration.of_mount(MOUNT), config)
     localizer.add_odometry(OdometrySample(0, np.zeros(3)))
     localizer.initialize(world.prior)

@@ -14,9 +14,10 @@ import numpy as np
 from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
-from landmark_nav.cli.learn import LearningStages, panoramas_of_bag
+from landmark_nav.cli.learn import panoramas_of_bag
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.options import add_config, add_overwrite
+from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.calibration_run import (
@@ -30,12 +31,11 @@ from landmark_nav.evaluation.report import calibration_page, check_report, write
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
-from landmark_nav.storage.setup_files import load_room
+from landmark_nav.storage.setup_files import load_room, robot_document
 from landmark_nav.types import LandmarkMap, Panorama
 
 __all__ = ['add_arguments', 'run']
@@ -52,6 +52,7 @@ class _Work:
 
     known: Calibration
     landmarks: LandmarkMap | None
+    config: Configuration
     panoramas: list[Panorama] = field(default_factory=list)
     drives: list[CalibrationDrive] = field(default_factory=list)
 
@@ -73,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out', required=True, metavar='F', type=Path, help='robot.yaml to write; may be --robot'
     )
+    add_config(parser)
     add_overwrite(parser)
     parser.add_argument('--json', metavar='F', type=Path, help='write the table to F')
     parser.add_argument(
@@ -104,7 +106,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f'{sweeps[0].path}: sweeps need --room')
 
     # A map of the same robot.yaml holds what its sweeps showed: they count once.
-    work = _Work(given if sweeps and room else _from_map(landmarks, given), landmarks)
+    known = given if sweeps and room else _from_map(landmarks, given)
+    work = _Work(known, landmarks, load_configuration(args.config, args.robot, *READS))
     if room is not None:
         _use_sweeps(work, sweeps, room, bool(drives))
     for bag in drives:
@@ -132,7 +135,7 @@ def run(args: argparse.Namespace) -> int:
             name: None if np.isnan(one.rms_px).any() else one.rms_px.tolist()
             for name, one in (('before', before), ('after', after))
         }
-    save_calibration(found, args.out)
+    save_calibration(found, args.out, robot_document(Path(args.robot), {}).get('odometry'))
     if args.json:
         write_atomically(args.json, json.dumps(report, indent=2) + '\n')
     if args.report:
@@ -161,7 +164,7 @@ def _as_exact(known: Calibration) -> Calibration:
 
 def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
     """Calibrate by sweeps; learn a map from them if one is needed and there is none."""
-    config = LearningStages()
+    config = work.config
     for bag in bags:
         refuse_errors(bag, diagnose(bag, work.known.mount, room, QUICK))
         panoramas, _ = panoramas_of_bag(bag, room, work.known, config, StageLog())
@@ -191,9 +194,8 @@ def _use_drive(work: _Work, bag: Bag) -> None:
     events = sensor_events(bag, known.mount, 0.0, late.images_s, late.odometry_s)
     total = bag.counts[bag.require('odom')]
     shown_events = progress(events, 'calibrating', 2 * total)
-    config = LocalizationConfig()
     try:
-        drive = calibrate_by_drive(shown_events, landmarks, known, config)
+        drive = calibrate_by_drive(shown_events, landmarks, known, work.config)
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{bag.path}: {error}') from error
     work.drives.append(drive)

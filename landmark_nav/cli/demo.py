@@ -9,9 +9,10 @@ from pathlib import Path
 import shutil
 
 from landmark_nav.cli.evaluate import error_table
-from landmark_nav.cli.learn import LearningStages, located_sweeps
+from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
+from landmark_nav.configuration import load_configuration
 from landmark_nav.demo.graph import node_commands, node_environment
 from landmark_nav.demo.recorded_run import recorded_run
 from landmark_nav.demo.scenario import Narrator, prepare_room, run_scenario
@@ -177,7 +178,7 @@ def _report(
 
 def _learned_again(folder: Path) -> LearningResult:
     """What `landmark-nav learn` makes of the recorded sweeps."""
-    stages = LearningStages()
+    stages = load_configuration(None, folder / 'robot.yaml')
     mount = load_robot(folder / 'robot.yaml')
     located, _ = located_sweeps(Bag(folder / 'sweeps'), mount, stages, StageLog())
     return learn_located(located, stages, stages.unmeasured)

@@ -15,6 +15,8 @@ from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_config
+from landmark_nav.configuration import load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
@@ -42,10 +44,8 @@ from landmark_nav.evaluation.smoothed_run import (
 )
 from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.geometry.walls import Room
-from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 from landmark_nav.storage.bags import sensor_events
-from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import LandmarkMap
@@ -172,12 +172,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='how sure the start is: sigma of x and y in m, of the heading in rad '
         '(default 0.05 0.035)',
     )
-    parser.add_argument(
-        '--config',
-        metavar='F',
-        help='parameters that differ from the defaults: YAML with the sections observation, '
-        'estimator, odometry and relocalization',
-    )
+    add_config(parser)
     parser.add_argument(
         '--smooth',
         action='store_true',
@@ -227,9 +222,8 @@ def run(args: argparse.Namespace) -> int:
     bag = open_bag(args.bag, args)
     topics = {bag.find(name) for name in _EVENTS} - {None}
     total = sum(bag.counts[topic] for topic in topics if topic)
-    config = LocalizationConfig()
-    if args.config:
-        config = load_config(args.config, config)
+    nodes = ('triplet_selector', 'triangulation_localizer', 'odometry_fusion')
+    config = load_configuration(args.config, args.robot, *nodes)
 
     # Walls that were found, not measured, say nothing of units.
     measured = landmarks.walls and not landmarks.has_own_frame
@@ -237,7 +231,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_errors(bag, diagnosis)
     late = diagnosis.delays
     # What was measured is not known exactly.
-    delay_s = calibration['joint_delay'][0] + late.joints_s
+    delay_s = late.joints_s or calibration['joint_delay'][0]
     calibration = calibration.with_values(joint_delay=delay_s)
     calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
     events = sensor_events(bag, mount, 0.0, late.images_s, late.odometry_s)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 import json
@@ -18,7 +18,8 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.options import add_config, add_overwrite
+from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
@@ -27,7 +28,7 @@ from landmark_nav.evaluation.report import check_report, learning_page, write_re
 from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.sheets import SheetsConfig
 from landmark_nav.learning.stages import StageLog
@@ -36,7 +37,6 @@ from landmark_nav.learning.unmeasured import (
     learn_located,
     locate_sweeps,
     Located,
-    UnmeasuredConfig,
 )
 from landmark_nav.localization import sweep_places
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -44,7 +44,6 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.atomic_io import atomic_folder, check_writable, write_atomically
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.bags.reader import MessageFilter
-from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room, room_text
@@ -111,14 +110,6 @@ _MORE_SWEEPS = 2
 _LEARNING_STAGES = 4
 
 
-@dataclass(frozen=True)
-class LearningStages(PanoramaStages, LearningConfig):
-    """Parameters of all stages, from sweeps to map: the sections of ``--config``."""
-
-    unmeasured: UnmeasuredConfig = field(default_factory=UnmeasuredConfig)
-    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what the command takes."""
     parser.description = (
@@ -156,13 +147,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--marker-dictionary', metavar='NAME', help='their dictionary (default: DICT_4X4_50)'
     )
     add_overwrite(parser)
-    parser.add_argument(
-        '--config',
-        metavar='F',
-        help='parameters that differ from the defaults: YAML with the sections panorama, '
-        'calibration, reference_area, attention, stereo, adjustment, wall_fit, election, '
-        'unmeasured and odometry',
-    )
+    add_config(parser)
     parser.add_argument(
         '--json', metavar='F', type=Path, help='write counts, errors and times to F'
     )
@@ -246,7 +231,7 @@ class _ShownStages(StageLog):
 
 
 def located_sweeps(
-    bag: Bag, mount: PanTiltMount, config: LearningStages, log: StageLog
+    bag: Bag, mount: PanTiltMount, config: Configuration, log: StageLog
 ) -> tuple[Located, list[int]]:
     """Panoramas of a bag with their poses, the walls around; how many frames each has."""
     check_scale(bag, config.unmeasured.sheets)
@@ -264,9 +249,10 @@ def located_sweeps(
     return locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
 
 
-def _config(args: argparse.Namespace) -> LearningStages:
+def _config(args: argparse.Namespace) -> Configuration:
     """Parameters of all stages: those of the file, and the sizes given."""
-    config = load_config(args.config, LearningStages()) if args.config else LearningStages()
+    nodes = ('panorama_synthesizer', 'landmark_learner')
+    config = load_configuration(args.config, args.robot, *nodes)
     width, height = args.paper_size or (None, None)
     given = {
         'paper_width_m': width,

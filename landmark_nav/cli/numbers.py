@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-import dataclasses
 from math import inf
-from typing import Any
 
-__all__ = ['ranged', 'within']
+__all__ = ['within']
 
 
 def within(
@@ -24,10 +22,3 @@ def within(
         return value
 
     return number
-
-
-def ranged(config: Any, name: str) -> Callable[[str], float]:
-    """Argument type: a number that a parameter of `config`, a dataclass, may be."""
-    (field,) = (field for field in dataclasses.fields(config) if field.name == name)
-    kind = int if isinstance(field.default, int) else float
-    return within(kind, field.metadata['minimum'], field.metadata['maximum'])

@@ -5,13 +5,23 @@ from __future__ import annotations
 import argparse
 import re
 
-__all__ = ['add_namespace', 'add_overwrite']
+__all__ = ['add_config', 'add_namespace', 'add_overwrite']
 
 
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
     """Declare ``--overwrite``: without it, what ``--out`` names is not replaced."""
     parser.add_argument(
         '--overwrite', action='store_true', help='replace what --out names, if it is there'
+    )
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--config``, a file that the nodes take as ``--params-file``."""
+    parser.add_argument(
+        '--config',
+        metavar='F',
+        help='parameters that differ from the defaults, as for --params-file of the nodes: '
+        "config/landmark_nav.yaml (what describes the robot is in the robot's file)",
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.lines import wrapped
-from landmark_nav.cli.numbers import ranged, within
+from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--crop',
-        type=ranged(PanoramaConfig, 'crop_px'),
+        type=within(int, 0, 8192),
         default=PanoramaConfig.crop_px,
         metavar='PX',
         help='use the central PX x PX square of each frame alone (default: all of it)',

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.numbers import ranged, within
+from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
@@ -52,24 +52,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_overwrite(parser)
     parser.add_argument(
-        '--focal', type=ranged(PlanConfig, 'focal_px'), default=default.focal_px, metavar='PX',
+        '--focal', type=within(float, 50, 20000), default=default.focal_px, metavar='PX',
         help=f'focal length of the camera in pixels (default {default.focal_px:g})',
     )  # fmt: skip
     parser.add_argument(
-        '--size', type=ranged(PlanConfig, 'width_px'), nargs=2,
+        '--size', type=within(int, 16, 16384), nargs=2,
         default=(default.width_px, default.height_px),
         metavar=('W', 'H'),
         help=f'of its images in pixels (default {default.width_px} {default.height_px})',
     )  # fmt: skip
     parser.add_argument(
-        '--pan', type=ranged(PlanConfig, 'pan_min_rad'), nargs=2,
-        default=(default.pan_min_rad, default.pan_max_rad),
+        '--pan', type=within(float, -6.2832, 6.2832), nargs=2,
         metavar=('MIN', 'MAX'),
-        help='range of the pan joint in rad, pan_min_rad and pan_max_rad of the nodes (default: '
-        'a full turn)',
+        help='range of the pan joint in rad (default: pan_min and pan_max of robot.yaml)',
     )  # fmt: skip
     parser.add_argument(
-        '--clearance', type=ranged(PlanConfig, 'clearance_m'), default=default.clearance_m,
+        '--clearance', type=within(float, 0.05, 5), default=default.clearance_m,
         metavar='M',
         help=f'least distance of the robot from walls in metres (default {default.clearance_m:g})',
     )  # fmt: skip
@@ -84,19 +82,20 @@ def run(args: argparse.Namespace) -> int:
             f'--out {args.out}: the plan is YAML, and its image gets this name: take '
             f'{args.out.with_suffix(".yaml").name}'
         )
-    if args.pan[0] > args.pan[1]:
+    if args.pan and args.pan[0] > args.pan[1]:
         raise UsageError(f'--pan {args.pan[0]:g} {args.pan[1]:g}: give the lesser one first')
     check_new(args.overwrite, args.out, figure_path)
     check_writable(figure_path)
+    room, mount = load_room(args.room), load_robot(args.robot)
+    low, high = args.pan or mount.pan_limits_rad
     config = PlanConfig(
         focal_px=args.focal,
         width_px=args.size[0],
         height_px=args.size[1],
-        pan_min_rad=args.pan[0],
-        pan_max_rad=args.pan[1],
+        pan_min_rad=low,
+        pan_max_rad=high,
         clearance_m=args.clearance,
     )
-    room, mount = load_room(args.room), load_robot(args.robot)
     rng = np.random.default_rng(0)
     plan = plan_positions(room, mount, args.positions, config, rng, progress)
     draw_plan(plan, room, figure_path)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.lines import evaluate_line, progress
-from landmark_nav.cli.numbers import ranged, within
+from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
@@ -126,7 +126,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--people',
-        type=ranged(WorldConfig, 'people'),
+        type=within(int, 0, 50),
         default=0,
         metavar='N',
         help='who walk about (default 0)',

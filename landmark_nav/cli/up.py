@@ -10,13 +10,14 @@ from tempfile import TemporaryDirectory
 import time
 
 from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_namespace
+from landmark_nav.cli.options import add_config, add_namespace
+from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.demo.graph import node_commands
 from landmark_nav.demo.scenario import prepare_room
 from landmark_nav.demo.supervisor import Interruption, Supervisor
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import chosen_domain, require_ros
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.setup_files import load_room
 
 __all__ = ['add_arguments', 'run']
 
@@ -55,9 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--image-transport',
         choices=('auto', 'raw', 'compressed'),
-        default='auto',
-        help='form of camera/image_raw (default auto)',
+        help='form of camera/image_raw (default: that of the parameters, auto)',
     )
+    add_config(parser)
     add_namespace(parser)
 
 
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         else:
             robot, room = args.robot.resolve(), args.room and args.room.resolve()
             # A wrong file gives one error here instead of one from every node.
-            load_robot(robot)
+            load_configuration(args.config, robot, *READS)
             if room is not None:
                 load_room(room)
             if simulator is not None and room is not None:
@@ -87,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
             args.map.resolve(),
             simulator=simulator,
             load_on_start=(args.map / 'map.yaml').is_file(),
-            image_transport='compressed' if args.sim else args.image_transport,
+            image_transport='compressed' if args.sim else args.image_transport or '',
+            parameter_file=args.config and Path(args.config).resolve(),
             namespace=args.namespace,
         )
         print(f'ROS domain {chosen_domain() or 0}; robot file {robot}; room file {room or "none"}')

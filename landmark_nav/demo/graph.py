@@ -13,13 +13,15 @@ from landmark_nav.storage.config_files import shipped_config
 __all__ = ['node_command', 'node_commands', 'node_environment']
 
 
-def node_command(name: str, namespace: str = '', **parameters: object) -> list[str]:
-    """Command line of a node, with its parameter file and what is given."""
+def node_command(
+    name: str, namespace: str = '', parameter_file: Path | None = None, **parameters: object
+) -> list[str]:
+    """Command line of a node, with a parameter file (by default the shipped one) and the rest."""
     # JSON is YAML, which is how ROS reads values: names stay names.
     settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
     return [
         *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
-        *('--params-file', str(shipped_config(f'{name}.yaml'))),
+        *('--params-file', str(parameter_file or shipped_config('landmark_nav.yaml'))),
         *(status for setting in settings for status in ('-p', setting)),
         *(('-r', f'__ns:=/{namespace}') if namespace else ()),
     ]
@@ -32,8 +34,9 @@ def node_commands(
     *,
     simulator: Mapping[str, object] | None = None,
     load_on_start: bool = False,
-    image_transport: str = 'auto',
+    image_transport: str = '',
     namespace: str = '',
+    parameter_file: Path | None = None,
 ) -> dict[str, list[str]]:
     """
     Command line of each node, by its name.
@@ -43,7 +46,9 @@ def node_commands(
     The others are parameters of the nodes.
     """
     robot, room = str(robot_file), str(room_file or '')
-    camera: dict[str, object] = {'robot_file': robot, 'image_transport': image_transport}
+    camera: dict[str, object] = {'robot_file': robot}
+    if image_transport:
+        camera['image_transport'] = image_transport
     learner = {'robot_file': robot, 'room_file': room, 'map_folder': str(map_folder)}
     given: dict[str, dict[str, object]] = {
         'sweep_capture': camera,
@@ -56,7 +61,8 @@ def node_commands(
     if simulator is not None:
         given = {'room_simulator': {'robot_file': robot, **simulator}} | given
     return {
-        name: node_command(name, namespace, **parameters) for name, parameters in given.items()
+        name: node_command(name, namespace, parameter_file, **parameters)
+        for name, parameters in given.items()
     }
 
 

@@ -52,7 +52,7 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
         # Its own line of `evaluate` is more accurate.
         by_map = stream == JOINTS
         if by_map:
-            advice = f'corrected here; on the robot set joint_delay_s to {late_s:.3f}'
+            advice = f'corrected here; in robot.yaml set joint_delay to {late_s:.3f}'
         return Finding(f'{stream} clock', 'warning', text, advice, values, by_map)
     advice = (
         'wall time beside simulated time: set use_sim_time alike everywhere'

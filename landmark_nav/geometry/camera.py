@@ -405,6 +405,15 @@ class PanTiltMount:
         Turn of the camera about its optical axis, clockwise as it looks: pi upside down.
     pan_sigma_rad : float
         Error of the measured joint angles, which all of an image share.
+    pan_min_rad, pan_max_rad : float
+        Limits of the pan joint.
+    pan_rate_rad_s, pan_acceleration_rad_s2 : float
+        How fast it turns, by which moves are timed and views are chosen.
+
+    Raises
+    ------
+    LandmarkNavError
+        The least pan is not less than the largest.
 
     """
 
@@ -416,6 +425,22 @@ class PanTiltMount:
     base_frame: str = 'base_link'
     pan_joint: str = 'pan_joint'
     tilt_joint: str = 'tilt_joint'
+    pan_min_rad: float = -math.pi
+    pan_max_rad: float = math.pi
+    pan_rate_rad_s: float = 1.0
+    pan_acceleration_rad_s2: float = 8.0
+
+    def __post_init__(self) -> None:
+        """Check the limits."""
+        if self.pan_min_rad >= self.pan_max_rad:
+            raise LandmarkNavError(
+                f'pan_min is {self.pan_min_rad:g}, pan_max {self.pan_max_rad:g}: swap them'
+            )
+
+    @property
+    def pan_limits_rad(self) -> tuple[float, float]:
+        """Least and largest pan."""
+        return self.pan_min_rad, self.pan_max_rad
 
     @cached_property
     def _axis_rotation(self) -> FloatArray:

@@ -27,10 +27,14 @@ NODES = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the nodes, each with its file in config/ and what is given here."""
+    """Return the nodes with their parameter file and what is given here."""
     share = Path(get_package_share_directory('landmark_nav'))
-    config = share / 'config'
     arguments = [
+        DeclareLaunchArgument(
+            'params_file',
+            default_value=str(share / 'config' / 'landmark_nav.yaml'),
+            description='parameters of all nodes',
+        ),
         DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
         DeclareLaunchArgument(
             'room_file',
@@ -58,7 +62,7 @@ def generate_launch_description() -> LaunchDescription:
             namespace=LaunchConfiguration('namespace'),
             output='screen',
             parameters=[
-                str(config / f'{name}.yaml'),
+                LaunchConfiguration('params_file'),
                 {
                     key: ParameterValue(LaunchConfiguration(key), value_type=types.get(key, str))
                     for key in (*taken, 'use_sim_time')

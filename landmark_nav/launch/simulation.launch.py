@@ -20,6 +20,11 @@ def generate_launch_description() -> LaunchDescription:
     """Return the simulator beside what bringup.launch.py starts."""
     share = Path(get_package_share_directory('landmark_nav'))
     arguments = [
+        DeclareLaunchArgument(
+            'params_file',
+            default_value=str(share / 'config' / 'landmark_nav.yaml'),
+            description='parameters of all nodes',
+        ),
         DeclareLaunchArgument('seed', default_value='1', description='draws the room'),
         DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
         DeclareLaunchArgument(
@@ -45,6 +50,7 @@ def generate_launch_description() -> LaunchDescription:
     bringup = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(share / 'launch' / 'bringup.launch.py')),
         launch_arguments={
+            'params_file': LaunchConfiguration('params_file'),
             'robot_file': LaunchConfiguration('robot_file'),
             'room_file': LaunchConfiguration('room_file'),
             'map_folder': LaunchConfiguration('map_folder'),
@@ -62,7 +68,7 @@ def generate_launch_description() -> LaunchDescription:
         namespace=LaunchConfiguration('namespace'),
         output='screen',
         parameters=[
-            str(share / 'config' / 'room_simulator.yaml'),
+            LaunchConfiguration('params_file'),
             {
                 key: ParameterValue(LaunchConfiguration(key), value_type=kind)
                 for key, kind in types.items()

@@ -33,18 +33,12 @@ _THRESHOLD_SHARE = 0.75
 class ElectionConfig(Config):
     """What a landmark must be."""
 
-    max_incidence_rad: float = parameter(
-        1.05, 'greatest angle between the reference view and the normal', minimum=0.1, maximum=1.5
-    )
-    max_stretch: float = parameter(
-        4.0,
-        'how much finer or coarser than the reference view another view may show it, at least one',
-        minimum=1,
-        maximum=100,
-    )
-    min_size_px: int = parameter(
-        20, 'least width and height in the reference view, pixels', minimum=8, maximum=512
-    )
+    # Greatest angle between the reference view and the normal.
+    max_incidence_rad: float = 1.05
+    # How much finer or coarser than the reference view another view may show it, at least one.
+    max_stretch: float = 4.0
+    # Least width and height in the reference view, pixels.
+    min_size_px: int = 20
     max_off_wall_m: float = parameter(
         0.06, 'how far off its wall a patch may hang, metres', minimum=0, maximum=1
     )
@@ -60,9 +54,8 @@ class ElectionConfig(Config):
         minimum=1e-4,
         maximum=1,
     )
-    max_overlap: float = parameter(
-        0.4, 'greatest share of a patch that another may cover', minimum=0, maximum=1
-    )
+    # Greatest share of a patch that another may cover.
+    max_overlap: float = 0.4
     max_count: int = parameter(150, 'most landmarks of a map', minimum=3, maximum=5000)
 
 

@@ -43,7 +43,7 @@ from landmark_nav.learning.sweep_pipeline import (
     PanoramaStages,
     unplaced_panorama,
 )
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain, PoseEstimate, Sweep
 
 __all__ = [
@@ -68,13 +68,9 @@ _FIXED_SCALE = 1e-5
 class UnmeasuredConfig(Config):
     """Parameters of the stages that replace a plan."""
 
-    camera_weight: float = parameter(
-        100.0,
-        'as in the section adjustment, where no place was measured: what the azimuths of one '
-        'panorama err in common, residuals do not show',
-        minimum=1e-3,
-        maximum=1e9,
-    )
+    # As in the section adjustment, where no place was measured: what the azimuths of one panorama
+    # err in common, residuals do not show.
+    camera_weight: float = 100.0
     sheets: SheetsConfig = field(default_factory=SheetsConfig)
     relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
     facades: FacadesConfig = field(default_factory=FacadesConfig)

@@ -24,7 +24,7 @@ from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observer import Observation, Observer, straight
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
-from landmark_nav.parameters import Config
+from landmark_nav.parameters import OF_ROBOT
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -42,12 +42,11 @@ STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost
 
 
 @dataclass(frozen=True)
-class LocalizationConfig(Config):
+class LocalizationConfig(LookingConfig):
     """Parameters of all stages."""
 
-    observation: LookingConfig = field(default_factory=LookingConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig, metadata=OF_ROBOT)
     relocalization: RelocalizationConfig = field(default_factory=RelocalizationConfig)
 
 
@@ -115,7 +114,7 @@ class Localizer:
     ) -> None:
         self._map, self._config = landmark_map, config
         self._fusion = Fusion(landmark_map, calibration, config.estimator, config.odometry)
-        self._observer = Observer(landmark_map, calibration, config.observation, config.estimator)
+        self._observer = Observer(landmark_map, calibration, config, config.estimator)
         self._unseen = Unseen(config.relocalization.unseen_s)
         self._sample: OdometrySample | None = None
         self._relocalizer: Relocalizer | None = self._new_search()
@@ -210,10 +209,8 @@ class Localizer:
 
     def _new_search(self) -> Relocalizer:
         config = self._config
-        search = Relocalizer(
-            self._map, self.calibration.mount, config.relocalization, config.odometry,
-            config.observation,
-        )  # fmt: skip
+        mount, search_config = self.calibration.mount, config.relocalization
+        search = Relocalizer(self._map, mount, search_config, config.odometry, config)
         if self._sample is not None:
             search.add_odometry(self._sample)
         return search

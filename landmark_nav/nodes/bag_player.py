@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from threading import Event, Thread
 import time
 from typing import Any
@@ -11,7 +10,7 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.nodes.configured import configured
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -20,22 +19,13 @@ from landmark_nav.ros.topics import RELIABLE, TOPICS
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.topics import relative_name
 
-__all__ = ['BagPlayerNode', 'Parameters', 'main']
+__all__ = ['BagPlayerNode', 'main']
 
 _CLOCK_PERIOD_NS = 10_000_000
 _LAST_WORDS_S = 2.0
-
-
-@dataclass(frozen=True)
-class Parameters(Config):
-    """Of the node ``bag_player``."""
-
-    bag: str = parameter('', 'rosbag2 folder or .mcap file')
-    rate: float = parameter(1.0, 'speed relative to the recording', minimum=0.01, maximum=100.0)
-    start_delay_s: float = parameter(
-        2.0, 'time for subscribers to find the topics before the first message, s', minimum=0.0
-    )
-    clock: bool = parameter(True, 'publish /clock, for nodes with use_sim_time')
+# Time for subscribers to find the topics before the first message: discovery of DDS takes a second
+# or two on a busy machine.
+_START_DELAY_S = 3.0
 
 
 class BagPlayerNode(LandmarkNode):
@@ -45,16 +35,13 @@ class BagPlayerNode(LandmarkNode):
         super().__init__('bag_player', 'playback', **options)
         self._stop = Event()
         self._player: Thread | None = None
-        self._config = self.configure(Parameters)
+        self._config = configured(self, 'bag_player')
         self._bag = Bag(self.required('bag', self._config.bag))
         self._players = {
             topic: self._advertise(topic, kind) for topic, kind in self._bag.types.items()
         }
-        self._clock_publisher = (
-            self.create_publisher(message_class('rosgraph_msgs/msg/Clock'), '/clock', 10)
-            if self._config.clock
-            else None
-        )
+        clock = message_class('rosgraph_msgs/msg/Clock')
+        self._clock_publisher = self.create_publisher(clock, '/clock', 10)
         self._played_ns = 0
         self._player = Thread(target=self._play, daemon=True)
         self._player.start()
@@ -98,7 +85,7 @@ class BagPlayerNode(LandmarkNode):
 
     def _publish_all(self) -> None:
         self.get_logger().info(f'playing {self._bag.path}, {self._bag.duration_s:.1f} s')
-        if self._stop.wait(self._config.start_delay_s):
+        if self._stop.wait(_START_DELAY_S):
             return
         first_ns = next_clock_ns = self._bag.start_ns
         begin = time.monotonic()
@@ -119,10 +106,9 @@ class BagPlayerNode(LandmarkNode):
         return self._stop.wait(left_s) if left_s > 0.0 else self._stop.is_set()
 
     def _tick(self, now_ns: int) -> None:
-        if self._clock_publisher is not None:
-            sec, nanosec = divmod(now_ns, 1_000_000_000)
-            stamp = ros_factory('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
-            self._clock_publisher.publish(ros_factory('rosgraph_msgs/msg/Clock', clock=stamp))
+        sec, nanosec = divmod(now_ns, 1_000_000_000)
+        stamp = ros_factory('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
+        self._clock_publisher.publish(ros_factory('rosgraph_msgs/msg/Clock', clock=stamp))
 
 
 def main() -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import time
 from typing import Any
 
@@ -13,35 +12,22 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.messages import decode, encode
-from landmark_nav.nodes.unmeasured_learner import UnmeasuredLearner, UnmeasuredParameters
-from landmark_nav.parameters import parameter
+from landmark_nav.nodes.configured import calibration_of, configured
+from landmark_nav.nodes.unmeasured_learner import UnmeasuredLearner
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.storage.maps import load_map, save_map
-from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import LandmarkMap, Panorama
 
-__all__ = ['LandmarkLearnerNode', 'Parameters', 'main']
+__all__ = ['LandmarkLearnerNode', 'main']
 
 _NOT_SAVED = 'not saved yet: call save_map'
 # Walls that were measured again are nearer to where they were.
 _SAME_WALL_M = 0.3
-
-
-@dataclass(frozen=True)
-class Parameters(UnmeasuredParameters):
-    """Of the node ``landmark_learner``, beside those of the stages."""
-
-    room_file: str = parameter(
-        '', 'room.yaml: the walls that carry landmarks; empty: walls and poses are found'
-    )
-    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
-    map_folder: str = parameter('map', 'folder that save_map writes and load_map reads')
-    load_on_start: bool = parameter(False, 'load the map as soon as the node starts')
 
 
 class LandmarkLearnerNode(LandmarkNode):
@@ -53,7 +39,7 @@ class LandmarkLearnerNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('landmark_learner', 'learning', **options)
-        self._config = self.configure(Parameters)
+        self._config = configured(self, 'landmark_learner')
         self._outputs = [
             self.advertise(name) for name in ('landmarks', 'landmarks/atlas', 'landmarks/markers')
         ]
@@ -66,7 +52,7 @@ class LandmarkLearnerNode(LandmarkNode):
             panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
             listen_together(self, panorama, self._on_panorama)
         else:
-            given = load_calibration(self.required('robot_file', self._config.robot_file))
+            given = calibration_of(self, self._config)
             self._unmeasured = UnmeasuredLearner(self, given, self._config)
             self._start = self.advertise('initialpose')
         # One service at a time, while panoramas go on arriving.

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from landmark_nav.calibration import NAMES, UNITS
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.localization.estimator import EstimatorConfig, Status
+from landmark_nav.localization.estimator import Status
 from landmark_nav.localization.expected_poses import SpreadCorrection
 from landmark_nav.localization.fusion import Fusion
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.layouts import GlobalPose
+from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.live_pose import LivePose
-from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
@@ -28,7 +27,6 @@ from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.transforms import TransformBroadcaster
-from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import (
     Detections,
     LandmarkMap,
@@ -37,7 +35,7 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['OdometryFusionNode', 'Parameters', 'main']
+__all__ = ['OdometryFusionNode', 'main']
 
 # A joint delay that is open matters to a camera that turns so far: where it looked may be reported
 # long after its image. So long that is waited for.
@@ -45,29 +43,8 @@ _PAN_RANGE_RAD, _PATIENCE_S = 0.1, 0.4
 _LEVELS = {Status.OK: Level.OK, Status.DEGRADED: Level.DEGRADED, Status.LOST: Level.LOST}
 # Sigmas of a value of the calibration from which it is said that robot.yaml is off.
 _BEYOND_DOUBT = 5.0
-
-
-@dataclass(frozen=True)
-class Parameters(Config):
-    """Of the node ``odometry_fusion``."""
-
-    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
-    map_frame: str = parameter('map', 'frame of odometry/fused')
-    start_sigma_m: float = parameter(
-        0.3, 'position sigma of an initialpose that comes without one, m', minimum=1e-4
-    )
-    start_sigma_rad: float = parameter(
-        0.2, 'heading sigma of an initialpose that comes without one, rad', minimum=1e-4
-    )
-    correction_time_s: float = parameter(
-        0.0,
-        'over which a correction of the transform map to odom is spread, as a time constant, s; '
-        '0 makes it at once. odometry/fused is never held back',
-        minimum=0.0,
-        maximum=60.0,
-    )
-    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
+# Sigmas of an initialpose that comes without: where a person points at in a plan, by hand.
+_START_SIGMA_M, _START_SIGMA_RAD = 0.3, 0.2
 
 
 class OdometryFusionNode(LandmarkNode):
@@ -75,8 +52,8 @@ class OdometryFusionNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('odometry_fusion', 'fusion', **options)
-        self._config = self.configure(Parameters)
-        calibration = load_calibration(self.required('robot_file', self._config.robot_file))
+        self._config = configured(self, 'odometry_fusion')
+        calibration = calibration_of(self, self._config)
         self._mount = calibration.mount
         self._fused = self.advertise('odometry/fused')
         self._live = LivePose(self, self._config.map_frame)
@@ -124,7 +101,7 @@ class OdometryFusionNode(LandmarkNode):
             return ''
         return (
             f'; joint_states are stamped {1e3 * late.delay_s:.1f} ms late, which is put right; at '
-            f'once with {late.delay_s:.4f} more in joint_delay_s of triangulation_localizer'
+            f'once with joint_delay: {late.delay_s:.4f} in robot.yaml'
         )
 
     def _mount_advice(self) -> str:
@@ -150,7 +127,7 @@ class OdometryFusionNode(LandmarkNode):
     def _on_initial_pose(self, message: Any) -> None:
         decode.check_frame(message.header, self._config.map_frame, 'give it there')
         start = decode.pose_estimate(message)
-        start = with_sigmas(start, self._config.start_sigma_m, self._config.start_sigma_rad)
+        start = with_sigmas(start, _START_SIGMA_M, _START_SIGMA_RAD)
         self._fusion.initialize(start, self._now_ns())
         self._started(start, 'start')
         self._start_given_ns = None if self._last is None else self._now_ns()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import time
 from typing import Any
 
@@ -14,35 +13,20 @@ from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import (
     panorama_from_sweep,
-    PanoramaStages,
     unplaced_panorama,
 )
 from landmark_nav.messages import decode, encode
+from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
-from landmark_nav.parameters import parameter
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama, Sweep
 
-__all__ = ['PanoramaSynthesizerNode', 'Parameters', 'main']
-
-
-@dataclass(frozen=True)
-class Parameters(PanoramaStages):
-    """Of the node ``panorama_synthesizer``, beside those of the stages."""
-
-    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
-    room_file: str = parameter(
-        '', 'room.yaml: walls and reference area; empty: the pose is found by landmark_learner'
-    )
-    late_frames_s: float = parameter(
-        3.0, 'how long to wait for frames that arrive after their trajectory, s', minimum=0.0
-    )
+__all__ = ['PanoramaSynthesizerNode', 'main']
 
 
 class PanoramaSynthesizerNode(LandmarkNode):
@@ -54,8 +38,8 @@ class PanoramaSynthesizerNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('panorama_synthesizer', 'panorama', **options)
-        self._config = self.configure(Parameters)
-        self._known = load_calibration(self.required('robot_file', self._config.robot_file))
+        self._config = configured(self, 'panorama_synthesizer')
+        self._known = calibration_of(self, self._config)
         self._room = load_room(self._config.room_file) if self._config.room_file else None
         self._outputs = [
             self.advertise(name)
@@ -65,8 +49,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
         self._papers = PaperRecord(self._room, self._config.reference_area) if self._room else None
         self._health = Health(Level.OK, 'waiting for a sweep')
         frame = self._room.frame_id if self._room else 'map'
-        late_s = self._config.late_frames_s
-        SweepInbox(self, self._known.mount, frame, late_s, self._on_sweep)
+        SweepInbox(self, self._known.mount, frame, self._on_sweep)
 
     def health(self) -> Health:
         """What became of the last sweep."""

@@ -24,12 +24,11 @@ from landmark_nav.localization.relocalization import RelocalizationConfig, Reloc
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import encode
 from landmark_nav.messages.layouts import GlobalPose
-from landmark_nav.parameters import parameter
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
-__all__ = ['PlaceSearch', 'PlaceSearchConfig']
+__all__ = ['PlaceSearch']
 
 # Ten seconds at 50 Hz: what may come between two images that are looked at.
 _BACKLOG = 500
@@ -47,13 +46,6 @@ class _Pause:
     def __await__(self) -> Generator[None, None, None]:
         time.sleep(_PAUSE_S)
         yield
-
-
-@dataclass(frozen=True)
-class PlaceSearchConfig(RelocalizationConfig):
-    """How the place is found, when unasked, and how long a call may take."""
-
-    search_s: float = parameter(15.0, 'how long relocalize may look around, s', minimum=0.1)
 
 
 @dataclass
@@ -87,7 +79,7 @@ class PlaceSearch:
         self,
         node: LandmarkNode,
         calibration: Calibration,
-        config: PlaceSearchConfig,
+        config: RelocalizationConfig,
         map_frame: str,
         fused: Callable[[int, float], PoseEstimate | None],
         odometry: OdometryNoiseConfig,
@@ -156,13 +148,8 @@ class PlaceSearch:
         """Take note of how many landmarks an image showed."""
         self._unseen.note(stamp_ns, found)
 
-    def look(self, frame: CameraFrame, joint_delay_s: float = 0.0) -> PoseEstimate | Refusal:
-        """
-        Go on with an image; what is known of the place by now.
-
-        The image's pan is that of joint states which are stamped so much later, as the node was
-        given.
-        """
+    def look(self, frame: CameraFrame) -> PoseEstimate | Refusal:
+        """Go on with an image; what is known of the place by now."""
         relocalizer = self._relocalizer
         if relocalizer is None:
             return Refusal('nobody looks for it any more')
@@ -187,7 +174,6 @@ class PlaceSearch:
                 found.covariance,
                 relocalizer.landmark_ids,
                 PanMotion.of(frame, self.calibration.base).rate_rad_s,
-                joint_delay_s,
             )
             self._place.publish(encode.global_pose(ros_factory, place, self._map_frame))
         if call is not None:

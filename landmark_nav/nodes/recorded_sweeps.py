@@ -21,6 +21,8 @@ __all__ = ['RecordedSweep', 'SweepInbox']
 
 # Frames of the longest sweep, and their bytes; older ones belong to a sweep that was given up.
 _MAX_FRAMES, _MAX_BYTES = 1440, 2**30
+# Frames that arrive after their trajectory are waited for so long, chosen by hand.
+_LATE_FRAMES_S = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +105,6 @@ class SweepInbox:
         Names of the joints.
     frame_id : str
         Frame that ``sweep/pose`` must be in.
-    late_frames_s : float
-        How long to wait for frames that arrive after their trajectory.
     on_sweep : callable
         Is given each sweep, in a callback group of its own: frames go on arriving meanwhile.
 
@@ -115,11 +115,9 @@ class SweepInbox:
         node: LandmarkNode,
         mount: PanTiltMount,
         frame_id: str,
-        late_frames_s: float,
         on_sweep: Callable[[RecordedSweep], None],
     ) -> None:
-        self._mount, self._frame_id = mount, frame_id
-        self._late_frames_s, self._on_sweep = late_frames_s, on_sweep
+        self._mount, self._frame_id, self._on_sweep = mount, frame_id, on_sweep
         self._lock = Lock()
         self._images: dict[int, Any] = {}
         self._infos: dict[int, decode.CameraInfo] = {}
@@ -149,7 +147,7 @@ class SweepInbox:
 
     def _on_trajectory(self, message: Any) -> None:
         trajectory = decode.sweep_trajectory(message, self._mount)
-        deadline = time.monotonic() + self._late_frames_s
+        deadline = time.monotonic() + _LATE_FRAMES_S
         while missing_frames(trajectory, self._complete()) and time.monotonic() < deadline:
             time.sleep(0.05)
         frames = {sample.stamp_ns for sample in trajectory} & self._complete()

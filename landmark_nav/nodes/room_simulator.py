@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from math import isfinite
 import time
@@ -11,23 +10,24 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.nodes.configured import configured
 from landmark_nav.ros.clocks import steady_clock
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.pan_command import COMMAND_TYPES, listen_for_pan
+from landmark_nav.ros.pan_command import listen_for_pan
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.transforms import TransformBroadcaster
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.places import choose_sweep_places
-from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
-__all__ = ['Parameters', 'RoomSimulatorNode', 'main']
+__all__ = ['RoomSimulatorNode', 'main']
 
 _STEP_S = 1.0 / 60.0
 # Odometry comes at half the rate of the joint states.
@@ -38,29 +38,10 @@ _MAX_LAG_S = 20.0
 _MAX_OFF_NS = 250_000_000
 _OPTICAL_FRAME = 'camera_optical_frame'
 _EXACT = np.zeros((3, 3))
-
-
-@dataclass(frozen=True)
-class Parameters(Config):
-    """Of the node ``room_simulator``."""
-
-    seed: int = parameter(1, 'draws the room and all noise', minimum=0)
-    room_file: str = parameter('', 'room.yaml to furnish; empty draws the room too')
-    robot_file: str = parameter('', 'robot.yaml; empty takes the default robot')
-    camera_file: str = parameter(
-        '', 'calibration of the camera, as camera_calibration writes it; empty: 512 x 512 pixels'
-    )
-    image_rate_hz: float = parameter(
-        10.0, 'images a second, if there is time for them', minimum=0.1, maximum=60.0
-    )
-    jpeg_quality: int = parameter(92, 'of the compressed images', minimum=10, maximum=100)
-    command_timeout_s: float = parameter(
-        0.5, 'the robot stops if no cmd_vel came for so long, s', minimum=0.05
-    )
-    command_type: str = parameter(
-        'JointTrajectory', 'message type of pan_tilt/command', choices=COMMAND_TYPES
-    )
-    world: WorldConfig = field(default_factory=WorldConfig)
+# Ten images a second, if there is time for them; a usual quality of JPEG.
+_IMAGE_PERIOD_NS, _JPEG_QUALITY = 100_000_000, 92
+# Without a cmd_vel for so long the robot stops, as drivers of bases do.
+_COMMAND_TIMEOUT_S = 0.5
 
 
 class RoomSimulatorNode(LandmarkNode):
@@ -68,7 +49,7 @@ class RoomSimulatorNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('room_simulator', 'robot', **options)
-        self._config = config = self.configure(Parameters)
+        self._config = config = configured(self, 'room_simulator')
         self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
         self._began_s = time.monotonic()
         self._world = _build(config, self._mount, time.time_ns())
@@ -77,7 +58,7 @@ class RoomSimulatorNode(LandmarkNode):
         self._joints = self.advertise('joint_states')
         self._odometry = self.advertise('odom')
         self._truth = self.advertise('ground_truth/odom')
-        compressed = partial(encode.compressed_image, jpeg_quality=config.jpeg_quality)
+        compressed = partial(encode.compressed_image, jpeg_quality=_JPEG_QUALITY)
         self._images: dict[Any, Callable[..., Any]] = {
             self.advertise('camera/image_raw'): encode.image,
             self.advertise('camera/image_raw/compressed'): compressed,
@@ -87,7 +68,7 @@ class RoomSimulatorNode(LandmarkNode):
         camera = encode.camera_transform(self._mount, _OPTICAL_FRAME)
         self._transforms.send_static(self._world.stamp_ns, [camera])
         self.listen('cmd_vel', self._on_velocity)
-        listen_for_pan(self, self._mount, config.command_type, self._world.command_pan)
+        listen_for_pan(self, self._mount, config.command.type, self._world.command_pan)
         self.create_timer(_STEP_S, self._tick, clock=steady_clock())
 
     def health(self) -> Health:
@@ -112,7 +93,7 @@ class RoomSimulatorNode(LandmarkNode):
 
     def _tick(self) -> None:
         """Catch up with the wall's time, step by step, then take an image if one is due."""
-        if time.monotonic() - self._last_command > self._config.command_timeout_s:
+        if time.monotonic() - self._last_command > _COMMAND_TIMEOUT_S:
             self._world.command_velocity(0.0, 0.0)
         if self._lag_s > _MAX_LAG_S:
             self._began_s += self._lag_s
@@ -120,7 +101,7 @@ class RoomSimulatorNode(LandmarkNode):
         for _ in range(int(self._lag_s / _STEP_S)):
             self._step()
         if self._world.stamp_ns >= self._image_due_ns:
-            self._image_due_ns = self._world.stamp_ns + int(1e9 / self._config.image_rate_hz)
+            self._image_due_ns = self._world.stamp_ns + _IMAGE_PERIOD_NS
             self._take_image()
 
     def _follow_clock(self) -> None:
@@ -160,7 +141,7 @@ class RoomSimulatorNode(LandmarkNode):
                 publisher.publish(encoded(ros_factory, image, stamp, _OPTICAL_FRAME))
 
 
-def _build(config: Parameters, mount: PanTiltMount, start_ns: int) -> RobotWorld:
+def _build(config: Configuration, mount: PanTiltMount, start_ns: int) -> RobotWorld:
     scene = generate_scene(config.seed, load_room(config.room_file) if config.room_file else None)
     places = choose_sweep_places(scene)
     if places is None:
@@ -171,7 +152,6 @@ def _build(config: Parameters, mount: PanTiltMount, start_ns: int) -> RobotWorld
         config.seed,
         camera=load_camera(config.camera_file) if config.camera_file else DEFAULT_CAMERA,
         mount=mount,
-        config=config.world,
         start_ns=start_ns,
     )
 

@@ -2,39 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 import time
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.capture import CaptureConfig, describe_sweep
+from landmark_nav.learning.capture import describe_sweep
 from landmark_nav.messages import decode
+from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.sweep_runner import SweepOutput, SweepRunner
-from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.image_source import image_topics, ImageSource, TRANSPORTS
+from landmark_nav.ros.image_source import image_topics, ImageSource
 from landmark_nav.ros.joints import listen_for_joints
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.pan_command import PanCommander, PanCommandParameters
+from landmark_nav.ros.pan_command import PanCommander
 from landmark_nav.ros.run import run_node
-from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import JointSample
 
-__all__ = ['Parameters', 'SweepCaptureNode', 'main']
+__all__ = ['SweepCaptureNode', 'main']
 
 _POLL_S = 0.1
-
-
-@dataclass(frozen=True)
-class Parameters(Config):
-    """Of the node ``sweep_capture``."""
-
-    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
-    image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
-    capture: CaptureConfig = field(default_factory=CaptureConfig)
-    command: PanCommandParameters = field(default_factory=PanCommandParameters)
 
 
 class SweepCaptureNode(LandmarkNode):
@@ -42,11 +31,12 @@ class SweepCaptureNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('sweep_capture', 'sweep', **options)
-        self._config = self.configure(Parameters)
-        mount = load_robot(self.required('robot_file', self._config.robot_file))
+        self._config = configured(self, 'sweep_capture')
+        mount = calibration_of(self, self._config).mount
+        command = self._config.command
         self._runner = SweepRunner(
             self._config.capture,
-            PanCommander(self, mount, self._config.command),
+            PanCommander(self, mount, command.type, command.with_tilt),
             SweepOutput(self, mount),
             mount.camera_roll_rad,
         )

@@ -4,31 +4,27 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 import time
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError, one_line
-from landmark_nav.localization.estimator import EstimatorConfig
 from landmark_nav.localization.expected_poses import ExpectedPoses
 from landmark_nav.localization.late_joints import JointDelay
-from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observer import Observation, Observer, straight
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode, encode
+from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.live_view import LiveView
-from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
-from landmark_nav.parameters import parameter
+from landmark_nav.nodes.place_search import PlaceSearch
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.executor import LatestOnlyWorker
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.image_source import image_topics, ImageSource, TRANSPORTS
+from landmark_nav.ros.image_source import image_topics, ImageSource
 from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import (
     CameraFrame,
     Expectation,
@@ -38,7 +34,7 @@ from landmark_nav.types import (
     Triplet,
 )
 
-__all__ = ['Parameters', 'TriangulationLocalizerNode', 'main']
+__all__ = ['TriangulationLocalizerNode', 'main']
 
 
 # Ten seconds at 50 Hz: what may come between two images that are looked at.
@@ -47,34 +43,11 @@ _BACKLOG = 500
 _OTHER_CLOCK_S = 10.0
 # A camera that is silent for so long has stopped, and a look that takes so long is stuck.
 _SILENCE_S = 1.0
-
-
-@dataclass(frozen=True)
-class Parameters(LookingConfig):
-    """Of the node ``triangulation_localizer``, beside those of the stages."""
-
-    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
-    map_frame: str = parameter('map', 'frame of triangulation/pose')
-    image_transport: str = parameter('auto', 'form of camera/image_raw', choices=TRANSPORTS)
-    joint_delay_s: float = parameter(
-        0.0,
-        'by how much joint_states are stamped later than images of the same moment, s; '
-        'odometry_fusion estimates what is left of it',
-        minimum=-1.0,
-        maximum=1.0,
-    )
-    max_wait_s: float = parameter(
-        0.3, 'how long an image waits for joint_states and odometry/fused, s', minimum=0.0
-    )
-    max_age_s: float = parameter(
-        0.5, 'an image that arrives later is not looked at, s', minimum=0.01
-    )
-    max_prior_age_s: float = parameter(
-        0.5, 'how far odometry/fused may be from an image, s', minimum=0.0
-    )
-    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
-    relocalization: PlaceSearchConfig = field(default_factory=PlaceSearchConfig)
+# An image waits so long for joint_states and odometry/fused, chosen by hand: three periods of an
+# odometry at 10 Hz.
+_MAX_WAIT_S = 0.3
+# So far odometry/fused may be from an image: it is carried on at constant speed.
+_MAX_PRIOR_AGE_S = 0.5
 
 
 class TriangulationLocalizerNode(LandmarkNode):
@@ -82,15 +55,15 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triangulation_localizer', 'detection', **options)
-        self._config = self.configure(Parameters)
-        self._calibration = load_calibration(self.required('robot_file', self._config.robot_file))
+        self._config = configured(self, 'triangulation_localizer')
+        self._calibration = calibration_of(self, self._config)
         self._mount = self._calibration.mount
         self._detections = self.advertise('detections')
         self._fix = self.advertise('triangulation/pose')
         self._live = LiveView(self, self._config.map_frame)
-        self._frames = CameraFrames(self, self._mount, self._config.joint_delay_s)
-        self._fused = ExpectedPoses[PoseEstimate](self._config.max_prior_age_s)
-        self._expected = ExpectedPoses[Expectation](self._config.max_prior_age_s)
+        self._frames = CameraFrames(self, self._mount)
+        self._fused = ExpectedPoses[PoseEstimate](_MAX_PRIOR_AGE_S)
+        self._expected = ExpectedPoses[Expectation](_MAX_PRIOR_AGE_S)
         search = self._config.relocalization
         self._search = PlaceSearch(
             self,
@@ -203,7 +176,6 @@ class TriangulationLocalizerNode(LandmarkNode):
         found = replace(
             seen.detections,
             uv_px=frame.camera.in_full_image(seen.detections.uv_px),
-            joint_delay_s=self._config.joint_delay_s,
         )
         self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
         self._latency.note(self._age_ns(message))
@@ -223,7 +195,7 @@ class TriangulationLocalizerNode(LandmarkNode):
     def _look(self, message: Any) -> bool:
         """Search for the place in an image; whether it was found."""
         frame = straight(self._complete(message, self._search.reaches), self._calibration)
-        outcome = self._search.look(frame, self._config.joint_delay_s)
+        outcome = self._search.look(frame)
         found = 'pose found, and published on global_localization/pose'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)
@@ -243,7 +215,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _complete(self, message: Any, also: Callable[[int], bool]) -> CameraFrame:
         """Image with all that belongs to it."""
-        return self._frames.complete(message, self._config.max_wait_s, also, self._delay_s)
+        return self._frames.complete(message, _MAX_WAIT_S, also, self._delay_s)
 
     def _age_ns(self, message: Any) -> int:
         """Time since an image was taken."""

@@ -3,67 +3,41 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
 import time
 from typing import Any
 
 import numpy as np
 
-from landmark_nav.localization.triplet import CameraState, TripletConfig
-from landmark_nav.localization.triplet.look_around import is_known, LookAround, LookAroundConfig
+from landmark_nav.localization.triplet import CameraState
+from landmark_nav.localization.triplet.look_around import is_known, LookAround
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.parameters import check_order, Config, parameter
+from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.clocks import own_clock
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.pan_command import listen_for_pan, PanCommander, PanCommandParameters
+from landmark_nav.ros.pan_command import listen_for_pan, PanCommander
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import RELIABLE
-from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
-__all__ = ['Parameters', 'TripletSelectorNode', 'main']
+__all__ = ['TripletSelectorNode', 'main']
 
 # A fused pose that nothing followed for so long gives no more where to look.
 _SILENCE_S = 1.0
+# Time between two choices, chosen by hand: a turn of half a radian takes as long.
+_PERIOD_S = 0.5
+# Least change of the pan that is worth a command, chosen by hand: some 3 degrees.
+_DEADBAND_RAD = 0.05
 # How often is seen whether a view that helps to find the place has been looked at.
 _DWELL_TIME_S = 0.1
 # Commands come back, when there is much to do after the next ones.
 _ECHOES = 8
-
-
-@dataclass(frozen=True)
-class Parameters(Config):
-    """Of the node ``triplet_selector``."""
-
-    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits')
-    period_s: float = parameter(0.5, 'time between two choices, s', minimum=0.05)
-    deadband_rad: float = parameter(
-        0.05, 'least change of the pan that is worth a command, rad', minimum=0.0
-    )
-    pan_min_rad: float = parameter(
-        -np.pi, 'least pan of the joint, rad', minimum=-6.2832, maximum=6.2832
-    )
-    pan_max_rad: float = parameter(
-        np.pi, 'largest pan of the joint, rad', minimum=-6.2832, maximum=6.2832
-    )
-    yield_s: float = parameter(
-        10.0, 'how long to hold back after somebody else commanded the pan, s', minimum=0.0
-    )
-    triplet: TripletConfig = field(default_factory=TripletConfig)
-    look_around: LookAroundConfig = field(default_factory=LookAroundConfig)
-    command: PanCommandParameters = field(default_factory=PanCommandParameters)
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        super().__post_init__()
-        check_order(self, 'pan_min_rad', 'pan_max_rad')
 
 
 class TripletSelectorNode(LandmarkNode):
@@ -71,20 +45,21 @@ class TripletSelectorNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triplet_selector', 'attention', **options)
-        self._config = self.configure(Parameters)
-        self._mount = load_robot(self.required('robot_file', self._config.robot_file))
+        self._config = configured(self, 'triplet_selector')
+        self._mount = calibration_of(self, self._config).mount
         self._calibrated = self._mount
         self._publisher = self.advertise('triplet')
         cloud = message_class('sensor_msgs/msg/PointCloud2')
         self._triplet_scores = self.create_publisher(cloud, '~/triplet_scores', RELIABLE)
         self._landmark_visibility = self.create_publisher(cloud, '~/landmark_visibility', RELIABLE)
         self._frames = CameraFrames(self, self._mount)
-        self._commander = PanCommander(self, self._mount, self._config.command)
+        command = self._config.command
+        self._commander = PanCommander(self, self._mount, command.type, command.with_tilt)
         self._map: LandmarkMap | None = None
         self._fused: PoseEstimate | None = None
         self._fused_s = 0.0
         self._camera: ActiveCamera | None = None
-        self._limits = (self._config.pan_min_rad, self._config.pan_max_rad)
+        self._limits = self._mount.pan_limits_rad
         self._around = LookAround(self._config.look_around, self._limits)
         self._looks_at: float | None = None
         self._commanded: deque[float] = deque(maxlen=_ECHOES)
@@ -93,9 +68,9 @@ class TripletSelectorNode(LandmarkNode):
         self.listen('odometry/fused', self._on_fused, depth=1)
         self.listen('expectation', self._on_expectation, depth=1)
         self.listen('detections', self._on_detections)
-        listen_for_pan(self, self._mount, self._config.command.type, self._on_command)
+        listen_for_pan(self, self._mount, command.type, self._on_command)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
-        self.create_timer(self._config.period_s, self._choose, clock=own_clock(self))
+        self.create_timer(_PERIOD_S, self._choose, clock=own_clock(self))
         self.create_timer(_DWELL_TIME_S, self._look_around, clock=own_clock(self))
 
     def health(self) -> Health:
@@ -187,7 +162,7 @@ class TripletSelectorNode(LandmarkNode):
 
     def _turn_to(self, chosen: Triplet) -> None:
         if self._looks_at is None and time.monotonic() >= self._yield_until:
-            self._command(chosen.pan_rad, self._config.deadband_rad)
+            self._command(chosen.pan_rad, _DEADBAND_RAD)
 
     def _command(self, pan_rad: float, deadband_rad: float) -> None:
         if not self._commanded or abs(pan_rad - self._commanded[-1]) > deadband_rad:

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from landmark_nav.calibration import Calibration
+from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.pipeline import LearningConfig, LearningResult
+from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import PanoramaStages
-from landmark_nav.learning.unmeasured import learn_located, locate_sweeps, UnmeasuredConfig
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.learning.unmeasured import learn_located, locate_sweeps
 from landmark_nav.localization.sweep_places import carried_on, known_places
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.messages import decode
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
-from landmark_nav.parameters import parameter
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import OdometrySample, PlaceChain, PoseEstimate, Sweep
 
-__all__ = ['UnmeasuredLearner', 'UnmeasuredParameters']
+__all__ = ['UnmeasuredLearner']
 
 # Odometry is compounded in steps of 50 ms. So many are kept: 1.8 hours from sweep to sweep.
 _STEP_NS, _MOST_SAMPLES = 45_000_000, 2**17
@@ -30,17 +28,6 @@ _STEP_NS, _MOST_SAMPLES = 45_000_000, 2**17
 _SET_BACK_NS = 1_000_000_000
 # Images of all sweeps that are kept.
 _MAX_BYTES = 2**29
-
-
-@dataclass(frozen=True)
-class UnmeasuredParameters(PanoramaStages, LearningConfig):
-    """Parameters of all stages, from sweeps to map."""
-
-    late_frames_s: float = parameter(
-        3.0, 'how long to wait for frames that arrive after their trajectory, s', minimum=0.0
-    )
-    unmeasured: UnmeasuredConfig = field(default_factory=UnmeasuredConfig)
-    odometry: OdometryNoiseConfig = field(default_factory=OdometryNoiseConfig)
 
 
 class UnmeasuredLearner:
@@ -53,18 +40,16 @@ class UnmeasuredLearner:
         Who listens.
     given : Calibration
         Of ``robot.yaml``.
-    config : UnmeasuredParameters
+    config : Configuration
         Parameters of the stages.
 
     """
 
-    def __init__(
-        self, node: LandmarkNode, given: Calibration, config: UnmeasuredParameters
-    ) -> None:
+    def __init__(self, node: LandmarkNode, given: Calibration, config: Configuration) -> None:
         self._node, self._given, self._config = node, given, config
         self._sweeps: dict[int, RecordedSweep] = {}
         self._odometry: deque[OdometrySample] = deque(maxlen=_MOST_SAMPLES)
-        SweepInbox(node, given.mount, 'map', config.late_frames_s, self._on_sweep)
+        SweepInbox(node, given.mount, 'map', self._on_sweep)
         node.listen('odom', self._on_odometry)
 
     def __len__(self) -> int:

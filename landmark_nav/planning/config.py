@@ -11,7 +11,7 @@ from landmark_nav.learning.election import ElectionConfig
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.localization.triplet.visibility import TripletConfig
-from landmark_nav.parameters import check_order, Config, parameter
+from landmark_nav.parameters import Config
 
 __all__ = ['PlanConfig']
 
@@ -24,45 +24,33 @@ class PlanConfig(Config):
     The bounds of the stages that will learn and localize are taken from their own parameters.
     """
 
-    focal_px: float = parameter(
-        555.0, 'focal length of the camera, pixels', minimum=50, maximum=20000
-    )
-    width_px: int = parameter(512, 'width of its images, pixels', minimum=16, maximum=16384)
-    height_px: int = parameter(512, 'height of its images, pixels', minimum=16, maximum=16384)
-    pan_min_rad: float = parameter(
-        -np.pi, 'least pan of the joint, rad', minimum=-6.2832, maximum=6.2832
-    )
-    pan_max_rad: float = parameter(
-        np.pi, 'largest pan of the joint, rad', minimum=-6.2832, maximum=6.2832
-    )
-    clearance_m: float = parameter(
-        0.4, 'least distance of the robot from walls', minimum=0.05, maximum=5
-    )
-    spacing_m: float = parameter(
-        0.25, 'grid of places and of wall samples, at the finest', minimum=0.05, maximum=5
-    )
-    candidates: int = parameter(
-        120, 'patches that attention proposes in a panorama', minimum=3, maximum=5000
-    )
-    texture_low_m: float = parameter(
-        0.8, 'height from which on walls are taken as textured', minimum=0, maximum=10
-    )
-    texture_high_m: float = parameter(
-        2.0, 'height up to which walls are taken as textured', minimum=0.1, maximum=20
-    )
-    random_sets: int = parameter(
-        50, 'sets of random places to compare with', minimum=1, maximum=10000
-    )
+    # Focal length of the camera, pixels.
+    focal_px: float = 555.0
+    # Width of its images, pixels.
+    width_px: int = 512
+    # Height of its images, pixels.
+    height_px: int = 512
+    # Least pan of the joint, rad.
+    pan_min_rad: float = -np.pi
+    # Largest pan of the joint, rad.
+    pan_max_rad: float = np.pi
+    # Least distance of the robot from walls.
+    clearance_m: float = 0.4
+    # Grid of places and of wall samples, at the finest.
+    spacing_m: float = 0.25
+    # Patches that attention proposes in a panorama.
+    candidates: int = 120
+    # Height from which on walls are taken as textured.
+    texture_low_m: float = 0.8
+    # Height up to which walls are taken as textured.
+    texture_high_m: float = 2.0
+    # Sets of random places to compare with.
+    random_sets: int = 50
     reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     election: ElectionConfig = field(default_factory=ElectionConfig)
     triplet: TripletConfig = field(default_factory=TripletConfig)
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        super().__post_init__()
-        check_order(self, 'pan_min_rad', 'pan_max_rad')
 
     @property
     def steepest(self) -> float:

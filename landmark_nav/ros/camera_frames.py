@@ -39,15 +39,11 @@ class CameraFrames:
         Whose subscriptions they are.
     mount : PanTiltMount
         Names of the joints.
-    joint_delay_s : float
-        By how much joint states are stamped later than images of the same moment.
 
     """
 
-    def __init__(
-        self, node: LandmarkNode, mount: PanTiltMount, joint_delay_s: float = 0.0
-    ) -> None:
-        self._node, self._delay_ns = node, round(1e9 * joint_delay_s)
+    def __init__(self, node: LandmarkNode, mount: PanTiltMount) -> None:
+        self._node = node
         self._joints: deque[JointSample] = deque()
         # Stamps and tilts of a tilt joint that has a driver of its own.
         self._tilts: deque[tuple[int, float]] = deque()
@@ -90,7 +86,7 @@ class CameraFrames:
     def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
         """Angles at a time of the images, interpolated; or why they are not known."""
         history = JointHistory(tuple(self._joints), tuple(self._tilts))
-        return history.at(stamp_ns + self._delay_ns)
+        return history.at(stamp_ns)
 
     def complete(
         self, message: Any, seconds: float, also: Callable[[int], bool], late_s: float
@@ -164,7 +160,7 @@ class CameraFrames:
     ) -> None:
         """Block until there are joint states of an image, and `also` holds, or time is up."""
         deadline = time.monotonic() + seconds
-        joints_ns = stamp_ns + self._delay_ns + max(0, round(1e9 * late_s))
+        joints_ns = stamp_ns + max(0, round(1e9 * late_s))
         while time.monotonic() < deadline:
             if self.reaches(joints_ns) and also(stamp_ns):
                 return

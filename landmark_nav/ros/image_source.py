@@ -9,9 +9,7 @@ from rclpy.subscription import Subscription
 
 from landmark_nav.ros.node import LandmarkNode
 
-__all__ = ['TRANSPORTS', 'ImageSource', 'image_topics']
-
-TRANSPORTS = ('auto', 'raw', 'compressed')
+__all__ = ['ImageSource', 'image_topics']
 
 
 def image_topics(topic: str, transport: str) -> list[str]:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import logging
 import re
 import traceback
-from typing import Any, cast, TypeVar
+from typing import Any, cast
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException
@@ -29,7 +29,6 @@ from landmark_nav.messages import decode
 from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
-from landmark_nav.ros.parameters import declare, misspelt
 from landmark_nav.ros.renamed_topics import (
     FORMER_NAMES,
     FormerSubscription,
@@ -38,8 +37,6 @@ from landmark_nav.ros.renamed_topics import (
 from landmark_nav.ros.topics import TOPICS, with_depth
 
 __all__ = ['LandmarkNode']
-
-T = TypeVar('T')
 
 _LOG = logging.getLogger(__name__)
 
@@ -124,13 +121,6 @@ class LandmarkNode(Node):
         if self._awaits and not any(one.waits() for one in self.inputs.awaited()):
             self._awaits = False
             _LOG.info('has all that it waited for')
-
-    def configure(self, config_class: type[T]) -> T:
-        """Declare a dataclass as parameters and return it filled."""
-        config = declare(self, config_class)
-        for name, meant in misspelt(self).items():
-            self.get_logger().warning(f'no parameter {name}: did you mean {meant}?')
-        return config
 
     def required(self, name: str, value: str) -> str:
         """Value of a parameter that has no sensible default, such as the path of a file."""

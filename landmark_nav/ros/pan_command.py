@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
@@ -15,11 +14,10 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import RELIABLE
 
-__all__ = ['COMMAND_TYPES', 'PanCommandParameters', 'PanCommander', 'listen_for_pan']
+__all__ = ['PanCommander', 'listen_for_pan']
 
 _TOPIC = 'pan_tilt/command'
 _CLASSES: dict[str, Any] = {
@@ -27,48 +25,46 @@ _CLASSES: dict[str, Any] = {
     'JointState': JointState,
     'Float64MultiArray': Float64MultiArray,
 }
-COMMAND_TYPES = tuple(_CLASSES)
-
-
-@dataclass(frozen=True)
-class PanCommandParameters(Config):
-    """How the pan-tilt unit is commanded."""
-
-    type: str = parameter(
-        'JointTrajectory', 'message type of pan_tilt/command', choices=COMMAND_TYPES
-    )
-    with_tilt: bool = parameter(False, 'command the tilt joint too, to stay level')
-    speed_rad_s: float = parameter(
-        1.0, 'pan rate that a JointTrajectory plans with, rad/s', minimum=0.01
-    )
-    min_duration_s: float = parameter(
-        0.1, 'least time that a JointTrajectory gives a move, s', minimum=0.0
-    )
+# Controllers refuse a move that takes no time.
+_MIN_DURATION_S = 0.1
 
 
 class PanCommander:
-    """Publishes where the camera should look."""
+    """
+    Publishes where the camera should look.
+
+    Parameters
+    ----------
+    node : LandmarkNode
+        Who commands.
+    mount : PanTiltMount
+        Names of the joints, rate of the pan.
+    kind : str
+        Message type.
+    with_tilt : bool
+        Whether the tilt joint is commanded too, to stay level.
+
+    """
 
     def __init__(
-        self, node: LandmarkNode, mount: PanTiltMount, parameters: PanCommandParameters
+        self, node: LandmarkNode, mount: PanTiltMount, kind: str, with_tilt: bool = False
     ) -> None:
-        self._node = node
-        self._joints = [mount.pan_joint, *([mount.tilt_joint] if parameters.with_tilt else [])]
-        self._parameters = parameters
-        self._publisher = node.create_publisher(_CLASSES[parameters.type], _TOPIC, RELIABLE)
+        self._node, self._kind, self._rate_rad_s = node, kind, mount.pan_rate_rad_s
+        self._joints = [mount.pan_joint, *([mount.tilt_joint] if with_tilt else [])]
+        self._publisher = node.create_publisher(_CLASSES[kind], _TOPIC, RELIABLE)
 
     def command(self, pan_rad: float, from_pan_rad: float | None = None) -> None:
         """Turn to `pan_rad`; `from_pan_rad`, where known, sets the duration of the move."""
         positions = [pan_rad, 0.0][: len(self._joints)]
         stamp = self._node.get_clock().now().to_msg()
-        if self._parameters.type == 'Float64MultiArray':
+        if self._kind == 'Float64MultiArray':
             message: Any = Float64MultiArray(data=positions)
-        elif self._parameters.type == 'JointState':
+        elif self._kind == 'JointState':
             message = JointState(name=self._joints, position=positions)
             message.header.stamp = stamp
         else:
             way = abs(pan_rad - from_pan_rad) if from_pan_rad is not None else 0.0
-            seconds = max(way / self._parameters.speed_rad_s, self._parameters.min_duration_s)
+            seconds = max(way / self._rate_rad_s, _MIN_DURATION_S)
             point = JointTrajectoryPoint(
                 positions=positions,
                 time_from_start=Duration(sec=int(seconds), nanosec=int(seconds % 1.0 * 1e9)),

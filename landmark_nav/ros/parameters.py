@@ -1,9 +1,9 @@
-"""Frozen dataclasses of `landmark_nav.parameters` as read-only ROS parameters."""
+"""Parameters of `landmark_nav.parameters` as read-only ROS parameters of a node."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 import dataclasses
-import difflib
 import sys
 from typing import Any, TypeVar
 
@@ -12,24 +12,64 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import former_name, renamed, unit_hint
+from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.former_parameters import settled
+from landmark_nav.parameters import changed, leaves, unit_hint, unit_of
 
-__all__ = ['declare', 'misspelt']
+__all__ = ['declare', 'settle']
 
 T = TypeVar('T')
 
 _LARGEST_INTEGER = 2**63 - 1
-# Names that share so much of their letters differ by a slip of the pen.
-_ALIKE = 0.85
+# Parameters that rclpy declares by itself.
+_OF_ROS = ('use_sim_time', 'qos_overrides', 'start_type_description_service')
 
 
-def declare(node: Node, config_class: type[T], prefix: str = '') -> T:
+def settle(node: Node, config: Any) -> Mapping[str, Any]:
     """
-    Declare the fields of a dataclass as parameters and return it filled.
+    Give parameters the values of their former names; warn of all given values that nothing reads.
 
-    A field that is a dataclass itself becomes a section: ``prefix.field.name``. Values come from
-    the node's parameter file or the command line; fields without one keep their defaults.
+    Parameters
+    ----------
+    node : Node
+        What values it was given, in files or on the command line.
+    config : dataclass instance
+        All parameters, also those of other nodes: files may be for several.
+
+    Returns
+    -------
+    mapping
+        Fields of `robot.yaml` that parameters of the last release gave.
+
+    """
+    overrides = getattr(node, '_parameter_overrides', {})  # rclpy has them nowhere else
+    own = {key: value for key, value in overrides.items() if key.partition('.')[0] not in _OF_ROS}
+    known = [name for name, _, _ in leaves(config)]
+    given = settled({name: parameter.value for name, parameter in own.items()}, known)
+    for warning in given.warnings:
+        node.get_logger().warning(warning)
+    for name, meant in given.unknown.items():
+        node.get_logger().warning(f'no parameter {shown(name)}{meant}')
+    for name, value in given.values.items():
+        overrides.setdefault(name, Parameter(name, value=value))
+    return given.robot
+
+
+def declare(node: Node, config: T, names: Collection[str]) -> T:
+    """
+    Declare parameters of a dataclass and return it with their values.
+
+    Values come from the node's parameter file or the command line; parameters without one keep
+    their defaults. Those that are declared already keep their values.
+
+    Parameters
+    ----------
+    node : Node
+        Whose parameters they are.
+    config : dataclass instance
+        Parameters with their defaults.
+    names : collection of str
+        Parameters and sections that the node reads.
 
     Raises
     ------
@@ -37,71 +77,42 @@ def declare(node: Node, config_class: type[T], prefix: str = '') -> T:
         A value has the wrong type, is out of range, or does not agree with the others.
 
     """
-    values: dict[str, Any] = {}
-    for field in dataclasses.fields(config_class):  # type: ignore[arg-type]
-        name = prefix + field.name
-        default = _default(field)
-        if dataclasses.is_dataclass(default):
-            values[field.name] = declare(node, type(default), f'{name}.')
-            continue
-        if former := former_name(field):
-            _take_former(node, prefix + former, name)
-        listed = isinstance(default, tuple)
-        try:
-            value = node.declare_parameter(
-                name, list(default) if listed else default, _descriptor(field, default)
-            ).value
-        except InvalidParameterTypeException as error:
-            example = list(default) if listed else default
-            raise LandmarkNavError(
-                f'parameter {name} of {node.get_name()} has the wrong type: '
-                f'write it like {example!r}'
-            ) from error
-        except InvalidParameterValueException as error:
-            raise LandmarkNavError(
-                f'parameter {name} of {node.get_name()}: {" ".join(str(error).split())}'
-                f'{unit_hint(name)}'
-            ) from error
-        values[field.name] = tuple(value) if listed else value
-    return config_class(**values)
+    return changed(
+        config,
+        {
+            name: _declared(node, name, field, default)
+            for name, field, default in leaves(config)
+            if name in names or any(name.startswith(f'{section}.') for section in names)
+        },
+    )
 
 
-def misspelt(node: Node) -> dict[str, str]:
-    """
-    Names that were given values and that no parameter has -> the parameter that looks like it.
-
-    Files may be for several nodes, so that what looks like none may well be another's.
-    """
-    given = getattr(node, '_parameter_overrides', {})  # rclpy has them nowhere else
-    unset = [name for name in node.get_parameters_by_prefix('') if name not in given]
-    meant = {
-        name: difflib.get_close_matches(name, unset, 1, _ALIKE)
-        for name in given
-        if not node.has_parameter(name)
-    }
-    return {name: names[0] for name, names in meant.items() if names}
-
-
-def _take_former(node: Node, former: str, name: str) -> None:
-    """Give a parameter the value that is given by its former name, unless it has one itself."""
-    given = getattr(node, '_parameter_overrides', {})
-    if former in given:
-        node.get_logger().warning(renamed(former, name))
-        value = given.pop(former).value
-        given.setdefault(name, Parameter(name, value=value))
+def _declared(node: Node, name: str, field: dataclasses.Field[Any], default: Any) -> Any:
+    example = list(default) if isinstance(default, tuple) else default
+    try:
+        value = (
+            node.get_parameter(name)
+            if node.has_parameter(name)
+            else node.declare_parameter(name, example, _descriptor(name, field, default))
+        ).value
+    except InvalidParameterTypeException as error:
+        raise LandmarkNavError(
+            f'parameter {name} of {node.get_name()} has the wrong type: write it like {example!r}'
+        ) from error
+    except InvalidParameterValueException as error:
+        raise LandmarkNavError(
+            f'parameter {name} of {node.get_name()}: {" ".join(str(error).split())}'
+            f'{unit_hint(name)}'
+        ) from error
+    return list(value) if isinstance(default, tuple) else value
 
 
-def _default(field: dataclasses.Field[Any]) -> Any:
-    if field.default_factory is not dataclasses.MISSING:
-        return field.default_factory()
-    return field.default
-
-
-def _descriptor(field: dataclasses.Field[Any], default: Any) -> ParameterDescriptor:
-    choices = field.metadata.get('choices')
-    low, high = field.metadata.get('minimum'), field.metadata.get('maximum')
+def _descriptor(name: str, field: dataclasses.Field[Any], default: Any) -> ParameterDescriptor:
+    choices = field.metadata['choices']
+    low, high = field.metadata['minimum'], field.metadata['maximum']
+    unit = unit_of(name)
     descriptor = ParameterDescriptor(
-        description=field.metadata.get('description', ''),
+        description=field.metadata['description'] + (f' [{unit}]' if unit else ''),
         additional_constraints=f'one of {", ".join(choices)}' if choices else '',
         read_only=True,
     )

@@ -67,7 +67,7 @@ def _usage(name: str, does: str) -> str:
     return (
         f'{does.strip()}\n\n'
         f'usage: {name} [--ros-args [--params-file F.yaml] [-p PARAMETER:=VALUE ...]]\n'
-        f'All parameters with their defaults: python -m landmark_nav.nodes.describe {name}'
+        'Parameters: config/landmark_nav.yaml; all, with ranges: docs/reference/parameters.md'
     )
 
 

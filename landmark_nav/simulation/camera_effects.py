@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from landmark_nav.geometry.camera import CameraModel
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config
 from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.types import ImageArray
 
@@ -19,28 +19,20 @@ __all__ = ['CameraEffects', 'CameraEffectsConfig']
 class CameraEffectsConfig(Config):
     """How good the camera is; brightness in grey levels of 255."""
 
-    vignetting: float = parameter(
-        0.25, 'Loss of light in the corners, share', minimum=0.0, maximum=0.9
-    )
-    exposure: float = parameter(1.0, 'Gain of the whole image', minimum=0.05, maximum=20.0)
-    auto_exposure: float = parameter(
-        0.5,
-        'How far the gain follows the mean brightness: 0 not at all, 1 all the way',
-        minimum=0.0,
-        maximum=1.0,
-    )
-    target_brightness: float = parameter(
-        120.0, 'Mean brightness that auto exposure aims at', minimum=20.0, maximum=230.0
-    )
-    blur_sigma_px: float = parameter(
-        0.5, 'Point spread of lens and sensor, pixels', minimum=0.0, maximum=5.0
-    )
-    read_noise: float = parameter(
-        2.0, 'Standard deviation in the dark, grey levels', minimum=0.0, maximum=50.0
-    )
-    shot_noise: float = parameter(
-        0.06, 'Growth of the variance with brightness, grey levels', minimum=0.0, maximum=5.0
-    )
+    # Loss of light in the corners, share.
+    vignetting: float = 0.25
+    # Gain of the whole image.
+    exposure: float = 1.0
+    # How far the gain follows the mean brightness: 0 not at all, 1 all the way.
+    auto_exposure: float = 0.5
+    # Mean brightness that auto exposure aims at.
+    target_brightness: float = 120.0
+    # Point spread of lens and sensor, pixels.
+    blur_sigma_px: float = 0.5
+    # Standard deviation in the dark, grey levels.
+    read_noise: float = 2.0
+    # Growth of the variance with brightness, grey levels.
+    shot_noise: float = 0.06
 
 
 class CameraEffects:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
 
 __all__ = ['DifferentialDrive', 'DriveConfig']
@@ -19,25 +19,24 @@ __all__ = ['DifferentialDrive', 'DriveConfig']
 class DriveConfig(Config):
     """What the base can do, and how wrong its odometry is."""
 
-    max_speed_m_s: float = parameter(0.8, 'Largest speed', minimum=0.0, maximum=10.0)
-    max_turn_rad_s: float = parameter(1.8, 'Largest turning rate', minimum=0.0, maximum=20.0)
-    max_acceleration_m_s2: float = parameter(1.0, 'Of the speed', minimum=0.01, maximum=50.0)
-    max_turn_acceleration_rad_s2: float = parameter(
-        4.0, 'Of the turning rate', minimum=0.01, maximum=100.0
-    )
-    track_m: float = parameter(0.36, 'Distance between the wheels', minimum=0.05, maximum=3.0)
-    scale_sigma: float = parameter(
-        0.002, 'Relative error of each wheel radius, drawn once', minimum=0.0, maximum=0.2
-    )
-    track_sigma: float = parameter(
-        0.008, 'Relative error of the track, drawn once', minimum=0.0, maximum=0.2
-    )
-    slip_sigma_m: float = parameter(
-        0.0015, 'Slip of each wheel over 1 m, a random walk', minimum=0.0, maximum=0.2
-    )
-    encoder_step_m: float = parameter(
-        0.00002, 'Way of a wheel for one count', minimum=0.0, maximum=0.1
-    )
+    # Largest speed.
+    max_speed_m_s: float = 0.8
+    # Largest turning rate.
+    max_turn_rad_s: float = 1.8
+    # Of the speed.
+    max_acceleration_m_s2: float = 1.0
+    # Of the turning rate.
+    max_turn_acceleration_rad_s2: float = 4.0
+    # Distance between the wheels.
+    track_m: float = 0.36
+    # Relative error of each wheel radius, drawn once.
+    scale_sigma: float = 0.002
+    # Relative error of the track, drawn once.
+    track_sigma: float = 0.008
+    # Slip of each wheel over 1 m, a random walk.
+    slip_sigma_m: float = 0.0015
+    # Way of a wheel for one count.
+    encoder_step_m: float = 0.00002
 
 
 class DifferentialDrive:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
 
 __all__ = ['PanTiltConfig', 'PanTiltUnit']
@@ -20,23 +20,20 @@ _SPRING_STEP_S = 1.0 / 400.0
 class PanTiltConfig(Config):
     """How quickly and how exactly the unit turns."""
 
-    max_rate_rad_s: float = parameter(2.1, 'Largest rate of an axis', minimum=0.01, maximum=20.0)
-    max_acceleration_rad_s2: float = parameter(
-        8.0, 'Largest acceleration of an axis', minimum=0.01, maximum=200.0
-    )
-    pan_limit_rad: float = parameter(
-        float(np.pi), 'Pan goes this far to both sides', minimum=0.1, maximum=6.3
-    )
-    tilt_limit_rad: float = parameter(
-        0.6, 'Tilt goes this far up and down', minimum=0.0, maximum=1.5
-    )
-    natural_frequency_hz: float = parameter(
-        6.0, 'Of the head that oscillates after a stop', minimum=0.5, maximum=30.0
-    )
-    damping_ratio: float = parameter(0.4, 'Of that swinging', minimum=0.05, maximum=2.0)
-    encoder_step_rad: float = parameter(
-        0.0002, 'Step of the measured angles', minimum=0.0, maximum=0.1
-    )
+    # Largest rate of an axis.
+    max_rate_rad_s: float = 2.1
+    # Largest acceleration of an axis.
+    max_acceleration_rad_s2: float = 8.0
+    # Pan goes this far to both sides.
+    pan_limit_rad: float = float(np.pi)
+    # Tilt goes this far up and down.
+    tilt_limit_rad: float = 0.6
+    # Of the head that oscillates after a stop.
+    natural_frequency_hz: float = 6.0
+    # Of that swinging.
+    damping_ratio: float = 0.4
+    # Step of the measured angles.
+    encoder_step_rad: float = 0.0002
 
 
 class PanTiltUnit:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config
 from landmark_nav.simulation.camera_effects import CameraEffects, CameraEffectsConfig
 from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
@@ -36,10 +36,10 @@ class WorldConfig(Config):
     pan_tilt: PanTiltConfig = field(default_factory=PanTiltConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
     camera: CameraEffectsConfig = field(default_factory=CameraEffectsConfig)
-    robot_radius_m: float = parameter(
-        0.22, 'The base keeps this far from walls and furniture', minimum=0.01, maximum=2.0
-    )
-    people: int = parameter(0, 'How many people walk about', minimum=0, maximum=50)
+    # The base keeps this far from walls and furniture.
+    robot_radius_m: float = 0.22
+    # How many people walk about.
+    people: int = 0
 
 
 class RobotWorld:

@@ -1,96 +1,82 @@
-"""Parameters in a YAML file, in sections named as in the code."""
+"""Parameter files in ROS's format, as ``--params-file`` takes them; the files that are shipped."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-import dataclasses
+from collections.abc import Collection, Iterator, Mapping
 import logging
 from pathlib import Path
 import sys
-from typing import Any, TypeVar
+from typing import Any
 
 from landmark_nav.errors import LandmarkNavError, shown
-from landmark_nav.parameters import former_name, renamed
 from landmark_nav.storage.reading import read_yaml_mapping
 
-__all__ = ['load_config', 'shipped_config']
-
-T = TypeVar('T')
+__all__ = ['flat', 'read_parameters', 'shipped_config']
 
 _LOG = logging.getLogger(__name__)
 
-_KINDS = {
-    bool: 'true or false',
-    int: 'a whole number',
-    float: 'a number',
-    str: 'a word',
-    tuple: 'a list',
-}
+_SECTION = 'ros__parameters'
 
 
-def load_config(path: Path | str, default: T) -> T:
+def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
     """
-    Read parameters; what a file does not name stays as in `default`.
+    Read what a parameter file gives some nodes.
 
     Parameters
     ----------
     path : path-like
-        YAML; its keys are the fields of `default`, and theirs where those are dataclasses too.
-    default : dataclass instance
-        What to start from.
+        YAML with ``ros__parameters`` below names of nodes or ``/**``. For one release also the
+        parameters alone.
+    nodes : collection of str
+        Names of the nodes, without a namespace; what is for all counts, too.
+
+    Returns
+    -------
+    dict
+        Values by name; the last one of those that are there several times.
 
     Raises
     ------
     LandmarkNavError
-        No YAML, a parameter that does not exist, or a value that it may not take.
+        No such YAML.
 
     """
     path = Path(path)
-    values = read_yaml_mapping(path)
-    if any(isinstance(value, Mapping) and 'ros__parameters' in value for value in values.values()):
-        raise LandmarkNavError(
-            f'{path}: is a file for ROS: here the sections under ros__parameters stand alone'
-        )
-    return _changed(default, values, str(path))
+    document = read_yaml_mapping(path)
+    sections = list(_sections(document))
+    if document and not sections:
+        _LOG.warning('%s: write /**: {ros__parameters: ...} around it, for ROS takes it too', path)
+        sections = [('**', document)]
+    values: dict[str, Any] = {}
+    for node, parameters in sections:
+        if node in (*nodes, '*', '**'):
+            if not isinstance(parameters, Mapping):
+                raise LandmarkNavError(
+                    f'{path}: {_SECTION} is {shown(parameters)}, not a mapping of parameters'
+                )
+            values |= flat(parameters)
+    return values
 
 
-def _changed(config: T, values: Any, where: str) -> T:
-    if not isinstance(values, Mapping):
-        raise LandmarkNavError(f'{where}: is {shown(values)}, not a mapping of parameters')
-    fields = dataclasses.fields(config)  # type: ignore[arg-type]
-    known = {field.name for field in fields}
-    current = {former_name(field): field.name for field in fields} | {name: name for name in known}
-    changes: dict[str, Any] = {}
-    for given, value in values.items():
-        name = current.get(given, given)
-        if name != given:
-            _LOG.warning('%s: %s', where, renamed(str(given), str(name)))
-            if name in values:
-                continue
-        if name not in known:
-            raise LandmarkNavError(
-                f'{where}: no parameter {shown(name)}: there are {", ".join(sorted(known))}'
-            )
-        old = getattr(config, name)
-        if dataclasses.is_dataclass(old):
-            changes[name] = _changed(old, value, f'{where}: {name}')
+def flat(parameters: Mapping[Any, Any], prefix: str = '') -> dict[str, Any]:
+    """Values by their full names, with a dot for each section."""
+    values: dict[str, Any] = {}
+    for key, value in parameters.items():
+        if isinstance(value, Mapping):
+            values |= flat(value, f'{prefix}{key}.')
         else:
-            changes[name] = _converted(value, old, f'{where}: {name}')
-    try:
-        return dataclasses.replace(config, **changes)  # type: ignore[type-var]
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{where}: {error}') from error
+            values[f'{prefix}{key}'] = value
+    return values
 
 
-def _converted(value: Any, old: Any, where: str) -> Any:
-    """Value of the type of the one it replaces; an integer will do for a float."""
-    if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if isinstance(old, tuple) and isinstance(value, list):
-        return tuple(value)
-    if type(value) is not type(old):
-        raise LandmarkNavError(f'{where} is {shown(value)}: take {_KINDS[type(old)]}')
-    return value
+def _sections(document: Mapping[Any, Any]) -> Iterator[tuple[str, Any]]:
+    """Last name of each node or wildcard, and its parameters, in their order."""
+    for key, value in document.items():
+        if isinstance(value, Mapping):
+            if _SECTION in value:
+                yield str(key).rpartition('/')[2], value[_SECTION] or {}
+            else:
+                yield from _sections(value)
 
 
 def shipped_config(name: str) -> Path:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 
 from landmark_nav.calibration import Calibration, NAMES, UNITS
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
-from landmark_nav.storage.reading import array_field, number_field, read_yaml_mapping
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.config_files import flat
+from landmark_nav.storage.reading import array_field, number_field
+from landmark_nav.storage.setup_files import load_robot, robot_document
 from landmark_nav.types import FloatArray
 
-__all__ = ['load_calibration', 'save_calibration']
+__all__ = ['load_calibration', 'load_odometry', 'save_calibration']
+
+T = TypeVar('T')
 
 # Field with standard deviations -> the quantities that they are of; one number holds for all.
 _SIGMAS = {
@@ -37,12 +42,12 @@ _LEAST_CORRELATION = 1e-6
 _LARGEST_SCALAR = {'rad': 1.0, '1': 0.5, 's': 10.0}
 
 
-def load_calibration(path: Path | str) -> Calibration:
+def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) -> Calibration:
     """
     Read where the camera sits on the robot, what else is known of it, and how exactly.
 
     A standard deviation that is absent is that of a person with a tape and a spirit level; 0 says
-    that a value is exact.
+    that a value is exact. `former` is as for `load_robot`.
 
     Raises
     ------
@@ -51,7 +56,7 @@ def load_calibration(path: Path | str) -> Calibration:
 
     """
     path = Path(path)
-    mount, document = load_robot(path), read_yaml_mapping(path)
+    mount, document = load_robot(path, former), robot_document(path, former or {})
     axis = document['pan_axis']
     sigmas: dict[str, float] = {}
     values: dict[str, float] = {}
@@ -71,6 +76,27 @@ def load_calibration(path: Path | str) -> Calibration:
         return replace(alone, covariance=np.outer(alone.sigmas, alone.sigmas) * together)
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
+
+
+def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None = None) -> T:
+    """
+    Read the noise of the wheels, section ``odometry``; what it lacks is as in `default`.
+
+    `former` is as for `load_robot`.
+
+    Raises
+    ------
+    LandmarkNavError
+        No such field, or a value out of its range.
+
+    """
+    given = robot_document(Path(path), former or {}).get('odometry', {})
+    if not isinstance(given, Mapping):
+        raise LandmarkNavError(f'{path}: odometry is {shown(given)}, not a mapping')
+    try:
+        return changed(default, flat(given))
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{path}: odometry: {error}') from error
 
 
 def _correlations(entries: Any) -> FloatArray:
@@ -107,8 +133,14 @@ def _spread(mapping: dict[str, Any], key: str, names: tuple[str, ...], where: st
     return list(spread)
 
 
-def save_calibration(calibration: Calibration, path: Path | str) -> None:
-    """Write a `robot.yaml` with all values and sigmas, whole or not at all."""
+def save_calibration(
+    calibration: Calibration, path: Path | str, odometry: Mapping[str, Any] | None = None
+) -> None:
+    """
+    Write a `robot.yaml` with all values and sigmas, whole or not at all.
+
+    `odometry` is what is given of the noise of the wheels.
+    """
     base = calibration.base
     value = {name: calibration[name][0] for name in NAMES}
     sigma = {name: calibration[name][1] for name in NAMES}
@@ -130,7 +162,13 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
         'optical_center_offset': several('center_x', 3, value),
         'optical_center_offset_sigma': several('center_x', 3, sigma),
         'pan_sigma': float(base.pan_sigma_rad),
+        'pan_min': float(base.pan_min_rad),
+        'pan_max': float(base.pan_max_rad),
+        'pan_rate': float(base.pan_rate_rad_s),
+        'pan_acceleration': float(base.pan_acceleration_rad_s2),
     }
+    if odometry:
+        document['odometry'] = dict(odometry)
     for name in ('camera_roll', *_SCALARS):
         document[name], document[f'{name}_sigma'] = _rounded(value[name]), _rounded(sigma[name])
     spread = np.maximum(calibration.sigmas, 1e-12)

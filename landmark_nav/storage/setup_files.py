@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ __all__ = [
     'load_camera',
     'load_robot',
     'load_room',
+    'robot_document',
     'room_text',
     'wall_entry',
     'wall_of',
@@ -52,6 +54,14 @@ _HALF_TURN_RAD = 3.15
 
 # A pan that errs more shows nothing.
 _LARGEST_SIGMA_RAD = 0.1
+# Field -> the argument of a mount that it is, and its range. A joint may make a full turn to both
+# sides; what is slower or faster is in another unit.
+_PAN_UNIT = {
+    'pan_min': ('pan_min_rad', -6.2832, 6.2832, 'radians'),
+    'pan_max': ('pan_max_rad', -6.2832, 6.2832, 'radians'),
+    'pan_rate': ('pan_rate_rad_s', 0.01, 100.0, 'radians a second'),
+    'pan_acceleration': ('pan_acceleration_rad_s2', 0.01, 1e4, 'radians a second, each second'),
+}
 
 _ROBOT_FIELDS = (
     *('base_frame', 'pan_joint', 'tilt_joint'),
@@ -59,7 +69,7 @@ _ROBOT_FIELDS = (
     # Those that `robot_files` reads.
     *('optical_center_offset_sigma', 'camera_roll_sigma', 'camera_tilt', 'camera_tilt_sigma'),
     *('pan_scale', 'pan_scale_sigma', 'focal_scale', 'focal_scale_sigma', 'principal_point'),
-    *('principal_point_sigma', 'joint_delay', 'joint_delay_sigma'),
+    *('principal_point_sigma', 'joint_delay', 'joint_delay_sigma', 'odometry', *_PAN_UNIT),
 )
 _AXIS_FIELDS = ('xyz', 'rpy', 'xyz_sigma', 'rpy_sigma')
 
@@ -169,9 +179,20 @@ def _check_on_wall(paper: Paper, room: Room, where: str) -> None:
         )
 
 
-def load_robot(path: Path | str) -> PanTiltMount:
+def robot_document(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
+    """Content of `robot.yaml`; what it lacks of the robot, `former` parameters may give."""
+    document = read_yaml_mapping(path)
+    for key, value in former.items():
+        own = document.get(key, {} if isinstance(value, Mapping) else value)
+        document[key] = {**value, **own} if isinstance(own, dict) else own
+    return document
+
+
+def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> PanTiltMount:
     """
-    Read where the turning camera sits on the robot.
+    Read where the turning camera sits on the robot, and what its pan joint can do.
+
+    `former` are fields that parameters of the last release gave; the file goes before them.
 
     Raises
     ------
@@ -180,7 +201,7 @@ def load_robot(path: Path | str) -> PanTiltMount:
 
     """
     path = Path(path)
-    document = read_yaml_mapping(path)
+    document = robot_document(path, former or {})
     try:
         check_spelling(document, _ROBOT_FIELDS, 'robot')
         axis = field(document, 'pan_axis', 'robot')
@@ -204,6 +225,11 @@ def load_robot(path: Path | str) -> PanTiltMount:
             base_frame=name_field(document, 'base_frame', 'robot', 'base_link'),
             pan_joint=name_field(document, 'pan_joint', 'robot', 'pan_joint'),
             tilt_joint=name_field(document, 'tilt_joint', 'robot', 'tilt_joint'),
+            **{
+                argument: _within(document, key, low, high, unit)
+                for key, (argument, low, high, unit) in _PAN_UNIT.items()
+                if key in document
+            },
         )
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
@@ -212,12 +238,16 @@ def load_robot(path: Path | str) -> PanTiltMount:
 def _sigma(document: dict[str, Any]) -> float:
     if 'pan_sigma' not in document:
         return PanTiltMount.pan_sigma_rad
-    sigma = number_field(document, 'pan_sigma', 'robot')
-    if not 0.0 <= sigma <= _LARGEST_SIGMA_RAD:
+    return _within(document, 'pan_sigma', 0.0, _LARGEST_SIGMA_RAD, 'radians')
+
+
+def _within(document: dict[str, Any], key: str, low: float, high: float, unit: str) -> float:
+    value = number_field(document, key, 'robot')
+    if not low <= value <= high:
         raise LandmarkNavError(
-            f'robot: pan_sigma is {sigma:g}: take 0 to {_LARGEST_SIGMA_RAD:g}; it is in radians'
+            f'robot: {key} is {value:g}: take {low:g} to {high:g}; it is in {unit}'
         )
-    return sigma
+    return value
 
 
 def load_camera(path: Path | str) -> CameraModel:

@@ -23,14 +23,12 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import get_typestore, Stores
 import yaml
 
+from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.pipeline import LearningConfig
-from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.folder import read_sweep_folder
 from landmark_nav.storage.bags.topics import TOPIC_TYPES
-from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
@@ -43,15 +41,22 @@ CAMERA_YAML = {
     'camera_matrix': {'rows': 3, 'cols': 3, 'data': [60.0, 0, 31.5, 0, 60.0, 23.5, 0, 0, 1]},
     'distortion_coefficients': {'rows': 1, 'cols': 5, 'data': [0.0] * 5},
 }
-CONFIG = {'fusion': {'mode': 'bearings'}, 'odometry': {}}
+CONFIG = {'/**': {'ros__parameters': {'capture': {'frames': 3}, 'triplet': {'views': 'one'}}}}
+
+
+def read_config(path: Path) -> Any:
+    """Read parameters of all nodes, for a robot of which nothing is known."""
+    robot = path.with_name('any_robot.yaml')
+    robot.write_text('pan_axis: {xyz: [0, 0, 1]}', encoding='utf-8')
+    return load_configuration(path, robot, *READS)
+
 
 # Name -> document, what reads it.
 YAML_FILES: dict[str, tuple[Any, Callable[[Path], Any]]] = {
     'room.yaml': (corpus.ROOM_YAML, load_room),
     'robot.yaml': (corpus.ROBOT_YAML, load_robot),
     'camera.yaml': (CAMERA_YAML, load_camera),
-    'learn.yaml': ({'stereo': {}}, lambda path: load_config(path, LearningConfig())),
-    'evaluate.yaml': (CONFIG, lambda path: load_config(path, LocalizationConfig())),
+    'landmark_nav.yaml': (CONFIG, read_config),
 }
 
 

@@ -59,7 +59,7 @@ def play(domain_id: int) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
     players = []
 
     def play_bag(bag: Path, rate: float = 1.0) -> subprocess.Popen[bytes]:
-        command = node_command('bag_player', bag=str(bag), rate=rate, start_delay_s=3.0)
+        command = node_command('bag_player', bag=str(bag), rate=rate)
         players.append(subprocess.Popen(command, env=node_environment(domain_id)))
         return players[-1]
 

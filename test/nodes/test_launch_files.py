@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from landmark_nav.storage.config_files import shipped_config
+from landmark_nav.configuration import Configuration, READS
 
 LAUNCH = Path(__file__).resolve().parents[2] / 'landmark_nav' / 'launch'
 
@@ -51,18 +50,13 @@ def test_bringup_gives_nodes_parameters_that_they_have() -> None:
     nodes = assigned(bringup, 'NODES')
     assert len(nodes) == 6
     for name, taken in nodes.items():
-        known = {f.name for f in dataclasses.fields(module_parameters(name))}
-        assert set(taken) <= known & arguments
-        assert shipped_config(f'{name}.yaml').is_file()
+        assert set(taken) <= set(READS[name]) & arguments
 
 
 def test_simulation_gives_the_simulator_parameters_that_it_has() -> None:
     simulation = tree('simulation.launch.py')
     types = assigned(simulation, 'types')
-    fields = {f.name: f.type for f in dataclasses.fields(module_parameters('room_simulator'))}
+    fields = {f.name: f.type for f in dataclasses.fields(Configuration)}
     assert types == {name: fields[name] for name in types}
+    assert set(types) <= set(READS['room_simulator'])
     assert set(types) <= declared(simulation) | declared(tree('bringup.launch.py'))
-
-
-def module_parameters(name: str) -> Any:
-    return import_module(f'landmark_nav.nodes.{name}').Parameters

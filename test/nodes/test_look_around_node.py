@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.pan_command import listen_for_pan, PanCommander, PanCommandParameters
+from landmark_nav.ros.pan_command import listen_for_pan, PanCommander
 
 RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 SELECTOR = 'triplet_selector'
@@ -30,7 +30,7 @@ LIMITS = (-1.2, 0.9)
 
 
 def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
-    start: Callable[..., None], client: RobotClient, learned_map: Path
+    start: Callable[..., None], client: RobotClient, learned_map: Path, tmp_path: Path
 ) -> None:
     mount = load_robot(str(RECORDED / 'robot.yaml'))
     drive = Bag(RECORDED / 'drive')
@@ -38,8 +38,10 @@ def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
     camera = decode.camera_model(info)
     topics = ('camera/camera_info', 'joint_states', 'odometry/fused')
     infos, joints, fused = (client.advertise(topic) for topic in topics)
-    limits = {'pan_min_rad': LIMITS[0], 'pan_max_rad': LIMITS[1], 'yield_s': 1.5}
-    start(SELECTOR, robot_file=str(RECORDED / 'robot.yaml'), **limits)
+    robot = tmp_path / 'robot.yaml'
+    limits = f'pan_min: {LIMITS[0]}\npan_max: {LIMITS[1]}\n'
+    robot.write_text((RECORDED / 'robot.yaml').read_text() + limits)
+    start(SELECTOR, robot_file=str(robot), yield_s=1.5)
     for topic, message in zip(
         ('landmarks', 'landmarks/atlas'),
         encode.landmark_map(ros_factory, load_map(learned_map), 1),
@@ -73,7 +75,7 @@ def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
         client.wait(lambda: alive() or until() or time.monotonic() > end, seconds + 1.0, 'time')
 
     listen_for_pan(client._node, mount, 'JointTrajectory', take)
-    other = PanCommander(client._node, mount, PanCommandParameters())
+    other = PanCommander(client._node, mount, 'JointTrajectory')
     live(20.0, lambda: len(set(commands)) >= 4)
     assert len(set(commands)) >= 4
     assert all(LIMITS[0] <= pan <= LIMITS[1] for pan in commands)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import dataclasses
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,41 +11,31 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 import yaml
 
+from landmark_nav.configuration import Configuration, READS
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.nodes.describe import parameter_file
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.parameters import misspelt
+from landmark_nav.ros.parameters import declare, settle
 from landmark_nav.storage.config_files import shipped_config
-
-NODES = [
-    'bag_player',
-    'landmark_learner',
-    'odometry_fusion',
-    'panorama_synthesizer',
-    'room_simulator',
-    'sweep_capture',
-    'triangulation_localizer',
-    'triplet_selector',
-]
 
 
 @dataclasses.dataclass(frozen=True)
 class Section(Config):
     rate_hz: float = parameter(5.0, 'how often', minimum=1.0, maximum=10.0)
-    names: tuple[str, ...] = parameter(('a', 'b'), 'which', formerly='words')
+    names: tuple[str, ...] = parameter(('a', 'b'), 'which')
+    fixed: float = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Whole(Config):
     count: int = parameter(3, 'how many', minimum=1)
-    kind: str = parameter('fast', 'how', choices=('fast', 'slow'), formerly='sort')
+    kind: str = parameter('fast', 'how', choices=('fast', 'slow'))
+    of_another: int = parameter(1, 'of another node', minimum=0)
     section: Section = dataclasses.field(default_factory=Section)
 
     def __post_init__(self) -> None:
@@ -56,9 +45,10 @@ class Whole(Config):
 
 
 class ConfiguredNode(LandmarkNode):
-    def __init__(self, config: type, **options: Any) -> None:
+    def __init__(self, config: Any, names: Any = ('count', 'kind', 'section'), **options: Any):
         super().__init__('configured', 'test', **options)
-        self.config = self.configure(config)
+        self.robot = settle(self, config)
+        self.config = declare(self, config, names)
 
     def health(self) -> Health:
         return Health(Level.OK, 'fine')
@@ -73,10 +63,12 @@ def context(domain_id: int) -> Iterator[Context]:
 
 
 def test_description_range_and_default(context: Context) -> None:
-    node = ConfiguredNode(Whole, context=context)
+    node = ConfiguredNode(Whole(), context=context)
     assert node.config == Whole()
+    assert not node.has_parameter('of_another')
+    assert not node.has_parameter('section.fixed')
     rate = node.describe_parameter('section.rate_hz')
-    assert (rate.description, rate.read_only) == ('how often', True)
+    assert (rate.description, rate.read_only) == ('how often [Hz]', True)
     limits = rate.floating_point_range[0]
     assert (limits.from_value, limits.to_value) == (1.0, 10.0)
     assert node.describe_parameter('count').integer_range[0].from_value == 1
@@ -90,7 +82,7 @@ def test_values_come_from_a_file(context: Context, tmp_path: Path) -> None:
     values = {'count': 7, 'section': {'rate_hz': 2.5, 'names': ['x']}}
     path.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
     arguments = ['--ros-args', '--params-file', str(path)]
-    node = ConfiguredNode(Whole, context=context, cli_args=arguments)
+    node = ConfiguredNode(Whole(), context=context, cli_args=arguments)
     assert node.config == Whole(count=7, section=Section(2.5, ('x',)))
 
 
@@ -106,61 +98,48 @@ def test_values_come_from_a_file(context: Context, tmp_path: Path) -> None:
 def test_a_bad_value_is_named(context: Context, name: str, value: Any, words: str) -> None:
     overrides = [Parameter(name, value=value)]
     with pytest.raises(LandmarkNavError, match=words):
-        ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
+        ConfiguredNode(Whole(), context=context, parameter_overrides=overrides)
 
 
-def test_a_name_that_nothing_has_is_reported_with_what_it_looks_like(context: Context) -> None:
-    given = {
-        'countt': 3,
-        'section.rat_hz': 2.0,
-        'of_another_node': 1,
-        'kind': 'slow',
-        'kinds': 'x',
-    }
+def test_a_name_that_nothing_has_is_reported_with_what_it_looks_like(
+    context: Context, capfd: pytest.CaptureFixture[str]
+) -> None:
+    given = {'countt': 3, 'section.rat_hz': 2.0, 'of_another': 2, 'section.fixed': 2.0}
     overrides = [Parameter(name, value=value) for name, value in given.items()]
-    node = ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
-    assert misspelt(node) == {'countt': 'count', 'section.rat_hz': 'section.rate_hz'}
+    node = ConfiguredNode(Whole(), context=context, parameter_overrides=overrides)
+    assert node.config == Whole()
+    reported = capfd.readouterr().err
+    for name, meant in (('countt', 'count'), ('section.rat_hz', 'section.rate_hz')):
+        assert f"'{name}': did you mean {meant}?" in reported
+    assert 'section.fixed' in reported
+    assert 'of_another' not in reported
 
 
-def test_a_former_name_sets_the_parameter_unless_the_new_one_is_given(context: Context) -> None:
-    overrides = [Parameter('sort', value='slow'), Parameter('section.words', value=['c'])]
-    node = ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
-    assert node.config == Whole(kind='slow', section=Section(names=('c',)))
-    assert misspelt(node) == {}
-    both = [Parameter('sort', value='slow'), Parameter('kind', value='fast')]
-    assert ConfiguredNode(Whole, context=context, parameter_overrides=both).config == Whole()
-
-
-def test_a_former_name_is_checked_as_the_new_one(context: Context) -> None:
-    with pytest.raises(LandmarkNavError, match='fast, slow'):
-        ConfiguredNode(Whole, context=context, parameter_overrides=[Parameter('sort', value='no')])
+def test_former_names_are_taken_or_go_to_the_robot_or_are_ignored(
+    context: Context, capfd: pytest.CaptureFixture[str]
+) -> None:
+    given = {'command_type': 'JointState', 'joint_delay_s': 0.02, 'capture.pan_min_rad': -1.0}
+    given |= {'odometry.slip_sigma': 0.1, 'period_s': 0.2, 'look_around.after_s': 1.0}
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    node = ConfiguredNode(
+        Configuration(), READS['room_simulator'], context=context, parameter_overrides=overrides
+    )
+    assert node.config.command.type == 'JointState'
+    assert node.config.look_around == Configuration().look_around
+    odometry = {'slip_sigma': 0.1}
+    assert node.robot == {'joint_delay': 0.02, 'pan_min': -1.0, 'odometry': odometry}
+    reported = capfd.readouterr().err
+    assert all(name in reported for name in given)
 
 
 def test_values_that_contradict_each_other(context: Context) -> None:
     overrides = [Parameter('kind', value='slow'), Parameter('section.rate_hz', value=9.0)]
     with pytest.raises(LandmarkNavError, match='contradict'):
-        ConfiguredNode(Whole, context=context, parameter_overrides=overrides)
+        ConfiguredNode(Whole(), context=context, parameter_overrides=overrides)
 
 
-@pytest.mark.parametrize('name', NODES)
-class TestNode:
-    def test_file_holds_all_parameters(self, name: str) -> None:
-        text = shipped_config(f'{name}.yaml').read_text()
-        renew = f'python -m landmark_nav.nodes.describe {name} > config/{name}.yaml'
-        assert text == parameter_file(name), renew
-
-    def test_file_gives_the_defaults(self, name: str, context: Context) -> None:
-        config = import_module(f'landmark_nav.nodes.{name}').Parameters
-        arguments = ['--ros-args', '--params-file', str(shipped_config(f'{name}.yaml'))]
-        node = ConfiguredNode(config, context=context, cli_args=arguments)
-        assert node.config == config()
-
-    def test_every_parameter_is_described(self, name: str, context: Context) -> None:
-        config = import_module(f'landmark_nav.nodes.{name}').Parameters
-        node = ConfiguredNode(config, context=context)
-        own = [p for p in node.get_parameters_by_prefix('') if p not in ('use_sim_time',)]
-        described: list[ParameterDescriptor] = node.describe_parameters(
-            [p for p in own if not p.startswith(('start_type_description', 'qos_overrides'))]
-        )
-        assert described
-        assert [d.name for d in described if not d.description or not d.read_only] == []
+@pytest.mark.parametrize('name', sorted(READS))
+def test_the_file_of_users_gives_the_defaults_of_every_node(name: str, context: Context) -> None:
+    arguments = ['--ros-args', '--params-file', str(shipped_config('landmark_nav.yaml'))]
+    node = ConfiguredNode(Configuration(), READS[name], context=context, cli_args=arguments)
+    assert node.config == Configuration()

@@ -16,7 +16,7 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.expected_poses import ExpectedPoses
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.relocalization import Relocalizer
+from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
 from landmark_nav.messages import decode
 from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate
 
@@ -24,7 +24,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from rclpy.task import Future
 
-from landmark_nav.nodes.place_search import PlaceSearch, PlaceSearchConfig
+from landmark_nav.nodes.place_search import PlaceSearch
 
 SECOND = 10**9
 SURE, WIDE = 1e-4 * np.eye(3), np.eye(3)
@@ -63,7 +63,7 @@ def search(
     made = PlaceSearch(
         node,
         Calibration.of_mount(PanTiltMount()),
-        PlaceSearchConfig(search_s=0.2),
+        RelocalizationConfig(search_s=0.2),
         'map',
         prior.recent,
         OdometryNoiseConfig(),
@@ -131,13 +131,13 @@ def test_a_place_is_reported_with_what_it_was_found_from(
 ) -> None:
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND), 0.04)
+    search.look(frame_at(SECOND))
     place = decode.global_pose(reported[0])
     assert place.stamp_ns == SECOND
     np.testing.assert_array_equal(place.pose, Finder.in_time.pose)
     np.testing.assert_array_equal(place.covariance, SURE)
     assert place.ids.tolist() == [3, 7]
-    assert (place.pan_rate_rad_s, place.joint_delay_s) == (0.7, 0.04)
+    assert place.pan_rate_rad_s == 0.7
     # It takes a moment to become the fused pose; if it does not, the search begins anew.
     search.consider(SECOND + SECOND // 2)
     assert not search.active

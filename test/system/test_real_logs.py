@@ -18,14 +18,12 @@ import pytest
 
 from landmark_nav.cli import convert
 from landmark_nav.cli.main import main
+from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.run_report import pose_report, run_errors
-from landmark_nav.localization.localizer import LocalizationConfig
-from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 
-CONFIG = Path(__file__).resolve().parents[2] / 'config' / 'mrclam.yaml'
 # RMSE and median, m; heading RMSE, deg.
 LIMITS = {1: (0.13, 0.08, 2.5), 2: (0.09, 0.06, 1.5), 3: (0.07, 0.04, 1.0)}
 
@@ -51,7 +49,7 @@ def test_bearings_keep_commanded_odometry_on_the_floor(shared_data: Path, tmp_pa
     bag = tmp_path / 'log'
     start = converted(shared_data, 3, bag)
     arguments = ['evaluate', str(bag), '--map', f'{bag}_map', '--robot', f'{bag}_robot.yaml']
-    arguments += ['--start', *map(str, start), '--config', str(CONFIG)]
+    arguments += ['--start', *map(str, start), '--config', f'{bag}_config.yaml']
     assert main([*arguments, '--json', str(tmp_path / 'run.json')]) == 0
     check(json.loads((tmp_path / 'run.json').read_text()), 3)
 
@@ -74,7 +72,7 @@ def test_so_do_those_of_other_robots(
         events,
         posts,
         load_calibration(tmp_path / 'log_robot.yaml'),
-        load_config(CONFIG, LocalizationConfig()),
+        load_configuration(tmp_path / 'log_config.yaml', tmp_path / 'log_robot.yaml', *READS),
         np.array(start),
         np.diag([0.05, 0.05, 0.035]) ** 2,
     )

@@ -252,21 +252,6 @@ def test_the_same_panorama_gives_the_same_candidates():
     )
 
 
-@pytest.mark.parametrize(
-    ('values', 'message'),
-    [
-        ({f'weight_{name}': 0.0 for name in FEATURES}, 'all weights'),
-        ({'size_min_px': 40}, 'size_min_px'),
-        ({'edge_low': 20.0}, 'edge_low'),
-        ({'ambiguity_max': 1.5}, 'ambiguity_max'),
-        ({'weight_corners': float('nan')}, 'weight_corners'),
-    ],
-)
-def test_wrong_parameters_are_named(values, message):
-    with pytest.raises(LandmarkNavError, match=message):
-        AttentionConfig(**values)
-
-
 def test_unknown_feature_and_too_small_a_panorama_are_refused():
     with pytest.raises(LandmarkNavError, match='colour'):
         AttentionConfig().alone('colour')

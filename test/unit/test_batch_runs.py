@@ -19,7 +19,7 @@ runs:
     learn: {bag: sweeps, room: room.yaml}
     evaluate: {bag: drive, start: [1.0, 2.0, 0.5]}
 grid:
-  evaluate.config.choice_period_s: [0.5, 1.0]
+  evaluate.config.estimator.learning_sigma: [0.5, 1.0]
 """
 
 

@@ -82,8 +82,6 @@ def test_a_joint_that_never_moves():
 def test_no_angle_within_the_limits_is_refused():
     with pytest.raises(LandmarkNavError, match='no frame within'):
         CaptureConfig(start_rad=1.0, frames=3, pan_min_rad=-0.5, pan_max_rad=0.5)
-    with pytest.raises(LandmarkNavError, match=r'pan_min_rad of CaptureConfig is 2\.5.*swap them'):
-        CaptureConfig(pan_min_rad=2.5, pan_max_rad=0.5)
     with pytest.raises(LandmarkNavError, match='frames'):
         CaptureConfig(frames=0)
 

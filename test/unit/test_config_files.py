@@ -1,3 +1,5 @@
+"""One file of parameters, for nodes and commands."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -5,75 +7,123 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import yaml
 
 from landmark_nav.cli import learn
 from landmark_nav.cli.main import main
+from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.attention import AttentionConfig, FEATURES
-from landmark_nav.learning.stereo import StereoConfig
-from landmark_nav.localization.localizer import LocalizationConfig
-from landmark_nav.storage.config_files import load_config
+from landmark_nav.parameters import leaves
+from landmark_nav.storage.config_files import flat, shipped_config
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
+ROBOT = BAGS / 'robot.yaml'
+PLAIN = load_configuration(None, ROBOT)
 
 
-def load(tmp_path: Path, text: str) -> LocalizationConfig:
-    path = tmp_path / 'config.yaml'
+def load(folder: Path, text: str, *nodes: str, robot: Path = ROBOT) -> Configuration:
+    path = folder / 'config.yaml'
     path.write_text(text)
-    return load_config(path, LocalizationConfig())
+    return load_configuration(path, robot, *(nodes or READS))
+
+
+def for_all(parameters: str) -> str:
+    return f'/**: {{ros__parameters: {{{parameters}}}}}'
+
+
+def test_users_change_few_and_find_the_defaults_in_the_file() -> None:
+    path = shipped_config('landmark_nav.yaml')
+    assert load_configuration(path, ROBOT, *READS) == PLAIN
+    (section,) = yaml.safe_load(path.read_text()).values()
+    inside = section['ros__parameters']
+    assert len(flat(inside)) <= 12
+
+
+def test_parameters_are_few_and_described_and_all_have_a_reader() -> None:
+    known = {name: (field, value) for name, field, value in leaves(Configuration())}
+    assert len(known) <= 40
+    for name, (field, value) in known.items():
+        assert field.metadata['description'], name
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            assert field.metadata['minimum'] <= value <= field.metadata['maximum'], name
+    read = {wanted for names in READS.values() for wanted in names}
+    assert all(name in read or any(name.startswith(f'{k}.') for k in read) for name in known)
+    assert all(k in known or any(name.startswith(f'{k}.') for name in known) for k in read)
 
 
 def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
-    text = 'estimator: {tail_freedom: 4}\nobservation:\n  triangulation:\n    max_sigma_m: 1\n'
-    config = load(tmp_path, text)
-    assert config.estimator.tail_freedom == 4.0
-    assert config.observation.triangulation.max_sigma_m == 1.0
-    assert isinstance(config.observation.triangulation.max_sigma_m, float)
-    assert config.odometry == LocalizationConfig().odometry
-    assert config.estimator.history_s == LocalizationConfig().estimator.history_s
+    config = load(tmp_path, for_all('estimator: {step_probability: 0}, capture.frames: 36'))
+    assert config.estimator.step_probability == 0.0
+    assert isinstance(config.estimator.step_probability, float)
+    assert config.capture.frames == 36
+    assert config.odometry == PLAIN.odometry
+    assert config.estimator.history_s == PLAIN.estimator.history_s
+
+
+@pytest.mark.parametrize('text', ['', '# estimator: 1\n', for_all(''), for_all('estimator: {}')])
+def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> None:
+    assert load(tmp_path, text) == PLAIN
+
+
+def test_sections_of_other_nodes_do_not_count(tmp_path: Path) -> None:
+    text = (
+        'amcl: {ros__parameters: {alpha1: 0.2}}\n'
+        '/robot/odometry_fusion: {ros__parameters: {map_frame: own}}\n'
+        'robot: {triangulation_localizer: {ros__parameters: {map_frame: other}}}\n'
+    )
+    assert load(tmp_path, text, 'odometry_fusion').map_frame == 'own'
+    assert load(tmp_path, text, 'triangulation_localizer').map_frame == 'other'
+    assert load(tmp_path, text, 'landmark_learner').map_frame == 'map'
+
+
+def test_a_file_of_the_last_release_is_taken_with_warnings(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    text = (
+        'observation: {triplet: {views: several, hysteresis: 0.1}}\n'
+        'estimator: {tail_freedom: 4.0}\nodometry: {along_m_per_sqrt_m: 0.5, slip_sigma: 0.5}\n'
+    )
+    robot = tmp_path / 'robot.yaml'
+    robot.write_text(ROBOT.read_text() + 'odometry: {slip_sigma: 0.25}\n')
+    config = load(tmp_path, text, robot=robot)
+    assert config.triplet.views == 'several'
+    assert config.triplet.hysteresis == PLAIN.triplet.hysteresis
+    # The robot's file goes before what is moved there.
+    assert (config.odometry.along_m_per_sqrt_m, config.odometry.slip_sigma) == (0.5, 0.25)
+    for named in ('ros__parameters', 'triplet.views', 'triplet.hysteresis', 'robot.yaml'):
+        assert named in caplog.text
+    assert all(len(record.getMessage()) < 200 + len(str(tmp_path)) for record in caplog.records)
 
 
 @pytest.mark.parametrize(
-    ('section', 'former', 'name', 'value'),
+    ('name', 'fact', 'value'),
     [
-        ('observation.triplet', 'look_s', 'dwell_time_s', 2.0),  # keep
-        ('observation.detection', 'enough', 'target_count', 7),  # keep
+        ('capture: {pan_min_rad: -1.0}', 'capture.pan_min_rad', -1.0),
+        ('pan_max_rad: 1.0', 'capture.pan_max_rad', 1.0),
+        ('command: {speed_rad_s: 0.5}', 'triplet.pan_rate_rad_s', 0.5),
     ],
 )
-def test_a_former_name_is_taken_with_a_warning(
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    section: str,
-    former: str,
-    name: str,
-    value: float,
+def test_facts_of_the_robot_still_come_from_where_they_were(
+    tmp_path: Path, name: str, fact: str, value: float
 ) -> None:
-    outer, inner = section.split('.')
-    config = load(tmp_path, f'{outer}: {{{inner}: {{{former}: {value}}}}}')
-    assert getattr(getattr(getattr(config, outer), inner), name) == value
-    assert name in caplog.text
-    config = load(tmp_path, f'{outer}: {{{inner}: {{{former}: 3, {name}: {value}}}}}')
-    assert getattr(getattr(getattr(config, outer), inner), name) == value
-
-
-@pytest.mark.parametrize('text', ['', '# estimator: {history_s: 1}\n', 'estimator: {}\n'])
-def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> None:
-    assert load(tmp_path, text) == LocalizationConfig()
+    config: Any = load(tmp_path, for_all(name))
+    section, field = fact.split('.')
+    assert getattr(getattr(config, section), field) == value
 
 
 @pytest.mark.parametrize(
     ('text', 'complaint'),
     [
-        ('fusion: {}', "no parameter 'fusion': there are"),
-        ('/**: {ros__parameters: {estimator: {}}}', 'is a file for ROS'),
-        ('estimator: {tail: 4}', "estimator: no parameter 'tail'"),
-        ('observation: {detection: {appearance: x}}', 'parameter appearance .* take one of'),
-        ('estimator: 3', 'estimator: is 3, not a mapping'),
-        ('estimator: {history_s: soon}', "estimator: history_s is 'soon': take a number"),
-        ('estimator: {history_s: true}', 'history_s is True: take a number'),
-        ('odometry: {along_m_per_sqrt_m: -1}', 'along_m_per_sqrt_m of .* is -1'),
-        ('odometry: {estimate_odometry_bias: 1}', 'take true or false'),
-        ('observation: {detection: {max_count: 2.5}}', 'take a whole number'),
+        (for_all('fusion: 1'), "no parameter 'fusion'"),
+        (for_all('capture: {fraems: 3}'), "no parameter 'capture.fraems': .* capture.frames"),
+        (for_all('triplet: {views: x}'), 'parameter views .* take one of'),
+        (for_all('estimator: 3'), "no parameter 'estimator'"),
+        (for_all('capture: {frames: soon}'), "frames is 'soon': take a whole number"),
+        (for_all('capture: {frames: true}'), 'frames is True: take a whole number'),
+        (for_all('capture: {frames: 2.5}'), 'take a whole number'),
+        (for_all('capture: {frames: -1}'), 'frames of .* is -1'),
+        (for_all('look_around: {enabled: 1}'), 'take true or false'),
+        ('/**: {ros__parameters: [1]}', 'not a mapping'),
         ('- fusion', 'holds no mapping'),
     ],
 )
@@ -83,8 +133,7 @@ def test_what_cannot_be_is_named(tmp_path: Path, text: str, complaint: str) -> N
 
 
 def learn_command(config: Path) -> list[str]:
-    room, robot = str(BAGS / 'room.yaml'), str(BAGS / 'robot.yaml')
-    files = ['--room', room, '--robot', robot, '--config', str(config)]
+    files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(ROBOT), '--config', str(config)]
     return ['learn', str(BAGS / 'learn'), *files, '--out', str(config.parent / 'map')]
 
 
@@ -104,34 +153,20 @@ def test_learn_takes_parameters_of_all_its_stages(
     monkeypatch.setattr(learn, 'panorama_from_sweep', panorama_from_sweep)
     monkeypatch.setattr(learn, 'learn_from_panoramas', learn_from_panoramas)
     path = tmp_path / 'learn.yaml'
-    weights = ', '.join(f'weight_{name}: {int(name == "corners")}' for name in FEATURES)
-    sizes = 'size_min_px: 20, size_max_px: 64'
-    path.write_text(
-        f'panorama: {{blend: mean, crop_px: 350}}\nattention: {{{weights}, {sizes}}}\n'
-    )
+    path.write_text(for_all('attention: {candidates: 50}, election: {max_count: 9}'))
     assert main(learn_command(path)) == 1
     assert 'enough' in capsys.readouterr().err
     assert len(met) == 3
     for config in met:
-        assert (config.panorama.blend, config.panorama.crop_px) == ('mean', 350)
-    assert met[-1].attention.weights == AttentionConfig().alone('corners').weights
-    assert met[-1].attention.sizes_px[0] == 20
-    assert met[-1].attention.sizes_px[-1] == 64
-    assert met[-1].stereo == StereoConfig()
+        assert (config.attention.candidates, config.election.max_count) == (50, 9)
+        assert config.stereo == PLAIN.stereo
 
 
 def test_learn_refuses_parameters_that_cannot_be(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / 'learn.yaml'
-    for text, complaint in (
-        ('panorama: {blend: best}', 'panorama: parameter blend of PanoramaConfig'),
-        ('attention: {size_min_px: 64}', 'size_min_px of AttentionConfig is 64, more than'),
-        ('localization: {}', "no parameter 'localization': there are adjustment"),
-    ):
-        path.write_text(text)
-        assert main(learn_command(path)) == 1
-        reported = capsys.readouterr().err
-        assert str(path) in reported
-        assert complaint in reported
+    path.write_text(for_all('attention: {candidates: 0}'))
+    assert main(learn_command(path)) == 1
+    assert str(path) in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ['learn.yaml']

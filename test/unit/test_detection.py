@@ -31,7 +31,6 @@ from scenes import (
     true_landmark,
 )
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.localization.detection import (
@@ -278,8 +277,3 @@ def test_pixels_and_bearings_are_of_one_place() -> None:
     in_base = se2.transform_points(se2.inverse(HERE), position[:, :2]) - center[:2]
     direction = np.arctan2(in_base[:, 1], in_base[:, 0])
     np.testing.assert_allclose(np.arctan2(rays[:, 1], rays[:, 0]), direction, atol=2e-4)
-
-
-def test_parameters_out_of_range_are_refused() -> None:
-    with pytest.raises(LandmarkNavError, match='window_sigmas'):
-        DetectionConfig(window_sigmas=0.1)

@@ -10,7 +10,6 @@ import pytest
 from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
 from wall_views import greys_of
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
 from landmark_nav.learning.election import elect, ElectionConfig
@@ -267,11 +266,6 @@ def test_what_its_measurements_alone_do_not_place_is_refused(panoramas: list[Pan
     # It is the depth that counts: along the wall nothing is drawn to anything.
     free = perfect([patch], own_covariance=(spread[::-1, ::-1] ** 2)[None])
     assert isinstance(elect_from(panoramas, [patch], free=free)[0], Landmark)
-
-
-def test_parameters_out_of_range_are_refused() -> None:
-    with pytest.raises(LandmarkNavError, match='max_overlap'):
-        ElectionConfig(max_overlap=1.5)
 
 
 def reconstruct(

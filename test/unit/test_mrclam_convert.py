@@ -105,7 +105,7 @@ def test_evaluated_smoothed_and_exported(
 ) -> None:
     start = json.loads(converted.with_name('run_start.json').read_text())['pose']
     config = tmp_path / 'config.yaml'
-    config.write_text('estimator: {learning_sigma: 0.0}\n')
+    config.write_text('/**: {ros__parameters: {estimator: {learning_sigma: 0.0}}}\n')
     arguments = ['evaluate', str(converted), '--map', f'{converted}_map', '--robot']
     robot = tmp_path / 'robot.yaml'
     robot.write_text(EXACT)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scenes import draw_cylinder, draw_sweep, rectangle_room, textured_room
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.types import CameraFrame, FloatArray, Sweep
@@ -167,11 +166,6 @@ def test_a_camera_off_its_axis_sees_one_room_if_the_range_is_known(
         error[known] = np.abs(view.image.astype(float) - expected)[wall].mean()
     assert error[True] < 2.0
     assert error[False] > 3.0 * error[True]
-
-
-def test_an_unknown_blend_is_refused() -> None:
-    with pytest.raises(LandmarkNavError, match=r"blend .*'average'.* mean, median, feather"):
-        PanoramaConfig(blend='average')
 
 
 def test_the_median_of_black_and_white_lies_between() -> None:

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -21,13 +21,6 @@ class Sample(Config):
 def test_bounds_belong_to_the_range() -> None:
     assert Sample(ratio=0.0, count=1, mode='good', active=False).ratio == 0.0
     assert Sample(ratio=1.0, count=10**9).count == 10**9
-
-
-def test_fields_carry_what_a_node_declares() -> None:
-    ratio = fields(Sample)[0]
-    assert ratio.default == 0.5
-    assert ratio.metadata['description'] == 'A share'
-    assert (ratio.metadata['minimum'], ratio.metadata['maximum']) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize(

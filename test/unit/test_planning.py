@@ -334,7 +334,3 @@ class TestBadInput:
         poses = np.array([[2.0, 2.5, 0.0], [2.5, 0.5, 0.0]])
         with pytest.raises(LandmarkNavError, match='1 of 2 places do not see all 3 papers'):
             forecast([poses], poses[:, :2], ROOM, MOUNT, CONFIG)
-
-    def test_camera_that_is_none(self) -> None:
-        with pytest.raises(LandmarkNavError, match='focal_px'):
-            PlanConfig(focal_px=0.0)

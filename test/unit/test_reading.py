@@ -15,10 +15,9 @@ import pytest
 from test_image_codec import jpeg_of_size, png_of_size
 from test_maps import make_map
 
+from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, one_line
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.storage.bags import Bag, read_sweep_folder
-from landmark_nav.storage.config_files import load_config
 from landmark_nav.storage.maps import load_map, patch_reader, save_map
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.storage.reading import read_bytes, read_text, read_yaml_mapping
@@ -62,7 +61,7 @@ def hostile(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
         lambda folder: load_room(folder / 'x.yaml'),
         lambda folder: load_robot(folder / 'x.yaml'),
         lambda folder: load_camera(folder / 'x.yaml'),
-        lambda folder: load_config(folder / 'x.yaml', PanTiltMount()),
+        lambda folder: load_configuration(folder / 'x.yaml', '', 'odometry_fusion'),
         load_map,
         Bag,
     ],

@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.se2 import compose
@@ -53,10 +52,6 @@ class TestPanTiltUnit:
         assert unit.measured_rad[0] == pytest.approx(0.50)
         assert unit.angles_rad[0] == pytest.approx(0.5037)
         assert unit.settled
-
-    def test_refuses_nonsense(self):
-        with pytest.raises(LandmarkNavError, match='max_rate_rad_s'):
-            PanTiltConfig(max_rate_rad_s=-1.0)
 
 
 def drive(config: DriveConfig, seed: int = 0, free=lambda xy: True) -> DifferentialDrive:

@@ -234,10 +234,6 @@ class TestBadInput:
         with pytest.raises(LandmarkNavError, match='positive'):
             triangulate(LANDMARKS, bearings(POSE, LANDMARKS), np.zeros(6))
 
-    def test_parameters(self) -> None:
-        with pytest.raises(LandmarkNavError, match='max_sigma_m'):
-            TriangulationConfig(max_sigma_m=-1.0)
-
 
 class TestModel:
     def test_gradients_against_differences(self) -> None:

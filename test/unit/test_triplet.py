@@ -20,7 +20,6 @@ from triplet_room import (
     WIDTH,
 )
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.triangulation import triangulate
@@ -201,7 +200,3 @@ class TestRefusal:
         found = select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, strict)
         assert isinstance(found, Refusal)
         assert 'accurate enough' in found.reason
-
-    def test_parameters(self) -> None:
-        with pytest.raises(LandmarkNavError, match='min_sampling'):
-            TripletConfig(min_sampling=0.0)

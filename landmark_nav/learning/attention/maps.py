@@ -303,6 +303,8 @@ def fuse(conspicuities: Mapping[str, Float32Array], weights: Mapping[str, float]
 
 # Difference of Gaussians between what is at a place and around it, px of the panorama.
 CENTER_SIGMA_PX, SURROUND_SIGMA_PX = 4.0, 16.0
+# Gradients at which an edge goes on and starts, grey levels per px: chosen by hand.
+_EDGE_LOW, _EDGE_HIGH = 4.0, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +338,7 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
     columns = np.arange(-side, width + side + width % 2) % width
     padded = panorama_gray.take(columns, axis=1)
     padded = cv2.copyMakeBorder(padded, 0, height % 2, 0, 0, cv2.BORDER_REPLICATE)
-    features = _feature_maps(padded, config, list(weights), side)
+    features = _feature_maps(padded, list(weights), side)
     sigmas = CENTER_SIGMA_PX / 2.0, SURROUND_SIGMA_PX / 2.0
     conspicuities = {name: conspicuity_map(m, *sigmas, side // 2) for name, m in features.items()}
     fused = fuse(conspicuities, weights)
@@ -345,11 +347,9 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
     return AttentionMaps(features, conspicuities, saliency, side // 2)
 
 
-def _feature_maps(
-    gray: ImageArray, config: AttentionConfig, names: list[str], side: int
-) -> dict[str, Float32Array]:
+def _feature_maps(gray: ImageArray, names: list[str], side: int) -> dict[str, Float32Array]:
     """Feature maps at half resolution, what they share computed once."""
-    gradients = edge_gradients(gray, config.edge_low, config.edge_high, side)
+    gradients = edge_gradients(gray, _EDGE_LOW, _EDGE_HIGH, side)
     intensity = intensity_map(gray)
     compute: dict[str, Callable[[], Float32Array]] = {
         'intensity': lambda: halve(intensity),
@@ -358,6 +358,6 @@ def _feature_maps(
         'corners': lambda: halve(corner_map(gradients)),
         'symmetry': lambda: point_symmetry_map(gradients),
         'radial_symmetry': lambda: radial_symmetry_map(gradients),
-        'line_symmetry': lambda: line_symmetry_map(intensity, config.edge_high / 255.0),
+        'line_symmetry': lambda: line_symmetry_map(intensity, _EDGE_HIGH / 255.0),
     }
     return {name: compute[name]() for name in names}

@@ -197,6 +197,11 @@ def _sums(band: FloatArray, columns: IndexArray, width: int) -> FloatArray:
 _SAME_PLACE = 0.25
 # Largest predicted noise of a match along the row, px.
 _MOST_BEARING_SIGMA_PX = 0.05
+# Largest correlation with another place near by (docs/decisions.md, attention).
+_MOST_ALIKE = 0.75
+# Noise of one frame, standard deviation in grey levels: about that of the simulated camera at
+# middle brightness, sqrt(2^2 + 0.06 x 120) = 3.3.
+_NOISE_GRAY = 3.0
 # Standard deviation of the Gaussian before gradients are taken, px.
 _SMOOTHING_PX = 1.0
 
@@ -212,7 +217,7 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     """
     window, column, row = _neighborhood(candidate, gray, config)
     patch = window[row : row + candidate.height_px, column : column + candidate.width_px]
-    sigma_px = _bearing_sigma_px(patch, config.noise_gray)
+    sigma_px = _bearing_sigma_px(patch)
     if sigma_px > _MOST_BEARING_SIGMA_PX:
         found = f'a match would vary by {sigma_px:.2f} px' if np.isfinite(sigma_px) else 'noise'
         return Refusal('too little contrast along the row', found)
@@ -224,7 +229,7 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     )
     score = np.where(elsewhere & np.isfinite(score), score, -1.0)
     at = np.unravel_index(int(np.argmax(score)), score.shape)
-    if score[at] > config.ambiguity_max:
+    if score[at] > _MOST_ALIKE:
         return Refusal(
             'looks like a place near by',
             f'correlation {score[at]:.2f} at {at[1] - column:+d} columns, {at[0] - row:+d} rows',
@@ -246,7 +251,7 @@ def _neighborhood(
     return gray[first:last].take(columns, axis=1), along, top - first
 
 
-def _bearing_sigma_px(patch: ImageArray, noise_gray: float) -> float:
+def _bearing_sigma_px(patch: ImageArray) -> float:
     """
     Noise along the row of a least-squares match between two images of a patch, px.
 
@@ -257,9 +262,9 @@ def _bearing_sigma_px(patch: ImageArray, noise_gray: float) -> float:
     image = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), _SMOOTHING_PX)
     dx = 0.5 * (image[1:-1, 2:] - image[1:-1, :-2])
     dy = 0.5 * (image[2:, 1:-1] - image[:-2, 1:-1])
-    noise = dx.size * noise_gray**2 / (8.0 * np.pi * _SMOOTHING_PX**4)
+    noise = dx.size * _NOISE_GRAY**2 / (8.0 * np.pi * _SMOOTHING_PX**4)
     xx, yy, xy = float(np.sum(dx * dx)), float(np.sum(dy * dy)), float(np.sum(dx * dy))
     information = xx - noise - (xy * xy / yy if yy > 0.0 else 0.0)
     if information <= 0.0:
         return float('inf')
-    return float(np.sqrt(2.0 * noise_gray**2 / information))
+    return float(np.sqrt(2.0 * _NOISE_GRAY**2 / information))

@@ -30,7 +30,7 @@ from landmark_nav.learning.calibration.overlap_fit import (
     RangeOfRay,
     track_overlaps,
 )
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import FloatArray, Sweep
 
@@ -68,7 +68,8 @@ _UNIT_SIGMA_RAD = (5e-4, 2e-4, 2e-4)
 class CalibrationConfig(Config):
     """How camera and mount are calibrated out of a sweep."""
 
-    enabled: bool = parameter(True, 'whether what is found is used')
+    # Whether what is found is used.
+    enabled: bool = True
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import check_order, Config, parameter
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray
 
 __all__ = ['CaptureConfig']
@@ -18,73 +18,37 @@ class CaptureConfig(Config):
     """How a sweep is taken."""
 
     start_rad: float = parameter(
-        -np.pi, 'pan of the first frame, rad', minimum=-2 * np.pi, maximum=2 * np.pi
+        -np.pi, 'pan of the first frame', minimum=-2 * np.pi, maximum=2 * np.pi
     )
     step_rad: float = parameter(
         float(np.radians(5.0)),
-        'pan from one frame to the next, rad; its sign is the direction',
+        'pan from one frame to the next; its sign is the direction',
         minimum=-1.0,
         maximum=1.0,
     )
     frames: int = parameter(72, 'frames of a sweep', minimum=1, maximum=1440)
-    pan_min_rad: float = parameter(
-        -np.pi,
-        'least pan of the joint, rad; steps beyond it are left out',
-        minimum=-6.2832,
-        maximum=6.2832,
-    )
-    pan_max_rad: float = parameter(
-        np.pi,
-        'largest pan of the joint, rad; steps beyond it are left out',
-        minimum=-6.2832,
-        maximum=6.2832,
-    )
-    arrival_tolerance_rad: float = parameter(
-        0.01, 'distance from the commanded pan that counts as arrived, rad', minimum=1e-5
-    )
-    settled_s: float = parameter(
-        0.08, 'time for which the joint must stand still, s', minimum=0.0, maximum=5.0
-    )
-    settled_velocity_rad_s: float = parameter(
-        0.01, 'rate over that time or longer that counts as standing still, rad/s', minimum=1e-5
-    )
+    # Least pan of the joint, rad; steps beyond it are left out.
+    pan_min_rad: float = -np.pi
+    # Largest pan of the joint, rad; steps beyond it are left out.
+    pan_max_rad: float = np.pi
+    # Distance from the commanded pan that counts as arrived, rad.
+    arrival_tolerance_rad: float = 0.01
     step_timeout_s: float = parameter(
         5.0,
-        'time without getting nearer to the next frame before giving up, s',
+        'time without getting nearer to the next frame before giving up',
         minimum=0.1,
+        maximum=600.0,
     )
-    retakes: int = parameter(
-        10, 'refused frames of one step before giving up', minimum=0, maximum=1000
-    )
-    retake_pause_s: float = parameter(
-        0.2, 'pause before a frame is taken again, s', minimum=0.0, maximum=10.0
-    )
-    least_sharpness: float = parameter(
-        0.75,
-        'gradient energy, relative to that of neighbouring frames in what both show, below which '
-        'a frame counts as blurred; 0 takes every frame',
-        minimum=0.0,
-        maximum=1.0,
-    )
-    stamp_gap_s: float = parameter(
-        0.3, 'how far the stamps of images and joint states may be apart, s', minimum=0.001
-    )
-    moved_m: float = parameter(
-        0.01, 'way of the robot, by odom, that ends a sweep, m', minimum=0.0
-    )
-    moved_rad: float = parameter(
-        0.01, 'turn of the robot, by odom, that ends a sweep, rad', minimum=0.0
-    )
-    resume_s: float = parameter(
-        600.0,
-        'age up to which an interrupted sweep is gone on with by the same process, s',
-        minimum=0.0,
-    )
+    # Refused frames of one step before giving up.
+    retakes: int = 10
+    # Pause before a frame is taken again, s.
+    retake_pause_s: float = 0.2
+    # How far the stamps of images and joint states may be apart, s.
+    stamp_gap_s: float = 0.3
 
     def __post_init__(self) -> None:
         """Check that the joint can reach any of the angles."""
         super().__post_init__()
-        check_order(self, 'pan_min_rad', 'pan_max_rad')
         if np.isnan(self.targets(self.pan_min_rad, self.pan_max_rad)).all():
             last = self.start_rad + (self.frames - 1) * self.step_rad
             raise LandmarkNavError(

@@ -117,6 +117,9 @@ FrameT = TypeVar('FrameT')
 # Frames whose content is remembered.
 _REMEMBERED = 5000
 _NEIGHBOURS = 4
+# Gradient energy, relative to that of neighbours in what both show, below which a frame counts as
+# blurred: chosen by hand.
+_LEAST_SHARPNESS = 0.75
 
 
 @dataclass(frozen=True)
@@ -212,8 +215,7 @@ class Album(Generic[FrameT]):
     `suspect` holds the steps whose frame is to be taken again.
     """
 
-    def __init__(self, config: CaptureConfig) -> None:
-        self._least = config.least_sharpness
+    def __init__(self) -> None:
         self.frames: dict[int, KeptFrame[FrameT]] = {}
         self.suspect: set[int] = set()
 
@@ -233,7 +235,7 @@ class Album(Generic[FrameT]):
     def blurred(self, step: int, frame: KeptFrame[FrameT]) -> str | None:
         """Why a frame counts as blurred, or somebody passes; None if that is not known."""
         ratio = self._sharpness(step, frame)
-        if ratio is None or ratio >= self._least:
+        if ratio is None or ratio >= _LEAST_SHARPNESS:
             return None if ratio is None else ''
         return f'blurred or covered: {ratio:.2f} of the texture that its neighbours show'
 

@@ -16,6 +16,11 @@ from landmark_nav.types import FloatArray, JointSample, OdometrySample
 _HISTORY_NS = 3_000_000_000
 _APART_NS = 4_000_000
 _LEAST_SAMPLES = 3
+# Way and turn by odometry that end a sweep, m and rad: chosen by hand.
+_MOVED_M, _MOVED_RAD = 0.01, 0.01
+# The unit stands where it turns no faster than this, rad/s, over this time or longer, s: chosen by
+# hand, so that three joint states at 25 Hz suffice and 0.8 mrad of noise do no harm.
+_SETTLED_RAD_S, _SETTLED_S = 0.01, 0.08
 
 
 class JointTrack:
@@ -44,7 +49,7 @@ class JointTrack:
         Whether the unit has stood still, at `target_rad` if given, from `since_ns` or before.
 
         Only samples after `after_ns` count. It stands still if over some stretch up to now, not
-        shorter than ``settled_s``, it did not move further than the rate limit allows; over a
+        shorter than `_SETTLED_S`, it did not move further than the rate limit allows; over a
         longer one a coarse encoder may flicker by one step.
         """
         recent = [sample for sample in self._samples if sample.stamp_ns > after_ns][::-1]
@@ -55,8 +60,8 @@ class JointTrack:
         angles = np.column_stack((pans_rad, [sample.tilt_rad for sample in recent]))
         moved = np.maximum.accumulate(angles) - np.minimum.accumulate(angles)
         span_s = (stamps[0] - stamps) * 1e-9
-        still = moved.max(axis=1) <= self._config.settled_velocity_rad_s * span_s
-        still &= (span_s >= self._config.settled_s) & (stamps <= since_ns)
+        still = moved.max(axis=1) <= _SETTLED_RAD_S * span_s
+        still &= (span_s >= _SETTLED_S) & (stamps <= since_ns)
         still[: _LEAST_SAMPLES - 1] = False
         if target_rad is not None:
             off = np.maximum.accumulate(np.abs(wrap_rad(pans_rad - target_rad)))
@@ -156,8 +161,7 @@ class PanReach:
 class Place:
     """Where the frames so far were taken, by odometry; without any the robot stands."""
 
-    def __init__(self, config: CaptureConfig) -> None:
-        self._config = config
+    def __init__(self) -> None:
         self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
 
@@ -179,6 +183,6 @@ class Place:
             return ''
         way = se2.relative(self._first.pose_odom_base, self._last.pose_odom_base)
         way_m, turn_rad = float(np.hypot(way[0], way[1])), abs(float(way[2]))
-        if way_m <= self._config.moved_m and turn_rad <= self._config.moved_rad:
+        if way_m <= _MOVED_M and turn_rad <= _MOVED_RAD:
             return ''
         return f'{100.0 * way_m:.1f} cm and {np.degrees(turn_rad):.1f} deg'

@@ -40,6 +40,8 @@ _LOG = logging.getLogger(__name__)
 _ALIKE = 0.1
 _SIMILAR_FRAMES = 3
 _TO_COMPARE = 2
+# An interrupted sweep is gone on with up to this age: light and things change. Chosen by hand.
+_RESUME_S = 600.0
 
 
 class SweepCapture(Generic[FrameT]):
@@ -71,9 +73,9 @@ class SweepCapture(Generic[FrameT]):
     ) -> None:
         self._config = config
         self._inspect = inspect
-        self._album: Album[FrameT] = Album(config)
+        self._album: Album[FrameT] = Album()
         self._reviewed = False
-        self.place = Place(config)
+        self.place = Place()
         self.refused: Counter[str] = Counter()
         self.resume(now_ns)
 
@@ -117,7 +119,7 @@ class SweepCapture(Generic[FrameT]):
         age_s = (now_ns - self._heard_ns) * 1e-9
         if moved := self.place.moved:
             return f'the robot moved {moved}'
-        return f'{age_s:.0f} s have passed' if age_s > self._config.resume_s else ''
+        return f'{age_s:.0f} s have passed' if age_s > _RESUME_S else ''
 
     def command(self, now_ns: int) -> float | None:
         """Pan to command now, if a command is due: a new one, or again if it was not heeded."""
@@ -273,7 +275,8 @@ class SweepCapture(Generic[FrameT]):
             self.stop(f'{seen} and does not come to rest')
         elif not self.reach.stop(last.pan_rad, step.target_rad):
             self.stop(
-                f'{seen} and does not move: if that is its limit, set pan_min_rad and pan_max_rad'
+                f'{seen} and does not move: if that is its limit, give pan_min, pan_max in '
+                'robot.yaml'
             )
         else:
             _LOG.warning(

@@ -18,7 +18,7 @@ from landmark_nav.learning.panorama.projection import (
     RangeOfAzimuth,
     sweep_cylinder,
 )
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, ImageArray, Sweep
 
 __all__ = ['BLENDS', 'CylinderImage', 'PanoramaConfig', 'synthesize_cylinder']
@@ -36,24 +36,15 @@ _LEAST_FOR_MEDIAN = 3
 class PanoramaConfig(Config):
     """How frames become a panorama."""
 
-    blend: str = parameter(
-        'median',
-        'mean weighs frames alike (the paper), feather takes the frames that look straight '
-        'at a place (sharp), median the middle of all; fewer than three frames are feathered',
-        choices=BLENDS,
-    )
-    crop_px: int = parameter(
-        0,
-        'side of the central square used of each frame, the paper uses 350 of 512; 0 uses all',
-        minimum=0,
-        maximum=8192,
-    )
-    even_out: bool = parameter(
-        True, 'whether exposures and vignetting are measured and made up for'
-    )
-    px_per_rad: float = parameter(
-        0.0, "columns per radian; 0 takes the camera's focal length", minimum=0.0, maximum=8192.0
-    )
+    # Mean weighs frames alike (the paper), feather takes the frames that look straight at a place
+    # (sharp), median the middle of all; fewer than three frames are feathered.
+    blend: str = 'median'
+    # Side of the central square used of each frame, the paper uses 350 of 512; 0 uses all.
+    crop_px: int = 0
+    # Whether exposures and vignetting are measured and made up for.
+    even_out: bool = True
+    # Columns per radian; 0 takes the camera's focal length.
+    px_per_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

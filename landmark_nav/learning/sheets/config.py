@@ -23,22 +23,20 @@ class SheetsConfig(Config):
     """Sizes that are known; 0 where there are no such sheets."""
 
     paper_width_m: float = parameter(
-        0.0, 'width of coloured papers that hang upright anywhere, metres', minimum=0, maximum=5
+        0.0, 'width of coloured papers that hang upright anywhere', minimum=0, maximum=5
     )
-    paper_height_m: float = parameter(0.0, 'their height, metres', minimum=0, maximum=5)
+    paper_height_m: float = parameter(0.0, 'their height', minimum=0, maximum=5)
     paper_colors: str = parameter('red green blue', 'their colours')
     marker_size_m: float = parameter(
-        0.0, 'side of the black square of markers, metres', minimum=0, maximum=5
+        0.0, 'side of the black square of markers', minimum=0, maximum=5
     )
     marker_dictionary: str = parameter(
         'DICT_4X4_50', 'dictionary of the markers, as OpenCV names it'
     )
-    size_sigma: float = parameter(
-        0.002, 'standard deviation of these sizes, a share', minimum=1e-5, maximum=0.1
-    )
-    corner_sigma_px: float = parameter(
-        0.15, 'standard deviation of the corners of markers, pixels', minimum=0.01, maximum=5
-    )
+    # Standard deviation of these sizes, a share.
+    size_sigma: float = 0.002
+    # Standard deviation of the corners of markers, pixels.
+    corner_sigma_px: float = 0.15
 
     def __post_init__(self) -> None:
         """Check that sizes come in pairs, colours have a hue and the dictionary is known."""

@@ -16,27 +16,18 @@ class RelocalizationConfig(Config):
     when_lost: bool = parameter(
         True, 'look for the place without being asked, when it is not known any more'
     )
-    unseen_s: float = parameter(
-        2.0,
-        'seconds in which images show nothing of the map until the place is looked for, too: '
-        'where nothing is expected, nothing contradicts a wrong pose; s',
-        minimum=0.0,
-        maximum=3600.0,
+    search_s: float = parameter(
+        15.0, 'how long a call of relocalize may look around', minimum=0.1, maximum=3600.0
     )
-    min_landmarks: int = parameter(
-        6, 'least landmarks that must support a pose', minimum=4, maximum=1000
-    )
-    max_sigma_m: float = parameter(
-        0.03, 'largest predicted position sigma (root of the trace), m', minimum=0.0, maximum=10.0
-    )
-    max_sigma_rad: float = parameter(
-        0.008, 'largest predicted heading sigma, rad', minimum=0.0, maximum=3.0
-    )
-    tilt_sigma_rad: float = parameter(
-        0.02,
-        'how far tilt and roll of the camera may be off, where nothing '
-        'is recognised without that; 0 does not search for it, and finds a small roll only; rad',
-        minimum=0.0,
-        maximum=0.1,
-        formerly='lean_sigma_rad',
-    )
+    # Seconds in which images show nothing of the map until the place is looked for, too: where
+    # nothing is expected, nothing contradicts a wrong pose; s.
+    unseen_s: float = 2.0
+    # Least landmarks that must support a pose.
+    min_landmarks: int = 6
+    # Largest predicted position sigma (root of the trace), m.
+    max_sigma_m: float = 0.03
+    # Largest predicted heading sigma, rad.
+    max_sigma_rad: float = 0.008
+    # How far tilt and roll of the camera may be off, where nothing is recognised without that; 0
+    # does not search for it, and finds a small roll only; rad.
+    tilt_sigma_rad: float = 0.02

@@ -25,7 +25,7 @@ from landmark_nav.localization.triangulation.model import (
     triangulate_three,
     w_statistics,
 )
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 __all__ = ['Fix', 'TriangulationConfig', 'triangulate', 'triangulate_three']
@@ -41,15 +41,12 @@ _DANGER_MARGIN = 0.075
 class TriangulationConfig(Config):
     """When a fix is accepted."""
 
-    fit_probability: float = parameter(
-        0.999, 'Chi-square level up to which bearings count as meeting.', minimum=0.5, maximum=1.0
-    )
-    max_sigma_m: float = parameter(
-        0.3, 'Largest predicted position sigma (root of the trace), m.', minimum=0.0, maximum=100.0
-    )
-    min_range_m: float = parameter(
-        0.5, 'Least distance from a landmark, m.', minimum=0.0, maximum=100.0
-    )
+    # Chi-square level up to which bearings count as meeting.
+    fit_probability: float = 0.999
+    # Largest predicted position sigma (root of the trace), m.
+    max_sigma_m: float = 0.3
+    # Least distance from a landmark, m.
+    min_range_m: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)

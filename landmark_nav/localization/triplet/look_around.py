@@ -30,16 +30,10 @@ class LookAroundConfig(Config):
     enabled: bool = parameter(
         True, 'turn the camera all around, view by view, where the pose is not known'
     )
-    after_s: float = parameter(
-        2.0, 'how long the pose must not have been known before, s', minimum=0.0, maximum=3600.0
-    )
-    dwell_time_s: float = parameter(
-        0.5,
-        'how long the camera rests at each view, s',
-        minimum=0.0,
-        maximum=60.0,
-        formerly='look_s',
-    )
+    # How long the pose must not have been known before, s.
+    after_s: float = 2.0
+    # How long the camera rests at each view, s.
+    dwell_time_s: float = 0.5
 
 
 def is_known(pose: PoseEstimate) -> bool:

@@ -29,46 +29,32 @@ __all__ = [
 class TripletConfig(Config):
     """Which landmarks count as visible, and how a triplet is rated."""
 
-    bearing_sigma_rad: float = parameter(
-        4e-4, 'Expected measurement sigma of a bearing, rad.', minimum=1e-6, maximum=0.5
-    )
-    min_sampling: float = parameter(
-        0.5, 'Least sampling of a patch relative to its reference view.', minimum=0.01, maximum=1.0
-    )
+    # Expected measurement sigma of a bearing, rad.
+    bearing_sigma_rad: float = 4e-4
+    # Least sampling of a patch relative to its reference view.
+    min_sampling: float = 0.5
     # Livatino and Madsen allow 2; an image that is blurred as the patch is shows it from nearer.
-    max_sampling: float = parameter(
-        4.0, 'Greatest sampling relative to the reference view.', minimum=1.0, maximum=100.0
+    # Greatest sampling relative to the reference view.
+    max_sampling: float = 4.0
+    # Least distance, m.
+    min_range_m: float = 0.5
+    max_range_m: float = parameter(
+        12.0, 'greatest distance of a landmark that is looked at', minimum=0.1, maximum=1000.0
     )
-    min_range_m: float = parameter(0.5, 'Least distance, m.', minimum=0.0, maximum=100.0)
-    max_range_m: float = parameter(12.0, 'Greatest distance, m.', minimum=0.1, maximum=1000.0)
-    border_px: float = parameter(
-        4.0, 'Rim of the image that a patch must not touch, pixels.', minimum=0.0, maximum=1000.0
-    )
-    margin_sigmas: float = parameter(
-        3.0, 'Predicted bearing sigmas a patch must stay inside the view.', minimum=0.0
-    )
-    hysteresis: float = parameter(
-        0.3,
-        'A new triplet must score so much better than the one looked at.',
-        minimum=0.0,
-        maximum=100.0,
-    )
-    dwell_time_s: float = parameter(
-        1.0,
-        'Time of a look, beside which that of turning counts, s.',
-        minimum=0.01,
-        formerly='look_s',
-    )
-    pan_rate_rad_s: float = parameter(1.0, 'Rate of the pan unit, rad/s.', minimum=0.01)
-    pan_acceleration_rad_s2: float = parameter(
-        8.0, 'Acceleration of the pan unit, rad/s^2.', minimum=0.01
-    )
-    max_sigma_m: float = parameter(
-        0.5,
-        'Worst position sigma (root of the trace) worth a look, m.',
-        minimum=0.0,
-        maximum=100.0,
-    )
+    # Rim of the image that a patch must not touch, pixels.
+    border_px: float = 4.0
+    # Predicted bearing sigmas a patch must stay inside the view.
+    margin_sigmas: float = 3.0
+    # A new triplet must score so much better than the one looked at.
+    hysteresis: float = 0.3
+    # Time of a look, beside which that of turning counts, s.
+    dwell_time_s: float = 1.0
+    # Rate of the pan unit, rad/s.
+    pan_rate_rad_s: float = 1.0
+    # Acceleration of the pan unit, rad/s^2.
+    pan_acceleration_rad_s2: float = 8.0
+    # Worst position sigma (root of the trace) worth a look, m.
+    max_sigma_m: float = 0.5
 
 
 def visible_landmarks(

@@ -1,0 +1,172 @@
+"""
+All parameters, of all nodes and of ``--config``: what they are, and who reads them.
+
+What is no parameter describes the method, and is a constant beside its use; what describes the
+robot is in `robot.yaml`. ``config/landmark_nav.yaml`` holds those that a user may want to change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+import logging
+from pathlib import Path
+from typing import Any
+
+from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.former_parameters import settled
+from landmark_nav.learning.capture import CaptureConfig
+from landmark_nav.learning.pipeline import LearningConfig
+from landmark_nav.learning.sweep_pipeline import PanoramaStages
+from landmark_nav.learning.unmeasured import UnmeasuredConfig
+from landmark_nav.localization.localizer import LocalizationConfig
+from landmark_nav.localization.triplet.look_around import LookAroundConfig
+from landmark_nav.parameters import changed, Config, leaves, parameter
+from landmark_nav.storage.config_files import read_parameters
+from landmark_nav.storage.robot_files import load_odometry
+from landmark_nav.storage.setup_files import load_robot
+
+__all__ = ['READS', 'Configuration', 'PanCommandConfig', 'load_configuration', 'with_robot']
+
+_LOG = logging.getLogger(__name__)
+
+_WHERE = ': docs/reference/parameters.md lists all'
+
+# Node -> the parameters and sections that it reads.
+READS: dict[str, tuple[str, ...]] = {
+    'sweep_capture': ('robot_file', 'image_transport', 'capture', 'command'),
+    'panorama_synthesizer': ('robot_file', 'room_file'),
+    'landmark_learner': (
+        *('robot_file', 'room_file', 'map_folder', 'load_on_start'),
+        *('attention', 'stereo', 'election', 'unmeasured'),
+    ),
+    'triplet_selector': ('robot_file', 'triplet', 'look_around', 'command', 'yield_s'),
+    'triangulation_localizer': (
+        *('robot_file', 'map_frame', 'image_transport', 'max_age_s'),
+        *('triplet', 'relocalization'),
+    ),
+    'odometry_fusion': ('robot_file', 'map_frame', 'correction_time_s', 'estimator'),
+    'room_simulator': ('seed', 'room_file', 'robot_file', 'camera_file', 'command.type'),
+    'bag_player': ('bag', 'rate'),
+}
+
+
+@dataclass(frozen=True)
+class PanCommandConfig(Config):
+    """How the pan-tilt unit is commanded."""
+
+    type: str = parameter(
+        'JointTrajectory',
+        'message type of pan_tilt/command',
+        choices=('JointTrajectory', 'JointState', 'Float64MultiArray'),
+    )
+    with_tilt: bool = parameter(False, 'command the tilt joint too, to stay level')
+
+
+@dataclass(frozen=True)
+class Configuration(PanoramaStages, LearningConfig, LocalizationConfig):
+    """
+    Parameters of all nodes and commands, and settings of all stages.
+
+    `former_robot` are fields of `robot.yaml` that parameters of the last release gave.
+    """
+
+    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits, joints, wheels')
+    room_file: str = parameter(
+        '', 'room.yaml: walls and reference area; empty: walls and poses are found'
+    )
+    map_folder: str = parameter('map', 'folder that save_map writes and load_map reads')
+    load_on_start: bool = parameter(False, 'load the map as soon as the node starts')
+    map_frame: str = parameter('map', 'frame of the map in messages and on /tf')
+    image_transport: str = parameter(
+        'auto', 'form of camera/image_raw', choices=('auto', 'raw', 'compressed')
+    )
+    correction_time_s: float = parameter(
+        0.0,
+        'time constant over which a correction of the transform map to odom is spread; 0 makes it '
+        'at once; odometry/fused is never held back',
+        minimum=0.0,
+        maximum=60.0,
+    )
+    max_age_s: float = parameter(
+        0.5, 'an image that arrives later is not looked at', minimum=0.01, maximum=10.0
+    )
+    yield_s: float = parameter(
+        10.0,
+        'how long to hold back after somebody else commanded the pan',
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    bag: str = parameter('', 'rosbag2 folder or .mcap file to play')
+    rate: float = parameter(1.0, 'speed relative to the recording', minimum=0.01, maximum=100.0)
+    seed: int = parameter(1, 'draws the room and all noise', minimum=0, maximum=2**31 - 1)
+    camera_file: str = parameter(
+        '', 'calibration of the camera, as camera_calibration writes it; empty: 512 x 512 pixels'
+    )
+    unmeasured: UnmeasuredConfig = field(default_factory=UnmeasuredConfig)
+    capture: CaptureConfig = field(default_factory=CaptureConfig)
+    look_around: LookAroundConfig = field(default_factory=LookAroundConfig)
+    command: PanCommandConfig = field(default_factory=PanCommandConfig)
+    former_robot: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+
+def load_configuration(
+    path: Path | str | None, robot_file: Path | str, *nodes: str
+) -> Configuration:
+    """
+    Read parameters as nodes do; what the file does not name keeps its default.
+
+    Parameters
+    ----------
+    path : path-like, optional
+        As for ``--params-file``.
+    robot_file : path-like
+        `robot.yaml`, for the noise of the wheels and the pan unit.
+    *nodes : str
+        Whose parameters count.
+
+    Raises
+    ------
+    LandmarkNavError
+        No YAML, a parameter that does not exist, or a value that it may not take.
+
+    """
+    config = replace(Configuration(), robot_file=str(robot_file))
+    if path:
+        known = [name for name, _, _ in leaves(config)]
+        given = settled(read_parameters(path, nodes), known)
+        for warning in given.warnings:
+            _LOG.warning('%s: %s', path, warning)
+        for name, meant in given.unknown.items():
+            raise LandmarkNavError(f'{path}: no parameter {shown(name)}{meant or _WHERE}')
+        values = given.values | {'robot_file': str(robot_file)}
+        try:
+            config = replace(changed(config, values), former_robot=given.robot)
+        except LandmarkNavError as error:
+            raise LandmarkNavError(f'{path}: {error}') from error
+    return with_robot(config)
+
+
+def with_robot(config: Configuration) -> Configuration:
+    """
+    Return it with what its robot file says of pan unit and wheels.
+
+    Raises
+    ------
+    LandmarkNavError
+        The file can not be read, or says what can not be.
+
+    """
+    path, former = config.robot_file, config.former_robot
+    mount = load_robot(path, former)
+    low, high = mount.pan_limits_rad
+    return replace(
+        config,
+        capture=replace(config.capture, pan_min_rad=low, pan_max_rad=high),
+        triplet=replace(
+            config.triplet,
+            pan_rate_rad_s=mount.pan_rate_rad_s,
+            pan_acceleration_rad_s2=mount.pan_acceleration_rad_s2,
+        ),
+        odometry=load_odometry(path, config.odometry, former),
+    )

@@ -1,0 +1,205 @@
+"""
+Parameters of the last release that have another name or place now, or are gone: for one release.
+
+Names have a dot for each section, as in `parameters`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from landmark_nav.parameters import resembling
+
+__all__ = ['Settled', 'settled']
+
+# Name -> that of now.
+_RENAMED = {'command_type': 'command.type'}
+# Name -> key of `robot.yaml`. Those of the section odometry are in its section there.
+_OF_THE_ROBOT = {
+    'joint_delay_s': 'joint_delay',
+    'pan_min_rad': 'pan_min',
+    'pan_max_rad': 'pan_max',
+    'capture.pan_min_rad': 'pan_min',
+    'capture.pan_max_rad': 'pan_max',
+    'triplet.pan_rate_rad_s': 'pan_rate',
+    'command.speed_rad_s': 'pan_rate',
+    'triplet.pan_acceleration_rad_s2': 'pan_acceleration',
+}
+# Section -> where its constants are, their names; nothing was ever gained by changing them.
+_CONSTANTS = {
+    '': (
+        'nodes',
+        'image_rate_hz jpeg_quality command_timeout_s max_wait_s max_prior_age_s late_frames_s '
+        'start_sigma_m start_sigma_rad period_s deadband_rad start_delay_s clock',
+    ),
+    'attention': (
+        'learning/attention',
+        'weight_intensity weight_edges weight_vertical_edges weight_corners weight_symmetry '
+        'weight_radial_symmetry weight_line_symmetry edge_low edge_high size_min_px size_max_px '
+        'size_step_px least_response candidates_per_sector neighborhood_columns_px '
+        'neighborhood_rows_px ambiguity_max noise_gray',
+    ),
+    'stereo': (
+        'learning/stereo',
+        'min_score max_second_ratio max_incidence_rad min_parallax_rad min_approach '
+        'behind_wall_m before_wall_m margin_m',
+    ),
+    'adjustment': (
+        'learning/adjustment',
+        'azimuth_sigma_rad tangent_sigma nearness_sigma relief_sigma_m hanging_sigma_m '
+        'hanging_length_m common_hanging_sigma_m wall_sigma_m camera_weight place_weight '
+        'room_weight',
+    ),
+    'wall_fit': ('learning/adjustment', 'max_before_m max_behind_m max_turn_rad'),
+    'election': (
+        'learning/election.py',
+        'max_incidence_rad max_stretch min_size_px max_overlap',
+    ),
+    'reference_area': (
+        'learning/reference_area',
+        'paper_sigma_m height_sigma_m horizon_sigma_rad edge_sigma_px paper_size_sigma',
+    ),
+    'panorama': ('learning/panorama', 'blend crop_px even_out px_per_rad'),
+    'calibration': ('learning/calibration', 'enabled'),
+    'unmeasured': ('learning/unmeasured.py', 'camera_weight'),
+    'unmeasured.sheets': ('learning/sheets', 'size_sigma corner_sigma_px'),
+    'unmeasured.relative_pose': (
+        'learning/relative_pose',
+        'features max_ratio direction_sigma_rad tilt_sigma_rad rise_sigma_m heading_sigma_rad '
+        'min_matches max_rival min_baseline_m',
+    ),
+    'unmeasured.facades': (
+        'learning/facades',
+        'relief_m min_cells min_length_m max_gap_m wall_height_m sigma_m max_facades',
+    ),
+    'capture': (
+        'learning/capture',
+        'arrival_tolerance_rad settled_s settled_velocity_rad_s retakes retake_pause_s '
+        'least_sharpness stamp_gap_s moved_m moved_rad resume_s',
+    ),
+    'command': ('ros/pan_command.py', 'min_duration_s'),
+    'triplet': (
+        'localization/triplet',
+        'bearing_sigma_rad min_sampling max_sampling min_range_m border_px margin_sigmas '
+        'hysteresis fix_window_s gather_s dwell_time_s look_s max_sigma_m',
+    ),
+    'look_around': ('localization/triplet', 'after_s dwell_time_s look_s'),
+    'detection': (
+        'localization/detection',
+        'min_size_px max_count target_count enough max_second_ratio window_sigmas max_window_px '
+        'vertical_sigma_px appearance lens_sigma_px',
+    ),
+    'triangulation': (
+        'localization/triangulation',
+        'fit_probability max_sigma_m min_range_m',
+    ),
+    'estimator': (
+        'localization/estimator',
+        'floor_tilt_length_m tail_freedom mount_walk_rad_per_sqrt_s step_sigma_rad step_sigma_s '
+        'step_sigma_m history_s',
+    ),
+    'relocalization': (
+        'localization/relocalization',
+        'unseen_s min_landmarks max_sigma_m max_sigma_rad tilt_sigma_rad lean_sigma_rad',
+    ),
+    'world': ('simulation', 'robot_radius_m people'),
+    'world.pan_tilt': (
+        'simulation',
+        'max_rate_rad_s max_acceleration_rad_s2 pan_limit_rad tilt_limit_rad '
+        'natural_frequency_hz damping_ratio encoder_step_rad',
+    ),
+    'world.drive': (
+        'simulation',
+        'max_speed_m_s max_turn_rad_s max_acceleration_m_s2 max_turn_acceleration_rad_s2 track_m '
+        'scale_sigma track_sigma slip_sigma_m encoder_step_m',
+    ),
+    'world.camera': (
+        'simulation',
+        'vignetting exposure auto_exposure target_brightness blur_sigma_px read_noise shot_noise',
+    ),
+}
+# Section of `--config` that is none any more; what it held stands by itself.
+_UNWRAPPED = 'observation.'
+# To compare letters takes long; a file with more strange names was not mistyped.
+_MOST_COMPARED = 20
+
+
+@dataclass(frozen=True)
+class Settled:
+    """
+    What given parameters mean now.
+
+    Parameters
+    ----------
+    values : dict
+        Of parameters, by their names.
+    robot : dict
+        Of keys of `robot.yaml`.
+    warnings : tuple of str
+        About former names, a line each.
+    unknown : dict
+        Name -> question which one was meant, '' if none is like it.
+
+    """
+
+    values: dict[str, Any]
+    robot: dict[str, Any]
+    warnings: tuple[str, ...]
+    unknown: dict[str, str]
+
+
+def settled(given: Mapping[str, Any], known: Collection[str]) -> Settled:
+    """Sort given values by what they mean; `known` are all names of now."""
+    values: dict[str, Any] = {}
+    robot: dict[str, Any] = {}
+    unknown: dict[str, str] = {}
+    renamed: dict[str, str] = {}
+    moved: dict[str, str] = {}
+    gone: dict[str, list[str]] = {}
+    for name, value in given.items():
+        bare = name.removeprefix(_UNWRAPPED)
+        now = bare if bare in known else _RENAMED.get(bare, '')
+        section, _, last = bare.rpartition('.')
+        where, constants = _CONSTANTS.get(section, ('', ''))
+        if now in known:
+            if now != name:
+                renamed[name] = now
+            if now == name or now not in given:
+                values[now] = value
+        elif bare in _OF_THE_ROBOT:
+            moved[bare] = _OF_THE_ROBOT[bare]
+            robot[moved[bare]] = value
+        elif section == 'odometry':
+            moved[bare] = bare
+            robot.setdefault(section, {})[last] = value
+        elif last in constants.split():
+            gone.setdefault(where, []).append(bare)
+        else:
+            unknown[name] = resembling(name, known) if len(unknown) < _MOST_COMPARED else ''
+    return Settled(values, robot, tuple(_warnings(renamed, moved, gone)), unknown)
+
+
+def _warnings(
+    renamed: Mapping[str, str], moved: Mapping[str, str], gone: Mapping[str, list[str]]
+) -> Iterator[str]:
+    for name, now in renamed.items():
+        yield f'parameter {name} is now called {now}: its old name ends with the next release'
+    for key in dict.fromkeys(key.partition('.')[0] for key in moved.values()):
+        names = [name for name, to in moved.items() if to.partition('.')[0] == key]
+        yield (
+            f'{_listed(names)} describes the robot: move it to {key} of robot.yaml, which goes '
+            'before it, until the next release'
+        )
+    for where, names in gone.items():
+        yield (
+            f'{_listed(names)} is not used: no robot or room needed another value, so it is a '
+            f'constant in landmark_nav/{where}'
+        )
+
+
+def _listed(names: list[str]) -> str:
+    """Name of a parameter, or of the first of several."""
+    others = f' (and {len(names) - 1} more)' if len(names) > 1 else ''
+    return f'parameter {names[0]}{others}'
