@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from area_figure import (
+import cv2
+import numpy as np
+import pytest
+
+from landmark_nav.cli.main import main
+from landmark_nav.evaluation.figures.area_figure import (
     AreaTest,
     draw_observation_areas,
     typical_landmarks,
 )
-import cv2
-from draw import main
-import numpy as np
-import pytest
-from stereo_figure import ray_sigma_m
-from strips import Strip, widest
-
+from landmark_nav.evaluation.figures.stereo_figure import ray_sigma_m
+from landmark_nav.evaluation.figures.strips import Strip, widest
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.storage.maps import write_map
 from landmark_nav.types import Candidate, Landmark, LandmarkMap, Panorama, PoseEstimate
 
 BAGS = Path(__file__).parents[2] / 'bags'
@@ -117,9 +118,9 @@ def test_areas_are_compared_with_what_was_found(tmp_path):
 
 
 def test_figures_of_attention_from_a_bag(tmp_path, capsys):
-    arguments = ['--out', str(tmp_path), '--bag', str(BAGS / 'learn')]
+    arguments = ['figures', '--out', str(tmp_path), '--bag', str(BAGS / 'learn')]
     arguments += ['--room', str(BAGS / 'room.yaml'), '--robot', str(BAGS / 'robot.yaml')]
-    assert main([*arguments, '--figure', '4', '7']) == 0
+    assert main([*arguments, '--figure', '4', '7', '--feature', 'corners']) == 0
     reported = capsys.readouterr().out
     assert 'Figure 4' in reported
     assert 'Figure 7' in reported
@@ -129,6 +130,20 @@ def test_figures_of_attention_from_a_bag(tmp_path, capsys):
     }
 
 
+def test_a_map_gives_its_observation_areas(tmp_path, capsys):
+    (tmp_path / 'map').mkdir()
+    write_map(a_map(), tmp_path / 'map')
+    arguments = ['figures', '--out', str(tmp_path / 'out'), '--map', str(tmp_path / 'map')]
+    assert main(arguments) == 0
+    assert [p.name for p in (tmp_path / 'out').iterdir()] == ['figure_6_observation_areas.png']
+    capsys.readouterr()
+    assert main([*arguments, '--figure', '5']) == 2
+    assert 'need --bag' in capsys.readouterr().err
+
+
 def test_wrong_usage_is_reported_in_a_line(tmp_path, capsys):
-    assert main(['--out', str(tmp_path), '--bag', str(BAGS / 'learn')]) == 2
+    assert main(['figures', '--out', str(tmp_path), '--bag', str(BAGS / 'learn')]) == 2
     assert '--bag needs --robot' in capsys.readouterr().err
+    assert main(['figures', '--out', str(tmp_path), '--feature', 'smell']) == 2
+    assert main(['figures', '--out', str(tmp_path), '--seed', '-1']) == 2
+    assert '--seed' in capsys.readouterr().err

@@ -7,14 +7,15 @@ from pathlib import Path
 import re
 
 import cv2
-from draw import main
-from learned_figure import draw_learned, true_places
 import numpy as np
 import pytest
 from scenes import draw_panorama, rectangle_room, textured_room
-from stereo_figure import draw_reconstruction
-from sweep_figure import draw_sweeps
 
+from landmark_nav.cli.main import main
+from landmark_nav.evaluation.figures.learned_figure import draw_learned
+from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
+from landmark_nav.evaluation.figures.sweep_figure import draw_sweeps
+from landmark_nav.evaluation.true_places import true_places
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.attention import AttentionConfig
@@ -115,8 +116,8 @@ def test_figure_3_gives_how_frames_overlap(learned: LearningResult, tmp_path: Pa
 def test_a_folder_that_cannot_be_is_refused_before_the_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr('draw._gather', None)  # not reached
+    monkeypatch.setattr('landmark_nav.cli.figures._gather', None)  # not reached
     file = tmp_path / 'file'
     file.touch()
-    assert main(['--out', str(file / 'figures')]) == 1
+    assert main(['figures', '--out', str(file / 'figures')]) == 1
     assert str(file) in capsys.readouterr().err

@@ -7,9 +7,9 @@ from pathlib import Path
 from matplotlib.axes import Axes
 import numpy as np
 import numpy.typing as npt
-from strips import caption, mark, show, Strip, widest
 
 from landmark_nav.evaluation.figures.map_figure import number_landmarks
+from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip, widest
 from landmark_nav.evaluation.figures.style import (
     add_ellipse,
     CANDIDATE,
@@ -22,7 +22,6 @@ from landmark_nav.evaluation.figures.style import (
     ODOMETRY,
     save,
 )
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.types import FloatArray, Landmark
@@ -134,36 +133,3 @@ def _draw_plan(
             label='on the true ray',
         )
         axes.legend(loc='upper left', frameon=False, bbox_to_anchor=(0.0, 1.06))
-
-
-def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMount) -> FloatArray:
-    """
-    Where the true rays to the patches of the landmarks end.
-
-    A patch is as far off its wall as its landmark, so that the two differ along the wall alone:
-    posters hang a finger's breadth before it, nobody knows how far.
-
-    Parameters
-    ----------
-    true_poses : ndarray, shape (k, 3)
-        Of the base, one a panorama.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        In the order of the map.
-
-    """
-    truth = np.zeros((len(result.map.landmarks), 2))
-    for pose, panorama, candidates, outcomes in zip(
-        true_poses, result.panoramas, result.candidates, result.outcomes, strict=True
-    ):
-        axis = mount.axis_pose_map(pose)[:2]
-        for candidate, outcome in zip(candidates, outcomes, strict=True):
-            if isinstance(outcome, Landmark):
-                azimuth = float(panorama.cylinder.azimuth_rad(candidate.column)) + pose[2]
-                ray, normal = np.array([np.cos(azimuth), np.sin(azimuth)]), outcome.normal[:2]
-                reach = (outcome.position[:2] - axis) @ normal / (ray @ normal)
-                place = axis + reach * ray
-                truth[result.map.indices(np.array([outcome.id]))[0]] = place
-    return truth

@@ -13,9 +13,9 @@ import cv2
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
-from strips import caption, mark, patch_of, show, Strip, widest
 
 from landmark_nav.arrays import Float32Array
+from landmark_nav.evaluation.figures.strips import caption, mark, patch_of, show, Strip, widest
 from landmark_nav.evaluation.figures.style import CANDIDATE, LANDMARK, new_figure, ODOMETRY, save
 from landmark_nav.learning.attention import (
     attend,

@@ -1,8 +1,4 @@
-"""
-Counterparts of the figures of Livatino and Madsen from own data.
-
-``python docs/paper_figures/draw.py --out figures``, which the documentation shows.
-"""
+"""`landmark-nav figures`: counterparts of the figures of Livatino and Madsen from own data."""
 
 from __future__ import annotations
 
@@ -10,27 +6,27 @@ import argparse
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-import sys
+from typing import Any
 
-from area_figure import (
-    AreaTest,
-    draw_observation_areas,
-    typical_landmarks,
-)
-from attention_figures import draw_attention, draw_features_alone
-from figures_world import FiguresWorld
-from learned_figure import draw_learned, true_places
 import numpy as np
-from stereo_figure import draw_reconstruction
-from sweep_figure import draw_sweeps
 
 from landmark_nav.cli.bags import add_topic_argument, open_bag
+from landmark_nav.cli.figures_world import FiguresWorld
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.numbers import within
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
-from landmark_nav.evaluation.true_places import truth_of_bag
+from landmark_nav.evaluation.figures.area_figure import (
+    AreaTest,
+    draw_observation_areas,
+    typical_landmarks,
+)
+from landmark_nav.evaluation.figures.attention_figures import draw_attention, draw_features_alone
+from landmark_nav.evaluation.figures.learned_figure import draw_learned
+from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
+from landmark_nav.evaluation.figures.sweep_figure import draw_sweeps
+from landmark_nav.evaluation.true_places import true_places, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.attention import AttentionConfig, FEATURES
@@ -41,8 +37,9 @@ from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.atomic_io import check_writable
 from landmark_nav.storage.bags import Bag, read_sweeps
+from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import FloatArray, Panorama, Sweep
+from landmark_nav.types import FloatArray, LandmarkMap, Panorama, Sweep
 
 __all__ = ['add_arguments', 'run']
 
@@ -74,6 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--robot', metavar='F', help='robot.yaml: how the camera is mounted')
     parser.add_argument(
+        '--map', metavar='MAP', help='a map of your own for Figure 6, which needs nothing else'
+    )
+    parser.add_argument(
         '--seed',
         type=within(int, 0, 2**63 - 1),
         default=7,
@@ -83,6 +83,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N',
         help='which figures, 3 to 8 (default: all that the data allow)',
+    )  # fmt: skip
+    parser.add_argument(
+        '--feature', nargs='+', choices=FEATURES, metavar='NAME',
+        help=f'the only features that attract attention (default: all): {", ".join(FEATURES)}',
     )  # fmt: skip
 
 
@@ -94,29 +98,50 @@ class _Data:
     sweeps: tuple[Sweep, ...]
     panoramas: tuple[Panorama, ...]
     learned: LearningResult | None
+    landmarks: LandmarkMap | None
     truth: FloatArray | None = None
     tests: tuple[AreaTest, ...] = ()
 
 
 def run(args: argparse.Namespace) -> int:
     """Gather the data, draw, print the captions."""
-    wanted = set(args.figure or _NAMES)
+    attention = _attention(args.feature)
+    wanted = set(args.figure or ([6] if args.map and not args.bag else _NAMES))
     check_writable(*(args.out / _NAMES[number] for number in wanted))
-    data = _gather(args, wanted)
+    data = _gather(args, wanted, attention)
     for number in progress(sorted(wanted), 'figures'):
         path = args.out / _NAMES[number]
-        print(wrapped([str(path), f'  {_draw(number, data, path)}']))
+        print(wrapped([str(path), f'  {_draw(number, data, attention, path, args.feature)}']))
     return 0
 
 
-def _gather(args: argparse.Namespace, wanted: set[int]) -> _Data:
+def _attention(features: list[str] | None) -> AttentionConfig:
+    """Weights as they are by default, but 0 for what is not among `features`."""
+    default = AttentionConfig()
+    if not features:
+        return default
+    if len(features) == 1:
+        return default.alone(features[0])
+    weights: dict[str, Any] = {
+        f'weight_{name}': (default.weights[name] or 0.1) if name in features else 0.0
+        for name in FEATURES
+    }
+    return replace(default, **weights)
+
+
+def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConfig) -> _Data:
     if args.bag and not args.robot:
         raise UsageError('--bag needs --robot, as learn does')
+    given = load_map(args.map) if args.map else None
+    if given is not None and not args.bag:
+        if wanted != {6}:
+            raise UsageError('--map alone gives Figure 6: the others need --bag')
+        return _Data(Room(given.walls), (), (), None, given)
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
     room = load_room(args.room) if args.room else None
     if args.bag:
-        return _recorded(open_bag(args.bag, args), room, mount, wanted)
-    return _simulated(FiguresWorld.furnish(args.seed, mount, room), wanted)
+        return _recorded(open_bag(args.bag, args), room, mount, wanted, attention, given)
+    return _simulated(FiguresWorld.furnish(args.seed, mount, room), wanted, attention)
 
 
 def _recorded(
@@ -124,27 +149,29 @@ def _recorded(
     room: Room | None,
     mount: PanTiltMount,
     wanted: set[int],
+    attention: AttentionConfig,
+    given: LandmarkMap | None,
 ) -> _Data:
     found = read_sweeps(bag, mount)
     sweeps = tuple(progress(found if wanted - _OF_ONE else islice(found, 1), 'sweeps'))
     truth = truth_of_bag(bag)
     if room is not None:
-        data = _learned(sweeps, room, mount, wanted)
+        data = _learned(sweeps, room, mount, wanted, attention)
     else:
-        data = _unmeasured(bag, sweeps, mount, wanted)
+        data = _unmeasured(bag, sweeps, mount, wanted, attention)
         if not bag.find('sweep/pose'):
             truth = truth.seen_from(truth.at([sweeps[0].stamp_ns])[0])
     poses = truth.at([sweep.stamp_ns for sweep in sweeps])
     if data.learned is not None and np.all(np.isfinite(poses)):
         data = replace(data, truth=true_places(data.learned, poses, mount))
-    return data
+    return data if given is None else replace(data, landmarks=given)
 
 
-def _simulated(world: FiguresWorld, wanted: set[int]) -> _Data:
+def _simulated(world: FiguresWorld, wanted: set[int], attention: AttentionConfig) -> _Data:
     room = world.scene.room
     count = len(world.poses) if wanted - _OF_ONE else 1
     sweeps = tuple(world.sweep(k) for k in progress(range(count), 'sweeps'))
-    data = _learned(sweeps, room, world.mount, wanted)
+    data = _learned(sweeps, room, world.mount, wanted, attention)
     learned = data.learned
     if learned is None:
         return data
@@ -161,6 +188,7 @@ def _learned(
     room: Room,
     mount: PanTiltMount,
     wanted: set[int],
+    attention: AttentionConfig,
 ) -> _Data:
     """Panoramas, and landmarks if a figure needs them."""
     if not sweeps:
@@ -171,8 +199,9 @@ def _learned(
     )
     learned = None
     if wanted & _LEARNED:
-        learned = learn_from_panoramas(panoramas, room, LearningConfig())
-    return _Data(room, sweeps, panoramas, learned)
+        config = replace(LearningConfig(), attention=attention)
+        learned = learn_from_panoramas(panoramas, room, config)
+    return _Data(room, sweeps, panoramas, learned, learned.map if learned else None)
 
 
 def _unmeasured(
@@ -180,43 +209,36 @@ def _unmeasured(
     sweeps: tuple[Sweep, ...],
     mount: PanTiltMount,
     wanted: set[int],
+    attention: AttentionConfig,
 ) -> _Data:
     """As `_learned`, where walls and poses are found."""
-    config = Configuration()
+    config = replace(Configuration(), attention=attention)
     located, _ = located_sweeps(bag, mount, config, StageLog())
     learned = None
     if wanted & _LEARNED:
         learned = learn_located(located, config, config.unmeasured)
-    return _Data(located.room, sweeps, located.panoramas, learned)
+    landmarks = learned.map if learned else None
+    return _Data(located.room, sweeps, located.panoramas, learned, landmarks)
 
 
-def _draw(number: int, data: _Data, path: Path) -> str:
+def _draw(
+    number: int,
+    data: _Data,
+    attention: AttentionConfig,
+    path: Path,
+    features: list[str] | None,
+) -> str:
     """Draw a figure; its caption."""
-    attention = AttentionConfig()
     if number == 3:
         return draw_sweeps(data.sweeps, data.panoramas, data.room, path)
     if number == 4:
         return draw_attention(data.panoramas[0], attention, path)
     if number == 7:
-        return draw_features_alone(data.panoramas[0], attention, path, FEATURES)
-    assert data.learned is not None, 'these figures are among _LEARNED'
+        return draw_features_alone(data.panoramas[0], attention, path, features or FEATURES)
     if number == 6:
-        return draw_observation_areas(data.learned.map, data.room, path, data.tests)
+        assert data.landmarks is not None, 'learned or given'
+        return draw_observation_areas(data.landmarks, data.room, path, data.tests)
+    assert data.learned is not None, 'these figures are among _LEARNED'
     if number == 5:
         return draw_reconstruction(data.learned, data.room, path)
     return draw_learned(data.learned, data.room, path, data.truth)
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Draw; 1 if the data does not allow it, 2 for wrong usage."""
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    try:
-        return run(parser.parse_args(argv))
-    except LandmarkNavError as error:
-        print(error, file=sys.stderr)
-        return 2 if isinstance(error, UsageError) else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -12,8 +12,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 import numpy as np
-from strips import caption, mark, show, Strip
 
+from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip
 from landmark_nav.evaluation.figures.style import (
     CANDIDATE,
     draw_sweep_places,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from area_figure import AreaTest
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.figures.area_figure import AreaTest
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import bearings
 from landmark_nav.geometry.walls import Room

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 import numpy as np
-from strips import caption
 
+from landmark_nav.evaluation.figures.strips import caption
 from landmark_nav.evaluation.figures.style import FUSED, new_figure, plain, save
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel

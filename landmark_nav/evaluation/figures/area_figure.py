@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 import numpy as np
 import numpy.typing as npt
-from strips import caption, show
 
+from landmark_nav.evaluation.figures.strips import caption, show
 from landmark_nav.evaluation.figures.style import (
     draw_papers,
     draw_sweep_places,
