@@ -21,7 +21,7 @@ from typing import Any
 from unittest.mock import patch
 
 from landmark_nav.configuration import Configuration, READS
-from landmark_nav.demo.room import prepare_room
+from landmark_nav.demo.scenario import prepare_room
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.parameters import leaves, unit_of
 from landmark_nav.storage.config_files import read_parameters, shipped_config

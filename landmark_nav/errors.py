@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import reprlib
 
-__all__ = ['LandmarkNavError', 'UsageError', 'one_line', 'shown', 'why']
-
 # A line for a user, and what a path or a value in it keeps at least.
 _LINE_LENGTH, _PART_LENGTH = 200, 60
 # More is not looked at.

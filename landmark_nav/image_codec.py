@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['MAX_PIXELS', 'decode_image', 'encode_image', 'image_size']
-
 # An image of 8K video; larger ones are refused before memory is taken for them.
 MAX_PIXELS = 7680 * 4320
 
@@ -33,11 +31,7 @@ def image_size(data: bytes | npt.NDArray[np.uint8]) -> tuple[int, int]:
     Source: PNG (ISO/IEC 15948) 11.2.2, JPEG (ITU-T T.81) B.1 and B.2. Bytes between two segments
     of a JPEG are skipped, as libjpeg does: the size is the one that it will decode.
 
-    Raises
-    ------
-    LandmarkNavError
-        The data is neither, or ends before its size.
-
+    Raises `LandmarkNavError`: the data is neither, or ends before its size.
     """
     content = data if isinstance(data, bytes) else data.tobytes()
     if content[:8] == _PNG and content[12:16] == b'IHDR' and len(content) >= 24:
@@ -78,11 +72,7 @@ def decode_image(
     """
     Pixels of a PNG or JPEG, as `cv2.imdecode` gives them in `mode`.
 
-    Raises
-    ------
-    LandmarkNavError
-        The data is neither, is damaged, or has more than `max_pixels`.
-
+    Raises `LandmarkNavError`: the data is neither, is damaged, or has more than `max_pixels`.
     """
     content = data if isinstance(data, bytes) else data.tobytes()
     width, height = image_size(content)

@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ['CalibrationTerm', 'PanoramaQuality']
-
 # Pans that a line names at most.
 _LISTED = 4
 

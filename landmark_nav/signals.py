@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import Any
 
-__all__ = ['ENDING', 'end_at_once', 'interrupting']
-
 ENDING = (signal.SIGINT, signal.SIGTERM)
 
 

@@ -2,8 +2,6 @@
 
 import os
 
-__all__ = ['keep_to_one_thread']
-
 
 def keep_to_one_thread() -> None:
     """

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray, ImageArray
 from landmark_nav.calibration import Calibration
+from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.geometry.patches import patch_corners, PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.quality import PanoramaQuality

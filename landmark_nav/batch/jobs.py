@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError, shown
-from landmark_nav.storage.fields import check_spelling, list_field, name_field
-from landmark_nav.storage.reading import read_yaml_mapping
+from landmark_nav.storage.reading import check_spelling, list_field, name_field, read_yaml_mapping
 
 __all__ = ['COMMANDS', 'Run', 'Stage', 'read_runs']
 

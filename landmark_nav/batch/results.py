@@ -20,8 +20,6 @@ from landmark_nav.batch.work import Outcome
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.reading import read_text
 
-__all__ = ['Change', 'compare', 'page', 'read_table', 'row', 'table_csv', 'write_parquet']
-
 Row = dict[str, Any]
 
 
@@ -89,16 +87,12 @@ def read_table(path: Path) -> list[Row]:
     """
     Read ``table.csv`` of an earlier batch.
 
+    Raises `LandmarkNavError`: it is no such table.
+
     Parameters
     ----------
     path : Path
         The file, or the folder that holds it.
-
-    Raises
-    ------
-    LandmarkNavError
-        It is no such table.
-
     """
     path = path / 'table.csv' if path.is_dir() else path
     rows = list(csv.DictReader(StringIO(read_text(path))))

@@ -18,8 +18,6 @@ from typing import Any
 from landmark_nav.batch.jobs import Run, Stage
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['Outcome', 'run_all', 'stage_arguments']
-
 _DONE = 'done.json'
 
 

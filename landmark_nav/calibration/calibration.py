@@ -18,8 +18,6 @@ from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-__all__ = ['NAMES', 'UNITS', 'Calibration', 'scaled', 'shown']
-
 # Name -> unit, default sigma. A person with a tape and a spirit level is off by 2 cm and 1 degree;
 # lens, clocks and encoders by what their calibrations leave.
 _QUANTITIES: dict[str, tuple[str, float]] = {
@@ -58,6 +56,8 @@ class Calibration:
     """
     Values of `NAMES` with their joint covariance.
 
+    Raises `LandmarkNavError`: values that are not finite, or a matrix that is no covariance.
+
     Parameters
     ----------
     values : ndarray, shape (15,)
@@ -73,12 +73,6 @@ class Calibration:
     by_map : ndarray, shape (15, m), optional
         Covariance of `values` with the factors of unit variance that all landmarks of a map share:
         the map was learned with this calibration.
-
-    Raises
-    ------
-    LandmarkNavError
-        Values that are not finite, or a matrix that is no covariance.
-
     """
 
     values: FloatArray
@@ -172,18 +166,14 @@ class Calibration:
         What contradicts the values that were given counts by itself: their error was given too
         small.
 
+        Raises `LandmarkNavError`: it contradicts what is given as exact.
+
         Parameters
         ----------
         rows : ndarray, shape (m, 15)
             What was measured: its derivatives.
         values, covariance : ndarray, shape (m,), (m, m)
             Of the measurement.
-
-        Raises
-        ------
-        LandmarkNavError
-            It contradicts what is given as exact.
-
         """
         prior, off = self.covariance.copy(), values - rows @ self.values
         known = np.einsum('mi,ij,mj->m', rows, prior, rows)

@@ -8,8 +8,6 @@ from pathlib import Path
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.topics import TOPIC_TYPES
 
-__all__ = ['add_topic_argument', 'open_bag']
-
 
 def add_topic_argument(parser: argparse.ArgumentParser) -> None:
     """Declare ``--topic``, of every command that reads a bag."""

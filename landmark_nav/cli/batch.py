@@ -19,12 +19,10 @@ from landmark_nav.batch.results import (
     write_parquet,
 )
 from landmark_nav.batch.work import run_all, stage_arguments
+from landmark_nav.cli.lines import progress
 from landmark_nav.cli.numbers import within
-from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
-
-__all__ = ['add_arguments', 'run']
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

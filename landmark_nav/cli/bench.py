@@ -18,11 +18,9 @@ import numpy as np
 from landmark_nav.cli.bench_learning import learning_comparisons
 from landmark_nav.cli.bench_localization import localization_comparisons
 from landmark_nav.cli.bench_world import Comparison, World
+from landmark_nav.cli.lines import progress
 from landmark_nav.cli.numbers import within
-from landmark_nav.cli.progress import progress
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
-
-__all__ = ['add_arguments', 'run']
 
 
 @dataclass(frozen=True)

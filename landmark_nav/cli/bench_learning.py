@@ -13,6 +13,7 @@ from landmark_nav.cli.bench_world import Comparison, MOUNT, STEP_RAD, World
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
+from landmark_nav.learning.capture.frames import look_at, relative_sharpness
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
@@ -21,15 +22,12 @@ from landmark_nav.learning.reference_area import (
     locate_sweep,
     ReferenceAreaConfig,
 )
-from landmark_nav.learning.sharpness import look_at, relative_sharpness
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast, plan_positions
-from landmark_nav.planning.room_grid import free_floor
+from landmark_nav.planning.views import free_floor
 from landmark_nav.types import ImageArray
-
-__all__ = ['learning_comparisons']
 
 _COLUMNS, _ROWS = np.meshgrid(
     np.arange(512, dtype=np.float32) + np.float32(0.3), np.arange(512, dtype=np.float32)

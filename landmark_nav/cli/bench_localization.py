@@ -23,8 +23,7 @@ from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
 from landmark_nav.localization.triangulation import triangulate, triangulate_three
 from landmark_nav.localization.triplet import CameraState, rank_triplets, TripletConfig
-from landmark_nav.localization.triplet.geometry import pair_tables
-from landmark_nav.localization.triplet.search import mean_variance
+from landmark_nav.localization.triplet.search import mean_variance, pair_tables
 from landmark_nav.types import (
     Detections,
     FloatArray,

@@ -13,17 +13,12 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningConfig,
-    LearningResult,
-    panorama_from_sweep,
-    PanoramaStages,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
+from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -31,8 +26,6 @@ from landmark_nav.types import (
     PoseEstimate,
     Sweep,
 )
-
-__all__ = ['CAMERA', 'MOUNT', 'STEP_RAD', 'Comparison', 'World']
 
 CAMERA = CameraModel(
     512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', (-0.12, 0.03, 0.0005, -0.0003, 0.0)

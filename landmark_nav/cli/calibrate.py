@@ -15,9 +15,8 @@ from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.learn import panoramas_of_bag
-from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add_config, add_overwrite
-from landmark_nav.cli.progress import progress
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError

@@ -7,10 +7,8 @@ import os
 
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_namespace
-from landmark_nav.demo.interruption import Interruption
+from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.ros import require_ros
-
-__all__ = ['add_arguments', 'run']
 
 _SERVICES = {
     'capture_sweep': 'turn the camera all around and make a panorama',

@@ -17,8 +17,6 @@ from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
 
-__all__ = ['add_arguments', 'refuse_errors', 'run']
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what the command takes."""
@@ -64,11 +62,7 @@ def refuse_errors(bag: Bag, found: Diagnosis) -> None:
     """
     Pass warnings on, a line each; refuse errors in one line.
 
-    Raises
-    ------
-    LandmarkNavError
-        There is an error.
-
+    Raises `LandmarkNavError`: there is an error.
     """
     for finding in found.warnings:
         if not finding.when_read:

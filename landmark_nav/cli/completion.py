@@ -6,8 +6,6 @@ import argparse
 
 from argcomplete.shell_integration import shellcode
 
-__all__ = ['add_arguments', 'run']
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what the command takes."""

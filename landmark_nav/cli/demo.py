@@ -8,18 +8,15 @@ import os
 from pathlib import Path
 import shutil
 
+from landmark_nav.cli.evaluate import error_table
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
-from landmark_nav.cli.run_summary import error_table
 from landmark_nav.configuration import load_configuration
 from landmark_nav.demo.graph import node_commands, node_environment
-from landmark_nav.demo.interruption import Interruption
-from landmark_nav.demo.narrator import Narrator
 from landmark_nav.demo.recorded_run import recorded_run
-from landmark_nav.demo.room import prepare_room
-from landmark_nav.demo.scenario import run_scenario
-from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.scenario import Narrator, prepare_room, run_scenario
+from landmark_nav.demo.supervisor import Interruption, Supervisor
 from landmark_nav.demo.verdict import Check, figures, judge
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report

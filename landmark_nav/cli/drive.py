@@ -14,11 +14,9 @@ import tty
 
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_namespace
-from landmark_nav.demo.interruption import Interruption
+from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import require_ros
-
-__all__ = ['Keys', 'add_arguments', 'run']
 
 # Terminals do not report that a key is released; held down, it repeats after at most 0.7 s.
 _HOLD_S = 0.8
@@ -36,16 +34,10 @@ class Keys:
     """
     Velocities of keys; the robot stops if none came for 0.8 s, or at any other key.
 
-    Parameters
-    ----------
-    linear_m_s, angular_rad_s : float
-        Speeds at first.
-
     Attributes
     ----------
     ended : bool
         Whether the key that ends was pressed.
-
     """
 
     def __init__(self, linear_m_s: float, angular_rad_s: float) -> None:

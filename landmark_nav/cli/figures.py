@@ -13,9 +13,8 @@ import numpy as np
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.figures_world import FiguresWorld
 from landmark_nav.cli.learn import located_sweeps
-from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.numbers import within
-from landmark_nav.cli.progress import progress
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures.area_figure import (
@@ -31,14 +30,9 @@ from landmark_nav.evaluation.true_places import true_places, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.attention import AttentionConfig, FEATURES
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningConfig,
-    LearningResult,
-    panorama_from_sweep,
-    PanoramaStages,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.atomic_io import check_writable

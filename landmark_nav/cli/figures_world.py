@@ -15,10 +15,9 @@ from landmark_nav.localization.detection import (
     detect_landmarks,
     DetectionConfig,
 )
-from landmark_nav.simulation.furnishing import another_day
+from landmark_nav.simulation.furnishing import another_day, generate_scene
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, RobotWorld
 from landmark_nav.types import (
@@ -29,8 +28,6 @@ from landmark_nav.types import (
     PoseEstimate,
     Sweep,
 )
-
-__all__ = ['FiguresWorld']
 
 _FRAMES = 72
 _GRID_M = 0.45

@@ -17,10 +17,8 @@ from typing import Any
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
-from landmark_nav.cli.known_places import check_scale, known_places
-from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add_config, add_overwrite
-from landmark_nav.cli.progress import progress
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
@@ -30,28 +28,79 @@ from landmark_nav.evaluation.report import check_report, learning_page, write_re
 from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningResult,
-    panorama_from_sweep,
-    PanoramaStages,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.reference_area import PaperRecord
+from landmark_nav.learning.sheets import SheetsConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import record_papers
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages, record_papers
 from landmark_nav.learning.unmeasured import (
     learn_located,
     locate_sweeps,
     Located,
 )
+from landmark_nav.localization import sweep_places
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.messages import decode
 from landmark_nav.storage.atomic_io import atomic_folder, check_writable, write_atomically
 from landmark_nav.storage.bags import Bag, read_sweeps
+from landmark_nav.storage.bags.reader import MessageFilter
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room, room_text
-from landmark_nav.types import Panorama, PlaceChain, Sweep
+from landmark_nav.types import OdometrySample, Panorama, PlaceChain, Sweep
 
-__all__ = ['add_arguments', 'located_sweeps', 'panoramas_of_bag', 'run']
+
+def check_scale(bag: Bag, sheets: SheetsConfig) -> None:
+    """
+    Check that something gives the scale of a map that is learned without a plan.
+
+    Raises
+    ------
+    LandmarkNavError
+        Nothing does.
+
+    """
+    posed = bag.find('sweep/pose') or bag.find('odom')
+    if not (posed or sheets.has_papers or sheets.has_markers):
+        raise LandmarkNavError(
+            f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
+            '(--paper-size, --marker-size), or measure walls and papers (--room)'
+        )
+
+
+def known_places(
+    bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig
+) -> list[PlaceChain]:
+    """
+    Poses of sweeps by each source of a bag that has them, as of `sweep_places.known_places`.
+
+    Raises
+    ------
+    LandmarkNavError
+        One does not say where each was taken, or the robot moved in one of them.
+
+    """
+    spans = [(sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns) for sweep in sweeps]
+    given = [sweep.pose_map_base for sweep in sweeps]
+    try:
+        return sweep_places.known_places(given, spans, _odometry(bag), config)
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{bag.path}: {error}') from error
+
+
+def _odometry(bag: Bag) -> list[OdometrySample]:
+    """Odometry of a bag, by time; none where it has none."""
+    if not (topic := bag.find('odom')):
+        return []
+    messages = MessageFilter(bag, topic)
+    read = (
+        messages.take(lambda entry: decode.odometry(entry.message), entry)
+        for entry in bag.messages([topic])
+    )
+    samples = sorted((s for s in read if s is not None), key=lambda s: s.stamp_ns)
+    messages.report()
+    return samples
+
 
 _LOG = logging.getLogger(__name__)
 

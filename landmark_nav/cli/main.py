@@ -27,8 +27,6 @@ from landmark_nav.errors import LandmarkNavError, one_line, shown, UsageError, w
 from landmark_nav.signals import interrupting
 from landmark_nav.threads import keep_to_one_thread
 
-__all__ = ['main']
-
 # Command -> its module, what it does, and an example.
 COMMANDS = {
     'demo': (

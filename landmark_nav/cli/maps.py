@@ -18,8 +18,6 @@ from landmark_nav.upkeep.comparison import compare_maps, Comparison, Texture, wa
 from landmark_nav.upkeep.frames import brought_together, FrameAlignment
 from landmark_nav.upkeep.merge import merge_maps
 
-__all__ = ['add_arguments', 'run']
-
 # Disagreements are listed one by one from here on.
 _LISTED_SIGMAS = 3.0
 # Maps whose walls differ are of two rooms if they share the textures of so few landmarks: of two

@@ -15,7 +15,7 @@ from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.coverage import unseen_arcs
+from landmark_nav.geometry.cylinder import unseen_arcs
 from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig, check_turn
 from landmark_nav.learning.calibration.alignment import align_sweep

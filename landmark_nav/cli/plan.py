@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
-from landmark_nav.cli.progress import progress
 from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig

@@ -13,8 +13,6 @@ from landmark_nav.cli.numbers import within
 from landmark_nav.ros import require_ros
 from landmark_nav.signals import ENDING
 
-__all__ = ['add_arguments', 'run']
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what the command takes."""

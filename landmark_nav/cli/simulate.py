@@ -12,15 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.lines import evaluate_line
+from landmark_nav.cli.lines import evaluate_line, progress
 from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_overwrite
-from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
-from landmark_nav.simulation.furnishing import another_day, exchange_posters, hang_tags
-from landmark_nav.simulation.measuring import as_measured
+from landmark_nav.simulation.furnishing import (
+    another_day,
+    exchange_posters,
+    generate_scene,
+    hang_tags,
+)
 from landmark_nav.simulation.pan_control import PanControl
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
 from landmark_nav.simulation.recording import (
@@ -29,9 +32,9 @@ from landmark_nav.simulation.recording import (
     STATE_RATE_HZ,
     sweep_messages,
 )
-from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.setup_documents import (
+    as_measured,
     robot_document,
     room_document,
     scene_document,

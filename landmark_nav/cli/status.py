@@ -10,14 +10,12 @@ import sys
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from landmark_nav.demo.interruption import Interruption
+from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros import chosen_domain, require_ros
 
 if TYPE_CHECKING:
     from landmark_nav.ros.robot_client import NodeStatus
-
-__all__ = ['add_arguments', 'run', 'table']
 
 # Diagnostics come once a second.
 _GATHER_S = 2.5

@@ -13,9 +13,8 @@ from landmark_nav.cli.numbers import within
 from landmark_nav.cli.options import add_config, add_namespace
 from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.demo.graph import node_commands
-from landmark_nav.demo.interruption import Interruption
-from landmark_nav.demo.room import prepare_room
-from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.scenario import prepare_room
+from landmark_nav.demo.supervisor import Interruption, Supervisor
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.setup_files import load_room

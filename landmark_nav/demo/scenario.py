@@ -4,22 +4,145 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
+import sys
+import time
 from typing import Protocol
 
 import numpy as np
 
-from landmark_nav.demo.narrator import Narrator
 from landmark_nav.demo.recorded_run import RECORDED_TOPICS, SWEEP_TOPICS
-from landmark_nav.demo.room import DemoRoom
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.triangulation.model import base_from_axis
-from landmark_nav.simulation.drive_path import PathFollower
+from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
+from landmark_nav.simulation.furnishing import generate_scene
+from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.setup_documents import robot_document, room_document
+from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.types import FloatArray, OdometrySample, Panorama, PoseEstimate
 
-__all__ = ['Robot', 'run_scenario']
+
+@dataclass(frozen=True, eq=False)
+class DemoRoom:
+    """
+    A room and what happens in it.
+
+    Parameters
+    ----------
+    seed : int
+        Draws everything.
+    room_file : Path or None
+        What the nodes are given; None if they find walls and poses.
+    robot_file : Path
+        What the nodes are given.
+    mount : PanTiltMount
+        The same as `robot_file`.
+    to_second_place, tour : ndarray, shape (n, 2)
+        The way from the first to the second sweep, and that of the drive, in map; without a
+        room file that is the base at the first sweep.
+    size_m : tuple of float
+        Extent of the room.
+
+    """
+
+    seed: int
+    room_file: Path | None
+    robot_file: Path
+    mount: PanTiltMount
+    to_second_place: FloatArray
+    tour: FloatArray
+    size_m: tuple[float, float]
+
+
+def prepare_room(
+    folder: Path, seed: int, tour_m: float = 14.0, *, measured: bool = True
+) -> DemoRoom:
+    """
+    Draw a room, with a tour of `tour_m`; write ``robot.yaml`` into `folder`.
+
+    If it is `measured`, ``room.yaml`` as well.
+
+    Raises `LandmarkNavError`: a room of this seed has no places for sweeps, or no space to drive.
+    """
+    scene = generate_scene(seed)
+    places = choose_sweep_places(scene)
+    if places is None:
+        raise LandmarkNavError(f'the room of seed {seed} has no places for sweeps: take another')
+    first, second = places.poses[:, :2]
+    room_file, robot_file = folder / 'room.yaml', folder / 'robot.yaml'
+    if measured:
+        room_file.write_text(room_document(scene.room), encoding='utf-8')
+    frame = np.zeros(3) if measured else places.poses[0]
+    robot_file.write_text(robot_document(DEFAULT_MOUNT), encoding='utf-8')
+    extent = np.ptp(scene.room.bounds, axis=0)
+    return DemoRoom(
+        seed,
+        room_file if measured else None,
+        robot_file,
+        DEFAULT_MOUNT,
+        se2.transform_points(se2.inverse(frame), plan_way(scene, first, second)),
+        se2.transform_points(
+            se2.inverse(frame),
+            plan_tour(scene, second, tour_m, np.random.default_rng([seed, 40])),
+        ),
+        (float(extent[0]), float(extent[1])),
+    )
+
+
+_REFRESH_S = 0.2
+
+
+class Narrator:
+    """
+    Steps with their time, and a line below that shows how far the present one is.
+
+    That line is drawn on terminals only.
+    """
+
+    def __init__(self) -> None:
+        self._stream = sys.stdout
+        self._begin = time.monotonic()
+        self._shown = 0.0
+        self._drawn = False
+
+    @property
+    def seconds(self) -> float:
+        """Since the start."""
+        return time.monotonic() - self._begin
+
+    def title(self, text: str) -> None:
+        """Begin a step."""
+        self._clear()
+        self._write(f'\n[{self.seconds:5.1f} s] {self._bold(text)}\n')
+
+    def print_line(self, text: str) -> None:
+        """Print a result."""
+        self._clear()
+        self._write(f'          {text}\n')
+
+    def status(self, text: str) -> None:
+        """Show how far it is, in place of what was shown before."""
+        if not self._stream.isatty() or time.monotonic() - self._shown < _REFRESH_S:
+            return
+        self._shown = time.monotonic()
+        self._drawn = True
+        self._write(f'\r\033[K          ... {text}')
+
+    def _clear(self) -> None:
+        if self._drawn:
+            self._write('\r\033[K')
+            self._drawn = False
+
+    def _bold(self, text: str) -> str:
+        return f'\033[1m{text}\033[0m' if self._stream.isatty() else text
+
+    def _write(self, text: str) -> None:
+        self._stream.write(text)
+        self._stream.flush()
+
 
 _SPEED_M_S = 0.3
 _CONTROL_NS = 50_000_000
@@ -78,11 +201,7 @@ def run_scenario(
 
     Leaves ``map`` and ``recording`` in `folder`.
 
-    Raises
-    ------
-    LandmarkNavError
-        Something does not work out; says what.
-
+    Raises `LandmarkNavError`: something does not work out; says what.
     """
     narrator.title(f'Starting {len(nodes)} nodes, each a process')
     robot.wait(

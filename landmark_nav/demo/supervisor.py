@@ -11,10 +11,10 @@ import shutil
 import signal
 import subprocess
 import time
+from types import FrameType
+from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
-
-__all__ = ['ProcessEndedError', 'Supervisor']
 
 _POLL_S = 0.05
 _LAST_LINES = 4
@@ -41,11 +41,8 @@ class Supervisor:
     ----------
     log_folder : Path or None
         Where what each of them prints goes, ``NAME.log``; None where it goes where ours goes.
-    environment : mapping
-        Their whole environment.
     grace_s : float
         How long each signal may take at the end.
-
     """
 
     def __init__(
@@ -130,3 +127,39 @@ def _last_words(log: Path) -> str:
     lines = [line.strip() for line in log.read_text(errors='replace').splitlines()]
     last_lines = [line for line in lines if line][-_LAST_LINES:]
     return ' | '.join(last_lines) or 'it printed nothing'
+
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interruption:
+    """
+    Context manager, for the main thread: a signal is noted there, and `check` raises it.
+
+    A KeyboardInterrupt that is raised wherever the program happens to be is lost in a destructor,
+    which is where a program that waits with rclpy is one time in forty.
+    """
+
+    def __init__(self) -> None:
+        self._noted = False
+        self._handlers: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        """From here on signals are only noted."""
+        self._handlers = {number: signal.signal(number, self._note) for number in _SIGNALS}
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        """Signals are again what they were before; one that was not heeded is raised."""
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        if kind is None:
+            self.check()
+
+    def check(self) -> None:
+        """Raise `KeyboardInterrupt` if there was a signal."""
+        if self._noted:
+            raise KeyboardInterrupt
+
+    def _note(self, _number: int, _frame: FrameType | None) -> None:
+        self._noted = True

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from landmark_nav.evaluation.alignment import aligned, aligned_report
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import (
+    aligned,
+    aligned_report,
     integrity_report,
     pose_report,
     run_errors,

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-__all__ = ['Delays', 'Diagnosis', 'Finding', 'Level', 'table', 'worst']
-
 Level = Literal['ok', 'warning', 'error']
 
 _ORDER: tuple[Level, ...] = ('ok', 'warning', 'error')

@@ -15,8 +15,6 @@ from scipy import fft
 from landmark_nav.arrays import FloatArray, ImageArray
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-__all__ = ['StripView', 'turn_between']
-
 _COLUMNS, _ROWS = 128, 48
 # Contrast is evened out over parts of a strip; below this, grey levels a column, it is none.
 _CONTRAST, _LEAST_CONTRAST = (41, 41), 6.0
@@ -37,13 +35,10 @@ class StripView:
 
     Parameters
     ----------
-    camera : CameraModel
-        Its lens.
     mount : PanTiltMount
         How it is mounted: tilt and roll matter here.
     tilt_rad : float
         Usual tilt of the joints.
-
     """
 
     def __init__(self, camera: CameraModel, mount: PanTiltMount, tilt_rad: float = 0.0) -> None:

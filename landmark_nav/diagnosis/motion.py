@@ -24,19 +24,6 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import BoolArray, FloatArray
 
-__all__ = [
-    'Clock',
-    'Estimate',
-    'Fit',
-    'Linear',
-    'Motion',
-    'Track',
-    'driven_again',
-    'explained',
-    'fit',
-    'linear',
-]
-
 FREEDOM = 3.0
 _ITERATIONS = 25
 # More is no noise of images; nor is it where more of them than this are as far off.

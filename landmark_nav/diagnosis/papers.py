@@ -8,10 +8,8 @@ from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.storage.bags import Bag, read_sweeps
-
-__all__ = ['check_papers']
 
 
 def check_papers(bag: Bag, mount: PanTiltMount, room: Room) -> list[Finding]:
@@ -24,9 +22,6 @@ def check_papers(bag: Bag, mount: PanTiltMount, room: Room) -> list[Finding]:
         Of sweeps; one without any has no papers to see.
     mount : PanTiltMount
         How the camera is mounted.
-    room : Room
-        Walls and papers.
-
     """
     found: list[Finding] = []
     if not (bag.find('sweep/image') or bag.find('sweep/image/compressed')):

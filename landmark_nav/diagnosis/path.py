@@ -12,8 +12,6 @@ from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.streams import Stream
 from landmark_nav.diagnosis.units import steps_of
 
-__all__ = ['check_jumps', 'check_path']
-
 # A step is a jump if it is so many times the usual ones, and metres or radians.
 _JUMP, _JUMP_M, _JUMP_RAD = 10.0, 0.3, 0.5
 # More of them are no jumps but a source that is noisy, or two.

@@ -16,8 +16,6 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagMessage
 from landmark_nav.storage.bags.timelines import logged_joints
 
-__all__ = ['Stream', 'pan_stream', 'read_joints', 'read_stream', 'unwrapped']
-
 # Numbers of one message; None where it has none of use.
 Values = Callable[[Any], 'FloatArray | None']
 
@@ -91,13 +89,10 @@ def read_stream(bag: Bag, name: str, topic: str, values: Values | None = None) -
 
     Parameters
     ----------
-    bag : Bag
-        Where it is.
     name, topic : str
         The contract's name, and that in the bag.
     values : callable, optional
         Numbers of one message, always as many; None where a message is about something else.
-
     """
     stamps, logged, numbers = [], [], []
     frames: dict[str, None] = {}

@@ -21,7 +21,7 @@ from landmark_nav.diagnosis.streams import pan_stream, unwrapped
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.message_filter import naming
+from landmark_nav.storage.bags.reader import naming
 
 __all__ = ['SweepChecks']
 

@@ -11,8 +11,6 @@ from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.streams import Stream
 from landmark_nav.geometry.walls import Room
 
-__all__ = ['check_speed', 'check_twist', 'nearness_of_room', 'steps_of', 'unit_of']
-
 # Robots indoors are slower than the first; nothing on wheels is faster than the second.
 _FAST_M_S, _FASTEST_M_S = 3.0, 10.0
 # Steps that are shorter say more of noise than of speed.

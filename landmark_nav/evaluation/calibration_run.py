@@ -27,15 +27,6 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = [
-    'CalibrationDrive',
-    'Residuals',
-    'advice',
-    'broken_promises',
-    'calibrate_by_drive',
-    'trade_offs',
-]
-
 # Papers that hang off by a millimetre tilt a map so much against the floor, radians: no drive
 # shows the lean of the axis better.
 _LEVEL_RAD = 5e-4
@@ -155,12 +146,6 @@ def calibrate_by_drive(
     ----------
     events : iterable of SensorEvent
         What was sensed; ground truth is not used.
-    landmark_map : LandmarkMap
-        Map of the room.
-    prior : Calibration
-        What is known before.
-    config : LocalizationConfig
-        Of the localizer.
     start : PoseEstimate, optional
         Pose at the start; without it the robot finds its own pose.
 
@@ -168,7 +153,6 @@ def calibrate_by_drive(
     ------
     LandmarkNavError
         No image or odometry, no pose found, or a drive that does not fit the map.
-
     """
     localizer = Localizer(landmark_map, prior, config)
     measured: list[OdometrySample | tuple[ImagePoints, float]] = []

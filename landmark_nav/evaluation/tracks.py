@@ -12,8 +12,6 @@ from landmark_nav.arrays import IntArray
 from landmark_nav.geometry import se2
 from landmark_nav.types import FloatArray
 
-__all__ = ['PoseTrack']
-
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:

@@ -10,11 +10,9 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.message_filter import MessageFilter
-from landmark_nav.storage.bags.truth import truth_decoder
+from landmark_nav.storage.bags.reader import MessageFilter
+from landmark_nav.storage.bags.sensors import truth_decoder
 from landmark_nav.types import FloatArray, Landmark
-
-__all__ = ['check_truth_frame', 'true_places', 'truth_of_bag']
 
 
 def truth_of_bag(bag: Bag) -> PoseTrack:

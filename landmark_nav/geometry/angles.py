@@ -1,15 +1,16 @@
-"""Angles in radians, counter-clockwise positive."""
+"""Angles in radians, counter-clockwise positive, and a pan about a time."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
-
-__all__ = ['check_one_turn', 'unwrap_joint', 'wrap_one_rad', 'wrap_rad']
 
 # No pan or tilt joint turns faster.
 _FASTEST_RAD_S = 10.0
@@ -72,3 +73,43 @@ def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDA
     turns = np.where(jumps, np.rint(steps / (2.0 * np.pi)), 0.0)
     angles[1:] -= 2.0 * np.pi * np.cumsum(turns)
     return angles
+
+
+# Gauss-Hermite nodes of a standard normal variable, and their weights.
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
+_WEIGHTS /= _WEIGHTS.sum()
+
+
+class LaggedPan(NamedTuple):
+    """
+    Pan at an uncertain time: its value, derivative, and standard deviation about that line.
+
+    Statistical linearization: slope and deviation are those over the distribution of the time
+    (Gelb, Applied Optimal Estimation, 1974, section 6.2), as a pan may begin or cease to turn
+    within it.
+    """
+
+    pan_rad: float
+    rate_rad_s: float
+    bend_rad: float
+
+
+@dataclass(frozen=True, eq=False)
+class PanTrack:
+    """Pan `pans_rad` (k,) at times `seconds` (k,), ascending, after some moment."""
+
+    seconds: FloatArray
+    pans_rad: FloatArray
+
+    def at(self, seconds: npt.ArrayLike) -> FloatArray:
+        """Pan at times (m,); beyond the first and the last it stays."""
+        times = np.asarray(seconds, dtype=np.float64)
+        return np.interp(times, self.seconds, self.pans_rad)
+
+    def lagged(self, seconds: float, sigma_s: float) -> LaggedPan:
+        """Pan at a time that is known with a standard deviation."""
+        offsets = sigma_s * _NODES
+        pan, *pans = self.at([seconds, *(seconds + offsets)]).tolist()
+        moved = np.array(pans) - pan
+        rate = float(_WEIGHTS @ (moved * _NODES)) / sigma_s
+        return LaggedPan(pan, rate, float(np.sqrt(_WEIGHTS @ (moved - rate * offsets) ** 2)))

@@ -18,8 +18,7 @@ import numpy.typing as npt
 from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.rotation import rot_y, rot_z, rotation_rpy
-from landmark_nav.geometry.se2 import compose
+from landmark_nav.geometry.se2 import compose, rot_y, rot_z, rotation_rpy
 
 __all__ = ['MAX_PX_PER_RAD', 'CameraModel', 'PanTiltMount']
 

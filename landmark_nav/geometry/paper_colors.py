@@ -7,8 +7,6 @@ import re
 
 from landmark_nav.errors import LandmarkNavError, shown
 
-__all__ = ['NAMED_HUES_DEG', 'paper_bgr']
-
 NAMED_HUES_DEG = {
     'red': 0,
     'orange': 26,
@@ -37,11 +35,7 @@ def paper_bgr(color: str) -> tuple[float, float, float]:
     """
     Blue, green and red of a paper, 0 to 255.
 
-    Raises
-    ------
-    LandmarkNavError
-        Not a colour, or one without a hue.
-
+    Raises `LandmarkNavError`: not a colour, or one without a hue.
     """
     text = color.strip().lower()
     named, hsv, hexadecimal = NAMED_HUES_DEG.get(text), _HSV.fullmatch(text), _HEX.fullmatch(text)

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from landmark_nav.arrays import Float32Array
-from landmark_nav.geometry.observation import relative_sampling
-from landmark_nav.geometry.patches import patch_axes, PatchView
+from landmark_nav.geometry.patches import patch_axes, PatchView, relative_sampling
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import Adjustment
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, wall_texture, WallPatch

@@ -16,15 +16,6 @@ from scipy.linalg import solve_triangular
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'Damping',
-    'checked_covariance',
-    'covariance_of',
-    'levenberg_marquardt',
-    'root_of',
-    'solve_positive',
-]
-
 # Share of the diagonal that is added where a matrix is not positive by rounding, at first.
 _RIDGE = 1e-14
 # Damping at first, by what it grows and falls, and where a step is given up.
@@ -38,11 +29,7 @@ def root_of(matrix: FloatArray) -> FloatArray:
     """
     Lower triangular root L (n, n) of a symmetric matrix (n, n) that is not negative: ``L L^T``.
 
-    Raises
-    ------
-    LandmarkNavError
-        Values that are not numbers.
-
+    Raises `LandmarkNavError`: values that are not numbers.
     """
     if not np.isfinite(matrix).all():
         raise LandmarkNavError('the sweeps do not determine an adjustment: take them again')
@@ -76,6 +63,9 @@ def checked_covariance(covariance: FloatArray, most_sigma: FloatArray, what: str
     """
     Covariance (n, n) that was given, made symmetric.
 
+    Raises `LandmarkNavError`: values that are not numbers, variances that are negative or too
+    large.
+
     Parameters
     ----------
     covariance : ndarray, shape (n, n)
@@ -84,12 +74,6 @@ def checked_covariance(covariance: FloatArray, most_sigma: FloatArray, what: str
         Standard deviations beyond which it is of no use.
     what : str
         Whose it is, to begin the message with.
-
-    Raises
-    ------
-    LandmarkNavError
-        Values that are not numbers, variances that are negative or too large.
-
     """
     even = 0.5 * (covariance + covariance.T)
     if not np.isfinite(even).all():
@@ -122,14 +106,11 @@ class Damping:
         cost_with : callable
             Takes a step with a damping, which is a share of the diagonal of the normal equations,
             and returns the cost after it. The last step that it took is the one to keep.
-        cost : float
-            Cost before.
 
         Returns
         -------
         bool
             False where no step does.
-
         """
         while self._by < _MOST:
             if cost_with(self._by) <= cost * (1.0 + _ROUNDING) + _ROUNDING:

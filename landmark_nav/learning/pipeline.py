@@ -26,11 +26,11 @@ from landmark_nav.learning.adjustment import (
 )
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
+    moved_walls,
     wall_residuals,
     wall_warnings,
     WallResidual,
 )
-from landmark_nav.learning.adjustment.wall_prior import moved_walls
 from landmark_nav.learning.attention import attend, AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.least_squares import checked_covariance

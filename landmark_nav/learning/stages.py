@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 import resource
 import time
 
-__all__ = ['StageLog']
-
 
 @dataclass
 class StageLog:

@@ -8,10 +8,8 @@ import logging
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import CameraModel
-from landmark_nav.geometry.coverage import describe_coverage
+from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, PoseEstimate, Sweep
-
-__all__ = ['assemble_sweep', 'missing_frames']
 
 _LOG = logging.getLogger(__name__)
 
@@ -31,6 +29,8 @@ def assemble_sweep(
     """
     Join angles and images by their stamps; what is missing, or not seen at all, is logged.
 
+    Raises `LandmarkNavError`: no angles at all, or not one image.
+
     Parameters
     ----------
     trajectory : sequence of JointSample
@@ -40,12 +40,6 @@ def assemble_sweep(
         aside.
     pose_map_base : PoseEstimate, optional
         Where it was taken, if that is known.
-
-    Raises
-    ------
-    LandmarkNavError
-        No angles at all, or not one image.
-
     """
     if not trajectory:
         raise LandmarkNavError('the sweep has no frames: take it again')

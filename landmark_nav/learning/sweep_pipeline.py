@@ -7,9 +7,10 @@ with the walls' distance then known -> calibration again, the optical centre's o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 import logging
+from math import pi
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_one_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration import (
@@ -26,11 +28,12 @@ from landmark_nav.learning.calibration import (
     moved_px,
     SweepCalibration,
 )
-from landmark_nav.learning.calibration.axis_tilt import leant, levelled
 from landmark_nav.learning.calibration.combined import (
     as_calibrated,
     as_corrected,
     HEIGHT,
+    leant,
+    levelled,
     with_papers,
     with_terms,
 )
@@ -43,25 +46,66 @@ from landmark_nav.learning.reference_area import (
     MountError,
     optical_height,
     PaperRecord,
+    papers_fit,
     ReferenceAreaConfig,
     SweepPlace,
     WRONG_PRIOR,
     WrongMountError,
 )
-from landmark_nav.learning.seen_otherwise import why_seen_otherwise
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
 from landmark_nav.quality import PanoramaQuality
-from landmark_nav.types import FloatArray, Panorama, PoseEstimate, Sweep
+from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Panorama, PoseEstimate, Sweep
 
-__all__ = [
-    'PanoramaStages',
-    'mended',
-    'panorama_from_sweep',
-    'record_papers',
-    'tenengrad',
-    'unplaced_panorama',
-]
+# Nobody writes less.
+_HARDLY_RAD = 1e-3
+
+
+def why_seen_otherwise(
+    sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
+) -> str | None:
+    """What to change if that makes the papers fit; None if nothing does."""
+    for why, seen, mounted in _otherwise(sweep, mount):
+        view = synthesize_cylinder(seen, mounted, PanoramaConfig(blend='feather'))
+        if papers_fit(seen, view, room, mounted, config):
+            return f'{why}, as the papers show'
+    return None
+
+
+def _otherwise(sweep: Sweep, mount: PanTiltMount) -> Iterator[tuple[str, Sweep, PanTiltMount]]:
+    """What is wrong and what to do, and the sweep and the mount without it."""
+    roll, pitch, yaw = mount.axis_rpy
+    upside_down = 'is mounted the other way up: set'
+    yield (
+        f'the camera {upside_down} camera_roll: {_turned(mount.camera_roll_rad)}',
+        sweep,
+        replace(mount, camera_roll_rad=mount.camera_roll_rad + pi),
+    )
+    yield (
+        f'the pan unit {upside_down} pan_axis rpy: [{_turned(roll)}, {pitch:.4f}, {yaw:.4f}]',
+        sweep,
+        replace(mount, axis_rpy=(roll + pi, pitch, yaw)),
+    )
+    if sweep.frames[0].image.ndim == 3:
+        exchanged = _changed(sweep, lambda image: image[..., ::-1])
+        yield 'red and blue are exchanged: name the encoding (rgb8, bgr8) right', exchanged, mount
+    for what, flip in (('top to bottom', np.flipud), ('left to right', np.fliplr)):
+        flipped = _changed(sweep, flip)
+        yield f'images are flipped {what}: publish them as they are', flipped, mount
+
+
+def _changed(sweep: Sweep, change: Callable[[ImageArray], ImageArray]) -> Sweep:
+    def frame(one: CameraFrame) -> CameraFrame:
+        return replace(one, image=np.ascontiguousarray(change(one.image)))
+
+    return replace(sweep, frames=tuple(map(frame, sweep.frames)))
+
+
+def _turned(angle_rad: float) -> str:
+    """Angle and half a turn, as one writes it."""
+    angle_rad = wrap_one_rad(angle_rad + pi)
+    return '0' if abs(angle_rad) < _HARDLY_RAD else f'{angle_rad:.4f}'
+
 
 _LOG = logging.getLogger(__name__)
 
@@ -103,25 +147,20 @@ def panorama_from_sweep(
     Height and lean of the camera that papers show otherwise than given are used, as far as
     a person with a tape and a spirit level may be off by them.
 
+    Raises `LandmarkNavError`: no frames, a pan that does not turn as reported, a camera that is
+    mounted quite otherwise than given, or otherwise than given as exact, or papers that do not
+    give one place.
+
     Parameters
     ----------
     sweep : Sweep
         Frames of one turn, or of a part of one; its place too, if it is known from elsewhere.
-    room : Room
-        Walls and reference papers.
     given : Calibration or PanTiltMount
         What is known of the robot: the prior. A mount has default standard deviations.
     log : StageLog, optional
         Where times go.
     papers : PaperRecord, optional
         Papers in other sweeps of the room, which help to name what is wrong; this one is added.
-
-    Raises
-    ------
-    LandmarkNavError
-        No frames, a pan that does not turn as reported, a camera that is mounted quite otherwise
-        than given, or otherwise than given as exact, or papers that do not give one place.
-
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
@@ -268,11 +307,7 @@ def unplaced_panorama(
     """
     Make the panorama of a sweep of which no place is known: its pose is that in the base frame.
 
-    Raises
-    ------
-    LandmarkNavError
-        No frames, or a pan that does not turn as reported.
-
+    Raises `LandmarkNavError`: no frames, or a pan that does not turn as reported.
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')

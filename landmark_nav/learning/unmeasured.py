@@ -18,7 +18,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.calibration.axis_tilt import leant
+from landmark_nav.learning.calibration.combined import leant
 from landmark_nav.learning.facades import (
     FacadesConfig,
     find_facades,

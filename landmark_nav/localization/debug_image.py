@@ -10,8 +10,6 @@ from landmark_nav.localization.detection.expectation import Expectation
 from landmark_nav.localization.observer import Observation
 from landmark_nav.types import FloatArray, ImageArray, PoseEstimate
 
-__all__ = ['draw_observation']
-
 _Bgr = tuple[int, int, int]
 _Box = tuple[int, int, int, int]
 
@@ -42,8 +40,6 @@ def draw_observation(
     ----------
     image : ndarray, shape (height, width) or (height, width, 3)
         Grey or BGR, uint8, in whose pixels the observation is.
-    seen : Observation
-        What came of it.
     chosen : array_like of int
         Numbers of the landmarks of the triplet.
 
@@ -51,7 +47,6 @@ def draw_observation(
     -------
     ndarray, shape (rows, columns, 3)
         BGR, of the same size, or twice as large where that is small.
-
     """
     bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     scale = 1 if bgr.shape[1] >= _WIDE_PX else 2

@@ -23,11 +23,16 @@ from landmark_nav.localization.estimator import (
 from landmark_nav.localization.estimator.filter import State
 from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
 from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion
-from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
-from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
-from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
-from landmark_nav.localization.start import checked_start
+from landmark_nav.localization.odometry.track import (
+    Ahead,
+    ClockStep,
+    ClockWatch,
+    Distrusted,
+    HORIZON_S,
+    OdometryTrack,
+)
+from landmark_nav.localization.start import checked_start, is_prior_uncertain
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -39,8 +44,6 @@ from landmark_nav.types import (
     PoseEstimate,
     Refusal,
 )
-
-__all__ = ['Fusion']
 
 _LOG = logging.getLogger(__name__)
 
@@ -114,11 +117,8 @@ class Fusion:
         A stamp that is not near the odometry of the last seconds is taken as now, `now_ns` or
         the last odometry.
 
-        Raises
-        ------
-        LandmarkNavError
-            A pose or covariance that is not finite, or a covariance that is not positive.
-
+        Raises `LandmarkNavError`: a pose or covariance that is not finite, or a covariance that is
+        not positive.
         """
         ends = self._track.stamps_ns
         recent = ends and (max(ends[0], ends[1] - round(1e9 * self._config.history_s)), ends[1])
@@ -136,11 +136,7 @@ class Fusion:
         """
         Go on from a place that images show; the last of them was taken at these joints.
 
-        Raises
-        ------
-        LandmarkNavError
-            As `initialize`.
-
+        Raises `LandmarkNavError`: as `initialize`.
         """
         found = checked_start(found, self._reach_ns, now_ns)
         late = self._prior_late if self._line is None else self.late

@@ -5,16 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.types import CameraFrame, JointSample
-
-__all__ = [
-    'DELAY_BOUND_S',
-    'JointDelay',
-    'PanMotion',
-    'in_time',
-]
 
 # A delay is known with this sigma: half a degree at a fast 2 rad/s.
 _KNOWN_S = 0.005

@@ -9,8 +9,6 @@ from landmark_nav.localization.triangulation import TriangulationConfig
 from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.parameters import Config
 
-__all__ = ['LookingConfig']
-
 
 @dataclass(frozen=True)
 class LookingConfig(Config):

@@ -12,35 +12,129 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel
-from landmark_nav.localization.detection.blurred import detect_blurred
-from landmark_nav.localization.detection.correlation import DetectionResult
+from landmark_nav.geometry.se2 import relative
+from landmark_nav.localization.detection.correlation import detect_blurred, DetectionResult
 from landmark_nav.localization.detection.expectation import Expectation as Window
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
-from landmark_nav.localization.detection.informative import most_informative
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
-from landmark_nav.localization.frozen_image import FrozenImage
 from landmark_nav.localization.late_joints import in_time
 from landmark_nav.localization.looking import LookingConfig
-from landmark_nav.localization.prior_uncertainty import is_prior_uncertain
-from landmark_nav.localization.relocalization.within_prior import localize_within_prior
+from landmark_nav.localization.relocalization.search import localize_within_prior
+from landmark_nav.localization.start import is_prior_uncertain
 from landmark_nav.localization.triangulation import triangulate
-from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
+from landmark_nav.localization.triangulation.model import (
+    axis_from_base,
+    base_from_axis,
+    bearing_gradients,
+)
 from landmark_nav.localization.triplet import visible_landmarks
 from landmark_nav.types import (
     CameraFrame,
     Detections,
     Expectation,
+    FloatArray,
+    ImageArray,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
     Refusal,
 )
 
-__all__ = ['Observation', 'Observer', 'straight']
+# A camera that turned by so many pixels, or moved by so much, sees another image.
+_MOVED_PX, _MOVED_M = 1.0, 0.02
+
+
+class FrozenImage:
+    """
+    Recognises images that equal an earlier one although the camera has moved.
+
+    Joints and odometry show whether it has: a pose in map is also put right where nothing moves.
+    """
+
+    def __init__(self) -> None:
+        self._pose_odom: FloatArray = np.zeros(3)
+        self._first: tuple[CameraFrame, FloatArray] | None = None
+
+    def add_odometry(self, sample: OdometrySample) -> None:
+        """Move on."""
+        self._pose_odom = sample.pose_odom_base
+
+    def repeats(self, frame: CameraFrame) -> bool:
+        """Whether an image, taken after the last odometry, equals one from elsewhere exactly."""
+        if self._first is None or not _same(frame.image, self._first[0].image):
+            self._first = frame, self._pose_odom
+            return False
+        before, there = self._first
+        if not np.ptp(frame.image):
+            # The lens is covered: then all images are the same.
+            return False
+        forward, left, heading = relative(there, self._pose_odom).tolist()
+        aside = wrap_rad(frame.pan_rad + heading - before.pan_rad)
+        turn = max(abs(float(aside)), abs(frame.tilt_rad - before.tilt_rad))
+        return turn * frame.camera.fx > _MOVED_PX or np.hypot(forward, left) > _MOVED_M
+
+
+def _same(image: ImageArray, other: ImageArray) -> bool:
+    # A few rows distinguish almost all images.
+    few = slice(None, None, 16)
+    return np.array_equal(image[few], other[few]) and np.array_equal(image, other)
+
+
+def most_informative(
+    axis: PoseEstimate,
+    landmark_map: LandmarkMap,
+    index: npt.NDArray[np.intp],
+    bearing_sigma: float,
+    count: int,
+    novelty: FloatArray | None = None,
+) -> npt.NDArray[np.intp]:
+    """
+    Choose landmarks greedily by what each adds to the information on the pose.
+
+    A bearing of variance r and derivative h multiplies the determinant of the information by
+    ``1 + h P h^T / r``; r holds the landmark's own error. Greedy choice gains at least 63 % of
+    what the best choice would (Krause, Singh and Guestrin, JMLR 9, 2008).
+
+    Parameters
+    ----------
+    axis : PoseEstimate
+        Expected pose of the pan axis.
+    index : ndarray of int, shape (n,)
+        Places in the map to choose from.
+    bearing_sigma : float
+        Expected measurement sigma, radians.
+    novelty : ndarray, shape (landmarks of the map,), optional
+        Factor on the gain of each landmark: seen again, it repeats the error of the map.
+
+    Returns
+    -------
+    ndarray of int, shape (min(n, count),)
+        In the order of the map.
+    """
+    if len(index) <= count:
+        return index
+    gradient = bearing_gradients(axis.pose, landmark_map.positions[index, :2])
+    own = landmark_map.covariances[index, :2, :2]
+    variance = bearing_sigma**2 + np.sum((gradient[:, None] @ own)[:, 0] * gradient, -1)
+    rows = np.column_stack([gradient, np.full(len(index), -1.0)]) / np.sqrt(variance)[:, None]
+    covariance: FloatArray = axis.covariance
+    gain = np.sum(rows @ covariance * rows, -1)
+    left = np.ones(len(index), dtype=np.bool_)
+    news = np.ones(len(index)) if novelty is None else novelty[index]
+    for _ in range(count):
+        best = int(np.argmax(np.where(left, news * gain, -np.inf)))
+        left[best] = False
+        spread = covariance @ rows[best] / np.sqrt(1.0 + gain[best])
+        covariance = covariance - np.outer(spread, spread)
+        gain -= (rows @ spread) ** 2
+    return np.asarray(index[~left], dtype=np.intp)
+
 
 # Shares of the landmarks looked for that count as most of them, and as hardly any.
 _MOST, _HARDLY_ANY = 0.75, 0.25
@@ -120,15 +214,12 @@ class Observer:
 
     Parameters
     ----------
-    landmark_map : LandmarkMap
-        What to look for.
     calibration : Calibration
         Prior of mount, lens and clocks.
     config : LookingConfig
         Of the stages that look at an image.
     step : EstimatorConfig
         By how much camera or base may be turned at once.
-
     """
 
     def __init__(

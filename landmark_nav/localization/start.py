@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.types import PoseEstimate
-
-__all__ = ['checked_start', 'is_finite', 'with_sigmas']
+from landmark_nav.types import FloatArray, PoseEstimate
 
 # Sigmas of x, y, heading of a pose that is not known. Those who tell that by larger numbers leave
 # no digits for what is found.
@@ -36,20 +34,15 @@ def checked_start(
 
     Its sigmas are those of a pose that is not known at most, 100 m and half a turn.
 
+    Raises `LandmarkNavError`: a pose or covariance that is not finite, or a covariance that is not
+    positive.
+
     Parameters
     ----------
-    start : PoseEstimate
-        As it was given.
     odometry_ns : tuple of int or None
         First and last stamp of the odometry.
     now_ns : int or None
         Present time; the last odometry's if that is later.
-
-    Raises
-    ------
-    LandmarkNavError
-        A pose or covariance that is not finite, or a covariance that is not positive.
-
     """
     if not is_finite(start):
         raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')
@@ -64,3 +57,14 @@ def checked_start(
     if odometry_ns[0] <= start.stamp_ns <= max(now_ns, odometry_ns[1] + 10**9):
         return start
     return replace(start, stamp_ns=now_ns)
+
+
+# Sigmas of position (root of the trace) and heading beyond which a pose leaves open what landmarks
+# look like, and bearings are not linear.
+_WIDE_M, _WIDE_RAD = 0.1, 0.05
+
+
+def is_prior_uncertain(covariance: FloatArray) -> bool:
+    """Whether a pose with this covariance (3, 3) of x, y, heading, m and rad, is hardly known."""
+    x, y, heading = covariance.diagonal().tolist()
+    return not (x + y <= _WIDE_M**2 and heading <= _WIDE_RAD**2)

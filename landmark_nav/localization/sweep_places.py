@@ -14,8 +14,6 @@ from landmark_nav.localization.odometry.motions import chained, Motions, motions
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray, OdometrySample, PlaceChain, PoseEstimate
 
-__all__ = ['carried_on', 'known_places', 'places_by_odometry']
-
 # A robot that moves farther while it takes a sweep, by odometry, does not stand: m and rad.
 _STANDS_M, _STANDS_RAD = 0.03, 0.02
 # Samples before and after the times that are asked for.
@@ -31,18 +29,15 @@ def known_places(
     """
     Poses of sweeps by each source that has them: those of the first give the frame.
 
+    Raises `LandmarkNavError`: one does not say where each was taken, or the robot moved in one of
+    them.
+
     Parameters
     ----------
     given : sequence of PoseEstimate or None
         What was published for each sweep.
     spans_ns, samples, config
         As of `places_by_odometry`; without samples odometry is no source.
-
-    Raises
-    ------
-    LandmarkNavError
-        One does not say where each was taken, or the robot moved in one of them.
-
     """
     known = [_given_places(given)] if any(pose is not None for pose in given) else []
     if samples:
@@ -67,20 +62,14 @@ def places_by_odometry(
     """
     Poses of the base at the beginnings of sweeps, by odometry.
 
+    Raises `LandmarkNavError`: odometry does not cover a sweep, or the robot moved in one.
+
     Parameters
     ----------
     spans_ns : sequence of tuple of int
         First and last stamp of each sweep.
     samples : sequence of OdometrySample
         By time, from the first sweep to the last.
-    config : OdometryNoiseConfig
-        Noise of the odometry.
-
-    Raises
-    ------
-    LandmarkNavError
-        Odometry does not cover a sweep, or the robot moved in one.
-
     """
     for number, (begin, end) in enumerate(spans_ns, 1):
         if not samples or samples[0].stamp_ns > end or samples[-1].stamp_ns < begin:
@@ -101,11 +90,7 @@ def _given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:
     """
     Poses of sweeps that were published, in the frame of the first: its error moves the whole map.
 
-    Raises
-    ------
-    LandmarkNavError
-        A sweep has none.
-
+    Raises `LandmarkNavError`: a sweep has none.
     """
     known = [pose for pose in given if pose is not None]
     if len(known) < len(given):

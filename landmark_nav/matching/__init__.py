@@ -6,7 +6,7 @@ Both images must be of the same kind: the learner matches wall textures, the loc
 
 from __future__ import annotations
 
-from landmark_nav.matching.blur import blur_by, blur_sigmas, blur_to, sigmas_of
+from landmark_nav.matching.alignment import blur_by, blur_sigmas, blur_to, sigmas_of
 from landmark_nav.matching.correlation import Match, match_template, match_templates, Query
 
 __all__ = [

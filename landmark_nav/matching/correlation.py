@@ -10,11 +10,8 @@ import cv2
 import numpy as np
 
 from landmark_nav.arrays import Float32Array, FloatArray
-from landmark_nav.matching.alignment import align
-from landmark_nav.matching.blur import for_matching, Pair
+from landmark_nav.matching.alignment import align, for_matching, Pair
 from landmark_nav.types import Refusal, RefusalCode
-
-__all__ = ['Match', 'Query', 'match_template', 'match_templates']
 
 # Standard deviation of a template, grey levels.
 _LEAST_CONTRAST = 4.0

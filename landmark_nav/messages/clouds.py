@@ -9,11 +9,27 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.messages.buffers import bytes_array
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.messages.layouts import Layout
 
-__all__ = ['pack_cloud', 'unpack_cloud']
+
+def bytes_array(data: Any) -> npt.NDArray[np.uint8]:
+    """
+    View a ``uint8[]`` field (ndarray, array.array, bytes or list) as an array (n,).
+
+    Raises `LandmarkNavError`: it holds no bytes, as a stranger defined the message.
+    """
+    try:
+        if isinstance(data, np.ndarray):
+            return np.ascontiguousarray(data).reshape(-1).view(np.uint8)
+        if isinstance(data, list | tuple):
+            return np.array(data, dtype=np.uint8)
+        return np.frombuffer(data, dtype=np.uint8)
+    except (TypeError, ValueError, OverflowError):
+        raise LandmarkNavError(
+            f'the data of the message are {type(data).__name__}, not bytes: record it again'
+        ) from None
+
 
 # sensor_msgs/PointField datatype codes.
 _CODES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
@@ -30,15 +46,10 @@ def pack_cloud(
 
     Parameters
     ----------
-    factory : MessageFactory
-        Builds the message.
-    header : std_msgs/Header
-        Stamp and frame.
     points : ndarray of a structured dtype, shape (n,)
         Little-endian scalars or one-dimensional sub-arrays.
     dense : bool
         Whether all points are valid, that is without NaN.
-
     """
     fields = []
     layout: Mapping[str, Any] = points.dtype.fields or {}
@@ -75,12 +86,8 @@ def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
     It has all fields of the layout, whatever their order, width and byte order in the message, and
     none beside.
 
-    Raises
-    ------
-    LandmarkNavError
-        A field is missing, has another type or count, or lies outside its point; or the sizes
-        contradict each other or the bytes that are there.
-
+    Raises `LandmarkNavError`: a field is missing, has another type or count, or lies outside its
+    point; or the sizes contradict each other or the bytes that are there.
     """
     where = f'point cloud of {layout.topic}'
     height, width, step = int(msg.height), int(msg.width), int(msg.point_step)

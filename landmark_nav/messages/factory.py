@@ -9,8 +9,6 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_typestore, Stores
 from rosbags.typesys.store import Typestore
 
-__all__ = ['MessageFactory', 'default_typestore', 'rosbag_factory']
-
 
 class MessageFactory(Protocol):
     """

@@ -6,17 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
-__all__ = [
-    'DETECTIONS',
-    'EXPECTATION',
-    'GLOBAL_POSE',
-    'LANDMARKS',
-    'PLANAR',
-    'TRIPLET',
-    'UPRIGHT',
-    'Layout',
-]
+from landmark_nav.types import PoseEstimate
 
 # Of x, y, heading and of x, y, z, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
@@ -167,3 +159,18 @@ LANDMARKS = Layout(
         'views': ('<u4', 4),
     },
 )
+
+
+@dataclass(frozen=True, eq=False)
+class GlobalPose(PoseEstimate):
+    """
+    A pose that images gave, without any prior.
+
+    It is the pose of the base at the last of them if its joint states are in time; `ids` (m,) are
+    the landmarks it was found from. The rate of the pan there is `pan_rate_rad_s`, to the
+    left; `joint_delay_s` is that of `Detections`.
+    """
+
+    ids: npt.NDArray[np.int64]
+    pan_rate_rad_s: float = 0.0
+    joint_delay_s: float = 0.0

@@ -16,9 +16,9 @@ from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.unmeasured_learner import UnmeasuredLearner
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import LandmarkMap, Panorama

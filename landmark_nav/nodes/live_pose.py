@@ -13,8 +13,6 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
-__all__ = ['LivePose', 'ThinnedPath']
-
 _PERIOD_S = 0.2
 # Points of a line are at least so far apart, and no more than so many.
 _STEP_M, _MOST_POINTS = 0.05, 1000
@@ -23,15 +21,7 @@ _CLOCK_STEP_NS = 10**9
 
 
 class ThinnedPath:
-    """
-    A nav_msgs/Path that grows, bounded: when full, every other point goes and the step doubles.
-
-    Parameters
-    ----------
-    frame_id : str
-        Frame of its poses.
-
-    """
+    """A nav_msgs/Path that grows, bounded: when full, every other point goes."""
 
     def __init__(self, frame_id: str) -> None:
         self._frame_id, self._step_m = frame_id, _STEP_M
@@ -63,11 +53,8 @@ class LivePose:
 
     Parameters
     ----------
-    node : LandmarkNode
-        Whose topics they are.
     frame_id : str
         Frame of the fused pose.
-
     """
 
     def __init__(self, node: LandmarkNode, frame_id: str) -> None:

@@ -12,8 +12,6 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate, Triplet
 
-__all__ = ['LiveView']
-
 _JPEG_QUALITY = 75
 # Drawing an image takes ten milliseconds of the thread that looks at images.
 _PERIOD_S = 0.2
@@ -27,11 +25,8 @@ class LiveView:
 
     Parameters
     ----------
-    node : LandmarkNode
-        Whose topics they are.
     frame_id : str
         Frame of the map.
-
     """
 
     def __init__(self, node: LandmarkNode, frame_id: str) -> None:

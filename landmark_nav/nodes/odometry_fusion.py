@@ -12,21 +12,21 @@ import numpy as np
 from landmark_nav.calibration import NAMES, UNITS
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.estimator import Status
+from landmark_nav.localization.expected_poses import SpreadCorrection
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.track import Distrusted
-from landmark_nav.localization.spread import SpreadCorrection
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.global_pose import GlobalPose
+from landmark_nav.messages.layouts import GlobalPose
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.live_pose import LivePose
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.ros.transforms import TransformBroadcaster
 from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.types import (

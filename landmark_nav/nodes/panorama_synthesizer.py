@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError, one_line
-from landmark_nav.geometry.coverage import describe_coverage
-from landmark_nav.learning.pipeline import panorama_from_sweep
+from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import unplaced_panorama
+from landmark_nav.learning.sweep_pipeline import (
+    panorama_from_sweep,
+    unplaced_panorama,
+)
 from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox

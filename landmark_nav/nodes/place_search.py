@@ -23,7 +23,7 @@ from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import encode
-from landmark_nav.messages.global_pose import GlobalPose
+from landmark_nav.messages.layouts import GlobalPose
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal

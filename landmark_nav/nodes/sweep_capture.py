@@ -12,8 +12,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.capture import describe_sweep
 from landmark_nav.messages import decode
 from landmark_nav.nodes.configured import calibration_of, configured
-from landmark_nav.nodes.sweep_output import SweepOutput
-from landmark_nav.nodes.sweep_runner import SweepRunner
+from landmark_nav.nodes.sweep_runner import SweepOutput, SweepRunner
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.image_source import image_topics, ImageSource
 from landmark_nav.ros.joints import listen_for_joints

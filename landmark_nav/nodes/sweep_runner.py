@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import hashlib
 import logging
 from threading import Condition
 import time
 from typing import Any
 
+from sensor_msgs.msg import CompressedImage
+
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.capture import (
     begin_or_resume,
     CaptureConfig,
@@ -17,14 +20,36 @@ from landmark_nav.learning.capture import (
     Shot,
     SweepCapture,
 )
-from landmark_nav.learning.sharpness import Look, look_at
+from landmark_nav.learning.capture.frames import Look, look_at
 from landmark_nav.messages import decode
-from landmark_nav.nodes.sweep_output import SweepOutput
+from landmark_nav.messages.encode import sweep_trajectory
+from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import PanCommander
 from landmark_nav.types import JointSample, OdometrySample
 
-__all__ = ['SweepRunner']
+
+class SweepOutput:
+    """Publishers of ``sweep/*``."""
+
+    def __init__(self, node: LandmarkNode, mount: PanTiltMount) -> None:
+        self._mount = mount
+        self._raw = node.advertise('sweep/image')
+        self._compressed = node.advertise('sweep/image/compressed')
+        self._info = node.advertise('sweep/camera_info')
+        self._trajectory = node.advertise('sweep/trajectory')
+
+    def frame(self, image: Any, info: Any) -> None:
+        """Publish a frame in the form it came in, and its calibration with the same stamp."""
+        info.header.stamp = image.header.stamp
+        (self._compressed if isinstance(image, CompressedImage) else self._raw).publish(image)
+        self._info.publish(info)
+
+    def end(self, samples: Sequence[JointSample]) -> None:
+        """Publish the angles of all frames, which ends the sweep."""
+        self._trajectory.publish(sweep_trajectory(ros_factory, samples, self._mount))
+
 
 _LOG = logging.getLogger(__name__)
 
@@ -84,11 +109,7 @@ class SweepRunner:
         """
         Take a sweep, or the rest of one; returns it and what became of earlier frames.
 
-        Raises
-        ------
-        LandmarkNavError
-            It was interrupted; the message says by what.
-
+        Raises `LandmarkNavError`: it was interrupted; the message says by what.
         """
         with self._progress:
             sweep, note = begin_or_resume(self._sweep, self._config, self._inspect, self._now_ns())

@@ -17,14 +17,14 @@ from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.live_view import LiveView
 from landmark_nav.nodes.place_search import PlaceSearch
 from landmark_nav.ros.camera_frames import CameraFrames
+from landmark_nav.ros.executor import LatestOnlyWorker
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.image_source import image_topics, ImageSource
+from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.latency import Latency
-from landmark_nav.ros.latest_only_worker import LatestOnlyWorker
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.same_stamp import listen_together
 from landmark_nav.types import (
     CameraFrame,
     Expectation,

@@ -30,11 +30,7 @@ def require_ros(what: str) -> None:
     """
     Check that `what` can run here.
 
-    Raises
-    ------
-    LandmarkNavError
-        rclpy or a message package is not installed.
-
+    Raises `LandmarkNavError`: rclpy or a message package is not installed.
     """
     missing = [package for package in _PACKAGES if find_spec(package) is None]
     if missing:
@@ -55,11 +51,7 @@ def chosen_domain() -> int | None:
     """
     ROS domain that the environment chooses by ``ROS_DOMAIN_ID``, None where it does not.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is not a domain: Fast DDS would end the process.
-
+    Raises `LandmarkNavError`: it is not a domain: Fast DDS would end the process.
     """
     text = os.environ.get('ROS_DOMAIN_ID', '').strip()
     if not text:

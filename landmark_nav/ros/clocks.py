@@ -6,8 +6,6 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
-__all__ = ['own_clock', 'steady_clock']
-
 
 def steady_clock() -> Clock:
     """The wall's time, which goes on as the system's is set, and while a bag's stands."""

@@ -1,10 +1,11 @@
-"""Runs the callbacks of a node, in one thread or in several."""
+"""Runs the callbacks of a node, in one thread or in several, and work on the newest input."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from threading import Event
+from threading import Condition, Event, Thread
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
@@ -15,8 +16,6 @@ from rclpy.executors import (
     TimeoutException,
 )
 from rclpy.task import Task
-
-__all__ = ['CallbackExecutor']
 
 # Where a callback closes a subscription as another thread is about to wait for its events, rclpy
 # throws the first of these; the next wait goes without it.
@@ -78,3 +77,59 @@ class CallbackExecutor(Executor):
         for task in [task for task in self._under_way if task.done()]:
             self._under_way.remove(task)
             task.result()
+
+
+class LatestOnlyWorker:
+    """
+    Calls back with messages, one at a time, while the executor goes on with others.
+
+    What waits makes way for what is newer, so nothing queues up.
+
+    Parameters
+    ----------
+    work : callable
+        Called with each message, in the thread; it raises nothing.
+
+    """
+
+    def __init__(self, work: Callable[[Any], None]) -> None:
+        self._work = work
+        self._waiting: Any = None
+        self._changed = Condition()
+        self._dropped = 0
+        self._closed = False
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """How many messages made way."""
+        return self._dropped
+
+    def take(self, message: Any) -> None:
+        """Hand over a message and return at once."""
+        with self._changed:
+            self._dropped += self._waiting is not None
+            self._waiting = message
+            self._changed.notify()
+
+    def close(self) -> None:
+        """
+        End the thread, after the message that it works on.
+
+        Python aborts the process if it ends while such a thread is in a library written in C++
+        (rclpy's issue 1484).
+        """
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or self._waiting is not None)
+                if self._closed:
+                    return
+                message, self._waiting = self._waiting, None
+            self._work(message)

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ['message_class', 'ros_factory']
-
 
 @cache
 def message_class(type_name: str) -> Any:

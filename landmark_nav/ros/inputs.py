@@ -14,8 +14,6 @@ from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.topics import SENSOR_DATA, Topic, TOPICS
 
-__all__ = ['Input', 'Inputs', 'IrrelevantError']
-
 # A stream from which nothing came for so long is silent.
 _SILENCE_S = 2.0
 # Two sources whose messages alternated within so long are both at work.
@@ -41,8 +39,6 @@ class Input:
 
     Parameters
     ----------
-    node : Node
-        Who listens.
     topics : mapping of str to Topic or None
         Names, relative or not, and what is known of them.
 
@@ -54,7 +50,6 @@ class Input:
         Whether it comes all the time, from sensors.
     is_awaited : bool
         Whether a node can do nothing before it is there.
-
     """
 
     def __init__(self, node: Node, topics: Mapping[str, Topic | None]) -> None:

@@ -12,8 +12,6 @@ from landmark_nav.ros.inputs import IrrelevantError
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import JointSample
 
-__all__ = ['listen_for_joints']
-
 
 def listen_for_joints(
     node: LandmarkNode,

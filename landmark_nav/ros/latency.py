@@ -6,8 +6,6 @@ from collections import deque
 
 import numpy as np
 
-__all__ = ['Latency']
-
 # The last ones count, some seconds of images.
 _KEPT = 100
 # An age beyond that is no age: the stamps come from another clock, such as a bag's.

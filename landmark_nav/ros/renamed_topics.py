@@ -12,8 +12,6 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-__all__ = ['FORMER_NAMES', 'FormerSubscription', 'RenamedPublisher']
-
 # Name -> that in the last release.
 FORMER_NAMES = {
     'global_localization/pose': 'found_place',
@@ -28,13 +26,10 @@ class RenamedPublisher:
 
     Parameters
     ----------
-    node : Node
-        Who publishes.
     publisher, former : Publisher
         Of the new name and of the former one.
     warn : callable
         Takes a warning; it logs each once.
-
     """
 
     def __init__(
@@ -67,15 +62,12 @@ class FormerSubscription:
 
     Parameters
     ----------
-    node : Node
-        Who subscribes.
     former, name : str
         Resolved names of the topic.
     callback : callable
         Takes each message.
     warn : callable
         Takes a warning; it logs each once.
-
     """
 
     def __init__(

@@ -9,8 +9,11 @@ from pathlib import Path
 import time
 from typing import Any
 
+from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from landmark_nav.errors import LandmarkNavError
@@ -18,16 +21,69 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.joining import join_ros
+from landmark_nav.ros.joining import join_ros, listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.same_stamp import listen_together
-from landmark_nav.ros.service_discovery import ServiceDiscovery
 from landmark_nav.ros.topics import TOPICS, with_depth
 from landmark_nav.storage.bags import BagWriter
-from landmark_nav.storage.bags.robot_transforms import RobotTransforms
+from landmark_nav.storage.bags.transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
 
-__all__ = ['NodeStatus', 'RobotClient']
+_AGAIN_S = 0.5
+
+
+class ServiceDiscovery:
+    """
+    Context manager that finds out whether the node of a service has discovered this one.
+
+    A client is ready once it knows the server. The server may come to know the client later, and
+    an answer that it gives before is lost (rmw_fastrtps waits 0.1 s for that; its issue 842). But
+    a node makes its ends known in the order in which it made them, by one reliable writer: who
+    answers a client made later knows the earlier ones too. So every node's ``get_parameters`` is
+    asked for nothing, until it answers.
+
+    Parameters
+    ----------
+    node : Node
+        Who has made a client of that service already.
+    """
+
+    def __init__(self, node: Node, service: str) -> None:
+        self._node, self._service = node, node.resolve_service_name(service)
+        self._client: Any = None
+        self._answers: list[Future[Any]] = []
+        self._next_s = 0.0
+
+    def __enter__(self) -> ServiceDiscovery:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Ask no more."""
+        if self._client is not None:
+            self._node.destroy_client(self._client)
+
+    def is_complete(self) -> bool:
+        """Whether it is; asks again now and then."""
+        if self._client is None and (server := self._server()):
+            self._client = self._node.create_client(GetParameters, f'{server}/get_parameters')
+        ready = self._client is not None and self._client.service_is_ready()
+        if ready and time.monotonic() > self._next_s:
+            self._next_s = time.monotonic() + _AGAIN_S
+            self._answers.append(self._client.call_async(GetParameters.Request()))
+        return any(answer.done() for answer in self._answers)
+
+    def _server(self) -> str:
+        """Full name of the node that offers the service, '' while that is not known."""
+        node = self._node
+        for name, space in node.get_node_names_and_namespaces():
+            try:
+                offered = dict(node.get_service_names_and_types_by_node(name, space))
+            except RuntimeError:  # It is gone meanwhile, or not all of it is known yet.
+                continue
+            if self._service in offered:
+                return f'{space.rstrip("/")}/{name}'
+        return ''
+
 
 _POLL_S = 0.02
 # A node is there within that time after its start, also where a machine starts many at once.
@@ -160,11 +216,8 @@ class RobotClient:
 
         `meanwhile` is called while waiting for the answer.
 
-        Raises
-        ------
-        LandmarkNavError
-            It is not there soon, does not answer in time, or refuses; then with its reason.
-
+        Raises `LandmarkNavError`: it is not there soon, does not answer in time, or refuses; then
+        with its reason.
         """
         client: Any = self._node.create_client(Trigger, service)
         there = f'the service {service} in ROS domain {self._domain_id}'

@@ -19,17 +19,6 @@ from rclpy.qos import (
 
 from landmark_nav.storage.bags.topics import MAP_TOPICS, TOPIC_TYPES
 
-__all__ = [
-    'LATCHED',
-    'PANORAMAS',
-    'RELIABLE',
-    'SENSOR_DATA',
-    'SWEEP',
-    'TOPICS',
-    'Topic',
-    'with_depth',
-]
-
 
 def _reliable(depth: int, durability: DurabilityPolicy) -> QoSProfile:
     return QoSProfile(

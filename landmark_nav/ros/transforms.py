@@ -13,8 +13,6 @@ from landmark_nav.messages import encode
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.topics import LATCHED
 
-__all__ = ['TransformBroadcaster']
-
 
 class TransformBroadcaster:
     """

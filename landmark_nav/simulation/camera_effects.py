@@ -9,7 +9,7 @@ import numpy as np
 
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.parameters import Config
-from landmark_nav.simulation.response import light_of, values_of
+from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.types import ImageArray
 
 __all__ = ['CameraEffects', 'CameraEffectsConfig']

@@ -13,9 +13,6 @@ from landmark_nav.geometry.se2 import bearings
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import FloatArray
 
-__all__ = ['PathFollower', 'plan_tour', 'plan_way']
-
-
 _CELL_M = 0.1
 _CLEARANCE_M = 0.42
 _LOOK_AHEAD_M = 0.45
@@ -84,6 +81,8 @@ def plan_tour(
     """
     Plan a way through the room, from one random place to the next.
 
+    Raises `LandmarkNavError`: there is no space to drive.
+
     Parameters
     ----------
     scene : Scene
@@ -92,19 +91,11 @@ def plan_tour(
         Where it begins, or nearby if something stands there.
     length_m : float
         It is at least this long.
-    rng : numpy.random.Generator
-        Where it leads.
 
     Returns
     -------
     ndarray, shape (n, 2)
         Points of the way, about 5 cm apart, corners rounded.
-
-    Raises
-    ------
-    LandmarkNavError
-        There is no space to drive.
-
     """
     grid = _FreeGrid(scene)
     at = grid.nearest(start_xy)
@@ -130,6 +121,8 @@ def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> F
     """
     Plan the way from one place to another.
 
+    Raises `LandmarkNavError`: there is no way between them.
+
     Parameters
     ----------
     scene : Scene
@@ -141,12 +134,6 @@ def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> F
     -------
     ndarray, shape (n, 2)
         Points of the way, about 5 cm apart, corners rounded.
-
-    Raises
-    ------
-    LandmarkNavError
-        There is no way between them.
-
     """
     grid = _FreeGrid(scene)
     start, goal = grid.nearest(start_xy), grid.nearest(goal_xy)
@@ -197,9 +184,6 @@ class PathFollower:
     ----------
     path_xy : ndarray, shape (n, 2)
         The way, map frame, metres.
-    speed_m_s : float
-        On straight parts.
-
     """
 
     def __init__(self, path_xy: FloatArray, speed_m_s: float) -> None:

@@ -12,9 +12,6 @@ from landmark_nav.simulation.places import item_points, view_quality
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import FloatArray
 
-__all__ = ['PanControl']
-
-
 # The camera stays this far inside its limits, so that it can follow while the base turns.
 _RESERVE_RAD = 0.4
 
@@ -41,15 +38,12 @@ class PanControl:
     ----------
     scene : Scene
         What there is to see.
-    mount : PanTiltMount
-        Where the camera is.
     pan_limit_rad : float
         How far it turns to both sides.
     rng : numpy.random.Generator
         Which thing is next, and for how long.
     preferred : ndarray of bool, shape (n,), optional
         Which of the scene's items it looks at if any of them is in sight: those it knows.
-
     """
 
     def __init__(

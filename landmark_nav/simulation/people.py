@@ -11,9 +11,6 @@ from landmark_nav.simulation.surfaces import Surface
 from landmark_nav.simulation.textures import fractal_noise, random_color, to_uint8
 from landmark_nav.types import FloatArray, ImageArray
 
-__all__ = ['Person', 'WalkingPeople']
-
-
 _HEIGHT_M = 1.75
 _WIDTH_M = 0.62
 _CLEARANCE_M = 0.35
@@ -84,15 +81,8 @@ class WalkingPeople:
 
     Parameters
     ----------
-    scene : Scene
-        Where they walk.
-    count : int
-        How many.
     robot_xy : ndarray, shape (2,)
         Where they don't begin.
-    rng : numpy.random.Generator
-        Their looks and ways.
-
     """
 
     def __init__(

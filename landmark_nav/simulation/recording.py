@@ -14,8 +14,6 @@ from landmark_nav.simulation.pan_control import PanControl
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.types import CameraFrame, FloatArray, JointSample
 
-__all__ = ['STATE_RATE_HZ', 'Recorded', 'drive_messages', 'sweep_messages']
-
 _FRAME = 'camera_optical_frame'
 
 # Joint states and odometry of a drive come at this rate; physics runs at a multiple of it.
@@ -46,8 +44,6 @@ def sweep_messages(
     ----------
     world : RobotWorld
         Robot and room; time passes in it.
-    factory : MessageFactory
-        Builds the messages.
     frames : int
         Images of the turn, evenly spread from -180 degrees on.
     jpeg_quality : int
@@ -58,7 +54,6 @@ def sweep_messages(
     Recorded
         ``sweep/image/compressed``, ``sweep/camera_info``, ``joint_states`` and
         ``ground_truth/odom`` for each image, and at the end ``sweep/trajectory``.
-
     """
     samples: list[JointSample] = []
     for pan in -np.pi + 2.0 * np.pi * np.arange(frames) / frames:
@@ -95,16 +90,10 @@ def drive_messages(
     ----------
     world : RobotWorld
         Robot and room; time passes in it.
-    factory : MessageFactory
-        Builds the messages.
     path_xy : ndarray, shape (n, 2)
         The way, map frame, metres.
-    pan_control : PanControl
-        Where the camera looks.
     seconds : float
         For how long; the robot stops where the path ends.
-    speed_m_s : float
-        On straight parts.
     camera_rate_hz : float
         Images a second: the nearest whole part of 20.
     jpeg_quality : int
@@ -115,7 +104,6 @@ def drive_messages(
     Recorded
         ``joint_states``, ``odom`` and ``ground_truth/odom`` at 20 Hz,
         ``camera/image_raw/compressed`` and ``camera/camera_info`` at the camera's rate.
-
     """
     driver = PathFollower(path_xy, speed_m_s)
     every = max(1, round(STATE_RATE_HZ / camera_rate_hz))

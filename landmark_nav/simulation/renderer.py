@@ -4,20 +4,155 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
-from landmark_nav.arrays import Float32Array
+from landmark_nav.arrays import Float32Array, IndexArray
 from landmark_nav.geometry.camera import CameraModel
-from landmark_nav.simulation.ray_tiles import coverage, RayTiles, TILE_PX
-from landmark_nav.simulation.response import light_of, values_of
+from landmark_nav.simulation.places import PainterOrder
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.solids import background_surfaces, box_solid, Solid, wall_solids
-from landmark_nav.simulation.surfaces import Pyramid, Surface
-from landmark_nav.simulation.texture_sampling import sample_texture
-from landmark_nav.simulation.visibility import PainterOrder
+from landmark_nav.simulation.surfaces import light_of, Pyramid, Surface, values_of
 from landmark_nav.types import FloatArray, ImageArray
 
-__all__ = ['Renderer']
+# Pixels are worked on in square tiles: what a tile does not show is skipped.
+TILE_PX = 32
+
+
+class RayTiles:
+    """The rays of all pixels, tile by tile, and tests of whole tiles."""
+
+    def __init__(self, camera: CameraModel) -> None:
+        """Compute the rays once."""
+        self._shape = (camera.height, camera.width)
+        self._focal_px = camera.fx
+        self._rows = -(-camera.height // TILE_PX)
+        self._columns = -(-camera.width // TILE_PX)
+        grid = np.ones((self._rows * TILE_PX, self._columns * TILE_PX, 3), np.float32)
+        pad = [(0, grid.shape[0] - camera.height), (0, grid.shape[1] - camera.width), (0, 0)]
+        grid[..., :2] = np.pad(camera.ray_grid, pad, mode='edge')
+        tiles = grid.reshape(self._rows, TILE_PX, self._columns, TILE_PX, 3)
+        self.rays = np.ascontiguousarray(tiles.transpose(0, 2, 4, 1, 3)).reshape(
+            -1, 3, TILE_PX * TILE_PX
+        )
+        self.count = len(self.rays)
+        low, high = self.rays.min(axis=2)[:, :2], self.rays.max(axis=2)[:, :2]
+        self._middle = np.ones((self.count, 3))
+        self._middle[:, :2] = 0.5 * (low + high)
+        self._half = 0.5 * (high - low).astype(np.float64)
+
+    def classify(
+        self, forms: FloatArray, spread_px: FloatArray
+    ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """
+        Which tiles (surfaces, tiles) a surface may touch, and which it covers whole.
+
+        A linear form on a tile is largest and smallest at the tile's bounding corners.
+        """
+        edges = edge_forms(forms, self._focal_px)
+        value = edges @ self._middle.T + spread_px[..., None]
+        reach = np.abs(edges[..., :2]) @ self._half.T
+        # What is seen from behind is NaN, and NaN is not greater than anything.
+        touched = np.all(value + reach > -0.5, axis=1)
+        return touched, np.all(value - reach > 0.5, axis=1)
+
+    def assemble(self, canvas: ImageArray) -> ImageArray:
+        """Image out of tiles."""
+        rows, columns = self._rows * TILE_PX, self._columns * TILE_PX
+        tiles = canvas.reshape(self._rows, self._columns, TILE_PX, TILE_PX, 3)
+        image = tiles.transpose(0, 2, 1, 3, 4).reshape(rows, columns, 3)
+        return np.ascontiguousarray(image[: self._shape[0], : self._shape[1]])
+
+
+def edge_forms(forms: FloatArray, focal_px: float) -> FloatArray:
+    """Forms (n, 4, 3) whose value on a ray is the distance inside top, right, foot, left, px."""
+    w, a, b = forms[:, 0], forms[:, 1], forms[:, 2]
+    edges = np.stack([b, w - a, w - b, a], axis=1)
+    scale = focal_px / np.linalg.norm(edges[..., :2], axis=-1, keepdims=True)
+    return np.asarray(edges * scale)
+
+
+def coverage(
+    form: FloatArray, spread_px: FloatArray, rays: Float32Array, focal_px: float
+) -> Float32Array:
+    """Share (tiles, side, side) of each pixel that lies inside the rectangle."""
+    edges = edge_forms(form[None], focal_px)[0].astype(np.float32)
+    inside = edges @ rays + spread_px.astype(np.float32)[:, None]
+    share = np.clip(inside + 0.5, 0.0, 1.0)
+    # At a corner the shares along the two directions multiply.
+    both = np.minimum(share[:, 0], share[:, 2]) * np.minimum(share[:, 1], share[:, 3])
+    return np.asarray(both, dtype=np.float32).reshape(-1, TILE_PX, TILE_PX)
+
+
+# The level of detail is chosen once for each cell of this many pixels a side.
+_CELL_PX = 4
+
+# Levels of detail a little finer than one texel a pixel: as sharp as a good lens.
+_SHARPNESS = -0.35
+
+
+def sample_texture(
+    pyramid: Pyramid, form: FloatArray, rays: Float32Array, focal_px: float
+) -> ImageArray:
+    """Colours (tiles, side, side, channels) that a surface shows to `rays` (tiles, 3, n)."""
+    n, cells = len(rays), TILE_PX // _CELL_PX
+    projected = form.astype(np.float32) @ rays
+    with np.errstate(divide='ignore', invalid='ignore'):
+        inverse = np.float32(1.0) / np.maximum(projected[:, 0], np.float32(1e-6))
+    place = projected[:, 1:] * inverse[:, None]
+    grid = place.reshape(n, 2, TILE_PX, TILE_PX)
+    half = _CELL_PX // 2
+    depth = inverse.reshape(n, TILE_PX, TILE_PX)[:, half::_CELL_PX, half::_CELL_PX]
+    slant, level, share = _level_of_detail(
+        pyramid, form, grid[:, :, half::_CELL_PX, half::_CELL_PX], depth / focal_px
+    )
+    split = place.reshape(n, 2, cells, _CELL_PX, cells, _CELL_PX)
+    fine, coarse = (
+        _look_up(pyramid, split, slant, np.minimum(level + k, pyramid.scale.shape[1] - 1))
+        for k in (0, 1)
+    )
+    weight = np.repeat(np.repeat(share, _CELL_PX, axis=1), _CELL_PX, axis=2)
+    weight = weight.reshape(-1, TILE_PX)
+    mixed = cv2.blendLinear(fine, coarse, 1.0 - weight, weight)
+    return np.asarray(mixed, dtype=np.uint8).reshape(n, TILE_PX, TILE_PX, -1)
+
+
+def _level_of_detail(
+    pyramid: Pyramid, form: FloatArray, place: Float32Array, depth_per_px: Float32Array
+) -> tuple[IndexArray, IndexArray, Float32Array]:
+    """
+    Levels of the pyramid for cells, each (tiles, cells, cells), from how texels spread.
+
+    The derivative of (a r) / (w r) along x is (a_x - u w_x) / (w r).
+    """
+    w, a, b = form.astype(np.float32)
+    octaves = []
+    for k, row in enumerate((a, b)):
+        spread = np.hypot(row[0] - place[:, k] * w[0], row[1] - place[:, k] * w[1])
+        texels = spread * depth_per_px * pyramid.size_texels[k]
+        octaves.append(np.log2(np.maximum(texels, 1e-3)))
+    across, down = octaves
+    slants, levels = pyramid.scale.shape[:2]
+    slant = np.clip(np.rint(across - down), 0, slants - 1)
+    octave = np.clip(0.5 * (across - slant + down) + _SHARPNESS, 0.0, levels - 1.0)
+    level = np.minimum(np.floor(octave), levels - 2)
+    return slant.astype(np.intp), level.astype(np.intp), (octave - level).astype(np.float32)
+
+
+def _look_up(
+    pyramid: Pyramid, place: Float32Array, slant: IndexArray, level: IndexArray
+) -> ImageArray:
+    """Texture at `place` (tiles, 2, cells, cell, cells, cell) in the levels of its cells."""
+    scale = np.moveaxis(pyramid.scale[slant, level], -1, 1)[:, :, :, None, :, None]
+    offset = np.moveaxis(pyramid.offset[slant, level], -1, 1)[:, :, :, None, :, None]
+    # Outside the rectangle, where coverage ends: one border texel of its own level.
+    inside = np.clip(place, -1.0 / scale, 1.0 + 1.0 / scale)
+    xy = inside * scale + offset
+    # A tile a row, as OpenCV takes no map of 32767 rows or more.
+    map_x, map_y = (xy[:, k].reshape(len(xy), -1) for k in (0, 1))
+    texels = cv2.remap(pyramid.atlas, map_x, map_y, cv2.INTER_LINEAR)
+    return np.asarray(texels, dtype=np.uint8).reshape(len(xy) * TILE_PX, TILE_PX, -1)
 
 
 class Renderer:

@@ -16,8 +16,6 @@ from landmark_nav.geometry.se2 import transform_points
 from landmark_nav.geometry.walls import Room
 from landmark_nav.types import FloatArray
 
-__all__ = ['Box', 'Lamp', 'Scene', 'WallItem']
-
 
 @dataclass(frozen=True)
 class WallItem:

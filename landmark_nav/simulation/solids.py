@@ -16,9 +16,6 @@ from landmark_nav.simulation.textures import plaster, random_color, wood
 from landmark_nav.simulation.wall_items import draw_item
 from landmark_nav.types import FloatArray, ImageArray
 
-__all__ = ['Solid', 'background_surfaces', 'box_solid', 'wall_solids']
-
-
 _WALL_TEXEL_M = 0.002
 _BOX_TEXEL_M = 0.0025
 _FLOOR_TEXEL_M = 0.004

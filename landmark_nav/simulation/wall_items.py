@@ -9,17 +9,15 @@ import cv2
 import numpy as np
 
 from landmark_nav.geometry.paper_colors import NAMED_HUES_DEG, paper_bgr
-from landmark_nav.simulation.photos import draw_photo
 from landmark_nav.simulation.textures import (
     Color,
+    draw_photo,
     fractal_noise,
     random_color,
     to_uint8,
     wood,
 )
 from landmark_nav.types import ImageArray
-
-__all__ = ['draw_item']
 
 Generator = np.random.Generator
 

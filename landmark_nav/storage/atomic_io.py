@@ -15,8 +15,6 @@ import sys
 
 from landmark_nav.errors import LandmarkNavError, why
 
-__all__ = ['atomic_folder', 'check_new', 'check_writable', 'left_over', 'write_atomically']
-
 # What /dev/stdout and /dev/fd/3 lead to: an open file of this process. It has no name.
 _DESCRIPTOR = re.compile(rf'/(?:dev|proc/(?:self|thread-self|{os.getpid()}))/fd/(\d+)')
 
@@ -25,6 +23,8 @@ _DESCRIPTOR = re.compile(rf'/(?:dev|proc/(?:self|thread-self|{os.getpid()}))/fd/
 def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator[Path]:
     """
     Fill a hidden folder, which takes the place of `folder` if nothing goes wrong.
+
+    Raises `LandmarkNavError`: `folder` is something else, or cannot be written.
 
     Parameters
     ----------
@@ -41,12 +41,6 @@ def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator
     ------
     Path
         The folder to fill.
-
-    Raises
-    ------
-    LandmarkNavError
-        `folder` is something else, or cannot be written.
-
     """
     if folder.is_dir() and any(folder.iterdir()) and not list(folder.glob(own[0])):
         raise LandmarkNavError(
@@ -77,11 +71,7 @@ def check_new(overwrite: bool, *outputs: Path) -> None:
     """
     Refuse to replace what is there, unless `overwrite`.
 
-    Raises
-    ------
-    LandmarkNavError
-        One of the outputs is there.
-
+    Raises `LandmarkNavError`: one of the outputs is there.
     """
     there = [path for path in outputs if path.is_file() or path.is_dir()]
     if there and not overwrite:
@@ -97,11 +87,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     A link stays, what it leads to is written. A pipe, a device or an open file of this process
     (``/dev/stdout``) is written to.
 
-    Raises
-    ------
-    LandmarkNavError
-        It cannot be written.
-
+    Raises `LandmarkNavError`: it cannot be written.
     """
     # Names of files that are not UTF-8 may be in the text.
     data = content.encode('utf-8', 'backslashreplace') if isinstance(content, str) else content
@@ -166,11 +152,7 @@ def check_writable(*files: Path | None) -> None:
     """
     Refuse at the start what could not be written in the end; None stands for what is not wanted.
 
-    Raises
-    ------
-    LandmarkNavError
-        One of them cannot be written.
-
+    Raises `LandmarkNavError`: one of them cannot be written.
     """
     for path in files:
         if path is None or _descriptor(path) is not None:

@@ -28,9 +28,6 @@ from landmark_nav.types import (
     PoseEstimate,
 )
 
-__all__ = ['MrclamLog', 'read_mrclam']
-
-
 # Subjects up to here are the robots themselves.
 _ROBOTS = 5
 # Unpacked; stamps are seconds since 1970.
@@ -73,6 +70,8 @@ def read_mrclam(
     """
     Read the files of one robot, plain (``.dat``) or compressed (``.dat.gz``).
 
+    Raises `LandmarkNavError`: a file is missing, or holds what it should not.
+
     Parameters
     ----------
     folder : path-like
@@ -84,12 +83,6 @@ def read_mrclam(
     landmark_sigma_m : float
         What a post is off by as the camera sees it, beside the survey: it is no point, and the
         lens is not known well. It is an error that repeats, however often the post is seen.
-
-    Raises
-    ------
-    LandmarkNavError
-        A file is missing, or holds what it should not.
-
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -1,8 +1,9 @@
-"""Files that are read: regular ones, of bounded size, text in UTF-8, YAML of plain values."""
+"""Files that are read, and fields in them: bounded size, text in UTF-8, YAML of plain values."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
+import difflib
 from pathlib import Path
 import re
 import stat
@@ -15,8 +16,7 @@ import yaml
 from landmark_nav.arrays import ImageArray
 from landmark_nav.errors import LandmarkNavError, shown, why
 from landmark_nav.image_codec import decode_image, MAX_PIXELS
-
-__all__ = ['check_regular', 'read_bytes', 'read_image', 'read_text', 'read_yaml_mapping']
+from landmark_nav.types import FloatArray
 
 # The largest map has a few megabytes.
 _MAX_BYTES = 32_000_000
@@ -45,11 +45,8 @@ def check_regular(path: Path) -> int:
     """
     Size of a file in bytes.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is not there, or is a folder, a pipe or a device, which may never end.
-
+    Raises `LandmarkNavError`: it is not there, or is a folder, a pipe or a device, which may never
+    end.
     """
     try:
         status = path.stat()
@@ -65,11 +62,8 @@ def read_bytes(path: Path, max_bytes: int = _MAX_BYTES) -> bytes:
     """
     Content of a file.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is no regular file, has more than `max_bytes`, or can not be read.
-
+    Raises `LandmarkNavError`: it is no regular file, has more than `max_bytes`, or can not be
+    read.
     """
     size = check_regular(path)
     if size > max_bytes:
@@ -89,11 +83,8 @@ def read_image(
     """
     Pixels of a PNG or JPEG file, 8 bits each, as of `decode_image`.
 
-    Raises
-    ------
-    LandmarkNavError
-        As of `read_bytes`, or it is no such image, or has more than `max_pixels`.
-
+    Raises `LandmarkNavError`: as of `read_bytes`, or it is no such image, or has more than
+    `max_pixels`.
     """
     data = read_bytes(path)
     try:
@@ -106,11 +97,7 @@ def read_text(path: Path, max_bytes: int = _MAX_BYTES) -> str:
     """
     Text of a file in UTF-8, with or without byte order mark.
 
-    Raises
-    ------
-    LandmarkNavError
-        As of `read_bytes`, or it is no such text.
-
+    Raises `LandmarkNavError`: as of `read_bytes`, or it is no such text.
     """
     data = read_bytes(path, max_bytes)
     try:
@@ -127,11 +114,8 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
     Values are those of YAML 1.1, and numbers as JSON writes them. Dates are text; tags and aliases
     are refused.
 
-    Raises
-    ------
-    LandmarkNavError
-        It can not be read, is no such YAML, or is larger than any file of this package.
-
+    Raises `LandmarkNavError`: it can not be read, is no such YAML, or is larger than any file of
+    this package.
     """
     text = read_text(path)
     try:
@@ -222,3 +206,106 @@ def _scalar(text: str) -> Any:
         if _EXPONENT.fullmatch(text):
             return float(text)
     return text
+
+
+# A covariance may miss being positive semi-definite by this share of its largest eigenvalue.
+_ROUNDING = 1e-9
+# Names that share so much of their letters differ by a slip of the pen.
+_ALIKE = 0.8
+# To compare letters takes long; what has more strange fields was not mistyped.
+_MOST_COMPARED = 100
+_MAX_NAME_LENGTH = 100
+# No length, angle or variance is larger; squares of what is overflow.
+_LARGEST = 1e12
+
+
+def field(mapping: Any, key: str, where: str) -> Any:
+    """Value of `key`; `LandmarkNavError` where `mapping` is none or lacks it."""
+    if not isinstance(mapping, Mapping):
+        raise LandmarkNavError(f'{where} is {shown(mapping)}, not a mapping')
+    if key not in mapping:
+        raise LandmarkNavError(f'{where}: {key} is missing')
+    return mapping[key]
+
+
+def check_spelling(mapping: Any, known: Collection[str], where: str) -> None:
+    """`LandmarkNavError` where a key looks like one of `known` that is not there."""
+    absent = [key for key in known if key not in mapping]
+    strange = [key for key in mapping if key not in known and len(str(key)) < _MAX_NAME_LENGTH]
+    for key in strange[:_MOST_COMPARED]:
+        meant = difflib.get_close_matches(str(key), absent, 1, _ALIKE)
+        if meant:
+            raise LandmarkNavError(f'{where}: {key} is no field: write {meant[0]}')
+
+
+def list_field(mapping: Any, key: str, where: str, longest: int | None = None) -> list[Any]:
+    """Value of `key`, a list of at most `longest` items."""
+    value = field(mapping, key, where)
+    if not isinstance(value, list):
+        raise LandmarkNavError(f'{where}: {key} is {shown(value)}, not a list')
+    if longest is not None and len(value) > longest:
+        raise LandmarkNavError(f'{where}: {key} has {len(value)} entries: {longest} at most')
+    return value
+
+
+def name_field(
+    mapping: Any, key: str, where: str, default: str | None = None, *, blank: bool = False
+) -> str:
+    """Value of `key`, a word or a whole number; `default`, if there is one, where it is not."""
+    if default is not None and key not in mapping:
+        return default
+    value = field(mapping, key, where)
+    name = str(value)
+    word = isinstance(value, str | int) and not isinstance(value, bool)
+    fits = (blank or name) and len(name) <= _MAX_NAME_LENGTH and name.isprintable()
+    if not (word and fits):
+        raise LandmarkNavError(f'{where}: {key} is {shown(value)}, not a name')
+    return name
+
+
+def integer_field(mapping: Any, key: str, where: str) -> int:
+    """Value of `key`, an integer from 0 on."""
+    value = field(mapping, key, where)
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
+        raise LandmarkNavError(f'{where}: {key} is {shown(value)}, not an integer from 0 on')
+    return value
+
+
+def number_field(mapping: Any, key: str, where: str) -> float:
+    """Value of `key`, a finite number."""
+    return float(array_field(mapping, key, (), where))
+
+
+def array_field(mapping: Any, key: str, shape: tuple[int | None, ...], where: str) -> FloatArray:
+    """Value of `key`, finite numbers of `shape`; None in it stands for any length."""
+    value = field(mapping, key, where)
+    wanted = ' x '.join('n' if length is None else str(length) for length in shape)
+    what = f'{key} is {shown(value)}'
+    kind = f'not {wanted} numbers' if shape else 'not a number'
+    try:
+        array = np.asarray(value)
+    except (ValueError, OverflowError) as error:
+        raise LandmarkNavError(f'{where}: {what}, {kind}') from error
+    fits = array.ndim == len(shape) and all(
+        wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
+    )
+    if not fits or (array.dtype.kind not in 'iuf' and array.size):
+        raise LandmarkNavError(f'{where}: {what}, {kind}')
+    numbers = array.astype(np.float64)
+    if not np.all(np.isfinite(numbers)):
+        raise LandmarkNavError(f'{where}: {what}: not finite')
+    if np.any(np.abs(numbers) > _LARGEST):
+        raise LandmarkNavError(f'{where}: {what}: larger than {_LARGEST:g}')
+    return numbers
+
+
+def covariance_field(mapping: Any, key: str, size: int, where: str) -> FloatArray:
+    """Value of `key`, a covariance matrix (size, size)."""
+    matrix = array_field(mapping, key, (size, size), where)
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    slack = _ROUNDING * max(float(eigenvalues[-1]), 0.0)
+    if np.abs(matrix - matrix.T).max() > slack or eigenvalues[0] < -slack:
+        raise LandmarkNavError(
+            f'{where}: {key} is no covariance: it must be symmetric without negative eigenvalues'
+        )
+    return matrix

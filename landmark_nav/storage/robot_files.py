@@ -15,7 +15,7 @@ from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.storage.config_files import flat
-from landmark_nav.storage.fields import array_field, number_field
+from landmark_nav.storage.reading import array_field, number_field
 from landmark_nav.storage.setup_files import load_robot, robot_document
 from landmark_nav.types import FloatArray
 

@@ -13,7 +13,7 @@ from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.storage.fields import (
+from landmark_nav.storage.reading import (
     array_field,
     check_spelling,
     field,
@@ -21,8 +21,8 @@ from landmark_nav.storage.fields import (
     list_field,
     name_field,
     number_field,
+    read_yaml_mapping,
 )
-from landmark_nav.storage.reading import read_yaml_mapping
 
 __all__ = [
     'load_camera',

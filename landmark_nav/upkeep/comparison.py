@@ -19,8 +19,6 @@ from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.matching import blur_to, match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, Refusal, RefusalCode
 
-__all__ = ['Comparison', 'Pair', 'Texture', 'compare_maps', 'wall_changes']
-
 _SAME_PLANE_M = 0.1
 _MIN_COS_NORMALS = np.cos(np.radians(10.0))
 # Two patches share a place if their centres are nearer than this share of their mean size ...

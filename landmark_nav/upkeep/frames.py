@@ -20,8 +20,6 @@ from landmark_nav.geometry.se2 import compose, rotation, transform_points
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate
 from landmark_nav.upkeep.comparison import resampled
 
-__all__ = ['FrameAlignment', 'align_frames', 'brought_together', 'in_frame_of']
-
 # Part of a patch that is looked for in the other map's, and the least correlation.
 _TEMPLATE, _MIN_SCORE = 0.6, 0.7
 _MIN_TEMPLATE_PX = 8
@@ -99,11 +97,8 @@ def align_frames(a: LandmarkMap, b: LandmarkMap) -> FrameAlignment:
     """
     Find the frame and the metre of map b in those of map a.
 
-    Raises
-    ------
-    LandmarkNavError
-        The maps share too few landmarks, or more than one transformation fits.
-
+    Raises `LandmarkNavError`: the maps share too few landmarks, or more than one transformation
+    fits.
     """
     scale_sigma = float(np.hypot(_scale_sigma(a), _scale_sigma(b)))
     matches = _matches(a, b, scale_sigma)

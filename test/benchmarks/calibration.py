@@ -30,12 +30,8 @@ from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.evaluation.calibration_run import calibrate_by_drive
 from landmark_nav.evaluation.metrics import consistency, pose_errors, undetected_failures
 from landmark_nav.evaluation.replay import Replay, replay
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningConfig,
-    panorama_from_sweep,
-    PanoramaStages,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events

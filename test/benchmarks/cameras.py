@@ -24,10 +24,10 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import bearings
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.triplet import CameraState
-from landmark_nav.localization.triplet.active_camera import ActiveCamera
+from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour
+from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.simulation.room_generator import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.maps import load_map

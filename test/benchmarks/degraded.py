@@ -43,7 +43,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.localization.localizer import LocalizationConfig
-from landmark_nav.simulation.response import light_of, values_of
+from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration

@@ -40,8 +40,7 @@ from landmark_nav.localization.triplet.visibility import (
     observable,
     TripletConfig,
 )
-from landmark_nav.simulation.furnishing import another_day
-from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.furnishing import another_day, generate_scene
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.storage.maps import load_map
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate

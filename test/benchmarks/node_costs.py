@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.demo.graph import node_commands, node_environment
-from landmark_nav.demo.room import prepare_room
+from landmark_nav.demo.scenario import prepare_room
 from landmark_nav.demo.supervisor import Supervisor
 
 RATE_HZ, SHAPE = 30.0, (480, 640)

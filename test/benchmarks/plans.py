@@ -34,13 +34,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import bearings
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.adjustment import AdjustmentConfig
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningConfig,
-    LearningResult,
-    panorama_from_sweep,
-    PanoramaStages,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
@@ -50,8 +45,8 @@ from landmark_nav.localization.triplet.visibility import (
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Forecast, forecast, plan_positions
 from landmark_nav.planning.prediction import CAP_M
-from landmark_nav.planning.room_grid import free_floor
-from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.planning.views import free_floor
+from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal, Sweep

@@ -20,8 +20,7 @@ import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.relocalization import Relocalizer
-from landmark_nav.simulation.furnishing import another_day
-from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.furnishing import another_day, generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.storage.maps import load_map

@@ -21,8 +21,7 @@ import time
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.triangulation.model import danger_distance
-from landmark_nav.localization.triangulation.three import triangulate_three
+from landmark_nav.localization.triangulation.model import danger_distance, triangulate_three
 from landmark_nav.types import FloatArray
 
 _C = r"""

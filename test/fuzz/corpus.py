@@ -11,7 +11,7 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.global_pose import GlobalPose
+from landmark_nav.messages.layouts import GlobalPose
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import (
     Detections,

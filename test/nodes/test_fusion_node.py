@@ -12,7 +12,7 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.global_pose import GlobalPose
+from landmark_nav.messages.layouts import GlobalPose
 from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')

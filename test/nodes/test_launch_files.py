@@ -13,7 +13,6 @@ import yaml
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from landmark_nav.configuration import Configuration, READS
-from landmark_nav.storage.config_files import shipped_config
 
 LAUNCH = Path(__file__).resolve().parents[2] / 'landmark_nav' / 'launch'
 

@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 from landmark_nav.messages.decode import stamp_ns
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
 from landmark_nav.ros.factory import ros_factory
-from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.storage.setup_files import load_camera
 
 CAMERA = Path(__file__).resolve().parents[1] / 'setups' / 'camera_quarter_vga.yaml'

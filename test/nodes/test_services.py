@@ -23,8 +23,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.robot_client import RobotClient
-from landmark_nav.ros.service_discovery import ServiceDiscovery
+from landmark_nav.ros.robot_client import RobotClient, ServiceDiscovery
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import JointSample, Landmark, LandmarkMap, OdometrySample, PoseEstimate

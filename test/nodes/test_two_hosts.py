@@ -50,7 +50,7 @@ OBSERVER = """
     import sys
     from contextlib import suppress
     from pathlib import Path
-    from landmark_nav.demo.interruption import Interruption
+    from landmark_nav.demo.supervisor import Interruption
     from landmark_nav.ros.robot_client import RobotClient
 
     drives, folder, *topics = sys.argv[1:]

@@ -11,7 +11,7 @@ import yaml
 
 from landmark_nav.cli.main import main
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.planning.room_grid import is_free
+from landmark_nav.planning.views import is_free
 from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.setup_files import load_room

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.simulation.response import light_of, values_of
+from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,

@@ -6,7 +6,7 @@ import pytest
 from triplet_room import CAMERA, CONFIG, MOUNT, PRIOR, random_map
 
 from landmark_nav.localization.triplet import CameraState
-from landmark_nav.localization.triplet.active_camera import ActiveCamera, FoundRecord
+from landmark_nav.localization.triplet.selection import ActiveCamera, FoundRecord
 from landmark_nav.types import Detections, Triplet
 
 

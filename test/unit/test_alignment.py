@@ -11,8 +11,7 @@ from turning_camera import turn_sweep
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.calibration.alignment import align_sweep
-from landmark_nav.learning.calibration.overlap import track_overlaps
-from landmark_nav.learning.calibration.overlap_fit import COMMON, OverlapProblem
+from landmark_nav.learning.calibration.overlap_fit import COMMON, OverlapProblem, track_overlaps
 from landmark_nav.types import CameraFrame, Sweep
 
 MOUNT = PanTiltMount((0.1, 0.0, 1.0))

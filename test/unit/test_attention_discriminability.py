@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.learning.attention.config import AttentionConfig
-from landmark_nav.learning.attention.discriminability import refusal
+from landmark_nav.learning.attention.selection import refusal
 from landmark_nav.types import Candidate
 
 WIDTH, HEIGHT = 600, 200

@@ -6,18 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from landmark_nav.learning.attention.conspicuity import conspicuity_map, fuse
-from landmark_nav.learning.attention.features import (
+from landmark_nav.learning.attention.maps import (
+    conspicuity_map,
     corner_map,
     edge_gradients,
     edge_map,
+    fuse,
     intensity_map,
-    vertical_edge_map,
-)
-from landmark_nav.learning.attention.symmetry import (
     line_symmetry_map,
     point_symmetry_map,
     radial_symmetry_map,
+    vertical_edge_map,
 )
 
 SIZE = 200

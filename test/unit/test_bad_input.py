@@ -24,8 +24,8 @@ from rendered_drives import MAP, START, Step
 
 from landmark_nav.geometry import se2
 from landmark_nav.localization import observer
+from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.localization.relocalization.verification import Verification
-from landmark_nav.localization.relocalization.within_prior import localize_within_prior
 from landmark_nav.types import CameraFrame, PoseEstimate, Refusal
 
 

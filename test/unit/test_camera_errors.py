@@ -9,7 +9,7 @@ import pytest
 
 from landmark_nav.diagnosis.camera_errors import camera_error, CameraSetup, Matches
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.rotation import rot_z
+from landmark_nav.geometry.se2 import rot_z
 
 CAMERA = CameraModel(512, 512, 555.0, 555.0, 256.0, 250.0, distortion=(-0.19, 0.06, 0.0, 0.0))
 RIGHT = CameraSetup(CAMERA, PanTiltMount(axis_xyz=(0.1, 0.0, 1.1)))

@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 
-from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.main import COMMANDS, main
-from landmark_nav.cli.progress import progress
 from landmark_nav.errors import LandmarkNavError
 
 

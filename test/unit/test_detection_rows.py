@@ -13,7 +13,7 @@ from landmark_nav.localization.detection.rows import (
     RowResiduals,
     wrong_heights,
 )
-from landmark_nav.localization.relocalization.camera_tilt import CameraTilt, estimate_camera_tilt
+from landmark_nav.localization.relocalization.verification import CameraTilt, estimate_camera_tilt
 from landmark_nav.types import FloatArray
 
 PLAIN = CameraModel(512, 512, 555.0, 555.0, 256.0, 256.0, distortion=(-0.1, 0.02, 0.0, 0.0))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import (
     EstimatorConfig,

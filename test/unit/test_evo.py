@@ -12,7 +12,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.metrics import error_summary
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.evaluation.run_report import run_errors
-from landmark_nav.evaluation.tum_files import write_tum_files
+from landmark_nav.evaluation.smoothed_run import write_tum_files
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount

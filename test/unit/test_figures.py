@@ -15,7 +15,7 @@ from landmark_nav.evaluation.figures import (
     draw_trajectory,
     run_figures,
 )
-from landmark_nav.evaluation.figures.labels import free_labels, places_of_numbers, rows_of_labels
+from landmark_nav.evaluation.figures.style import free_labels, places_of_numbers, rows_of_labels
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.evaluation.tracks import PoseTrack

@@ -12,14 +12,12 @@ from wire import FACTORY, over_the_wire
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.pan_track import PanTrack
+from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import ImagePoints, JointFilter, Status
 from landmark_nav.localization.fusion import Fusion
-from landmark_nav.localization.odometry.clock import Ahead, ClockStep, ClockWatch
 from landmark_nav.localization.odometry.noise import Motion
-from landmark_nav.localization.odometry.track import Distrusted
+from landmark_nav.localization.odometry.track import Ahead, ClockStep, ClockWatch, Distrusted
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.types import (

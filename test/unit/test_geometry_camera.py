@@ -11,7 +11,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.rotation import rotation_rpy
+from landmark_nav.geometry.se2 import rotation_rpy
 
 SIZE: dict[str, Any] = {
     'width': 512, 'height': 384, 'fx': 570.0, 'fy': 572.0, 'cx': 254.0, 'cy': 193.5,

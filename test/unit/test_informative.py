@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import rectangle_room, textured_room, true_landmark
 
-from landmark_nav.localization.detection.informative import most_informative
+from landmark_nav.localization.observer import most_informative
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 

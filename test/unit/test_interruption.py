@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from landmark_nav.demo.interruption import Interruption
+from landmark_nav.demo.supervisor import Interruption
 
 NUMBERS = [signal.SIGINT, signal.SIGTERM]
 

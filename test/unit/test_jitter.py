@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.se2 import compose, relative
-from landmark_nav.localization.odometry.jitter import Jitter
+from landmark_nav.localization.odometry.track import Jitter
 from landmark_nav.types import FloatArray
 
 

@@ -11,14 +11,14 @@ import pytest
 from rendered_drives import camera_image, MAP, MOUNT, START, START_SIGMA, Step
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.geometry.pan_track import PanTrack
-from landmark_nav.localization.frozen_image import FrozenImage
+from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.localization.late_joints import in_time
 from landmark_nav.localization.localizer import (
     LocalizationConfig,
     LocalizationUpdate,
     Localizer,
 )
+from landmark_nav.localization.observer import FrozenImage
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,

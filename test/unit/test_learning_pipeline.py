@@ -25,21 +25,16 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.rotation import rotation_rpy
+from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.attention import AttentionConfig
 from landmark_nav.learning.calibration import CalibrationConfig
-from landmark_nav.learning.calibration.axis_tilt import levelled
+from landmark_nav.learning.calibration.combined import levelled
 from landmark_nav.learning.election import ElectionConfig
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningConfig,
-    LearningResult,
-    panorama_from_sweep,
-    PanoramaStages,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.types import FloatArray, Landmark, Panorama, PoseEstimate, Refusal, Sweep
 
 CAMERA = CameraModel(

@@ -30,7 +30,7 @@ from landmark_nav.localization.localizer import (
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observer import Observer
 from landmark_nav.localization.triplet import CameraState, TripletConfig
-from landmark_nav.localization.triplet.active_camera import ActiveCamera
+from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,

@@ -14,7 +14,7 @@ from landmark_nav.matching import (
     match_templates,
     Query,
 )
-from landmark_nav.simulation.response import light_of, values_of
+from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.types import FloatArray, ImageArray, Refusal
 
 

@@ -16,10 +16,10 @@ from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
-from landmark_nav.messages.global_pose import GlobalPose
 from landmark_nav.messages.layouts import (
     DETECTIONS,
     GLOBAL_POSE,
+    GlobalPose,
     Layout,
     TRIPLET,
 )

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from landmark_nav.calibration import Calibration, NAMES
-from landmark_nav.evaluation.bound import posterior_bound
 from landmark_nav.evaluation.metrics import (
     consistency,
     crlb_ratio,
     error_summary,
     pose_errors,
+    posterior_bound,
     result_hash,
     undetected_failures,
 )

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 
-from landmark_nav.geometry.observation import observed_well, relative_sampling
+from landmark_nav.geometry.patches import observed_well, relative_sampling
 
 POINT = np.array([[2.0, 0.0, 1.2]])
 NORMAL = np.array([[0.0, 1.0, 0.0]])

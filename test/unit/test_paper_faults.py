@@ -18,7 +18,7 @@ from landmark_nav.learning.reference_area import (
     PaperView,
     view_papers,
 )
-from landmark_nav.learning.reference_area.outlines import PaperOutlines
+from landmark_nav.learning.reference_area.edges import PaperOutlines
 from landmark_nav.types import FloatArray
 
 EYE_M = 1.1

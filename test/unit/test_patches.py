@@ -7,7 +7,7 @@ from patch_texels import patch_points
 import pytest
 
 from landmark_nav.geometry.patches import patch_axes, patch_corners, rays_to_patch
-from landmark_nav.geometry.rotation import rotation_rpy
+from landmark_nav.geometry.se2 import rotation_rpy
 
 BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 

@@ -15,11 +15,26 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.layouts import left_right_layout, random_sets
-from landmark_nav.planning.planner import forecast, Plan, plan_positions
-from landmark_nav.planning.room_grid import free_floor, is_free, sample_walls
-from landmark_nav.planning.search import best_places, exchange, spread
-from landmark_nav.planning.views import ahead_rad, eye_height, look, sweep_poses, turns_rad
+from landmark_nav.planning.planner import (
+    best_places,
+    exchange,
+    forecast,
+    left_right_layout,
+    Plan,
+    plan_positions,
+    random_sets,
+    spread,
+)
+from landmark_nav.planning.views import (
+    ahead_rad,
+    eye_height,
+    free_floor,
+    is_free,
+    look,
+    sample_walls,
+    sweep_poses,
+    turns_rad,
+)
 
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 # Coarser than by default: quicker.

@@ -15,8 +15,8 @@ import time
 import pytest
 
 from landmark_nav.demo.supervisor import ProcessEndedError, Supervisor
+from landmark_nav.ros.executor import LatestOnlyWorker
 from landmark_nav.ros.latency import Latency
-from landmark_nav.ros.latest_only_worker import LatestOnlyWorker
 from landmark_nav.ros.shutdown_guard import ShutdownGuard
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')

@@ -18,8 +18,7 @@ from test_maps import make_map
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.storage.bags import Bag, read_sweep_folder
-from landmark_nav.storage.map_entries import patch_reader
-from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.storage.maps import load_map, patch_reader, save_map
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.storage.reading import read_bytes, read_text, read_yaml_mapping
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room

@@ -26,7 +26,7 @@ from scenes import Board, flat_texture, rectangle_room
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.reference_area.blobs import hue_direction
 from landmark_nav.learning.reference_area.edges import EdgeSamples, locate_edges
-from landmark_nav.simulation.measuring import moved_paper
+from landmark_nav.simulation.setup_documents import moved_paper
 
 
 @pytest.mark.parametrize('papers', [EAST, CORNER], ids=['one wall', 'two walls'])

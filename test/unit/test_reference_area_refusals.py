@@ -18,7 +18,7 @@ from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
 from landmark_nav.learning.reference_area.refusals import size_warning
-from landmark_nav.learning.seen_otherwise import why_seen_otherwise
+from landmark_nav.learning.sweep_pipeline import why_seen_otherwise
 from landmark_nav.types import FloatArray, Sweep
 
 
@@ -80,11 +80,12 @@ def test_a_paper_that_is_partly_covered_gives_no_wrong_place(share: float, tall:
     assert np.hypot(*error_of(place, pose)[:2]) < 0.02
 
 
-def test_papers_that_changed_places_are_named() -> None:
+def test_papers_that_changed_places_give_no_place() -> None:
+    """That they are swapped says `paper_faults`, of all sweeps together."""
     given = rectangle_room(papers=EAST)
     hung = (EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green'))
     sweep = sweep_at(scene_of(given, hung), np.array([3.5, 2.0, 0.3]))
-    with pytest.raises(LandmarkNavError, match=r'swapped, blue where green .* green where blue'):
+    with pytest.raises(LandmarkNavError):
         locate(sweep, given)
 
 
@@ -120,7 +121,6 @@ def test_a_camera_that_hangs_otherwise_than_given_is_refused() -> None:
         with pytest.raises(LandmarkNavError) as caught:
             locate(sweep_at(scene_of(room), pose, mount=mount), room)
         assert '\n' not in str(caught.value)
-        assert 'swapped' not in str(caught.value)
 
 
 @pytest.mark.parametrize('rise_m', [0.1, 0.3, -0.15])

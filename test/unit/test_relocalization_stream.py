@@ -12,7 +12,7 @@ from scenes import draw_frame
 
 from landmark_nav.geometry import se2
 from landmark_nav.localization.relocalization import Relocalizer
-from landmark_nav.localization.relocalization.views import shows_new, view_direction
+from landmark_nav.localization.relocalization.stream import shows_new, view_direction
 from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate, Refusal
 
 

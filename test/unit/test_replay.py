@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.cli.run_summary import run_summary
+from landmark_nav.cli.evaluate import run_summary
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.clock import shifts_by_odometry
-from landmark_nav.evaluation.replay import replay
+from landmark_nav.evaluation.replay import replay, shifts_by_odometry
 from landmark_nav.evaluation.report.tables import drive_tables, drive_verdict
 from landmark_nav.evaluation.run_report import run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import smooth_run

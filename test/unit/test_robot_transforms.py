@@ -12,7 +12,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
-from landmark_nav.storage.bags.robot_transforms import RobotTransforms
+from landmark_nav.storage.bags.transforms import RobotTransforms
 from landmark_nav.types import FloatArray, JointSample, OdometrySample
 
 FACTORY, STORE = rosbag_factory(), default_typestore()

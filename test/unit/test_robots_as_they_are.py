@@ -9,7 +9,7 @@ import pytest
 from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.rotation import rotation_rpy
+from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.messages import encode
 from landmark_nav.messages.decode import JointNames
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events

@@ -26,7 +26,7 @@ from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
-from landmark_nav.localization.triangulation.three import triangulate_three
+from landmark_nav.localization.triangulation.model import triangulate_three
 from landmark_nav.types import (
     FloatArray,
     LandmarkMap,

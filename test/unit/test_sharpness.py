@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.sharpness import look_at, relative_sharpness
+from landmark_nav.learning.capture.frames import look_at, relative_sharpness
 
 CAMERA = CameraModel(256, 192, 280.0, 280.0, 127.5, 95.5)
 LEVEL = PanTiltMount()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.rotation import rotation_rpy
+from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.scene import Box, Scene, WallItem

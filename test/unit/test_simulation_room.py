@@ -12,22 +12,18 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.simulation.furnishing import move_one_box
-from landmark_nav.simulation.lighting import irradiance
-from landmark_nav.simulation.measuring import as_measured
+from landmark_nav.simulation.furnishing import generate_scene, move_one_box
 from landmark_nav.simulation.people import WalkingPeople
-from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M
-from landmark_nav.simulation.response import light_of, values_of
-from landmark_nav.simulation.room_generator import generate_scene
+from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M, PainterOrder
 from landmark_nav.simulation.scene import Box, Lamp, Scene
 from landmark_nav.simulation.setup_documents import (
+    as_measured,
     robot_document,
     room_document,
     scene_document,
     start_document,
 )
-from landmark_nav.simulation.surfaces import Pyramid
-from landmark_nav.simulation.visibility import PainterOrder
+from landmark_nav.simulation.surfaces import irradiance, light_of, Pyramid, values_of
 from landmark_nav.simulation.wall_items import draw_item
 from landmark_nav.storage.setup_files import load_robot, load_room
 

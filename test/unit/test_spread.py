@@ -8,7 +8,7 @@ import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.localization.spread import SpreadCorrection
+from landmark_nav.localization.expected_poses import SpreadCorrection
 
 SECOND_NS = 1_000_000_000
 angles = st.floats(-np.pi, np.pi)

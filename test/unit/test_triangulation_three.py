@@ -9,8 +9,11 @@ from scipy.optimize import least_squares
 from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import bearings
-from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
-from landmark_nav.localization.triangulation.three import triangulate_three
+from landmark_nav.localization.triangulation.model import (
+    bearing_residuals,
+    danger_distance,
+    triangulate_three,
+)
 
 COORDINATE = st.floats(-10.0, 10.0)
 LANDMARKS = st.tuples(*[COORDINATE] * 6).map(lambda v: np.array(v).reshape(3, 2))

@@ -25,8 +25,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import CameraState, TripletConfig, visible_landmarks
-from landmark_nav.localization.triplet.geometry import pair_tables, position_variance
 from landmark_nav.localization.triplet.ranking import LandmarkVisibility
+from landmark_nav.localization.triplet.search import pair_tables, position_variance
 from landmark_nav.localization.triplet.visibility import landmark_visibilities
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 

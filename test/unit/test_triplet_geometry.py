@@ -13,8 +13,8 @@ from triplet_room import CAMERA, CONFIG, DEPTH, landmark, MOUNT, PRIOR, random_m
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
-from landmark_nav.localization.triplet.geometry import pair_tables, position_variance
-from landmark_nav.localization.triplet.views import PanWindows, travel_s
+from landmark_nav.localization.triplet.planning_scene import PanWindows, travel_s
+from landmark_nav.localization.triplet.search import pair_tables, position_variance
 from landmark_nav.types import LandmarkMap, PoseEstimate
 
 

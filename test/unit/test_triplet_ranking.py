@@ -22,10 +22,9 @@ from triplet_room import (
 )
 
 from landmark_nav.localization.triplet import CameraState, rank_triplets, TripletConfig
-from landmark_nav.localization.triplet.geometry import pair_tables
+from landmark_nav.localization.triplet.planning_scene import travel_s
 from landmark_nav.localization.triplet.ranking import LandmarkVisibility, Ranking, Verdict
-from landmark_nav.localization.triplet.search import best_triplets, mean_variance
-from landmark_nav.localization.triplet.views import travel_s
+from landmark_nav.localization.triplet.search import best_triplets, mean_variance, pair_tables
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
 
 UP = np.array([0.0, 0.0, 0.3])

@@ -9,7 +9,7 @@ import pytest
 
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig
-from landmark_nav.learning.adjustment.wall_prior import moved_walls
+from landmark_nav.learning.adjustment.wall_fit import moved_walls
 from landmark_nav.types import FloatArray
 
 CORNERS = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])

@@ -15,8 +15,8 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator import EstimatorConfig
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observer import Observation, Observer
+from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.localization.relocalization.verification import Verification
-from landmark_nav.localization.relocalization.within_prior import localize_within_prior
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_residuals
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 

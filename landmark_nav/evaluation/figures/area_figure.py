@@ -25,12 +25,10 @@ from landmark_nav.evaluation.figures.style import (
     ODOMETRY,
     save,
 )
-from landmark_nav.geometry.observation import observed_well
+from landmark_nav.geometry.patches import observed_well
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.triplet import TripletConfig
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap
-
-__all__ = ['AreaTest', 'draw_observation_areas', 'typical_landmarks']
 
 _COUNT = 3
 # As the robot has them.

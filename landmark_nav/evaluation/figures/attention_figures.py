@@ -27,8 +27,6 @@ from landmark_nav.learning.attention import (
 from landmark_nav.learning.attention.maps import CENTER_SIGMA_PX, SURROUND_SIGMA_PX
 from landmark_nav.types import Candidate, Panorama, Refusal
 
-__all__ = ['draw_attention', 'draw_features_alone']
-
 # Shown of a panorama, as a share of the turn, and how many patches of it.
 _SHARE = 0.25
 _PATCHES = 6

@@ -26,8 +26,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.types import FloatArray, Landmark
 
-__all__ = ['draw_learned']
-
 _SHARE = 0.25
 _MARGIN_M = 0.4
 _MAGNIFIED = 30.0

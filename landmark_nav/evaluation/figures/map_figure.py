@@ -12,26 +12,22 @@ from matplotlib.lines import Line2D
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.evaluation.figures.labels import (
-    keep_in_view,
-    metres_per_inch,
-    places_of_numbers,
-)
 from landmark_nav.evaluation.figures.style import (
     add_ellipse,
     draw_papers,
     draw_walls,
     FUSED,
+    keep_in_view,
     LANDMARK,
     legend_beside,
+    metres_per_inch,
     new_figure,
+    places_of_numbers,
     plain,
     save,
 )
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.types import LandmarkMap, PoseEstimate
-
-__all__ = ['draw_landmarks', 'draw_map', 'number_landmarks']
 
 # Ellipses of millimetres would not be seen in a room: they are drawn this many times as large.
 _MAGNIFIED = 10.0

@@ -12,11 +12,15 @@ from matplotlib.backend_bases import RendererBase
 from matplotlib.patches import Rectangle
 import numpy as np
 
-from landmark_nav.evaluation.figures.labels import free_labels
-from landmark_nav.evaluation.figures.style import CANDIDATE, DPI, LANDMARK, new_figure, save
+from landmark_nav.evaluation.figures.style import (
+    CANDIDATE,
+    DPI,
+    free_labels,
+    LANDMARK,
+    new_figure,
+    save,
+)
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
-
-__all__ = ['draw_panorama']
 
 # Around the image: left, bottom, right, top, inches.
 _MARGINS_IN = (0.7, 0.6, 0.2, 0.4)

@@ -23,8 +23,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.planning.planner import Forecast, Plan
 from landmark_nav.types import FloatArray
 
-__all__ = ['draw_plan']
-
 _MARGIN_M = 0.35
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import IntArray
-from landmark_nav.evaluation.figures.labels import keep_in_view
 from landmark_nav.evaluation.figures.map_figure import draw_landmarks
 from landmark_nav.evaluation.figures.style import (
     draw_walls,
     FIX,
     FUSED,
+    keep_in_view,
     LANDMARK,
     legend_beside,
     new_figure,
@@ -30,8 +30,6 @@ from landmark_nav.evaluation.run_report import RunErrors
 from landmark_nav.evaluation.smoothed_run import Smoothed
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.types import FloatArray, LandmarkMap
-
-__all__ = ['body_frame', 'draw_errors', 'draw_trajectory', 'driven']
 
 
 def draw_trajectory(

@@ -30,8 +30,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama
 
-__all__ = ['draw_reconstruction', 'ray_sigma_m']
-
 _SHARE = 0.16
 _NAMES = 'LR'
 _MARGIN_M = 0.3

@@ -16,8 +16,6 @@ import numpy.typing as npt
 from landmark_nav.evaluation.figures.style import LANDMARK
 from landmark_nav.types import Candidate, ImageArray, Panorama
 
-__all__ = ['Strip', 'caption', 'mark', 'patch_of', 'show', 'widest']
-
 # Width of a letter of a caption, per point of its size, and height of a strip per width.
 _LETTER_IN = 0.0072
 _HEIGHT = 0.45

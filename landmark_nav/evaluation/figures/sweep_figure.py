@@ -15,8 +15,6 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.types import FloatArray, Panorama, Sweep
 
-__all__ = ['draw_sweeps']
-
 _WIDTH_IN = 24.0
 _NAMES = 'LR'
 # Width of a letter of 12 points and height of a line, with what is around them.

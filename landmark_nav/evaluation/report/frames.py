@@ -12,8 +12,6 @@ from landmark_nav.image_codec import encode_image
 from landmark_nav.storage.bags import SensorEvent
 from landmark_nav.types import CameraFrame
 
-__all__ = ['FrameStrip', 'jpeg']
-
 # Base64 makes four bytes of three: a page of 15 MB, with 4 MB for all the rest.
 _BUDGET_BYTES = 8_000_000
 _WIDTH_PX = 480

@@ -16,8 +16,6 @@ from landmark_nav.evaluation.report.collect import Page
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import ImageArray
 
-__all__ = ['write_video']
-
 _WIDTH, _HEIGHT, _PLAN, _MARGIN = 1280, 720, 800, 40
 # Blue, green, red of the page's colours (Okabe and Ito).
 _FUSED, _TRUTH, _ODOMETRY = (178, 114, 0), (34, 34, 34), (0, 94, 213)
@@ -31,11 +29,7 @@ def write_video(path: Path, page: Page) -> None:
     """
     Write a drive as MPEG-4, in real time.
 
-    Raises
-    ------
-    LandmarkNavError
-        It cannot be written.
-
+    Raises `LandmarkNavError`: it cannot be written.
     """
     drive = page['data']['run']
     span_s = drive['t'][-1] - drive['t'][0]

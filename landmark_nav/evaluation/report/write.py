@@ -15,8 +15,6 @@ from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.report.collect import Page
 from landmark_nav.storage.atomic_io import write_atomically
 
-__all__ = ['check_report', 'page_html', 'write_report']
-
 
 def check_report(path: Path | None) -> None:
     """Refuse a name that browsers would not open as a page."""
@@ -28,11 +26,7 @@ def write_report(path: Path, page: Page) -> None:
     """
     Write a page.
 
-    Raises
-    ------
-    LandmarkNavError
-        It cannot be written.
-
+    Raises `LandmarkNavError`: it cannot be written.
     """
     write_atomically(path, page_html(page))
 

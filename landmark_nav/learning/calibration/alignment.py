@@ -11,13 +11,15 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.learning.calibration.overlap import track_overlaps
-from landmark_nav.learning.calibration.overlap_fit import COMMON, corrected, OverlapProblem
+from landmark_nav.learning.calibration.overlap_fit import (
+    COMMON,
+    corrected,
+    OverlapProblem,
+    track_overlaps,
+)
 from landmark_nav.learning.calibration.sweep_calibration import fit_significant
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import Sweep
-
-__all__ = ['SweepAlignment', 'align_sweep']
 
 _ROUNDS = 2
 _LEAST_PER_FRAME = 6
@@ -48,11 +50,7 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
     """
     Mend pan, tilt and roll of each frame and the common camera.
 
-    Raises
-    ------
-    LandmarkNavError
-        Fewer than three frames, or no texture that neighbours share.
-
+    Raises `LandmarkNavError`: fewer than three frames, or no texture that neighbours share.
     """
     if len(sweep.frames) < 3:
         raise LandmarkNavError(f'{len(sweep.frames)} frames are too few to align: take a sweep')

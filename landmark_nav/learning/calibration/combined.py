@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.se2 import rotation_rpy
+from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig, SIGNIFICANT
+from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray, Sweep
-
-__all__ = ['HEIGHT', 'as_calibrated', 'as_corrected', 'lean_axes', 'with_papers', 'with_terms']
 
 # What makes up the height of the camera: images show the sum.
 HEIGHT = ('axis_z', 'center_z')
@@ -81,20 +83,14 @@ def with_terms(
     """
     Join what the overlaps of a sweep show with what was known.
 
+    Raises `LandmarkNavError`: a term contradicts what is exact.
+
     Parameters
     ----------
-    known : Calibration
-        Before the sweep.
     before : Calibration
         That the sweep was taken to have: terms are errors of it.
     terms : tuple of CalibrationTerm
         Used in the panorama or not.
-
-    Raises
-    ------
-    LandmarkNavError
-        A term contradicts what is exact.
-
     """
     for term in terms:
         if term.name in _QUANTITIES:
@@ -112,22 +108,16 @@ def with_papers(
     """
     Join what papers show of height and lean of the pan axis with what was known.
 
+    Raises `LandmarkNavError`: it contradicts what is exact.
+
     Parameters
     ----------
-    known : Calibration
-        Before.
     used : Calibration
         That papers were measured with.
     score, information : ndarray, shape (3,), (3, 3)
         Of height and of small turns about x and y of the base, in information form.
     floor_rad : float
         Sigma by which the base leans on the floor.
-
-    Raises
-    ------
-    LandmarkNavError
-        It contradicts what is exact.
-
     """
     size, axes = np.linalg.eigh(information)
     if size[-1] <= 0.0:
@@ -153,3 +143,53 @@ def lean_axes(calibration: Calibration) -> FloatArray:
     """Turns about x and y of the base (2, 2) by roll and pitch of the pan axis."""
     yaw = calibration['axis_yaw'][0]
     return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+
+
+# Less information than that, 1 / rad^2, is none: rounding, where no paper was measured.
+_LEAST_INFORMATION = 1e-3
+
+
+def levelled(
+    mount: PanTiltMount, score: FloatArray, information: FloatArray, config: CalibrationConfig
+) -> tuple[PanTiltMount, tuple[CalibrationTerm, ...]]:
+    """
+    Turn the pan axis as far as it is significantly tilted.
+
+    Parameters
+    ----------
+    mount : PanTiltMount
+        As it was taken to stand.
+    score, information : ndarray, shape (2,), (2, 2)
+        What measurements say of small turns about x and y of the base, [rad], in information form:
+        the tilt is ``information^-1 score``.
+    config : CalibrationConfig
+        Whether to use what is found.
+
+    Returns
+    -------
+    mount : PanTiltMount
+    terms : tuple of CalibrationTerm
+        ``axis_roll`` and ``axis_pitch``; none where nothing was measured.
+
+    """
+    if np.linalg.eigvalsh(information)[0] < _LEAST_INFORMATION:
+        return mount, ()
+    covariance = covariance_of(information)
+    axis_tilt = covariance @ score
+    significant = float(axis_tilt @ score) > SIGNIFICANT**2 and config.enabled
+    terms = tuple(
+        CalibrationTerm(name, float(value), float(sigma), significant)
+        for name, value, sigma in zip(
+            ('axis_roll', 'axis_pitch'), axis_tilt, np.sqrt(np.diag(covariance)), strict=True
+        )
+    )
+    if not significant:
+        return mount, terms
+    return leant(mount, axis_tilt), terms
+
+
+def leant(mount: PanTiltMount, tilt_roll_rad: FloatArray) -> PanTiltMount:
+    """Turn the pan axis by small angles (2,) about x and y of the base."""
+    turned = Rotation.from_rotvec([*tilt_roll_rad, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
+    roll, pitch, yaw = Rotation.from_matrix(turned).as_euler('xyz').tolist()
+    return replace(mount, axis_rpy=(roll, pitch, yaw))

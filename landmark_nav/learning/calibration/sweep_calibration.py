@@ -21,13 +21,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.calibration.overlap import Overlaps, track_overlaps
 from landmark_nav.learning.calibration.overlap_fit import (
     COMMON,
     corrected,
     Fit,
     OverlapProblem,
+    Overlaps,
     RangeOfRay,
+    track_overlaps,
 )
 from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality

@@ -21,8 +21,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.panorama.projection import frame_slab, sweep_cylinder
 from landmark_nav.types import FloatArray, Sweep
 
-__all__ = ['PAN_REVERSED', 'SweepTurn', 'check_turn', 'measure_turn']
-
 # Columns per radian that are enough.
 _PX_PER_RAD = 80.0
 # Pairs of frames that are compared, and the least that must be alike.
@@ -63,12 +61,8 @@ def check_turn(sweep: Sweep, mount: PanTiltMount) -> None:
     """
     Check that a sweep turns, and as its pan angles say.
 
-    Raises
-    ------
-    LandmarkNavError
-        Angles in degrees, a pan that stands still or is reversed, a focal length or pan that is
-        off by more than calibration mends.
-
+    Raises `LandmarkNavError`: angles in degrees, a pan that stands still or is reversed, a focal
+    length or pan that is off by more than calibration mends.
     """
     pans = np.array([frame.pan_rad for frame in sweep.frames])
     if len(pans) < _LEAST_PANS:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from landmark_nav.learning.capture.config import CaptureConfig
 from landmark_nav.learning.capture.frames import KeptFrame, Shot
-from landmark_nav.learning.capture.reports import describe_progress, describe_sweep
-from landmark_nav.learning.capture.resume import begin_or_resume
+from landmark_nav.learning.capture.resume import begin_or_resume, describe_progress, describe_sweep
 from landmark_nav.learning.capture.sweep import SweepCapture
 
 __all__ = [

@@ -7,16 +7,17 @@ from collections import deque
 
 import numpy as np
 
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import unwrap_joint, wrap_one_rad, wrap_rad
 from landmark_nav.learning.capture.config import CaptureConfig
-from landmark_nav.types import FloatArray, JointSample
-
-__all__ = ['JointTrack', 'PanReach']
+from landmark_nav.types import FloatArray, JointSample, OdometrySample
 
 # Samples are kept for so long, and no closer to each other.
 _HISTORY_NS = 3_000_000_000
 _APART_NS = 4_000_000
 _LEAST_SAMPLES = 3
+# Way and turn by odometry that end a sweep, m and rad: chosen by hand.
+_MOVED_M, _MOVED_RAD = 0.01, 0.01
 # The unit stands where it turns no faster than this, rad/s, over this time or longer, s: chosen by
 # hand, so that three joint states at 25 Hz suffice and 0.8 mrad of noise do no harm.
 _SETTLED_RAD_S, _SETTLED_S = 0.01, 0.08
@@ -155,3 +156,33 @@ class PanReach:
 
     def _renew(self) -> None:
         self.targets = self._config.targets(self._low, self._high)
+
+
+class Place:
+    """Where the frames so far were taken, by odometry; without any the robot stands."""
+
+    def __init__(self) -> None:
+        self._first: OdometrySample | None = None
+        self._last: OdometrySample | None = None
+
+    def add(self, sample: OdometrySample, *, anew: bool) -> None:
+        """Take the robot's pose; `anew` says that there is no frame yet."""
+        self._last = sample
+        if anew or self._first is None:
+            self._first = sample
+
+    @property
+    def known(self) -> bool:
+        """Whether odometry shows it."""
+        return self._last is not None
+
+    @property
+    def moved(self) -> str:
+        """How far it has gone in words; nothing if it stands."""
+        if self._first is None or self._last is None:
+            return ''
+        way = se2.relative(self._first.pose_odom_base, self._last.pose_odom_base)
+        way_m, turn_rad = float(np.hypot(way[0], way[1])), abs(float(way[2]))
+        if way_m <= _MOVED_M and turn_rad <= _MOVED_RAD:
+            return ''
+        return f'{100.0 * way_m:.1f} cm and {np.degrees(turn_rad):.1f} deg'

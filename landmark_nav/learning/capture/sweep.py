@@ -17,11 +17,17 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.capture.config import CaptureConfig
-from landmark_nav.learning.capture.frames import Album, FrameLog, KeptFrame, sharpest, Shot
-from landmark_nav.learning.capture.joints import JointTrack, PanReach
-from landmark_nav.learning.capture.place import Place
-from landmark_nav.learning.capture.step import Phase, Step
-from landmark_nav.learning.sharpness import Look
+from landmark_nav.learning.capture.frames import (
+    Album,
+    FrameLog,
+    KeptFrame,
+    Look,
+    Phase,
+    sharpest,
+    Shot,
+    Step,
+)
+from landmark_nav.learning.capture.joints import JointTrack, PanReach, Place
 from landmark_nav.types import JointSample, OdometrySample
 
 __all__ = ['SweepCapture']

@@ -16,8 +16,6 @@ from landmark_nav.learning.facades.config import FacadesConfig
 from landmark_nav.learning.facades.points import SeenPoints
 from landmark_nav.types import FloatArray
 
-__all__ = ['Facade', 'find_facades', 'refit']
-
 _TRIALS, _SEED = 600, 5
 # A second point of a trial is this near to the first, metres; inliers are so many sigmas off.
 _REACH_M, _INLIER_SIGMAS = 3.0, 2.5

@@ -19,8 +19,6 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.panorama.projection import sweep_cylinder
 from landmark_nav.types import CameraFrame, FloatArray, Sweep
 
-__all__ = ['Photometry', 'even_out', 'measure_photometry']
-
 # Frames are looked at so much smaller, at directions so far apart.
 _REDUCTION = 8
 _STEP_RAD = np.radians(2.5)

@@ -21,8 +21,6 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
 
-__all__ = ['FrameSlab', 'RangeOfAzimuth', 'frame_slab', 'frame_window', 'sweep_cylinder']
-
 # Spacing of the exact projections; the map between them is interpolated, within 0.02 px.
 _GRID_PX = 8
 
@@ -58,6 +56,9 @@ def sweep_cylinder(
     """
     Cylinder as high as the middle columns of the frames see.
 
+    Raises `LandmarkNavError`: the camera looks so far up or down that it sees no walls, or the
+    cylinder has too many pixels.
+
     Parameters
     ----------
     sweep : Sweep
@@ -66,13 +67,6 @@ def sweep_cylinder(
         Side of the central square used of each frame; 0 uses all.
     px_per_rad : float
         Columns per radian; 0 takes the camera's focal length.
-
-    Raises
-    ------
-    LandmarkNavError
-        The camera looks so far up or down that it sees no walls, or the cylinder has too many
-        pixels.
-
     """
     camera = sweep.frames[0].camera
     _, top, _, bottom = frame_window(sweep.frames[0], crop_px)
@@ -130,15 +124,12 @@ def frame_slab(
     ----------
     frame : CameraFrame
         BGR or grey; the slab is alike.
-    cylinder : Cylinder
-        Around the pan axis.
     crop_px : int
         Side of the central square that is used; 0 uses all.
     range_m : callable, optional
         Horizontal distance of what is seen at azimuths (n,) in the base frame.
     reach_rad : float
         How far from its optical axis the frame is used, to both sides.
-
     """
     camera = frame.camera
     rotation, center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)

@@ -23,8 +23,7 @@ from landmark_nav.learning.reference_area.location import (
     papers_fit,
     SweepPlace,
 )
-from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
-from landmark_nav.learning.reference_area.refusals import WRONG_PRIOR
+from landmark_nav.learning.reference_area.refusals import MountError, WRONG_PRIOR, WrongMountError
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS
 
 __all__ = [

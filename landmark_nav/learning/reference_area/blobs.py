@@ -20,8 +20,6 @@ from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.types import FloatArray
 
-__all__ = ['ColorSearch', 'PaperBlobs', 'color_blobs', 'hue_direction']
-
 # Columns per radian that are enough to find papers in.
 _SEARCH_PX_PER_RAD = 280.0
 

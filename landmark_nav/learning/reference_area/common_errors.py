@@ -20,8 +20,6 @@ from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['joined', 'joint_covariance', 'pose_errors']
-
 # Of an edge, beside what its points share: some tens of profiles, by frame and along it.
 _PROFILES_PX = 0.03
 
@@ -49,12 +47,8 @@ def pose_errors(
     ----------
     eye : ndarray, shape (p, 3)
         Viewpoints, metres.
-    room : Room
-        Walls and k papers.
     config : ReferenceAreaConfig
         How exactly they and the camera are known.
-    focal_px : float
-        Pixels per radian.
     seen : ndarray of bool, shape (p, k), optional
         Which papers are seen: all without it. It takes three.
 
@@ -65,7 +59,6 @@ def pose_errors(
     by_papers : ndarray, shape (p, 3, 1 + 2 k)
         How the part of it comes about that is one and the same from everywhere, by factors of
         unit variance: size of the papers, and how far each hangs off along its wall and up.
-
     """
     center, along, size = _papers(room)
     papers = len(center)
@@ -118,14 +111,11 @@ def joint_covariance(
         With covariances of their own, v of them.
     room : Room
         Walls and papers; without papers places have nothing but their height in common.
-    config : ReferenceAreaConfig
-        How exactly papers hang.
 
     Returns
     -------
     ndarray, shape (4 v, 4 v)
         Of x, y, z, heading of each.
-
     """
     alone = [p.covariance + 1e-12 * np.eye(4) for p in panoramas]
     loading = [

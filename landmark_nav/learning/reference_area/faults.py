@@ -24,23 +24,14 @@ from landmark_nav.learning.least_squares import covariance_of, levenberg_marquar
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
-from landmark_nav.learning.reference_area.mount_error import MountError
-from landmark_nav.learning.reference_area.outlines import outline_blobs, PaperOutlines
+from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutlines
+from landmark_nav.learning.reference_area.refusals import MountError
 from landmark_nav.learning.reference_area.search import (
     find_places,
     LEAST_PAPERS,
     papers_in_view,
 )
 from landmark_nav.types import FloatArray
-
-__all__ = [
-    'PaperFault',
-    'PaperFaults',
-    'PaperRecord',
-    'PaperView',
-    'paper_faults',
-    'view_papers',
-]
 
 # x, y, heading, roll and pitch of the pan axis of each view; then what all have in common: height
 # of the camera, size of all papers, focal length; then of each paper what `_OF_PAPER` names.
@@ -207,14 +198,11 @@ def paper_faults(
         What panoramas of one room show, each from an unknown pose. The last four are used.
     room : Room
         Walls and papers. With fewer than three papers nothing can be judged.
-    config : ReferenceAreaConfig
-        Standard deviations of what is given.
 
     Returns
     -------
     PaperFaults
         With `fits` true where too little is seen to judge.
-
     """
     if len(room.papers) < LEAST_PAPERS:
         return _NOTHING
@@ -251,17 +239,7 @@ _NOTHING = PaperFaults(True, 0.0, 0, ())
 
 
 class PaperRecord:
-    """
-    Papers as the last sweeps of one room showed them, to judge all of these together.
-
-    Parameters
-    ----------
-    room : Room
-        Its papers.
-    config : ReferenceAreaConfig
-        Standard deviations of what is given.
-
-    """
+    """Papers as the last sweeps of one room showed them, to judge all of these together."""
 
     def __init__(self, room: Room, config: ReferenceAreaConfig) -> None:
         self._room, self._config = room, config

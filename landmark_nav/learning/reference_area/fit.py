@@ -27,8 +27,6 @@ from landmark_nav.learning.reference_area.model import (
 from landmark_nav.learning.reference_area.search import papers_in_view
 from landmark_nav.types import FloatArray, Sweep
 
-__all__ = ['PaperFit', 'PaperFitter']
-
 # Measurements along each edge of a paper in each frame.
 _PARTS = 4
 

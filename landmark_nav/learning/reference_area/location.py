@@ -18,25 +18,26 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.coverage import describe_coverage
+from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
-from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
 from landmark_nav.learning.reference_area.refusals import (
     check_prior,
     is_grey,
     LEAST_AGREED,
     measured_papers,
+    MountError,
     place_text,
     size_warning,
     why_not,
     WITHOUT_COLOR,
     wrong_height,
     WRONG_PRIOR,
+    WrongMountError,
 )
 from landmark_nav.learning.reference_area.search import (
     find_places,
@@ -45,14 +46,6 @@ from landmark_nav.learning.reference_area.search import (
     papers_in_view,
 )
 from landmark_nav.types import FloatArray, Sweep
-
-__all__ = [
-    'SweepPlace',
-    'check_agreement',
-    'locate_sweep',
-    'optical_height',
-    'papers_fit',
-]
 
 # What is seen of all of them together, in whole papers.
 _LEAST_EVIDENCE = 1.6
@@ -106,16 +99,12 @@ def locate_sweep(
 
     Parameters
     ----------
-    sweep : Sweep
-        The frames.
     view : CylinderImage
         The same as a cylinder in the base frame, to look for the papers in.
     room : Room
         Papers and walls in map.
     mount : PanTiltMount
         Pan axis in the base frame.
-    config : ReferenceAreaConfig
-        Prior standard deviations.
     most_sigmas : float
         By how many of them height and lean of the camera may be off.
 
@@ -126,7 +115,6 @@ def locate_sweep(
     LandmarkNavError
         Fewer than three papers in the room or in sight, papers that don't hang as the room says,
         or more than one place fits.
-
     """
     if len(room.papers) < LEAST_PAPERS:
         raise LandmarkNavError(
@@ -195,11 +183,11 @@ class _PaperSearch:
             fits = self._tried(higher, rise_m)
         good = sorted((f for f in fits if _fits(f, self._room)), key=lambda f: -_support(f))
         if not good:
-            raise self._refusal(places, at_given_height)
+            raise self._refusal(at_given_height)
         _check_unique(good)
         fit = self._fitter.fit(good[0].pose_map_base, rise_m=good[0].rise_m)
         if fit is None or not _fits(fit, self._room):
-            raise self._refusal(places, [fit] if fit else [])
+            raise self._refusal([fit] if fit else [])
         return fit
 
     def fits_somewhere(self) -> bool:
@@ -225,13 +213,7 @@ class _PaperSearch:
         lever = np.array([*self._mount.axis_xyz[:2], 0.0])
         return se2.compose(place.axis_pose, se2.inverse(lever))
 
-    def _fits_at(self, other: Room, place: PaperPlace) -> bool:
-        """Whether the papers of another room fit at a place."""
-        fitter = PaperFitter(self._sweep, other, self._mount, self._config)
-        fit = fitter.fit(self._base(place), _QUICK_FRAMES)
-        return fit is not None and _fits(fit, other)
-
-    def _refusal(self, places: list[PaperPlace], fits: list[PaperFit]) -> LandmarkNavError:
+    def _refusal(self, fits: list[PaperFit]) -> LandmarkNavError:
         config, frames = self._config, self._sweep.frames
         if all(is_grey(frame.image) for frame in frames):
             return LandmarkNavError(WITHOUT_COLOR)
@@ -242,7 +224,7 @@ class _PaperSearch:
                 rise_m = high.height_m - self.height_m
                 if abs(rise_m) > WRONG_PRIOR * config.height_sigma_m:
                     return WrongMountError(wrong_height(rise_m), MountError(rise_m))
-        why = why_not(self._blobs, places, fits, self._room, self.height_m, self._fits_at)
+        why = why_not(self._blobs, fits, self._room)
         unseen = describe_coverage([f.pan_rad for f in frames], frames[0].camera.half_fov_rad)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '
         return LandmarkNavError(f'{hint if unseen else ""}{why}')
@@ -279,11 +261,7 @@ def check_agreement(
     """
     Compare a place that is given, (3,) and (3, 3), with what papers give, where they are in sight.
 
-    Raises
-    ------
-    LandmarkNavError
-        They disagree.
-
+    Raises `LandmarkNavError`: they disagree.
     """
     try:
         seen = locate_sweep(sweep, view, room, mount, config)

@@ -17,18 +17,6 @@ from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.types import FloatArray, Sweep
 
-__all__ = [
-    'EDGES',
-    'EDGE_SHARE',
-    'GAMMA',
-    'RISE',
-    'SHIFT',
-    'SIZE',
-    'PaperModel',
-    'edge_sigma_px',
-]
-
-
 # Right, left, top and bottom as seen along the wall.
 EDGES = 4
 # The points on an edge reach over so much of its length.

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from itertools import permutations
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -14,22 +12,37 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
 from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
-from landmark_nav.learning.reference_area.mount_error import MountError, WrongMountError
-from landmark_nav.learning.reference_area.search import find_places, PaperPlace, papers_in_view
-from landmark_nav.types import ImageArray
+from landmark_nav.learning.reference_area.search import papers_in_view
+from landmark_nav.types import FloatArray, ImageArray
 
-__all__ = [
-    'LEAST_AGREED',
-    'WITHOUT_COLOR',
-    'WRONG_PRIOR',
-    'check_prior',
-    'is_grey',
-    'measured_papers',
-    'place_text',
-    'size_warning',
-    'why_not',
-    'wrong_height',
-]
+# What a person may be off by; more is another mistake.
+_MOST_M, _MOST_RAD = 0.3, float(np.radians(10.0))
+
+
+@dataclass(frozen=True, eq=False)
+class MountError:
+    """
+    How much higher the camera is than given, and how its pan axis tilts, about.
+
+    `tilt_roll_rad` (2,) is about x and y of the base.
+    """
+
+    rise_m: float = 0.0
+    tilt_roll_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    @property
+    def reasonable(self) -> bool:
+        """Whether a person with a tape and a spirit level may be off by it."""
+        return abs(self.rise_m) < _MOST_M and float(np.hypot(*self.tilt_roll_rad)) < _MOST_RAD
+
+
+class WrongMountError(LandmarkNavError):
+    """Papers fit a mount that is off by `found` from the given one."""
+
+    def __init__(self, message: str, found: MountError) -> None:
+        super().__init__(message)
+        self.found = found
+
 
 # Shares of a paper's edges: what must be found of it, and what of that must fit.
 _LEAST_SEEN, LEAST_AGREED = 0.2, 0.7
@@ -37,8 +50,6 @@ _LEAST_SEEN, LEAST_AGREED = 0.2, 0.7
 WRONG_PRIOR, _SIGNIFICANT_SIZE = 4.0, 3.3
 # A grey image comes back from JPEG or resampling with channels that differ by so much.
 _GREY_SPREAD = 2
-# More papers than that are not tried in other orders when nothing fits.
-_MOST_SWAPPED = 4
 
 
 WITHOUT_COLOR = (
@@ -121,19 +132,8 @@ def wrong_height(rise_m: float) -> str:
     )
 
 
-def why_not(
-    blobs: list[PaperBlobs],
-    places: list[PaperPlace],
-    fits: list[PaperFit],
-    room: Room,
-    height: float,
-    fits_at: Callable[[Room, PaperPlace], bool],
-) -> str:
-    """
-    What was expected, what was seen, and what to do.
-
-    `fits_at` says whether all edges of the papers of a room fit at a place.
-    """
+def why_not(blobs: list[PaperBlobs], fits: list[PaperFit], room: Room) -> str:
+    """What was expected, what was seen, and what to do."""
     missing = [p.color for p, b in zip(room.papers, blobs, strict=True) if not len(b.misfit)]
     expected = ', '.join(p.color for p in room.papers)
     if missing:
@@ -141,9 +141,6 @@ def why_not(
             f'reference papers not found: {", ".join(missing)} of {expected}; '
             'see that they hang in view and in light'
         )
-    swapped = _swapped(blobs, places, room, height, fits_at)
-    if swapped:
-        return swapped
     if fits:
         best = max(fits, key=lambda fit: float(np.sum(fit.seen * (fit.agreed > 0.95))))
         in_view = papers_in_view(best.pose_map_base[:2], room)
@@ -179,36 +176,3 @@ def why_not(
         'see that nobody hides the papers, or check their colours, sizes and places in room.yaml, '
         'and the mount in robot.yaml'
     )
-
-
-def _swapped(
-    blobs: list[PaperBlobs],
-    places: list[PaperPlace],
-    room: Room,
-    height: float,
-    fits_at: Callable[[Room, PaperPlace], bool],
-) -> str | None:
-    """Whether all would fit, edges too, if papers had changed places."""
-    papers = room.papers
-    if len(papers) > _MOST_SWAPPED:
-        return None
-    cost = min((place.cost for place in places), default=np.inf)
-    best: tuple[tuple[int, ...], PaperPlace] | None = None
-    for order in permutations(range(len(papers))):
-        if all(papers[k].color == paper.color for k, paper in zip(order, papers, strict=True)):
-            continue
-        found = find_places([blobs[k] for k in order], room, height)
-        if found and found[0].cost < cost and (found[0].blob >= 0).all():
-            best, cost = (order, found[0]), found[0].cost
-    if best is None:
-        return None
-    order, place = best
-    hung = (replace(p, color=papers[k].color) for k, p in zip(order, papers, strict=True))
-    if not fits_at(replace(room, papers=tuple(hung)), place):
-        return None
-    each = ', '.join(
-        f'{papers[k].color} where {paper.color} should hang'
-        for k, paper in zip(order, papers, strict=True)
-        if papers[k].color != paper.color
-    )
-    return f'the reference papers seem swapped, {each}: change them, or room.yaml'

@@ -20,8 +20,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
 from landmark_nav.types import FloatArray
 
-__all__ = ['LEAST_PAPERS', 'PaperPlace', 'find_places', 'papers_in_view']
-
 # Papers that it takes; with two nothing shows whether one hangs elsewhere.
 LEAST_PAPERS = 3
 
@@ -76,14 +74,11 @@ def find_places(blobs: list[PaperBlobs], room: Room, eye_height_m: float) -> lis
     ----------
     blobs : list of PaperBlobs
         Of each paper of the room.
-    eye_height_m : float
-        Height of the optical centre.
 
     Returns
     -------
     list of PaperPlace
         The most fitting first, no two of them alike.
-
     """
     problem = _Problem(blobs, room, eye_height_m)
     poses = problem.pair_places()

@@ -14,11 +14,9 @@ import numpy as np
 
 from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.rotation import rot_z
+from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt, root_of
 from landmark_nav.types import FloatArray
-
-__all__ = ['STATE', 'EpipolarFit', 'RayPairs', 'fit_poses', 'misses']
 
 # Of each sweep: x, y, heading of the base, height above the others, tilt about x and y.
 STATE = 6

@@ -25,8 +25,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     RayPairs,
     STATE,
 )
-from landmark_nav.learning.relative_pose.features import alike, Features
-from landmark_nav.learning.relative_pose.matches import matches_along
+from landmark_nav.learning.relative_pose.features import alike, Features, matches_along
 from landmark_nav.learning.relative_pose.scale import (
     PlaceSource,
     scale_sigma,
@@ -42,7 +41,7 @@ from landmark_nav.learning.relative_pose.two_views import (
     two_views_of,
     TwoViews,
 )
-from landmark_nav.learning.sheets.view import SheetView
+from landmark_nav.learning.sheets.papers import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
 __all__ = ['RelativePoses', 'relative_poses']

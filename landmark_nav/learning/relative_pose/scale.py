@@ -22,8 +22,6 @@ from landmark_nav.learning.relative_pose.epipolar import center, STATE
 from landmark_nav.learning.relative_pose.sheet_tracks import sheet_misses, SheetTrack
 from landmark_nav.types import FloatArray, PlaceChain
 
-__all__ = ['PlaceSource', 'ScaleShare', 'SheetSource', 'Source', 'scale_sigma', 'stacked']
-
 _LOG = logging.getLogger(__name__)
 
 # Chance that given poses miss the shape that the panoramas show by more; their variances then
@@ -87,11 +85,7 @@ class PlaceSource:
         """
         Let variances grow by the misfit, but for that of the scale, where it is significant.
 
-        Raises
-        ------
-        LandmarkNavError
-            Poses beyond all reason.
-
+        Raises `LandmarkNavError`: poses beyond all reason.
         """
         self.inflation = 1.0
         rows = self.rows(states)
@@ -179,11 +173,7 @@ def scale_sigma(shares: Sequence[ScaleShare]) -> float:
     """
     Relative standard deviation of the scale by all sources; as large as their disagreement.
 
-    Raises
-    ------
-    LandmarkNavError
-        Two contradict each other.
-
+    Raises `LandmarkNavError`: two contradict each other.
     """
     sigma = float(sum(share.sigma**-2 for share in shares) ** -0.5)
     for one, other in combinations(shares, 2):

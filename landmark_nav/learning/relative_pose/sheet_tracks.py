@@ -14,13 +14,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.rotation import rot_z
+from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.relative_pose.epipolar import center, STATE, turned
 from landmark_nav.learning.relative_pose.two_views import TwoViews
-from landmark_nav.learning.sheets.view import SheetView
+from landmark_nav.learning.sheets.papers import SheetView
 from landmark_nav.types import FloatArray
-
-__all__ = ['FINE', 'ROUGH', 'SheetTrack', 'sheet_misses', 'sheet_tracks']
 
 # How well relative poses are known that are found but not yet fitted, and then, rad: two views of
 # one sheet miss each other by it, times their distance.
@@ -68,6 +66,8 @@ def sheet_tracks(
     """
     Find which views show the same sheets.
 
+    Raises `LandmarkNavError`: as many sheets agree on another length.
+
     Parameters
     ----------
     sheets : sequence of sequence of SheetView
@@ -82,12 +82,6 @@ def sheet_tracks(
     tracks : list of SheetTrack
     lengths : dict
         Way between the viewpoints of pairs that share sheets, metres.
-
-    Raises
-    ------
-    LandmarkNavError
-        As many sheets agree on another length.
-
     """
     links: list[_Link] = []
     lengths = {}
@@ -200,8 +194,6 @@ def sheet_misses(
     ----------
     states : ndarray, shape (v, 6)
         Of the sweeps.
-    track : SheetTrack
-        The sheet.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame.
 
@@ -212,7 +204,6 @@ def sheet_misses(
         By the states.
     by_shared : ndarray, shape (3 m, q)
         By the errors that all sheets of the kind share.
-
     """
     count = len(track.views)
     off, weight = np.empty((count, 3)), np.zeros((count, 3, 3))

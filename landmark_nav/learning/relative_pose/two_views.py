@@ -12,13 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.rotation import rot_z
-from landmark_nav.geometry.se2 import rotation
+from landmark_nav.geometry.se2 import rot_z, rotation
 from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import center, fit_poses, RayPairs, STATE
 from landmark_nav.types import FloatArray
-
-__all__ = ['TwoViews', 'hypotheses', 'turn_support', 'two_views_of']
 
 # Grid of headings and directions that is tried, and how far off a match then may be.
 _GRID, _TOLERANCE = 120, 0.02

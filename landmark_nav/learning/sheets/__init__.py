@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from landmark_nav.learning.sheets.config import SheetsConfig
-from landmark_nav.learning.sheets.markers import find_markers
-from landmark_nav.learning.sheets.papers import find_papers
-from landmark_nav.learning.sheets.view import SheetView
+from landmark_nav.learning.sheets.papers import find_markers, find_papers, SheetView
 from landmark_nav.types import Panorama
 
 __all__ = ['SheetView', 'SheetsConfig', 'find_sheets']

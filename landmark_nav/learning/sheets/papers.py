@@ -1,17 +1,43 @@
-"""Coloured papers in a panorama, wherever they hang: their height gives their distance."""
+"""
+Coloured papers and markers in a panorama, wherever they hang: their size gives their distance.
+
+ArUco and AprilTag markers in a panorama: four corners of a square of known size.
+
+Garrido-Jurado et al., Pattern Recognition 47(6), 2014; Collins and Bartoli, IJCV 109, 2014 (IPPE).
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
-from landmark_nav.learning.reference_area.outlines import outline_blobs
+from landmark_nav.learning.reference_area.edges import outline_blobs
 from landmark_nav.learning.sheets.config import SheetsConfig
-from landmark_nav.learning.sheets.view import SheetView
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['find_papers']
+
+@dataclass(frozen=True, eq=False)
+class SheetView:
+    """
+    What may be a sheet.
+
+    `kind` is ``papers`` or ``markers``, `name` a colour or a number; `position` (3,) that of its
+    middle from the viewpoint, along the axes of the base, metres; `covariance` (3, 3) its own.
+    `shared` (3, q) is how q errors that all sheets of a kind have in common move it, each by its
+    standard deviation.
+    """
+
+    kind: str
+    name: str
+    position: FloatArray
+    covariance: FloatArray
+    shared: FloatArray
+
 
 # Shape of what may be a paper, width by height, as a share of that of the sheet: seen from the
 # side it is narrower. Blobs are rough, outlines are not.
@@ -70,3 +96,81 @@ def _located(
     nearer = reach / (top - bottom) * ray
     up = np.array([0.0, 0.0, 0.5 * reach])
     return reach * ray, np.stack([by_azimuth, by_azimuth, up + nearer, up - nearer], 1)
+
+
+# Step of the derivatives of a pose, metres and radians.
+_STEP = 1e-5
+
+
+def find_markers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
+    """
+    Find markers of one dictionary.
+
+    Raises `LandmarkNavError`: an OpenCV that can't.
+    """
+    if not hasattr(cv2, 'aruco') or not hasattr(cv2.aruco, 'ArucoDetector'):
+        raise LandmarkNavError(
+            f'OpenCV {cv2.__version__} has no ArUco detector: install opencv-python-headless 4.7 '
+            'or newer, or leave out markers'
+        )
+    width = panorama.cylinder.width
+    # What crosses the seam is whole in the padded part, and seen twice elsewhere.
+    columns = np.arange(width + width // 8) % width
+    grey = cv2.cvtColor(panorama.image, cv2.COLOR_BGR2GRAY)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, config.marker_dictionary))
+    detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+    corners, numbers, _ = detector.detectMarkers(np.ascontiguousarray(grey[:, columns]))
+    found = []
+    for corner, number in zip(corners, [] if numbers is None else numbers.ravel(), strict=True):
+        pixels = corner.reshape(4, 2).astype(np.float64)
+        if pixels[:, 0].min() >= width:
+            continue
+        sigma = config.corner_sigma_px / panorama.cylinder.fx
+        located = locate_square(panorama.cylinder.rays(pixels), config.marker_size_m, sigma)
+        if located is not None:
+            shared = config.size_sigma * located[0][:, None]
+            found.append(SheetView('markers', str(int(number)), *located, shared))
+    return found
+
+
+def locate_square(
+    rays: FloatArray, size_m: float, sigma_rad: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """
+    Middle (3,) of a square and its covariance (3, 3), from the rays (4, 3) of its corners.
+
+    Corners are in the order of OpenCV; None where no square before the viewpoint fits.
+    """
+    # A camera that looks at the middle: z forward, x right, y down.
+    unit = rays / np.linalg.norm(rays, axis=1)[:, None]
+    ahead = unit.mean(0) / np.linalg.norm(unit.mean(0))
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(ahead, right), ahead])
+    seen = unit @ axes.T
+    flat = seen[:, :2] / seen[:, 2:]
+    half = 0.5 * size_m
+    square = half * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    count, turns, middles, _ = cv2.solvePnPGeneric(
+        square, flat[:, None], np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE_SQUARE
+    )
+    if not count:
+        return None
+    turn, middle = cv2.solvePnPRefineLM(
+        square, flat[:, None], np.eye(3), np.zeros(4), turns[0], middles[0]
+    )
+    pose: FloatArray = np.concatenate([turn, middle]).ravel().astype(np.float64)
+
+    def projected(at: FloatArray) -> FloatArray:
+        pixels, _ = cv2.projectPoints(square, at[:3], at[3:], np.eye(3), np.zeros(4))
+        return np.asarray(pixels, dtype=np.float64).ravel()
+
+    jacobian = np.stack(
+        [(projected(pose + s) - projected(pose - s)) / (2.0 * _STEP) for s in _STEP * np.eye(6)], 1
+    )
+    if pose[5] <= 0.0 or np.linalg.matrix_rank(jacobian) < len(pose):
+        return None
+    covariance = sigma_rad**2 * np.linalg.inv(jacobian.T @ jacobian)
+    return np.asarray(pose[3:] @ axes), np.asarray(axes.T @ covariance[3:, 3:] @ axes)

@@ -16,7 +16,6 @@ from landmark_nav.learning.stereo.wall_patch import texels_per_pixel, wall_textu
 from landmark_nav.matching import blur_to
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['MARGIN', 'log_magnification', 'log_nearer']
 
 # Against noise of pixels (Gaussian sigma), and blur that a pixel stands for, as a share of it.
 _BLUR_PX = 0.8

@@ -22,8 +22,6 @@ from landmark_nav.geometry.patches import PatchView
 from landmark_nav.matching import blur_to
 from landmark_nav.types import FloatArray, ImageArray, Landmark
 
-__all__ = ['APPEARANCES', 'Texture', 'draw', 'textures']
-
 APPEARANCES = ('patch', 'virtual_view')
 
 # The weight of a view falls to exp(-1/2) at this angle, or at this log of the ratio of distances.

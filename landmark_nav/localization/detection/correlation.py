@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -20,21 +21,9 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.appearance import draw
 from landmark_nav.localization.detection.config import DetectionConfig
-from landmark_nav.localization.detection.expectation import (
-    expect,
-    Expectation,
-    quadratic,
-    View,
-)
+from landmark_nav.localization.detection.expectation import expect, Expectation, quadratic, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals
-from landmark_nav.matching import (
-    blur_by,
-    blur_sigmas,
-    Match,
-    match_templates,
-    Query,
-    sigmas_of,
-)
+from landmark_nav.matching import blur_by, blur_sigmas, Match, match_templates, Query, sigmas_of
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -44,8 +33,6 @@ from landmark_nav.types import (
     PoseEstimate,
     Refusal,
 )
-
-__all__ = ['DetectionResult', 'detect_landmarks']
 
 _SHARP = np.zeros(2)
 # Blur mixes the surroundings into a patch, which moves matches by this share of the blur's sigma
@@ -273,3 +260,50 @@ def _bearings(
     at_axis = view.center[:2] + reach[:, None] * toward - view.axis
     bearing = wrap_rad(np.arctan2(at_axis[:, 1], at_axis[:, 0]) - view.prior.pose[2])
     return bearing, quadratic(by_uv, covariance)
+
+
+# It takes so many landmarks to measure the blur.
+_LEAST = 3
+# An image is searched again, so often in all, if its blur is not the assumed one.
+_LOOKS, _SAME_PX2 = 3, 0.7
+# Limits of the blur.
+_SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
+
+
+def detect_blurred(
+    frame: CameraFrame,
+    prior: PoseEstimate,
+    landmark_map: LandmarkMap,
+    mount: PanTiltMount,
+    config: DetectionConfig,
+    indices: npt.NDArray[np.intp],
+    blur_px2: FloatArray,
+) -> tuple[DetectionResult, FloatArray]:
+    """
+    Find landmarks as `detect_landmarks` does, with the blur that is measured from those found.
+
+    Parameters
+    ----------
+    frame, prior, landmark_map, mount, config, indices
+        Those of `detect_landmarks`.
+    blur_px2 : ndarray, shape (2,)
+        Blur to begin with, such as that of the image before.
+
+    Returns
+    -------
+    DetectionResult
+    blur_px2 : ndarray, shape (2,)
+        Blur that was found.
+
+    """
+    for _ in range(_LOOKS):
+        result = detect_landmarks(frame, prior, landmark_map, mount, config, indices, blur_px2)
+        if len(result.detections) < _LEAST:
+            # They may be missed because the blur has gone.
+            return result, 0.5 * blur_px2
+        before = blur_px2
+        found = [median(part) for part in result.blur_px2.T.tolist()]
+        blur_px2 = np.clip(found, _SHARPEST_PX2, _BLURRIEST_PX2)
+        if np.abs(blur_px2 - before).max() < _SAME_PX2:
+            break
+    return result, blur_px2

@@ -13,8 +13,6 @@ from landmark_nav.geometry.patches import rays_to_patch
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
-__all__ = ['LEAST_WINDOW_PX', 'NOT_LOOKED_FOR', 'Expectation', 'View', 'expect', 'quadratic']
-
 # It is searched so far around, however sure the prior is.
 LEAST_WINDOW_PX = 4
 NOT_LOOKED_FOR = _OUT_OF_VIEW, _TOO_SMALL = 'out of view', 'too small or cut off'

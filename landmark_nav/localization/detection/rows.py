@@ -11,8 +11,6 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import FloatArray
 
-__all__ = ['RowModel', 'RowResiduals', 'wrong_heights']
-
 # The camera hangs so much higher or lower than was measured with a tape.
 _CAMERA_HEIGHT_SIGMA_M = 0.01
 

@@ -18,13 +18,10 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import NAMES
-from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.types import FloatArray
-
-__all__ = ['LEAST_STEP_S', 'ImagePoints', 'Projection', 'moved', 'project']
 
 # Where each block of the state begins: pose of the base; pitch and roll of the base by an uneven
 # floor; scale, drift and turn scale of the odometry, its side slip and the way lost in turns; the

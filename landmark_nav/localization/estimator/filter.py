@@ -58,8 +58,6 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.types import Expectation, FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = ['JointFilter', 'State', 'Update']
-
 # Iterations of an update, and the change of the pose that ends them, metres and radians: what is
 # not linear in it is a hundredth of the noise.
 _ITERATIONS, _CONVERGED = 5, 3e-3
@@ -159,14 +157,11 @@ class JointFilter:
         Pose of the base in map, with its covariance.
     config : EstimatorConfig
         Noise of floor, map and mount.
-    odometry : OdometryNoiseConfig
-        Noise of the wheels.
 
     Attributes
     ----------
     predicted : State
         What was expected before the last image.
-
     """
 
     def __init__(

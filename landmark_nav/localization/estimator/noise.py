@@ -18,8 +18,6 @@ import numpy as np
 
 from landmark_nav.types import FloatArray
 
-__all__ = ['DETECTION', 'FLOOR', 'NOISES', 'SLIP_NOISE', 'TURNS', 'WAY', 'NoiseScales', 'learned']
-
 # White noise of the odometry by way and time, and by turns; its side slip; tilt of the floor; the
 # detections; and all other uncertainty.
 WAY, TURNS, SLIP_NOISE, FLOOR, DETECTION, _REST = range(6)
@@ -69,15 +67,12 @@ def learned(
 
     Parameters
     ----------
-    scales : NoiseScales
-        Before.
     innovation : ndarray, shape (m,)
         Measured minus predicted.
     covariance : ndarray, shape (m, m)
         Its covariance according to the filter.
     by_noise : ndarray, shape (NOISES, m, m)
         Part of that covariance by each noise.
-
     """
     if not scales.prior_sigma:
         return scales

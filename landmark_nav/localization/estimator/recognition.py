@@ -6,8 +6,6 @@ import numpy as np
 
 from landmark_nav.types import FloatArray
 
-__all__ = ['MISSED', 'found_log_ratios']
-
 # Shares: of detections that are wrong though the pose is right; of the landmarks in view that are
 # found if it is right, and by chance if it is wrong.
 _WRONG, _FOUND, _BY_CHANCE = 0.1, 0.8, 0.15

@@ -23,8 +23,6 @@ from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, PoseEstimate
 
-__all__ = ['smoothed_poses']
-
 # Eigenvalues of a correlation matrix below this are rounding.
 _ROUNDING = 1e-12
 
@@ -51,13 +49,10 @@ def smoothed_poses(
     ----------
     joint : JointFilter
         At the start; afterwards it is at the last image.
-    track : OdometryTrack
-        All odometry.
     images : sequence of ImagePoints
         By time.
     lost : ndarray of bool, shape (n,), optional
         Before which images nothing is known of the motion.
-
     """
     if not images:
         return []

@@ -16,8 +16,6 @@ from landmark_nav.localization.estimator.filter import JointFilter, Update
 from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
-__all__ = ['REACH_NS', 'Timeline', 'move_to']
-
 # Motion is compounded in steps of about this.
 _STEP_NS = 100_000_000
 # Odometry is kept for so long: a place may be found in an image that old.
@@ -41,13 +39,10 @@ class Timeline:
 
     Parameters
     ----------
-    joint : JointFilter
-        At its start.
     track : OdometryTrack
         May hold odometry from before.
     window_s : float
         How late a measurement may come.
-
     """
 
     def __init__(self, joint: JointFilter, track: OdometryTrack, window_s: float = 2.0) -> None:

@@ -16,9 +16,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.types import Detections, FloatArray, OdometrySample
 
-__all__ = ['command_delay_s', 'integrate_commands']
-
-
 _DELAYS_S = np.arange(0.0, 0.601, 0.01)
 # Detections of one landmark that are compared are at most this far apart, seconds.
 _PAIR_S = 1.0
@@ -69,6 +66,9 @@ def command_delay_s(
     explains best how the bearing of a landmark changes within a second. Parallax is small beside
     that and of either sign.
 
+    Raises `LandmarkNavError`: too little was seen twice within a second, or the robot never turned
+    then.
+
     Parameters
     ----------
     stamps_ns : ndarray of int, shape (n,)
@@ -77,12 +77,6 @@ def command_delay_s(
         Forward [m/s] and turning [rad/s] velocity, each until the next.
     detections : sequence of Detections
         Of a camera that keeps its direction on the robot.
-
-    Raises
-    ------
-    LandmarkNavError
-        Too little was seen twice within a second, or the robot never turned then.
-
     """
     ids = np.concatenate([np.empty(0, np.int64), *(seen.ids for seen in detections)])
     stamps = np.repeat([seen.stamp_ns for seen in detections], [len(seen) for seen in detections])

@@ -18,8 +18,6 @@ from landmark_nav.localization.odometry.noise import (
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, OdometrySample, PlaceChain
 
-__all__ = ['Motions', 'chained', 'motions_between']
-
 # Motion is compounded in steps of about this, each an arc.
 _STEP_NS = 50_000_000
 # Poses at one time still need some weight between them: a tenth of a millimetre and of a mrad.

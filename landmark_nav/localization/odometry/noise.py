@@ -18,18 +18,6 @@ from landmark_nav.geometry.se2 import compose
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'Motion',
-    'OdometryNoiseConfig',
-    'blind_variances',
-    'fraction_of_motion',
-    'jitter_variances',
-    'motion_variances',
-    'sensed_variances',
-    'twist_motion',
-]
-
-
 # Sigmas of the accelerations while a twist predicts beyond the last sample.
 _ACCELERATION_M_S2, _TURN_ACCELERATION_RAD_S2 = 0.5, 2.0
 

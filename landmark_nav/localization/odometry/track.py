@@ -1,15 +1,25 @@
-"""The last seconds of odometry as one continuous track, without the faults of its source."""
+"""
+The last seconds of odometry as one continuous track, without the faults of its source.
+
+White noise of the poses of odometry: what one sample adds, the next takes back.
+
+That of scan matchers and visual odometry, which measure a pose each time; wheels add increments.
+Of four increments in a row, the differences of the inner and of the outer two have the covariance
+-2 v, with v the variance of a pose. White noise of the increments adds nothing to it, and a steady
+acceleration makes it positive. A robot that shakes faster than samples show jitters, too.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections import deque
 from dataclasses import dataclass, replace
+from enum import Enum
 import math
 
 import numpy as np
 
 from landmark_nav.geometry.se2 import compose, relative
-from landmark_nav.localization.odometry.jitter import Jitter
 from landmark_nav.localization.odometry.noise import (
     fraction_of_motion,
     Motion,
@@ -18,7 +28,51 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.types import FloatArray, OdometrySample, Refusal
 
-__all__ = ['HORIZON_S', 'Distrusted', 'OdometryTrack']
+_IN_A_ROW = 4
+# Mean of about so many; it counts if it is beyond so many of its own sigmas,
+_SAMPLES, _SIGNIFICANT = 200, 3.0
+# and larger than this, metres and radians: other noise of the odometry covers less.
+_LEAST = (1e-3, 1e-3)
+
+
+class Jitter:
+    """
+    Running estimate from increments as they come.
+
+    Attributes
+    ----------
+    variances : tuple of float
+        Of a position on an axis [m^2] and of a heading [rad^2]; zero if too small to see.
+
+    """
+
+    def __init__(self) -> None:
+        self.variances = (0.0, 0.0)
+        self._last: deque[tuple[float, ...]] = deque(maxlen=_IN_A_ROW)
+        self._count = 0
+        self._mean, self._square = np.zeros(2), np.zeros(2)
+
+    def interrupt(self) -> None:
+        """The next increment does not go on from the last."""
+        self._last.clear()
+
+    def add(self, increment: FloatArray, seconds: float) -> None:
+        """Take an increment (3,), forward, left [m] and turn [rad], over some time."""
+        self._last.append((seconds, *(part / seconds for part in increment.tolist())))
+        if len(self._last) < _IN_A_ROW:
+            return
+        times, *rates = zip(*self._last, strict=True)
+        scale = -0.5 * (sum(times) / _IN_A_ROW) ** 2
+        ahead, aside, turned = (scale * (c - b) * (d - a) for a, b, c, d in rates)
+        found = np.array([0.5 * (ahead + aside), turned])
+        self._count = min(self._count + 1, _SAMPLES)
+        self._mean += (found - self._mean) / self._count
+        self._square += (found**2 - self._square) / self._count
+        sigma = np.sqrt(self._square / self._count)
+        counts = (self._mean > _SIGNIFICANT * sigma) & (self._mean > np.square(_LEAST))
+        position, heading = np.where(counts, self._mean, 0.0).tolist()
+        self.variances = position, heading
+
 
 # How far the last twist predicts beyond the last sample, and the first one before the first.
 HORIZON_S = 0.25
@@ -273,3 +327,56 @@ def _is_near_zero(sample: OdometrySample, seconds: float) -> bool:
         and math.hypot(x, y) < _OFF_M + abs(sample.linear_m_s) * seconds
         and abs(heading) < _OFF_RAD + abs(sample.angular_rad_s) * seconds
     )
+
+
+# A sample that is older by this is not late; one that is newer may be wrong.
+_STEP_NS = 10**9
+# So many late samples in a row, in the order of their stamps, also mean that it was set back.
+_LATE_IN_A_ROW = 5
+
+
+@dataclass(frozen=True)
+class Ahead(Refusal):
+    """Why a sample is held back, which may be wrong or the first after a pause."""
+
+
+class ClockStep(Enum):
+    """What a stamp says about the clock."""
+
+    NONE = 'goes on'
+    AHEAD = 'is ahead'
+    BACK = 'was set back'
+
+
+class ClockWatch:
+    """Judges stamps in the order of their arrival."""
+
+    def __init__(self) -> None:
+        """Know of no stamp yet."""
+        self._late_ns = self._late_in_a_row = 0
+        self._ahead_ns: int | None = None
+
+    def judge(self, stamp_ns: int, odometry_ns: int, newest_ns: int, window_ns: int) -> ClockStep:
+        """
+        Return what the stamp of a sample says.
+
+        `odometry_ns` is the newest stamp of the odometry, `newest_ns` that of all; what is older
+        by less than `window_ns` may be late. A sample that is far ahead is to be left out: if the
+        next one follows it, there was a pause.
+        """
+        late = stamp_ns <= odometry_ns
+        in_order = late and stamp_ns > self._late_ns
+        self._late_in_a_row = self._late_in_a_row + 1 if in_order else 0
+        self._late_ns = stamp_ns if late else 0
+        if self._late_in_a_row >= _LATE_IN_A_ROW or stamp_ns < newest_ns - max(
+            window_ns, _STEP_NS
+        ):
+            self._late_in_a_row = 0
+            return ClockStep.BACK
+        before, self._ahead_ns = self._ahead_ns, None
+        if stamp_ns - odometry_ns <= _STEP_NS or (
+            before is not None and 0 < stamp_ns - before <= before - odometry_ns
+        ):
+            return ClockStep.NONE
+        self._ahead_ns = stamp_ns
+        return ClockStep.AHEAD

@@ -13,28 +13,143 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.relocalization.search_ranges import (
-    any_range,
-    RANGE_SIGMA,
-    SearchRange,
-    unhidden_ranges,
-)
-from landmark_nav.localization.relocalization.strip import Strip
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.se2 import rotation
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
+    ImageArray,
     Landmark,
     LandmarkMap,
     PoseEstimate,
 )
 
-__all__ = ['CandidateDetections', 'find_candidate_detections']
+# Ranges relative to the one a landmark was learned from, and how much narrower than straight
+# ahead: neighbours differ by what normalized cross-correlation forgives.
+_STEP = 1.4
+_RELATIVE_RANGES = 0.55 * _STEP ** np.arange(5)
+_FORESHORTENINGS = (0.9, 0.6)
+# Half of a step between ranges.
+RANGE_SIGMA = 0.15
+# What is open is what so many sigmas of a prior reach.
+_OPEN_SIGMAS = 2.5
+# Patches seen narrower are not found.
+_LEAST_FORESHORTENING = 0.3
+
+
+class SearchRange(NamedTuple):
+    """Ranges and narrowings a landmark may have, and the columns (first, end) it may be in."""
+
+    ranges: FloatArray
+    foreshortenings: FloatArray
+    columns: tuple[int, int]
+
+
+def any_range(landmark: Landmark, strip: Strip) -> SearchRange:
+    """Look of a landmark from anywhere that it can be recognised from."""
+    reference = float(np.hypot(*(landmark.position - landmark.viewpoint)[:2]))
+    ranges = np.asarray(reference * _RELATIVE_RANGES, dtype=np.float64)
+    return SearchRange(ranges, np.array(_FORESHORTENINGS), (0, len(strip.azimuth)))
+
+
+def unhidden_ranges(
+    prior: PoseEstimate, landmark_map: LandmarkMap, strip: Strip
+) -> dict[int, SearchRange]:
+    """Looks of the landmarks that may be in the image, as sigma points of the prior have it."""
+    axes = _OPEN_SIGMAS * np.linalg.cholesky(prior.covariance).T
+    poses = prior.pose + np.vstack([np.zeros(3), axes, -axes])
+    turned = rotation(poses[:, 2])
+    # From map into the base frame: rows times the rotation are turned back by it.
+    place = (landmark_map.positions[:, :2] - poses[:, None, :2]) @ turned - strip.center[:2]
+    reach = np.maximum(np.hypot(place[..., 0], place[..., 1]), 0.1)
+    aside = strip.aside(np.arctan2(place[..., 1], place[..., 0]))
+    normal = landmark_map.normals[:, :2] @ turned
+    facing = -np.sum(place * normal, -1) / reach
+    reference = np.hypot(*(landmark_map.positions - landmark_map.viewpoints)[:, :2].T)
+    nearest, farthest = reach.min(axis=0), reach.max(axis=0)
+    nearest = np.maximum(nearest, _RELATIVE_RANGES[0] * reference)
+    farthest = np.minimum(farthest, _RELATIVE_RANGES[-1] * reference)
+    least, most = np.maximum(facing.min(axis=0), _LEAST_FORESHORTENING), facing.max(axis=0)
+    margin = 0.5 * landmark_map.sizes_m[:, 0] / reach.min(axis=0)
+    columns = strip.columns(aside.max(axis=0) + margin, aside.min(axis=0) - margin)
+    return {
+        int(k): SearchRange(
+            _steps(nearest[k], farthest[k]), _steps(least[k], most[k]), tuple(columns[:, k])
+        )
+        for k in np.flatnonzero(
+            (farthest > nearest) & (most > _LEAST_FORESHORTENING) & (columns[1] > columns[0])
+        )
+    }
+
+
+def _steps(low: float, high: float) -> FloatArray:
+    """Values from low to high, apart by a step at most and half of that from the ends."""
+    count = max(1, int(np.ceil(np.log(high / low) / np.log(_STEP))))
+    return np.asarray(low * (high / low) ** ((np.arange(count) + 0.5) / count))
+
+
+class Strip:
+    """An image on an upright cylinder around its optical centre."""
+
+    def __init__(self, frame: CameraFrame, mount: PanTiltMount, resolution: float) -> None:
+        turn, self.center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
+        camera = frame.camera
+        border = np.linspace(0.0, 1.0, 9)
+        size = [camera.width - 1.0, camera.height - 1.0]
+        rays = camera.unproject(np.stack(np.meshgrid(border, border), -1) * size) @ turn.T
+        self.middle = float(np.arctan2(turn[1, 2], turn[0, 2]))
+        aside = self.aside(np.arctan2(rays[..., 1], rays[..., 0]))
+        tangent = rays[..., 2] / np.hypot(rays[..., 0], rays[..., 1])
+        cylinder = Cylinder.with_resolution(
+            resolution * camera.fx, float(tangent.min()), float(tangent.max())
+        )
+        self.px_per_rad = cylinder.fy
+        columns = np.arange(int(np.ceil(np.ptp(aside) * cylinder.fx)) + 1)
+        self.azimuth = self.middle + float(aside.max()) - columns / cylinder.fx
+        self.tangent = cylinder.tangent(np.arange(cylinder.height))
+        directions = np.empty((cylinder.height, len(columns), 3))
+        directions[..., 0], directions[..., 1] = np.cos(self.azimuth), np.sin(self.azimuth)
+        directions[..., 2] = self.tangent[:, None]
+        self.image = _resampled(frame.image, camera.project(directions @ turn), resolution)
+
+    def row_of(self, tangent: float) -> float:
+        """Row of a tangent of elevation."""
+        return float((self.tangent[0] - tangent) * self.px_per_rad)
+
+    def aside(self, azimuth: FloatArray) -> FloatArray:
+        """How far to the left of the middle azimuths are."""
+        return np.asarray(wrap_rad(azimuth - self.middle))
+
+    def columns(self, left: FloatArray, right: FloatArray) -> npt.NDArray[np.intp]:
+        """First and end (2, n) of the columns between angles aside."""
+        bounds = (self.azimuth[0] - self.middle - np.array([left, right])) * self.px_per_rad
+        return np.asarray(np.clip(np.rint(bounds), 0, len(self.azimuth)), dtype=np.intp)
+
+
+def _resampled(image: ImageArray, pixels: FloatArray, resolution: float) -> ImageArray:
+    """Grey values at pixels (rows, columns, 2) of an image, after shrinking it."""
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    small = cv2.resize(grey, None, fx=resolution, fy=resolution, interpolation=cv2.INTER_AREA)
+    at = np.nan_to_num((pixels + 0.5) * resolution - 0.5, nan=-1e4).astype(np.float32)
+    return np.asarray(
+        cv2.remap(
+            small,
+            at[..., 0],
+            at[..., 1],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=float(np.mean(small)),
+        ),
+        dtype=np.uint8,
+    )
 
 
 # Share of the images' resolution to work at, and the least template there, pixels.

@@ -17,8 +17,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.relocalization.candidate_detections import CandidateDetections
 from landmark_nav.types import FloatArray, LandmarkMap
 
-__all__ = ['DISTINCT_M', 'DISTINCT_RAD', 'Hypotheses', 'propose']
-
 # Poses judged at a time: their residuals stay small in memory.
 _BLOCK = 2048
 # So many of the best detections of each landmark are used.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.late_joints import DELAY_BOUND_S
 from landmark_nav.localization.looking import LookingConfig
@@ -27,7 +29,6 @@ from landmark_nav.localization.relocalization.candidate_detections import (
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.search import locate
 from landmark_nav.localization.relocalization.verification import CarriedFrames
-from landmark_nav.localization.relocalization.views import shows_new, view_direction
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.types import (
     CameraFrame,
@@ -39,7 +40,41 @@ from landmark_nav.types import (
     RefusalCode,
 )
 
-__all__ = ['Relocalizer', 'Unseen']
+# An image adds something new if it looks this share of half the field of view elsewhere, aside
+# or up, or from this far away.
+_NEW_VIEW = 0.9
+_NEW_PLACE_M = 0.6
+
+
+def view_direction(frame: CameraFrame, mount: PanTiltMount) -> FloatArray:
+    """Azimuth and elevation (2,) in the base frame that an image looks along, radians."""
+    turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
+    x, y, z = turn[:, 2].tolist()
+    return np.array([math.atan2(y, x), math.atan2(z, math.hypot(x, y))])
+
+
+def shows_new(
+    frame: CameraFrame, direction: FloatArray, directions: FloatArray, poses: FloatArray
+) -> bool:
+    """
+    Whether an image shows more of the room than earlier ones.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (2,)
+        Its `view_direction`.
+    directions : ndarray, shape (n, 2)
+        Those of the earlier images, each in its own base frame.
+    poses : ndarray, shape (n, 3)
+        Poses of the base at the earlier images, in the base frame of this one.
+    """
+    off = np.reshape(directions, (-1, 2)) - direction
+    off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2])
+    half = frame.camera.half_fov_rad * np.array([1.0, frame.camera.height / frame.camera.width])
+    same = np.all(np.abs(off) < _NEW_VIEW * half, axis=1)
+    near = np.hypot(*poses[:, :2].T) < _NEW_PLACE_M
+    return not np.any(same & near)
+
 
 # An image counts until odometry since then is more uncertain than this.
 _MAX_DRIFT_M = 0.1

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from landmark_nav.localization.triangulation.robust import (
-    Fix,
-    triangulate,
-    triangulate_three,
-    TriangulationConfig,
-)
+from landmark_nav.localization.triangulation.model import triangulate_three
+from landmark_nav.localization.triangulation.robust import Fix, triangulate, TriangulationConfig
 
 __all__ = ['Fix', 'TriangulationConfig', 'triangulate', 'triangulate_three']

@@ -3,30 +3,29 @@ The bearing model: what a landmark's bearing is, how it changes, and the pan axi
 
 Bearings are seen from the pan axis, counter-clockwise from ``base_link`` +x, so a bearing's pose
 is that of the axis with the orientation of the base.
+
+Three bearings in closed form: the power centre of the three circles of constant angle.
+
+Pierlot and Van Droogenbroeck, A New Three Object Triangulation Algorithm for Mobile Robot
+Positioning, IEEE T-RO 30(3), 2014, eqs. 21 to 34. Their cotangents become infinite where two
+landmarks lie at 0 or 180 degrees from each other. Here each circle is multiplied by the sine of
+its angle instead, so its centre is a homogeneous point and that case is like any other.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose, compose_jacobians
-from landmark_nav.types import FloatArray, PoseEstimate
-
-__all__ = [
-    'axis_from_base',
-    'base_from_axis',
-    'bearing_gradients',
-    'bearing_residuals',
-    'danger_distance',
-    'map_share',
-    'triples',
-]
+from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
 
 def bearing_residuals(
@@ -143,3 +142,167 @@ def _shifted(estimate: PoseEstimate, lever: FloatArray) -> PoseEstimate:
     by_pose, _ = compose_jacobians(estimate.pose, lever)
     covariance = by_pose @ estimate.covariance @ by_pose.T
     return PoseEstimate(estimate.stamp_ns, compose(estimate.pose, lever), covariance)
+
+
+# Triplets worked on at a time: their intermediate arrays stay in the cache.
+_BLOCK = 8192
+
+
+def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> FloatArray:
+    """
+    Poses out of three bearings each.
+
+    Parameters
+    ----------
+    positions : array_like, shape (..., 3, 2)
+        Landmarks in map, metres.
+    bearings : array_like, shape (..., 3)
+        Their bearings, counter-clockwise from the robot's heading, radians.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        x, y [m] and heading [rad]. On the circle through the landmarks nothing is determined: not
+        finite there or, by rounding, anything (`danger_distance`). The equations hold for a
+        landmark's opposite direction too: check `bearing_residuals` before use.
+
+    """
+    position = np.asarray(positions, dtype=np.float64)
+    bearing = np.asarray(bearings, dtype=np.float64)
+    shape = np.broadcast_shapes(position.shape[:-2], bearing.shape[:-1])
+    position = np.broadcast_to(position, (*shape, 3, 2)).reshape(-1, 3, 2)
+    bearing = np.broadcast_to(bearing, (*shape, 3)).reshape(-1, 3)
+    poses = np.empty((len(bearing), 3))
+    for start in range(0, len(bearing), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        poses[block] = _power_center(position[block], bearing[block])
+    return poses.reshape((*shape, 3))
+
+
+def _power_center(position: FloatArray, bearing: FloatArray) -> FloatArray:
+    """Poses (m, 3) of landmarks (m, 3, 2) and bearings (m, 3)."""
+    (x1, y1), (x2, y2), (x3, y3) = (np.ascontiguousarray(p.T) for p in np.moveaxis(position, 1, 0))
+    b1, b2, b3 = np.ascontiguousarray(bearing.T)
+    b12, b23 = b2 - b1, b3 - b2
+    c12, s12, c23, s23 = np.cos(b12), np.sin(b12), np.cos(b23), np.sin(b23)
+    c31, s31 = c12 * c23 - s12 * s23, -(s12 * c23 + c12 * s23)
+
+    # Landmarks 1 and 3 as seen from 2, the circles' homogeneous centres, and the power k31.
+    xa, ya, xc, yc = x1 - x2, y1 - y2, x3 - x2, y3 - y2
+    x12, y12 = s12 * xa + c12 * ya, s12 * ya - c12 * xa
+    x23, y23 = s23 * xc - c23 * yc, s23 * yc + c23 * xc
+    x31 = s31 * (xc + xa) + c31 * (yc - ya)
+    y31 = s31 * (yc + ya) - c31 * (xc - xa)
+    k31 = s31 * (xa * xc + ya * yc) + c31 * (xa * yc - xc * ya)
+
+    normal_x, normal_y = y12 * s23 - y23 * s12, x23 * s12 - x12 * s23
+    determinant = x31 * normal_x + y31 * normal_y + s31 * (x12 * y23 - x23 * y12)
+    poses = np.empty((len(bearing), 3))
+    with np.errstate(divide='ignore', invalid='ignore'):
+        scale = k31 / determinant
+        x, y = scale * normal_x, scale * normal_y
+        # Heading: direction of the sum of range * exp(i (azimuth - bearing)), bearings counted
+        # from the second. What is far away shows more of it.
+        xa -= x
+        ya -= y
+        xc -= x
+        yc -= y
+        real = xa * c12 - ya * s12 - x + xc * c23 + yc * s23
+        imaginary = ya * c12 + xa * s12 - y + yc * c23 - xc * s23
+        poses[:, 0], poses[:, 1] = x + x2, y + y2
+        poses[:, 2] = wrap_rad(np.arctan2(imaginary, real) - b2)
+    return poses
+
+
+# Triples tried as starts: all of them up to 12 landmarks.
+_MAX_STARTS = 220
+_MAX_STEPS = 20
+# Least share of its information that is left of a direction.
+_LEAST_EIGENVALUE = 1e-9
+_UNDETERMINED = Refusal('degenerate geometry', 'the bearings leave a direction undetermined')
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A least-squares pose (3,), its covariance (3, 3), Jacobian, residuals and weights."""
+
+    pose: FloatArray
+    covariance: FloatArray
+    jacobian: FloatArray
+    residual: FloatArray
+    weight: FloatArray
+
+    @property
+    def chi_square(self) -> float:
+        """Of the residuals."""
+        return float(self.residual @ self.weight @ self.residual)
+
+    def covariance_without(self, rows: BoolArray) -> FloatArray:
+        """Covariance (3, 3) that the pose would have without some of the bearings, `rows` (n,)."""
+        weighted = (self.weight @ self.jacobian)[rows]
+        lost = weighted.T @ np.linalg.solve(self.weight[np.ix_(rows, rows)], weighted)
+        # In units of the covariance rounding does not matter; what is left undetermined then has
+        # a large variance, not none.
+        root = np.linalg.cholesky(self.covariance)
+        value, vector = np.linalg.eigh(np.eye(3) - root.T @ lost @ root)
+        back = root @ vector
+        return np.asarray(back / np.maximum(value, _LEAST_EIGENVALUE) @ back.T)
+
+
+def best_start(
+    position: FloatArray, bearing: FloatArray, variance: FloatArray, start: PoseEstimate | None
+) -> FloatArray | None:
+    """Pose (3,) of the triple, or the prior, at which the bearings agree best, outliers aside."""
+    index = triples(len(bearing), _MAX_STARTS)
+    poses = triangulate_three(position[index], bearing[index])
+    if start is not None:
+        poses = np.vstack([poses, start.pose])
+    poses = poses[np.isfinite(poses).all(axis=-1)]
+    if not len(poses):
+        return None
+    # Cauchy's cost: an outlier weighs by the logarithm of its residual.
+    square = bearing_residuals(poses, position, bearing) ** 2 / variance
+    return np.asarray(poses[np.argmin(np.sum(np.log1p(square / 9.0), axis=-1))])
+
+
+def solve(
+    position: FloatArray,
+    bearing: FloatArray,
+    variance: FloatArray,
+    map_cov: FloatArray,
+    start: FloatArray,
+) -> Solution | Refusal:
+    """Gauss-Newton with weights renewed at every iterate and steps of at most 1 m and 1 rad."""
+    pose, jacobian = start.copy(), np.full((len(bearing), 3), -1.0)
+    for _ in range(_MAX_STEPS):
+        gradient = bearing_gradients(pose, position)
+        residual = bearing_residuals(pose, position, bearing)
+        jacobian[:, :2] = gradient
+        weight = np.asarray(np.linalg.inv(np.diag(variance) + map_share(gradient, map_cov)))
+        normal = jacobian.T @ weight @ jacobian
+        # A normal matrix scaled to unit diagonal separates rank from units.
+        scale = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-100))
+        scaled = normal * scale[:, None] * scale
+        if not np.isfinite(scaled).all():
+            return _UNDETERMINED
+        value, vector = np.linalg.eigh(scaled)
+        if value[0] < 1e-12:
+            return _UNDETERMINED
+        scaled_back = scale[:, None] * vector
+        covariance: FloatArray = scaled_back / value @ scaled_back.T
+        step = covariance @ (jacobian.T @ (weight @ residual))
+        step /= max(1.0, float(np.hypot(step[0], step[1])), abs(float(step[2])))
+        pose = pose + step
+        # The next would be a hundred times smaller at least.
+        if np.abs(step).max() < 1e-8:
+            pose[2] = wrap_rad(pose[2])
+            return Solution(pose, covariance, jacobian, residual, weight)
+    return Refusal('no convergence', f'last step {np.abs(step).max():.1e} m or rad')
+
+
+def w_statistics(solved: Solution) -> FloatArray:
+    """Residuals (n,) in units of what each would be off by if it alone were wrong."""
+    weighted = solved.weight @ solved.residual
+    spread = solved.weight @ solved.jacobian
+    variance = np.diag(solved.weight - spread @ solved.covariance @ spread.T)
+    return np.asarray(np.abs(weighted) / np.sqrt(np.maximum(variance, 1e-300)))

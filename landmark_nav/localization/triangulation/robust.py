@@ -16,14 +16,15 @@ from scipy.special import chdtri
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import squared_distance
-from landmark_nav.localization.triangulation.least_squares import (
+from landmark_nav.localization.triangulation.model import (
+    bearing_residuals,
     best_start,
+    danger_distance,
     Solution,
     solve,
+    triangulate_three,
     w_statistics,
 )
-from landmark_nav.localization.triangulation.model import bearing_residuals, danger_distance
-from landmark_nav.localization.triangulation.three import triangulate_three
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 

@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from landmark_nav.types import FloatArray, Refusal, Triplet
 
-__all__ = ['LandmarkVisibility', 'Ranking', 'Verdict']
-
 # A rival is called worse in something from so many times the winner's on.
 _MUCH_WORSE = 1.05
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.observation import observed_well
+from landmark_nav.geometry.patches import observed_well
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.localization.triplet.ranking import LandmarkVisibility
 from landmark_nav.parameters import Config, parameter

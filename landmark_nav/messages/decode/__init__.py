@@ -6,7 +6,6 @@ rosbags and rclpy; numeric arrays may be NumPy arrays, array.array, bytes or lis
 """
 
 from landmark_nav.messages.decode.cameras import camera_info, camera_model, CameraInfo
-from landmark_nav.messages.decode.detections import detections, triplet
 from landmark_nav.messages.decode.headers import (
     check_frame,
     is_unstamped,
@@ -23,8 +22,15 @@ from landmark_nav.messages.decode.joints import (
     sweep_trajectory,
 )
 from landmark_nav.messages.decode.landmarks import landmark_map
-from landmark_nav.messages.decode.panoramas import panorama
-from landmark_nav.messages.decode.poses import expectation, global_pose, odometry, pose_estimate
+from landmark_nav.messages.decode.poses import (
+    detections,
+    expectation,
+    global_pose,
+    odometry,
+    panorama,
+    pose_estimate,
+    triplet,
+)
 
 __all__ = [
     'BitDepth',

@@ -13,8 +13,6 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
 
-__all__ = ['CameraInfo', 'camera_info', 'camera_model']
-
 _LOG = logging.getLogger(__name__)
 
 # Images may be larger or smaller than their calibration by whole factors up to this.
@@ -60,11 +58,7 @@ class CameraInfo:
         also publish K of the small image with them: that is taken where the principal point says
         so. Images that are a whole factor larger or smaller are scaled.
 
-        Raises
-        ------
-        LandmarkNavError
-            It is for images of another size, or no calibrated camera.
-
+        Raises `LandmarkNavError`: it is for images of another size, or no calibrated camera.
         """
         return _camera(self, width, height)
 
@@ -121,11 +115,7 @@ def camera_info(msg: Any) -> CameraInfo:
 
     Equal messages give the same cameras, which keep what they computed once.
 
-    Raises
-    ------
-    LandmarkNavError
-        Nothing is calibrated, a model that is not supported, or a skew.
-
+    Raises `LandmarkNavError`: nothing is calibrated, a model that is not supported, or a skew.
     """
     k = np.asarray(msg.k, dtype=np.float64)
     if not k.any():
@@ -158,11 +148,7 @@ def camera_model(msg: Any) -> CameraModel:
     """
     Camera of a sensor_msgs/CameraInfo, in the pixels of the image that it describes.
 
-    Raises
-    ------
-    LandmarkNavError
-        As `camera_info` and `CameraInfo.for_image`.
-
+    Raises `LandmarkNavError`: as `camera_info` and `CameraInfo.for_image`.
     """
     return camera_info(msg).camera
 

@@ -10,20 +10,6 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'check_frame',
-    'covariances',
-    'duration_ns',
-    'finite',
-    'is_unstamped',
-    'landmark_ids',
-    'same_frame',
-    'seconds',
-    'set_stamp',
-    'stamp_ns',
-    'yaw_rad',
-]
-
 _SECOND_NS = 1_000_000_000
 # Beyond any length, angle, rate or variance of a robot; "unknown" is reported as less.
 _MOST = 1e12
@@ -37,11 +23,7 @@ def stamp_ns(header: Any) -> int:
     """
     Stamp of a std_msgs/Header, integer nanoseconds.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is no time: negative, or a second or more of nanoseconds.
-
+    Raises `LandmarkNavError`: it is no time: negative, or a second or more of nanoseconds.
     """
     sec, nanosec = _whole(header.stamp.sec), _whole(header.stamp.nanosec)
     if sec < 0 or not 0 <= nanosec < _SECOND_NS:
@@ -93,26 +75,17 @@ def finite(
     """
     Return values as an array of float64.
 
+    Raises `LandmarkNavError`: one is NaN, infinite or out of bounds, is no number, or the count is
+    another one.
+
     Parameters
     ----------
     values : array-like
         As they came: whoever defined the message may have taken any type.
-    what : str
-        Names them: 'odometry position'.
-    stamp : int
-        When, nanoseconds.
-    within : float
-        Largest magnitude.
     least : float, optional
         Least value, where that is not the negative of it.
     count : int, optional
         How many there must be.
-
-    Raises
-    ------
-    LandmarkNavError
-        One is NaN, infinite or out of bounds, is no number, or the count is another one.
-
     """
     where = f'{what} at {stamp * 1e-9:.3f} s'
     try:
@@ -143,11 +116,8 @@ def covariances(values: Any, what: str, stamp: int, size: int) -> FloatArray:
 
     Zero stands for "unknown" in some messages and for "exact" in others, so it is valid.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is no covariance: not symmetric, a negative variance, or a correlation beyond one.
-
+    Raises `LandmarkNavError`: it is no covariance: not symmetric, a negative variance, or a
+    correlation beyond one.
     """
     matrices = finite(values, what, stamp).reshape(-1, size, size)
     sigmas = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0.0))

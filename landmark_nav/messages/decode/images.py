@@ -14,11 +14,9 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.image_codec import decode_image, image_size
-from landmark_nav.messages.buffers import bytes_array
+from landmark_nav.messages.clouds import bytes_array
 from landmark_nav.messages.decode.cameras import CameraInfo
 from landmark_nav.types import ImageArray
-
-__all__ = ['BitDepth', 'camera_image', 'image', 'image_bgra']
 
 _Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
@@ -116,11 +114,8 @@ def image(msg: Any, grey: bool = False, depth: BitDepth | None = None) -> ImageA
     With `grey`, coloured ones become grey; a JPEG is then decoded in two thirds of the time.
     `depth` is that of the stream that the image belongs to; without it, the image stands alone.
 
-    Raises
-    ------
-    LandmarkNavError
-        Unknown encoding, sizes that contradict each other, or bytes that are not an image.
-
+    Raises `LandmarkNavError`: unknown encoding, sizes that contradict each other, or bytes that
+    are not an image.
     """
     return (depth or BitDepth()).to_bytes(_pixels(msg, grey, 1))
 
@@ -133,11 +128,7 @@ def camera_image(
 
     Pixels are averaged by area. The size is checked before anything is decoded.
 
-    Raises
-    ------
-    LandmarkNavError
-        As `image`, or the calibration is for images of another size.
-
+    Raises `LandmarkNavError`: as `image`, or the calibration is for images of another size.
     """
     width, height = _size(msg)
     full = info.for_image(width, height)
@@ -157,11 +148,8 @@ def image_bgra(msg: Any) -> ImageArray:
     """
     Pixels of a sensor_msgs/Image whose alpha means something, (h, w, 4).
 
-    Raises
-    ------
-    LandmarkNavError
-        Another encoding than ``bgra8``, or sizes that contradict each other.
-
+    Raises `LandmarkNavError`: another encoding than ``bgra8``, or sizes that contradict each
+    other.
     """
     if msg.encoding != 'bgra8':
         raise LandmarkNavError(f'panorama image is {msg.encoding!r}: publish it as bgra8')

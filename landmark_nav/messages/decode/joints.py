@@ -11,14 +11,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.decode.headers import duration_ns, finite, stamp_ns
 from landmark_nav.types import JointSample
 
-__all__ = [
-    'JointNames',
-    'joint_sample',
-    'lone_tilt',
-    'matching_name',
-    'sweep_trajectory',
-]
-
 # Names of joints are kept up to so many: a robot has some tens.
 _MOST_NAMES = 200
 
@@ -105,11 +97,7 @@ def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
     """
     Pan and tilt in a sensor_msgs/JointState; None if it is about other joints.
 
-    Raises
-    ------
-    LandmarkNavError
-        Names without positions, or positions that are not numbers.
-
+    Raises `LandmarkNavError`: names without positions, or positions that are not numbers.
     """
     names = list(msg.name)
     if mount.pan_joint not in names:
@@ -123,11 +111,7 @@ def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
 
     None if it holds the pan, too, or other joints.
 
-    Raises
-    ------
-    LandmarkNavError
-        Names without positions, or positions that are not numbers.
-
+    Raises `LandmarkNavError`: names without positions, or positions that are not numbers.
     """
     names, stamp = list(msg.name), stamp_ns(msg.header)
     if mount.pan_joint in names or mount.tilt_joint not in names:
@@ -142,11 +126,7 @@ def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
     """
     Measured angles at the frames of a sweep, out of a trajectory_msgs/JointTrajectory.
 
-    Raises
-    ------
-    LandmarkNavError
-        It is not about the pan joint, or holds angles that are not numbers.
-
+    Raises `LandmarkNavError`: it is not about the pan joint, or holds angles that are not numbers.
     """
     names = list(msg.joint_names)
     joints = JointNames(mount)

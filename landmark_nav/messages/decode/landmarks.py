@@ -22,8 +22,6 @@ from landmark_nav.messages.decode.poses import FARTHEST_M
 from landmark_nav.messages.layouts import LANDMARKS
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap
 
-__all__ = ['landmark_map']
-
 # Of a patch on a wall; of a threshold, a saliency or a loading.
 _LARGEST_M, _MOST = 100.0, 1e3
 # Less is no wall, m; normals travel as float32.
@@ -34,11 +32,8 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
     """
     Map out of ``landmarks`` and ``landmarks/atlas``; provenance does not travel.
 
-    Raises
-    ------
-    LandmarkNavError
-        Fields are missing, values are not numbers, or a patch lies outside the atlas.
-
+    Raises `LandmarkNavError`: fields are missing, values are not numbers, or a patch lies outside
+    the atlas.
     """
     points = unpack_cloud(landmarks_msg, LANDMARKS)
     frame_id = str(landmarks_msg.header.frame_id)

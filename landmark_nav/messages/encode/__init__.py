@@ -5,25 +5,25 @@ Every function takes a `MessageFactory` first, so that the same code makes rosba
 bags and real ROS messages for topics.
 """
 
-from landmark_nav.messages.encode.cameras import camera_info
-from landmark_nav.messages.encode.detections import detections, triplet
 from landmark_nav.messages.encode.headers import header
-from landmark_nav.messages.encode.images import compressed_image, image
-from landmark_nav.messages.encode.joints import joint_state, sweep_trajectory
+from landmark_nav.messages.encode.images import camera_info, compressed_image, image, panorama
 from landmark_nav.messages.encode.landmarks import landmark_map
 from landmark_nav.messages.encode.markers import landmark_markers, pose_markers, view_markers
-from landmark_nav.messages.encode.panoramas import panorama
 from landmark_nav.messages.encode.poses import (
+    detections,
     expectation,
     global_pose,
     odometry,
     pose,
     pose_stamped,
+    triplet,
 )
 from landmark_nav.messages.encode.transforms import (
     camera_transform,
+    joint_state,
     joint_transforms,
     planar_transform,
+    sweep_trajectory,
     Transform,
     transforms,
 )

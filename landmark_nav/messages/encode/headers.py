@@ -9,15 +9,6 @@ import numpy as np
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.types import FloatArray
 
-__all__ = [
-    'UNKNOWN_VARIANCE',
-    'duration',
-    'header',
-    'pose_with_covariance',
-    'upright',
-    'vector',
-]
-
 _SECOND_NS = 1_000_000_000
 # Of what is not estimated, as robot_localization and others expect it: 0 would mean exact.
 UNKNOWN_VARIANCE = 1e6

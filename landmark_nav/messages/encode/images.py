@@ -1,4 +1,4 @@
-"""Images."""
+"""Images, the calibration of their camera, and panoramas."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 import cv2
 import numpy as np
 
+from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.image_codec import encode_image
-from landmark_nav.messages.encode.headers import header
+from landmark_nav.messages.encode.headers import header, pose_with_covariance
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.types import ImageArray
-
-__all__ = ['compressed_image', 'image']
+from landmark_nav.messages.layouts import UPRIGHT
+from landmark_nav.types import ImageArray, Panorama
 
 
 def image(factory: MessageFactory, pixels: ImageArray, stamp_ns: int, frame_id: str) -> Any:
@@ -45,3 +45,47 @@ def compressed_image(
         format='jpeg',
         data=encode_image(pixels, '.jpg', [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]),
     )
+
+
+def camera_info(factory: MessageFactory, camera: CameraModel, stamp_ns: int, frame_id: str) -> Any:
+    """Build a sensor_msgs/CameraInfo."""
+    return factory(
+        'sensor_msgs/msg/CameraInfo',
+        header=header(factory, stamp_ns, frame_id),
+        width=camera.width,
+        height=camera.height,
+        distortion_model=camera.model,
+        d=camera.coefficients,
+        k=camera.matrix.reshape(-1),
+        r=np.eye(3).reshape(-1),
+        p=np.hstack([camera.matrix, np.zeros((3, 1))]).reshape(-1),
+    )
+
+
+def panorama(
+    factory: MessageFactory, view: Panorama, frame_id: str = 'map'
+) -> tuple[Any, Any, Any]:
+    """
+    Build ``panorama/image`` (alpha is the mask), ``panorama/camera_info`` and ``panorama/pose``.
+
+    The pose is of the optical centre, turned as the base was.
+    """
+    alpha = np.where(view.mask, np.uint8(255), np.uint8(0))
+    stamp = header(factory, view.stamp_ns, frame_id)
+    cylinder = view.cylinder
+    info = factory(
+        'sensor_msgs/msg/CameraInfo',
+        header=stamp,
+        width=cylinder.width,
+        height=cylinder.height,
+        distortion_model='cylindrical',
+        k=np.array([cylinder.fx, 0.0, cylinder.cx, 0.0, cylinder.fy, cylinder.cy, 0.0, 0.0, 1.0]),
+    )
+    x, y, z = view.center_map
+    place = factory(
+        'geometry_msgs/msg/PoseWithCovarianceStamped',
+        header=stamp,
+        pose=pose_with_covariance(factory, (x, y, z, view.heading_rad), view.covariance, UPRIGHT),
+    )
+    pixels = np.dstack([view.image, alpha])
+    return image(factory, pixels, view.stamp_ns, frame_id), info, place

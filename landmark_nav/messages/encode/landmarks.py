@@ -15,8 +15,6 @@ from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.messages.layouts import LANDMARKS
 from landmark_nav.types import ImageArray, LandmarkMap
 
-__all__ = ['landmark_map']
-
 _ATLAS_WIDTH = 1024
 
 
@@ -28,13 +26,10 @@ def landmark_map(
 
     Parameters
     ----------
-    factory : MessageFactory
-        Builds the messages.
     landmarks : LandmarkMap
         What was learned; it may be empty.
     stamp_ns : int
         When it was published: the three belong together by it.
-
     """
     members = landmarks.landmarks
     views = [view.patch for k in members for view in k.views]

@@ -21,8 +21,6 @@ from landmark_nav.types import (
     Triplet,
 )
 
-__all__ = ['landmark_markers', 'pose_markers', 'view_markers']
-
 # visualization_msgs/Marker constants.
 _ARROW, _CUBE, _SPHERE, _LINE_STRIP, _LINE_LIST, _TEXT = 0, 1, 2, 4, 5, 9
 _DELETE_ALL = 3

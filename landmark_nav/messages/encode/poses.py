@@ -1,4 +1,4 @@
-"""Odometry, poses in the plane, and places that were found."""
+"""Odometry, poses in the plane, places that were found, detections and triplets."""
 
 from __future__ import annotations
 
@@ -15,11 +15,22 @@ from landmark_nav.messages.encode.headers import (
     vector,
 )
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.global_pose import GlobalPose
-from landmark_nav.messages.layouts import EXPECTATION, GLOBAL_POSE, PLANAR
-from landmark_nav.types import Expectation, FloatArray, OdometrySample, PoseEstimate
-
-__all__ = ['expectation', 'global_pose', 'odometry', 'pose', 'pose_stamped']
+from landmark_nav.messages.layouts import (
+    DETECTIONS,
+    EXPECTATION,
+    GLOBAL_POSE,
+    GlobalPose,
+    PLANAR,
+    TRIPLET,
+)
+from landmark_nav.types import (
+    Detections,
+    Expectation,
+    FloatArray,
+    OdometrySample,
+    PoseEstimate,
+    Triplet,
+)
 
 _UNKNOWN: FloatArray = UNKNOWN_VARIANCE * np.eye(3)
 
@@ -37,15 +48,10 @@ def odometry(
 
     Parameters
     ----------
-    factory : MessageFactory
-        Builds the message.
     sample : OdometrySample
         Pose of the base in `frame_id`, whichever that is, and speeds.
     covariance : ndarray, shape (3, 3), optional
         Of x, y, heading; unknown by default.
-    frame_id, child_frame_id : str
-        Frames.
-
     """
     x, y, yaw = sample.pose_odom_base
     twist = factory(
@@ -117,3 +123,39 @@ def pose_stamped(
         header=header(factory, stamp_ns, frame_id),
         pose=upright(factory, x, y, 0.0, yaw),
     )
+
+
+def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base_link') -> Any:
+    """
+    Build the PointCloud2 of ``detections``, stamped with the image.
+
+    What was looked for and not found follows as invalid points: NaN, with a score of 0.
+    """
+    points = np.zeros(len(found) + len(found.missed), dtype=DETECTIONS.fields)
+    points['id'] = np.concatenate([found.ids, found.missed])
+    for name in ('bearing', 'bearing_variance', 'u', 'v'):
+        points[name] = np.nan
+    seen = points[: len(found)]
+    seen['bearing'] = found.bearing_rad
+    seen['bearing_variance'] = found.variance_rad2
+    seen['score'] = found.score
+    seen['u'], seen['v'] = found.uv_px[:, 0], found.uv_px[:, 1]
+    if len(found.points):
+        seen['point'] = found.points
+        seen['point_covariance'] = found.point_covariance.reshape(-1, 4)
+    if found.near is not None:
+        points['near'] = found.near
+    points['joint_delay'] = found.joint_delay_s
+    dense = not len(found.missed)
+    return pack_cloud(factory, header(factory, found.stamp_ns, frame_id), points, dense)
+
+
+def triplet(factory: MessageFactory, chosen: Triplet, frame_id: str = 'base_link') -> Any:
+    """Build the PointCloud2 of ``triplet``."""
+    points = np.zeros(3, dtype=TRIPLET.fields)
+    points['id'] = chosen.ids
+    points['bearing'] = chosen.bearing_rad
+    points['bearing_sigma'] = chosen.sigma_rad
+    points['covariance'] = chosen.covariance.reshape(-1)
+    points['pan'] = chosen.pan_rad
+    return pack_cloud(factory, header(factory, chosen.stamp_ns, frame_id), points)

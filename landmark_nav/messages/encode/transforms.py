@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.rotation import rot_y, rot_z, rotation_rpy
-from landmark_nav.messages.encode.headers import header, vector
+from landmark_nav.geometry.se2 import rot_y, rot_z, rotation_rpy
+from landmark_nav.messages.encode.headers import duration, header, vector
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.types import FloatArray, JointSample
-
-__all__ = ['Transform', 'camera_transform', 'joint_transforms', 'planar_transform', 'transforms']
 
 
 class Transform(NamedTuple):
@@ -72,3 +70,33 @@ def _links(mount: PanTiltMount) -> tuple[str, str]:
     """Frames that turn with the joints, as URDF files call them."""
     pan, tilt = (name.removesuffix('_joint') for name in (mount.pan_joint, mount.tilt_joint))
     return f'{pan}_link', f'{tilt}_link'
+
+
+def joint_state(factory: MessageFactory, sample: JointSample, mount: PanTiltMount) -> Any:
+    """Build a sensor_msgs/JointState."""
+    return factory(
+        'sensor_msgs/msg/JointState',
+        header=header(factory, sample.stamp_ns, ''),
+        name=[mount.pan_joint, mount.tilt_joint],
+        position=np.array([sample.pan_rad, sample.tilt_rad]),
+    )
+
+
+def sweep_trajectory(
+    factory: MessageFactory, samples: Sequence[JointSample], mount: PanTiltMount
+) -> Any:
+    """Build the trajectory_msgs/JointTrajectory that ends a sweep: one point a frame."""
+    start_ns = samples[0].stamp_ns
+    return factory(
+        'trajectory_msgs/msg/JointTrajectory',
+        header=header(factory, start_ns, ''),
+        joint_names=[mount.pan_joint, mount.tilt_joint],
+        points=[
+            factory(
+                'trajectory_msgs/msg/JointTrajectoryPoint',
+                positions=np.array([sample.pan_rad, sample.tilt_rad]),
+                time_from_start=duration(factory, sample.stamp_ns - start_ns),
+            )
+            for sample in samples
+        ],
+    )

@@ -13,8 +13,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags.container import ChannelInfo
 
-__all__ = ['STANDARD_NAMES', 'MessageReader', 'has_header']
-
 # Types that ROS 1 calls otherwise.
 STANDARD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
 
@@ -29,12 +27,8 @@ class MessageReader:
     A standard type is read by its ROS 2 definition, which the one in the bag must agree with; the
     bag may call fields by capitals, as ROS 1 does. Any other type is read by the bag's definition.
 
-    Raises
-    ------
-    LandmarkNavError
-        The definition is missing or damaged, contains itself, holds more fields than a message can
-        have, or differs from the one of ROS 2.
-
+    Raises `LandmarkNavError`: the definition is missing or damaged, contains itself, holds more
+    fields than a message can have, or differs from the one of ROS 2.
     """
 
     def __init__(self, info: ChannelInfo) -> None:

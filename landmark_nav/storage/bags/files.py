@@ -2,20 +2,138 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
+import sqlite3
 from tempfile import NamedTemporaryFile
 from typing import Any
+from urllib.parse import quote
+import weakref
 from weakref import finalize
 
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag1.reader import decompressors, Header, RecordType
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.storage.bags.container import McapFile
-from landmark_nav.storage.bags.foreign import RosbagsFile
-from landmark_nav.storage.bags.unpack import unpack_file
+from landmark_nav.storage.bags.container import (
+    ChannelInfo,
+    CHUNK_BYTES,
+    MAX_CHANNELS,
+    McapFile,
+    RawMessage,
+    unpack,
+    unpack_file,
+)
 from landmark_nav.storage.reading import read_yaml_mapping
 
-__all__ = ['BagFile', 'open_files']
+_ENCODINGS = {'MSG': 'ros2msg', 'IDL': 'ros2idl', 'NONE': ''}
+
+
+class RosbagsFile:
+    """
+    A ``.db3`` file or a ROS 1 bag, with the attributes of `McapFile`.
+
+    Messages of ROS 1 have the message encoding ``ros1``.
+
+    Raises `LandmarkNavError`: it is damaged, or no bag.
+    """
+
+    complete = True
+
+    def __init__(self, path: Path, name: Path | None = None) -> None:
+        """Read what the file holds; messages call it `name`."""
+        self.name = name or path
+        with path.open('rb') as stream:
+            ros1 = stream.read(7) == b'#ROSBAG'
+        with _naming(self.name):
+            self._reader = _ros1(path) if ros1 else _sqlite3(path)
+        weakref.finalize(self, self._reader.close)
+        self._infos = {
+            connection.id: _info(connection, 'ros1' if ros1 else 'cdr')
+            for connection in self._reader.connections
+        }
+        self.counts: dict[ChannelInfo, int] = {}
+        for connection in self._reader.connections:
+            info = self._infos[connection.id]
+            self.counts[info] = self.counts.get(info, 0) + connection.msgcount
+        of_time = self._reader if isinstance(self._reader, Ros1Reader) else self._reader.metadata
+        filled = any(self.counts.values())
+        self.first_ns = of_time.start_time if filled else 0
+        self.last_ns = of_time.end_time - 1 if filled else 0
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Messages of `topics` (all by default) by log time."""
+        wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
+        if not wanted:
+            return
+        with _naming(self.name):
+            for connection, stamp_ns, data in self._reader.messages(wanted):
+                yield RawMessage(self._infos[connection.id], stamp_ns, data)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Whatever readers raise on damaged bytes, assertions included, in one line."""
+    try:
+        yield
+    except LandmarkNavError:
+        raise
+    except Exception as error:
+        raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
+
+
+def _sqlite3(path: Path) -> Sqlite3Reader:
+    with closing(
+        sqlite3.connect(f'file:{quote(str(path))}?mode=ro&immutable=1', uri=True)
+    ) as base:
+        (count,) = base.execute('SELECT count(*) FROM topics').fetchone()
+        (longest,) = base.execute('SELECT max(length(data)) FROM messages').fetchone()
+    _check_channels(count)
+    if longest is not None and longest > CHUNK_BYTES:
+        raise ValueError(f'a message of {longest} bytes')
+    reader = Sqlite3Reader(path)
+    reader.open()
+    return reader
+
+
+def _ros1(path: Path) -> Ros1Reader:
+    with path.open('rb') as stream:
+        stream.readline(80)
+        header = Header.read(stream, RecordType.BAGHEADER)
+    if not header.get_uint64('index_pos'):
+        raise ValueError('it was not closed: mend it with `rosbag reindex`')
+    _check_channels(header.get_uint32('conn_count'))
+    reader = Ros1Reader(path)
+    reader.open()
+    names = {unbounded: name for name, unbounded in decompressors.items()}
+    reader.chunks = {
+        place: chunk._replace(
+            decompressor=partial(unpack, compression=names[chunk.decompressor], size=None)
+        )
+        for place, chunk in reader.chunks.items()
+    }
+    return reader
+
+
+def _check_channels(count: int) -> None:
+    if count > MAX_CHANNELS:
+        raise ValueError(f'{count} channels, more than a robot has')
+
+
+def _info(connection: Connection, encoding: str) -> ChannelInfo:
+    definition = connection.msgdef
+    return ChannelInfo(
+        connection.topic,
+        connection.msgtype,
+        encoding,
+        _ENCODINGS[definition.format.name],
+        definition.data,
+    )
+
 
 BagFile = McapFile | RosbagsFile
 
@@ -30,18 +148,14 @@ def open_files(path: Path, on_warning: Callable[[str], None]) -> tuple[list[BagF
     """
     Files of a bag, and whether each of their messages is compressed by itself.
 
+    Raises `LandmarkNavError`: there is no bag, or a file of it is missing or damaged.
+
     Parameters
     ----------
     path : Path
         A rosbag2 folder, a folder of bag files, or such a file, itself perhaps compressed.
     on_warning : callable
         Gets what had to be passed over, in one line each.
-
-    Raises
-    ------
-    LandmarkNavError
-        There is no bag, or a file of it is missing or damaged.
-
     """
     paths, by_message = _paths(path, on_warning)
     return [_opened(file, on_warning) for file in paths], by_message

@@ -14,8 +14,6 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.storage.reading import read_image, read_text
 from landmark_nav.types import CameraFrame, Sweep
 
-__all__ = ['read_sweep_folder']
-
 _COLUMNS = ('file', 'pan_rad', 'focal_px', 'width', 'height')
 # Of a list, and of all its images together: 36 of 8 million, say.
 _MAX_LIST_BYTES, _MAX_SWEEP_PIXELS = 1_000_000, 300_000_000
@@ -27,11 +25,7 @@ def read_sweep_folder(folder: Path | str) -> Sweep:
 
     Their centre is the principal point; stamps just count.
 
-    Raises
-    ------
-    LandmarkNavError
-        The list or an image is missing, or a value does not fit.
-
+    Raises `LandmarkNavError`: the list or an image is missing, or a value does not fit.
     """
     folder = Path(folder)
     path = folder / 'frames.csv'

@@ -9,15 +9,53 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.coverage import describe_coverage, unseen_arcs
+from landmark_nav.geometry.cylinder import describe_coverage, unseen_arcs
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags.coverage import check_coverage
-from landmark_nav.storage.bags.message_filter import MessageFilter, naming
-from landmark_nav.storage.bags.reader import Bag, BagMessage, once
+from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter, naming, once
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
 
-__all__ = ['read_sweeps']
+
+def check_coverage(
+    bag: Bag,
+    start_ns: int,
+    frames: Sequence[CameraFrame],
+    missing: Sequence[JointSample],
+    *,
+    cut_off: bool,
+) -> bool:
+    """
+    Say which angles a sweep lacks, through the `warn` of its bag.
+
+    Raises `LandmarkNavError`: there is no frame at all.
+
+    Parameters
+    ----------
+    frames : sequence of CameraFrame
+        What there is, by time.
+    missing : sequence of JointSample
+        Where the trajectory says that a frame was taken, but there is none.
+    cut_off : bool
+        Whether the recording broke off in this sweep.
+
+    Returns
+    -------
+    bool
+        Whether the sweep can be used; one that was cut off cannot, unless it is whole.
+    """
+    where = f'{bag.path}: the sweep of {start_ns * 1e-9:.1f} s'
+    pans = [frame.pan_rad for frame in frames]
+    half_fov = frames[0].camera.half_fov_rad if frames else 0.0
+    lacks = describe_coverage(pans, half_fov, [sample.pan_rad for sample in missing])
+    if lacks and cut_off:
+        bag.warn(f'{where} was cut off, {lacks}: left out')
+        return False
+    if not frames:
+        raise LandmarkNavError(f'{where} has no frames, {lacks}: record sweep/image')
+    if lacks:
+        bag.warn(f'{where} is incomplete: {lacks}')
+    return True
+
 
 # Frames that a sweep may have are this close to what its trajectory says.
 _SAME_FRAME_NS = 5_000_000
@@ -59,26 +97,20 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     sweep ends: where there is none, or the bag was cut off before it, ``joint_states`` give it.
     Images that cannot be decoded are left out, unless nothing else sees what they saw.
 
+    Raises `LandmarkNavError`: a topic is missing, a sweep has no frames at all or cannot do
+    without one that is damaged, or an angle cannot be read. Frames that are missing, and
+    directions that nothing sees, go to the bag's `warn`.
+
     Parameters
     ----------
     bag : Bag
         Holds ``sweep/image`` or its compressed form and ``sweep/camera_info``; may hold
         ``sweep/trajectory``, ``sweep/pose`` and ``joint_states``.
-    mount : PanTiltMount
-        Names of the joints.
 
     Yields
     ------
     Sweep
         Frames by time.
-
-    Raises
-    ------
-    LandmarkNavError
-        A topic is missing, a sweep has no frames at all or cannot do without one that is damaged,
-        or an angle cannot be read. Frames that are missing, and directions that nothing sees, go
-        to the bag's `warn`.
-
     """
     topic = bag.require('sweep/image', 'sweep/image/compressed')
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')

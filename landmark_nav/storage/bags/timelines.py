@@ -9,17 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import unwrap_joint
+from landmark_nav.geometry.angles import PanTrack, unwrap_joint
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.pan_track import PanTrack
 from landmark_nav.messages import decode
 from landmark_nav.messages.decode import JointNames
-from landmark_nav.storage.bags.message_filter import MessageFilter
-from landmark_nav.storage.bags.reader import Bag, BagMessage
+from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter
 from landmark_nav.storage.bags.transforms import joints_of_transforms
 from landmark_nav.types import JointSample, Refusal
-
-__all__ = ['CameraInfos', 'JointHistory', 'JointLog', 'logged_joints']
 
 # Pan between two joint states is known if they are this close.
 _MAX_JOINT_GAP_NS = 500_000_000

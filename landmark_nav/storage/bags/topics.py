@@ -6,15 +6,6 @@ from collections.abc import Iterable, Mapping
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = [
-    'MAP_TOPICS',
-    'TOPIC_TYPES',
-    'find_topic',
-    'listed',
-    'relative_name',
-    'remedy_of_missing',
-]
-
 # Latched: who comes later still gets the last one.
 MAP_TOPICS = ('landmarks', 'landmarks/atlas', 'landmarks/markers')
 
@@ -76,6 +67,9 @@ def find_topic(
     """
     Topic of a bag that carries what the contract calls `name`; None if there is none.
 
+    Raises `LandmarkNavError`: several could be it, it is of another type, or the one that is given
+    is not there.
+
     Parameters
     ----------
     name : str
@@ -85,12 +79,6 @@ def find_topic(
     given : mapping, optional
         Topics by their names in the contract, as the user gives them. An image is raw or
         compressed by its type, whichever name it is given for.
-
-    Raises
-    ------
-    LandmarkNavError
-        Several could be it, it is of another type, or the one that is given is not there.
-
     """
     topics = {_normal(topic): topic for topic in types}
     by_user = {

@@ -1,23 +1,22 @@
-"""Pan and tilt out of ``/tf``, where a bag keeps them nowhere else."""
+"""``/tf``: pan and tilt out of it where a bag has them nowhere else, and ``/tf`` out of others."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 import math
 from typing import Any
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.rotation import rotation_rpy
-from landmark_nav.messages import decode
-from landmark_nav.storage.bags.message_filter import MessageFilter
-from landmark_nav.storage.bags.reader import Bag, BagMessage
-from landmark_nav.storage.bags.topics import listed
+from landmark_nav.geometry.se2 import rotation_rpy
+from landmark_nav.messages import decode, encode
+from landmark_nav.messages.factory import default_typestore, rosbag_factory
+from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter
+from landmark_nav.storage.bags.topics import listed, TOPIC_TYPES
 from landmark_nav.types import FloatArray, JointSample
-
-__all__ = ['joints_of_transforms']
 
 # A frame that turns about the pan axis keeps its z axis on it, but for how well that is measured.
 _UPRIGHT = math.cos(0.35)
@@ -35,6 +34,8 @@ def joints_of_transforms(
     The pan is the angle by which the frame that turns with the joint is turned about the pan axis
     of `mount`, the tilt the one by which the frame on it looks up; each with its sign in space.
 
+    Raises `LandmarkNavError`: `frame` is not in ``/tf``, or does not turn about the pan axis.
+
     Parameters
     ----------
     frame : str
@@ -45,12 +46,6 @@ def joints_of_transforms(
     -------
     list
         Empty where the bag has no such frame.
-
-    Raises
-    ------
-    LandmarkNavError
-        `frame` is not in ``/tf``, or does not turn about the pan axis.
-
     """
     topic = bag.find('tf')
     if topic is None:
@@ -146,3 +141,73 @@ def _to_base(frame: str, tree: _Tree, base_frame: str) -> FloatArray:
         frame, step = tree[frame]
         rotation = step @ rotation
     return rotation
+
+
+# Odometry that a fused pose of its stamp is looked for among.
+_KEPT = 100
+
+
+class RobotTransforms:
+    """
+    Transforms of a robot that publishes ``odom``, ``joint_states`` and ``camera/camera_info``.
+
+    The tree is map, odom, base, pan link, tilt link, camera; map to odom follows from
+    ``odometry/fused``.
+    """
+
+    def __init__(self, mount: PanTiltMount) -> None:
+        self._mount = mount
+        self._store, self._factory = default_typestore(), rosbag_factory()
+        self._poses_odom_base: dict[int, FloatArray] = {}
+        self._odom_frame = 'odom'
+        self._optical_frame = ''
+        self._of: dict[str, Callable[[Any], list[encode.Transform]]] = {
+            'odom': self._of_odometry,
+            'odometry/fused': self._of_fused,
+            'joint_states': self._of_joints,
+        }
+
+    @property
+    def topics(self) -> set[str]:
+        """Topics from which transforms follow."""
+        return {'camera/camera_info', *self._of}
+
+    def of(self, topic: str, data: bytes) -> Iterator[tuple[str, Any]]:
+        """Topic and message of the transforms that follow from a message as serialised."""
+        if topic == 'camera/camera_info':
+            info: Any = self._store.deserialize_cdr(data, TOPIC_TYPES[topic])
+            frame = str(info.header.frame_id)
+            if frame != self._optical_frame:
+                self._optical_frame = frame
+                stamp_ns = decode.stamp_ns(info.header)
+                camera = encode.camera_transform(self._mount, frame)
+                yield 'tf_static', encode.transforms(self._factory, stamp_ns, [camera])
+        elif topic in self._of:
+            message: Any = self._store.deserialize_cdr(data, TOPIC_TYPES[topic])
+            if found := self._of[topic](message):
+                stamp_ns = decode.stamp_ns(message.header)
+                yield 'tf', encode.transforms(self._factory, stamp_ns, found)
+
+    def _of_odometry(self, message: Any) -> list[encode.Transform]:
+        sample = decode.odometry(message)
+        known = self._poses_odom_base
+        known[sample.stamp_ns] = sample.pose_odom_base
+        if len(known) > _KEPT:
+            del known[next(iter(known))]
+        self._odom_frame = str(message.header.frame_id)
+        child = str(message.child_frame_id)
+        return [encode.planar_transform(self._odom_frame, child, sample.pose_odom_base)]
+
+    def _of_fused(self, message: Any) -> list[encode.Transform]:
+        fused = decode.pose_estimate(message)
+        pose_odom_base = self._poses_odom_base.get(fused.stamp_ns)
+        if pose_odom_base is None:
+            return []
+        pose_map_odom = se2.compose(fused.pose, se2.inverse(pose_odom_base))
+        return [
+            encode.planar_transform(str(message.header.frame_id), self._odom_frame, pose_map_odom)
+        ]
+
+    def _of_joints(self, message: Any) -> list[encode.Transform]:
+        joints = decode.joint_sample(message, self._mount)
+        return [] if joints is None else list(encode.joint_transforms(self._mount, joints))

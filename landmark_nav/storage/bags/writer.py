@@ -23,8 +23,6 @@ from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags.topics import MAP_TOPICS
 
-__all__ = ['BagWriter']
-
 # `ros2 bag play` latches these again: it publishes each topic as it was offered.
 _LATCHED_TOPICS = {f'/{topic}' for topic in (*MAP_TOPICS, 'tf_static')}
 _NEVER = QosTime(9223372036, 854775807)
@@ -48,18 +46,12 @@ class BagWriter:
     A context manager. The bag appears at `path` when the context ends without an exception;
     until then it grows in a hidden folder beside it.
 
+    Raises `LandmarkNavError`: something is there already.
+
     Parameters
     ----------
-    path : path-like
-        Folder to make.
     overwrite : bool
         Whether a bag that is there may be replaced.
-
-    Raises
-    ------
-    LandmarkNavError
-        Something is there already.
-
     """
 
     def __init__(self, path: Path | str, overwrite: bool = False) -> None:
@@ -116,11 +108,6 @@ class BagWriter:
         ----------
         topic : str
             Absolute or relative name; a relative one is put under ``/``.
-        message : object
-            A rosbags message.
-        stamp_ns : int
-            Log time.
-
         """
         type_name = message.__msgtype__
         data = self._store.serialize_cdr(message, type_name)
@@ -134,15 +121,10 @@ class BagWriter:
 
         Parameters
         ----------
-        topic : str
-            Absolute or relative name.
         type_name : str
             Of a standard message, ``sensor_msgs/msg/Image``.
         data : bytes
             CDR with its four bytes of encapsulation.
-        stamp_ns : int
-            Log time.
-
         """
         topic = '/' + topic.lstrip('/')
         if topic not in self._connections:
