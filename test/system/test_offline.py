@@ -125,7 +125,7 @@ def test_evaluate_reaches_the_figures_and_repeats_them(study, tmp_path, capsys):
         tmp_path / 'short',
         lambda entry: entry.data if entry.stamp_ns < 5005 * 10**9 else None,
     )
-    # The mount is as it says; without sigmas the heading would be that of the wheels' side slip.
+    # The mount is as it says.
     robot, axis = tmp_path / 'robot.yaml', 'xyz: [0.08, 0.0, 1.1]'
     given = Path(study.robot).read_text()
     assert axis in given
@@ -152,6 +152,25 @@ def test_evaluate_reaches_the_figures_and_repeats_them(study, tmp_path, capsys):
     assert whole['realtime_factor'] > 0.0
     assert one['result_hash'] == two['result_hash'] != whole['result_hash']
     assert 'fused' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('off_rad', [0.0, 0.0122])
+def test_a_drive_shows_the_pan_zero_of_a_mount_without_sigmas(study, tmp_path, off_rad):
+    # Reached: 0.15 and 0.14 degrees over all of the drive, the first images included.
+    robot, figures = tmp_path / 'robot.yaml', tmp_path / 'evaluate.json'
+    given, angles = Path(study.robot).read_text(), 'rpy: [0.0, 0.0, 0.0]'
+    assert angles in given
+    robot.write_text(given.replace(angles, f'rpy: [0.0, 0.0, {off_rad}]'))
+    arguments = ['evaluate', str(study.folder / 'drive'), '--map', str(study.learned)]
+    arguments += ['--robot', str(robot), '--start', *study.start, '--json', str(figures)]
+    assert main(arguments) == 0
+    report = json.loads(figures.read_text())
+    assert report['fused']['heading_rmse_deg'] <= 0.2
+    assert report['fused']['position_rmse_m'] <= 0.015
+    assert report['integrity']['undetected_wrong'] == 0
+    yaw = report['calibration']['axis_yaw']
+    assert yaw['observed']
+    assert abs(yaw['value']) <= 3.0 * yaw['sigma'] <= np.radians(0.6)
 
 
 def test_a_drive_without_a_start_finds_its_own_place(study, tmp_path):
