@@ -85,6 +85,8 @@ _CONSTANTS = {
         'bearing_sigma_rad min_sampling max_sampling min_range_m border_px margin_sigmas '
         'hysteresis views fix_window_s gather_s dwell_time_s look_s max_sigma_m',
     ),
+    # slip_m_per_rad, which has another unit, is in its place.
+    'odometry': ('localization/odometry', 'slip_sigma'),
     'look_around': ('localization/triplet', 'after_s dwell_time_s look_s'),
     'detection': (
         'localization/detection',
@@ -171,11 +173,11 @@ def settled(given: Mapping[str, Any], known: Collection[str]) -> Settled:
         elif bare in _OF_THE_ROBOT:
             moved[bare] = _OF_THE_ROBOT[bare]
             robot[moved[bare]] = value
+        elif last in constants.split():
+            gone.setdefault(where, []).append(bare)
         elif section == 'odometry':
             moved[bare] = bare
             robot.setdefault(section, {})[last] = value
-        elif last in constants.split():
-            gone.setdefault(where, []).append(bare)
         else:
             unknown[name] = resembling(name, known) if len(unknown) < _MOST_COMPARED else ''
     return Settled(values, robot, tuple(_warnings(renamed, moved, gone)), unknown)
