@@ -27,7 +27,7 @@ _OF_THE_ROBOT = {
     'command.speed_rad_s': 'pan_rate',
     'triplet.pan_acceleration_rad_s2': 'pan_acceleration',
 }
-# Section -> where its constants are, their names; nothing was ever gained by changing them.
+# Section -> where its constants are, and their names: they describe the method.
 _CONSTANTS = {
     '': (
         'nodes',
@@ -180,23 +180,28 @@ def settled(given: Mapping[str, Any], known: Collection[str]) -> Settled:
             robot.setdefault(section, {})[last] = value
         else:
             unknown[name] = resembling(name, known) if len(unknown) < _MOST_COMPARED else ''
-    return Settled(values, robot, tuple(_warnings(renamed, moved, gone)), unknown)
+    return Settled(values, robot, tuple(_warnings(renamed, moved, robot, gone)), unknown)
 
 
 def _warnings(
-    renamed: Mapping[str, str], moved: Mapping[str, str], gone: Mapping[str, list[str]]
+    renamed: Mapping[str, str],
+    moved: Mapping[str, str],
+    robot: Mapping[str, Any],
+    gone: Mapping[str, list[str]],
 ) -> Iterator[str]:
     for name, now in renamed.items():
         yield f'parameter {name} is now called {now}: its old name ends with the next release'
     for key in dict.fromkeys(key.partition('.')[0] for key in moved.values()):
         names = [name for name, to in moved.items() if to.partition('.')[0] == key]
+        value = robot[key]
+        line = f'section {key}' if isinstance(value, Mapping) else f'{key}: {value}'
         yield (
-            f'{_listed(names)} describes the robot: move it to {key} of robot.yaml, which goes '
-            'before it, until the next release'
+            f'{_listed(names)} describes the robot: write it into robot.yaml ({line}), which goes '
+            'before it; its name here ends with the next release'
         )
     for where, names in gone.items():
         yield (
-            f'{_listed(names)} is not used: no robot or room needed another value, so it is a '
+            f'{_listed(names)} is ignored: it describes the method, not robot or room, and is a '
             f'constant in landmark_nav/{where}'
         )
 

@@ -11,7 +11,11 @@ __all__ = ['EstimatorConfig']
 
 @dataclass(frozen=True)
 class EstimatorConfig(Config):
-    """What varies by how much; the odometry's noise is in `OdometryNoiseConfig`."""
+    """
+    What varies by how much; the odometry's noise is in `OdometryNoiseConfig`.
+
+    What was chosen on which drives: docs/estimator.md, measured. The others are chosen by hand.
+    """
 
     floor_tilt_sigma_rad: float = parameter(
         0.001,
