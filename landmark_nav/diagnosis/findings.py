@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from landmark_nav.errors import one_line
+
 __all__ = ['Delays', 'Diagnosis', 'Finding', 'Level', 'table', 'worst']
 
 Level = Literal['ok', 'warning', 'error']
@@ -41,6 +43,11 @@ class Finding:
     advice: str = ''
     values: dict[str, Any] = field(default_factory=dict)
     when_read: bool = False
+
+    def __post_init__(self) -> None:
+        """Names in messages may hold anything."""
+        object.__setattr__(self, 'measured', one_line(self.measured))
+        object.__setattr__(self, 'advice', one_line(self.advice))
 
     def line(self) -> str:
         """All of it in one line."""

@@ -24,7 +24,9 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import get_typestore, Stores
 import yaml
 
+from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import LearningConfig
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
@@ -199,6 +201,12 @@ def test_bags(kind: str, data: st.DataObject, scratch: Path) -> None:
     enter(lambda: read_all(path))
 
 
+def check_bag(path: Path) -> None:
+    """What `landmark-nav check`, `learn` and `evaluate` begin with."""
+    found = diagnose(Bag(path, lambda _: None), PanTiltMount(), None, QUICK)
+    assert all(finding.line().isprintable() for finding in found.findings), found
+
+
 @FUZZ
 @given(data=st.data())
 def test_bags_of_hostile_messages(data: st.DataObject, scratch: Path) -> None:
@@ -213,3 +221,23 @@ def test_bags_of_hostile_messages(data: st.DataObject, scratch: Path) -> None:
         connection = bag.add_connection(f'/{topic}', TOPIC_TYPES[topic], typestore=store)
         bag.write(connection, 10 * corpus.SECOND_NS, data.draw(changed_bytes(raw)))
     enter(lambda: read_all(path))
+
+
+@FUZZ
+@given(data=st.data())
+def test_checks_of_hostile_drives(data: st.DataObject, scratch: Path) -> None:
+    path = scratch / 'bag'
+    shutil.rmtree(path, ignore_errors=True)
+    messages, store = dict(robot_messages()), default_typestore()
+    hostile = data.draw(st.sampled_from(BAG_TOPICS))
+    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        for topic in BAG_TOPICS:
+            kind, message = TOPIC_TYPES[topic], messages[topic]
+            connection = bag.add_connection(f'/{topic}', kind, typestore=store)
+            valid = store.serialize_cdr(message, kind)
+            for stamp in range(10 * corpus.SECOND_NS, 14 * corpus.SECOND_NS, corpus.SECOND_NS):
+                raw = valid
+                if topic == hostile and data.draw(st.booleans()):
+                    raw = store.serialize_cdr(data.draw(changed_message(kind, message)), kind)
+                bag.write(connection, stamp, raw)
+    enter(lambda: check_bag(path))
