@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from functools import cache
 import os
 from pathlib import Path
@@ -30,7 +31,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import LearningConfig
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
 from landmark_nav.storage.bags.folder import read_sweep_folder
 from landmark_nav.storage.bags.topics import TOPIC_TYPES
 from landmark_nav.storage.config_files import load_config
@@ -241,3 +242,32 @@ def test_checks_of_hostile_drives(data: st.DataObject, scratch: Path) -> None:
                     raw = store.serialize_cdr(data.draw(changed_message(kind, message)), kind)
                 bag.write(connection, stamp, raw)
     enter(lambda: check_bag(path))
+    enter(lambda: list(sensor_events(Bag(path, lambda _: None), PanTiltMount())))
+
+
+SWEEP_TOPICS = ('sweep/image/compressed', 'sweep/camera_info', 'sweep/trajectory', 'sweep/pose')
+
+
+@FUZZ
+@given(data=st.data())
+def test_hostile_sweeps(data: st.DataObject, scratch: Path) -> None:
+    path = scratch / 'bag'
+    shutil.rmtree(path, ignore_errors=True)
+    messages, store = robot_messages(), default_typestore()
+    hostile = data.draw(st.sampled_from(SWEEP_TOPICS))
+    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        for topic in SWEEP_TOPICS:
+            kind, message = TOPIC_TYPES[topic], messages[topic]
+            connection = bag.add_connection(f'/{topic}', kind, typestore=store)
+            for k in range(12):
+                stamp = 10 * corpus.SECOND_NS + k * corpus.SECOND_NS // 10
+                if 'trajectory' in topic and k:
+                    break
+                if topic == hostile and data.draw(st.booleans()):
+                    sent = data.draw(changed_message(kind, message))
+                else:
+                    sent = deepcopy(message)
+                    sent.header.stamp.sec, sent.header.stamp.nanosec = divmod(stamp, 10**9)
+                bag.write(connection, stamp, store.serialize_cdr(sent, kind))
+    enter(lambda: check_bag(path))
+    enter(lambda: list(read_sweeps(Bag(path, lambda _: None), PanTiltMount())))
