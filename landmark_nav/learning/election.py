@@ -65,9 +65,10 @@ class ElectionConfig(Config):
         maximum=1,
     )
     max_range_share: float = parameter(
-        0.05,
-        'greatest standard deviation of how far what hangs on no wall is, as a share of that',
-        minimum=1e-3,
+        0.0,
+        'greatest standard deviation of how far what hangs on no wall is, as a share of that, '
+        'where it is more than max_sigma_m',
+        minimum=0,
         maximum=0.3,
     )
     max_overlap: float = parameter(
@@ -176,9 +177,9 @@ def _refuse(
             return Refusal('its views contradict each other', f'misfit {misfit:.0f}')
         reach = float(np.hypot(*ray))
         toward = np.append(ray / reach, 0.0)
-        share = float(np.sqrt(toward @ own @ toward)) / reach
-        if share > config.max_range_share:
-            return Refusal('too little parallax', f'{share * 100:.0f} % sigma of its distance')
+        along = float(np.sqrt(toward @ own @ toward))
+        if along > max(config.max_sigma_m, config.max_range_share * reach):
+            return Refusal('too little parallax', f'{along * 100:.1f} cm sigma of its distance')
         across = np.eye(3) - np.outer(toward, toward)
         own = across @ own @ across
     sigma = float(np.sqrt(np.linalg.eigvalsh(own)[-1]))

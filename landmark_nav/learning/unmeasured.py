@@ -84,6 +84,13 @@ class UnmeasuredConfig(Config):
         minimum=1e-3,
         maximum=1e9,
     )
+    max_range_share: float = parameter(
+        0.05,
+        'as in the section election, where no wall was measured: what is seen in one direction '
+        'gives a bearing, however far it is',
+        minimum=0,
+        maximum=0.3,
+    )
     sheets: SheetsConfig = field(default_factory=SheetsConfig)
     relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
     facades: FacadesConfig = field(default_factory=FacadesConfig)
@@ -263,7 +270,8 @@ def learn_located(
         tilt_sigma_rad=unmeasured.relative_pose.tilt_sigma_rad,
         wave_sigma_rad=located.poses.wave_sigma_rad,
     )
-    config = replace(config, adjustment=adjustment)
+    election = replace(config.election, max_range_share=unmeasured.max_range_share)
+    config = replace(config, adjustment=adjustment, election=election)
     result = learn_from_panoramas(
         located.panoramas,
         located.room,
