@@ -22,8 +22,8 @@ from landmark_nav.learning.calibration.axis_tilt import leant
 from landmark_nav.learning.facades import (
     FacadesConfig,
     find_facades,
-    located as place_matches,
     open_room,
+    placed_matches,
     room_of,
     SeenPoints,
 )
@@ -174,7 +174,7 @@ def locate(
         poses = relative_poses(features, known, lever, config.relative_pose, sheets, before)
     with log.measure('facades'):
         sigma = config.relative_pose.direction_sigma_rad
-        matched = [place_matches(poses.states, p, lever, sigma) for p in poses.pairs]
+        matched = [placed_matches(poses.states, p, lever, sigma) for p in poses.pairs]
         eyes = np.array([center(state, lever) for state in poses.states])
         joined = SeenPoints.joined([points for points, _ in matched])
         facades = find_facades(joined, config.facades)

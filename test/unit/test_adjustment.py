@@ -232,9 +232,7 @@ def test_ties_join_panoramas_and_are_no_landmarks() -> None:
     measurements = measurements_of(world, rng)
     start, places = world.points, places_of(views)
     alone = adjust(measurements, world.walls, start, views, places, ROOM, CONFIG)
-    joined = adjust(
-        measurements, world.walls, start, views, places, ROOM, CONFIG, ties=ties
-    )
+    joined = adjust(measurements, world.walls, start, views, places, ROOM, CONFIG, ties=ties)
     assert len(joined.positions) == len(joined.own_covariance) == len(joined.chi_square) == 5
 
     def spread(found: FloatArray) -> float:

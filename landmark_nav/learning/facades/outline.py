@@ -83,9 +83,7 @@ def room_of(
     return room
 
 
-def open_room(
-    points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame_id: str
-) -> Room:
+def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame_id: str) -> Room:
     """
     Room around all that is seen, where facades make none; nothing is known to be on its walls.
 

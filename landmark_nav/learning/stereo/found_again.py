@@ -84,8 +84,8 @@ def find_again(
             patch, measurements = again
             if not patch.on_wall:
                 azimuth = float(panorama.cylinder.azimuth_rad(candidate.column))
-                _, behind = room.raycast(panorama.center_map[:2], azimuth + panorama.heading_rad)
-                patch = replace(patch, wall=int(behind))
+                _, wall = room.raycast(panorama.center_map[:2], azimuth + panorama.heading_rad)
+                patch = replace(patch, wall=int(wall))
             found.outcomes[i].append(Refusal('not elected'))
             found.patches.append(patch)
             found.measurements.append(measurements)

@@ -138,7 +138,12 @@ def is_off_wall(
         distance = _distance(patch, seen, here, there, config)
         if distance is None:
             return False
-        slack = _SLACK_RAD * distance * reach / float(np.hypot(*(there.center_map - here.center_map)[:2]))
+        slack = (
+            _SLACK_RAD
+            * distance
+            * reach
+            / float(np.hypot(*(there.center_map - here.center_map)[:2]))
+        )
         off.append(abs(1.0 - distance / reach) * _normal_reach(patch, here) - slack)
     return min(off) > config.max_off_wall_m
 
@@ -151,9 +156,7 @@ class _Depth(NamedTuple):
     agreed: bool = False
 
 
-def _known_depth(
-    candidate: Candidate, panorama: Panorama, depths: Depths | None
-) -> _Depth | None:
+def _known_depth(candidate: Candidate, panorama: Panorama, depths: Depths | None) -> _Depth | None:
     """Distance that features about a candidate have; None if there are none."""
     if depths is None:
         return None
@@ -264,7 +267,7 @@ def _turned(
     here, there = panoramas[source], panoramas[other]
     distance, near_m, _ = at
     best: tuple[float, float, float, WallPatch] | None = None
-    turns = _TURNS
+    turns: tuple[float, ...] = _TURNS
     for finer in (*_FINER, None):
         for turn in turns:
             patch = _patch(candidate, source, distance, turn, here, there)
@@ -311,9 +314,8 @@ def _near(
         return found
     ratio = _normal_reach(patch, here) / _normal_reach(patch, there)
     missed = abs(found.log_nearer - float(np.log(ratio)))
-    if np.isfinite(found.sigma_log_nearer):
-        if missed > _MAX_SIZE + _SIZE_SIGMAS * found.sigma_log_nearer:
-            return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
+    if missed > _MAX_SIZE + _SIZE_SIGMAS * found.sigma_log_nearer:
+        return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
     return found
 
 
