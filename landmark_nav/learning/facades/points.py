@@ -11,7 +11,7 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
 from landmark_nav.types import FloatArray
 
-__all__ = ['SeenPoints', 'located', 'seen_points']
+__all__ = ['SeenPoints', 'placed_matches', 'seen_points']
 
 # Depth that is less certain says nothing of a facade, m; what is seen in two directions that
 # differ by less has no depth, rad.
@@ -66,10 +66,10 @@ def seen_points(
         Standard deviation of a direction.
 
     """
-    return SeenPoints.joined([located(states, p, lever, sigma_rad)[0] for p in pairs])
+    return SeenPoints.joined([placed_matches(states, p, lever, sigma_rad)[0] for p in pairs])
 
 
-def located(
+def placed_matches(
     states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
 ) -> tuple[SeenPoints, RayPairs]:
     """Points of matches between two views, arguments as above; matches that have a depth."""

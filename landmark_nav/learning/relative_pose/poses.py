@@ -120,7 +120,6 @@ def relative_poses(
         sources that contradict panoramas or each other.
 
     """
-    count = len(features)
     if before is None:
         start, pairs = _found(features, known, lever, config, sheets)
     else:

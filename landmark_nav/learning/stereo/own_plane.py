@@ -139,7 +139,12 @@ def is_off_wall(
         distance = _distance(patch, seen, here, there, config)
         if distance is None:
             return False
-        slack = _SLACK_RAD * distance * reach / float(np.hypot(*(there.center_map - here.center_map)[:2]))
+        slack = (
+            _SLACK_RAD
+            * distance
+            * reach
+            / float(np.hypot(*(there.center_map - here.center_map)[:2]))
+        )
         off.append(abs(1.0 - distance / reach) * _normal_reach(patch, here) - slack)
     return min(off) > config.max_off_wall_m
 
@@ -152,9 +157,7 @@ class _Depth(NamedTuple):
     agreed: bool = False
 
 
-def _known_depth(
-    candidate: Candidate, panorama: Panorama, depths: Depths | None
-) -> _Depth | None:
+def _known_depth(candidate: Candidate, panorama: Panorama, depths: Depths | None) -> _Depth | None:
     """Distance that features about a candidate have; None if there are none."""
     if depths is None:
         return None
@@ -265,7 +268,7 @@ def _turned(
     here, there = panoramas[source], panoramas[other]
     distance, near_m, _ = at
     best: tuple[float, float, float, WallPatch] | None = None
-    turns = _TURNS
+    turns: tuple[float, ...] = _TURNS
     for finer in (*_FINER, None):
         for turn in turns:
             patch = _patch(candidate, source, distance, turn, here, there)
@@ -315,7 +318,7 @@ def _near(
     point = there.center_map + ray * _normal_reach(patch, there) / float(-ray @ patch.normal)
     nearer, sigma = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
     missed = abs(nearer - np.log(_normal_reach(patch, here) / _normal_reach(patch, there)))
-    if np.isfinite(sigma) and missed > _MAX_SIZE + _SIZE_SIGMAS * sigma:
+    if missed > _MAX_SIZE + _SIZE_SIGMAS * sigma:
         return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
     return found
 

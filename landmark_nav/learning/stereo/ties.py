@@ -29,4 +29,6 @@ class Ties:
         """Where a panorama shows them, (m, 2)."""
         shown = [s for group in self.measurements for s in group if s.panorama == panorama]
         azimuth, tangent = np.array([(s.azimuth_rad, s.tangent) for s in shown]).reshape(-1, 2).T
-        return np.stack([cylinder.column_of(azimuth) % cylinder.width, cylinder.row_of(tangent)], 1)
+        return np.stack(
+            [cylinder.column_of(azimuth) % cylinder.width, cylinder.row_of(tangent)], 1
+        )
