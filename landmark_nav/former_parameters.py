@@ -83,7 +83,7 @@ _CONSTANTS = {
     'triplet': (
         'localization/triplet',
         'bearing_sigma_rad min_sampling max_sampling min_range_m border_px margin_sigmas '
-        'hysteresis fix_window_s gather_s dwell_time_s look_s max_sigma_m',
+        'hysteresis views fix_window_s gather_s dwell_time_s look_s max_sigma_m',
     ),
     'look_around': ('localization/triplet', 'after_s dwell_time_s look_s'),
     'detection': (

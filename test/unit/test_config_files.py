@@ -86,7 +86,6 @@ def test_a_file_of_the_last_release_is_taken_with_warnings(
     robot = tmp_path / 'robot.yaml'
     robot.write_text(ROBOT.read_text() + 'odometry: {slip_sigma: 0.25}\n')
     config = load(tmp_path, text, robot=robot)
-    assert config.triplet.views == 'several'
     assert config.triplet.hysteresis == PLAIN.triplet.hysteresis
     # The robot's file goes before what is moved there.
     assert (config.odometry.along_m_per_sqrt_m, config.odometry.slip_sigma) == (0.5, 0.25)
