@@ -116,7 +116,7 @@ def test_facts_of_the_robot_still_come_from_where_they_were(
     [
         (for_all('fusion: 1'), "no parameter 'fusion'"),
         (for_all('capture: {fraems: 3}'), "no parameter 'capture.fraems': .* capture.frames"),
-        (for_all('triplet: {views: x}'), 'parameter type .* take one of'),
+        (for_all('command: {type: x}'), 'parameter type .* take one of'),
         (for_all('estimator: 3'), "no parameter 'estimator'"),
         (for_all('capture: {frames: soon}'), "frames is 'soon': take a whole number"),
         (for_all('capture: {frames: true}'), 'frames is True: take a whole number'),
