@@ -46,9 +46,10 @@ lint: install
 test-offline: install
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
 
-# One after the other: these start nodes as processes of their own.
+# These start nodes as processes of their own, each test in a ROS domain of its own. The demo takes
+# a process for half of the time.
 test-nodes: install test-offline
-	$(BIN)/pytest -q test/nodes
+	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py test/nodes
 
 bench: install
 	$(BIN)/landmark-nav bench
@@ -56,58 +57,58 @@ bench: install
 # Rooms that nothing was tuned on, one line a room.
 SEEDS ?= 901 902 903 904 905
 rooms: install
-	$(BIN)/python test/rooms.py --seeds $(SEEDS)
+	$(BIN)/python test/benchmarks rooms --seeds $(SEEDS)
 
 # Other cameras and other rooms than those of the simulator's own making.
 variety: install
-	for camera in test/setups/camera_*.yaml; do $(BIN)/python test/rooms.py --seeds 71 --camera $$camera || failed=1; done; \
-	for room in test/setups/room_*.yaml; do $(BIN)/python test/rooms.py --seeds 72 --room $$room || failed=1; done; \
+	for camera in test/setups/camera_*.yaml; do $(BIN)/python test/benchmarks rooms --seeds 71 --camera $$camera || failed=1; done; \
+	for room in test/setups/room_*.yaml; do $(BIN)/python test/benchmarks rooms --seeds 72 --room $$room || failed=1; done; \
 	test -z "$$failed"
 
 # Landmarks of the same rooms against the truth: where they are, and from where they are found.
 landmarks: install
-	$(BIN)/python test/landmark_check.py --area --seeds $(SEEDS)
+	$(BIN)/python test/benchmarks landmarks --area --seeds $(SEEDS)
 
 # On one drive's bag: this, and what else one could do. Needs DRIVE, LEARN, MAP, ROBOT; START "X Y THETA".
 alternatives: install
-	$(BIN)/python test/alternatives.py $(DRIVE) --learn $(LEARN) --map $(MAP) --robot $(ROBOT) --start $(START)
+	$(BIN)/python test/benchmarks alternatives $(DRIVE) --learn $(LEARN) --map $(MAP) --robot $(ROBOT) --start $(START)
 
 # The active camera against a fixed one and random triplets, in rooms that nothing was tuned on.
 cameras: install
-	$(BIN)/python test/camera_check.py --seeds $(SEEDS)
+	$(BIN)/python test/benchmarks cameras --seeds $(SEEDS)
 
 # A million triangulated triplets against the same equations in C; needs a C compiler.
 triangulation: install
-	$(BIN)/python test/triangulation_check.py
+	$(BIN)/python test/benchmarks triangulation
 
 # From image to corrected pose on the live graph.
 latency: install
-	$(BIN)/python test/live_latency.py $(DRIVE) --map $(MAP) --room $(ROOM) --robot $(ROBOT) --start $(START)
+	$(BIN)/python test/benchmarks latency $(DRIVE) --map $(MAP) --room $(ROOM) --robot $(ROBOT) --start $(START)
 
 # Places that papers tell, errors against covariances.
 papers: install
-	$(BIN)/python test/papers_check.py
+	$(BIN)/python test/benchmarks papers
 
 # Sweeps that went wrong, through `learn`: a map that is right, or a clear refusal.
 bad-sweeps: install
-	$(BIN)/python test/bad_sweeps_check.py
+	$(BIN)/python test/benchmarks bad_sweeps
 
 # Learning without a plan: simulated rooms, and the study; scale from odometry.
 UNMEASURED ?= 801 802 803
 unmeasured: install
-	$(BIN)/python test/unmeasured_check.py --study --seeds $(UNMEASURED)
+	$(BIN)/python test/benchmarks unmeasured --study --seeds $(UNMEASURED)
 
 # Errors of robot.yaml at driving and at learning, on the study.
 calibration: install
-	$(BIN)/python test/calibration_check.py
+	$(BIN)/python test/benchmarks calibration
 
 # A drive with errors in its streams and images; bags/ or, all five given, DRIVE, MAP, ROBOT, ROOM; START "X Y THETA".
 degraded: install
-	$(BIN)/python test/degraded_check.py $(if $(DRIVE),$(DRIVE) --map $(MAP) --robot $(ROBOT) --room $(ROOM) --start $(START))
+	$(BIN)/python test/benchmarks degraded $(if $(DRIVE),$(DRIVE) --map $(MAP) --robot $(ROBOT) --room $(ROOM) --start $(START))
 
 # A drive with faults of odometry, joints, camera and clock. Needs DRIVE, MAP, ROBOT; START "X Y THETA".
 faults: install
-	$(BIN)/python test/faults_check.py $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START)
+	$(BIN)/python test/benchmarks faults $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START)
 
 # Hostile files, bags and messages at every door: N inputs each, others than in CI and every time.
 N ?= 1000

@@ -14,6 +14,7 @@ NODES = (
     'odometry_fusion',
     'room_simulator',
     'bag_player',
+    'all_nodes',
 )
 # Whose layouts show the topics of the nodes.
 VIEWERS = ('rviz', 'foxglove', 'plotjuggler')

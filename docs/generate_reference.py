@@ -84,7 +84,7 @@ SERVICES = {
     'load_map': 'reads it from there',
     'clear_panoramas': 'forgets the panoramas',
     'relocalize': 'finds the pose without a prior, for at most `relocalization.search_s`',
-    'calibrate': 'improves `robot.yaml` by what the drive has shown',
+    'calibrate': 'writes what the drive has shown of `robot.yaml` to a file beside it',
 }
 
 

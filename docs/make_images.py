@@ -19,6 +19,7 @@ SETUP = ('--room', str(BAGS / 'room.yaml'), '--robot', str(BAGS / 'robot.yaml'))
 MOST_BYTES = 200_000
 
 COMMANDS = (
+    ('figures', '--out', 'figures'),
     ('learn', str(BAGS / 'learn'), *SETUP, '--out', 'map'),
     ('evaluate', str(BAGS / 'drive'), '--map', 'map', *SETUP[2:], '--out', 'drive'),
     ('demo', '--out', 'demo'),
@@ -70,8 +71,6 @@ def save_reduced(image: Image.Image, target: Path) -> None:
 def main() -> None:
     """Run the commands, keep what they draw."""
     with TemporaryDirectory() as folder:
-        drawn = [sys.executable, str(DOCS / 'paper_figures' / 'draw.py'), '--out', 'figures']
-        subprocess.run(drawn, cwd=folder, check=True)
         for command in COMMANDS:
             call = [sys.executable, '-m', 'landmark_nav', *command]
             subprocess.run(call, cwd=folder, check=True)

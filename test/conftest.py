@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+import fcntl
 import os
 from pathlib import Path
 
@@ -15,6 +17,9 @@ os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 settings.register_profile('any machine', deadline=None)
 settings.load_profile('any machine')
 
+# Makes a folder of that name once for all processes of a run.
+Once = Callable[[str, Callable[[Path], object]], Path]
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
@@ -25,3 +30,32 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f'{folder} is not there')
     return folder
+
+
+@pytest.fixture(scope='session')
+def once(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Make a folder of that name once for all processes of a run, and return it."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if 'PYTEST_XDIST_WORKER' in os.environ else base
+
+    def made(name: str, make: Callable[[Path], object]) -> Path:
+        folder = shared / f'once_{name}'
+        with (shared / f'{name}.lock').open('w') as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (folder / 'made').exists():
+                folder.mkdir()
+                make(folder)
+                (folder / 'made').touch()
+        return folder
+
+    return made
+
+
+@pytest.fixture(scope='session')
+def recorded(once: Once) -> Path:
+    """Folder of what `learn` and `evaluate` make of bags/: `map`, `learn.json`, `run.json`."""
+    from small import recorded_room
+
+    return once('recorded', recorded_room)

@@ -17,6 +17,7 @@ _SERVICES = {
     'load_map': 'read the map of the folder',
     'clear_panoramas': 'forget the panoramas',
     'relocalize': 'find the place of the robot without a prior',
+    'calibrate': 'write what the drive has shown of robot.yaml beside it',
 }
 
 

@@ -23,6 +23,7 @@ from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.report import (
     check_report,
+    drawn_panoramas,
     drive_page,
     FrameStrip,
     write_report,
@@ -279,6 +280,7 @@ def run(args: argparse.Namespace) -> int:
             done, errors, landmarks, done.calibration or calibration, strip, smoothed,
         )  # fmt: skip
         if args.report:
+            page['data']['panoramas'] = drawn_panoramas(Path(args.map))
             write_report(args.report, page)
         if args.video:
             write_video(args.video, page)

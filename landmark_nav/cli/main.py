@@ -85,6 +85,11 @@ COMMANDS = {
         'batch jobs.yaml --out results --against earlier',
     ),
     'map': ('maps', 'list, check, compare, join maps', 'map show map'),
+    'figures': (
+        'figures',
+        'draw the figures of Livatino and Madsen from own data',
+        'figures --out figures',
+    ),
     'bench': ('bench', 'time every stage beside a reference', 'bench --json bench.json'),
     'completion': (
         'completion',

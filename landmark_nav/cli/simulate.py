@@ -18,7 +18,12 @@ from landmark_nav.cli.options import add_overwrite
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
-from landmark_nav.simulation.furnishing import another_day, exchange_posters, generate_scene
+from landmark_nav.simulation.furnishing import (
+    another_day,
+    exchange_posters,
+    generate_scene,
+    hang_tags,
+)
 from landmark_nav.simulation.pan_control import PanControl
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
 from landmark_nav.simulation.recording import (
@@ -145,6 +150,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'sweeps and drive (default 0)',
     )
     parser.add_argument(
+        '--tags',
+        type=within(float, 0.3, 10),
+        metavar='M',
+        help='hang AprilTags (36h11, 16 cm) every M metres where the walls are free; scene.json '
+        'says where',
+    )
+    parser.add_argument(
         '--exact',
         action='store_true',
         help='write room.yaml and robot.yaml exactly as they are (default: as a person with a '
@@ -160,6 +172,8 @@ def run(args: argparse.Namespace) -> int:
     scene = generate_scene(args.seed, room)
     rng = np.random.default_rng([args.seed, 30])
     poses = _sweep_poses(scene, args.sweeps, rng)
+    if args.tags:
+        scene = replace(scene, items=hang_tags(scene, args.tags))
     later = another_day(scene, rng) if args.light_change else scene
     if args.exchange:
         other = np.random.default_rng([args.seed, 31])

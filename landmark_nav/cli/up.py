@@ -58,6 +58,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=('auto', 'raw', 'compressed'),
         help='form of camera/image_raw (default: that of the parameters, auto)',
     )
+    parser.add_argument(
+        '--composed',
+        action='store_true',
+        help='run all nodes in one process: less memory, but learning holds up localization',
+    )
     add_config(parser)
     add_namespace(parser)
 
@@ -91,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
             image_transport='compressed' if args.sim else args.image_transport or '',
             parameter_file=args.config and Path(args.config).resolve(),
             namespace=args.namespace,
+            composed=args.composed,
         )
         print(f'ROS domain {chosen_domain() or 0}; robot file {robot}; room file {room or "none"}')
         print('Ctrl-C ends all. In another terminal: landmark-nav status', flush=True)

@@ -12,6 +12,8 @@ from landmark_nav.storage.config_files import shipped_config
 
 __all__ = ['node_command', 'node_commands', 'node_environment']
 
+_ALL = 'all_nodes'
+
 
 def node_command(
     name: str, namespace: str = '', parameter_file: Path | None = None, **parameters: object
@@ -36,10 +38,11 @@ def node_commands(
     load_on_start: bool = False,
     image_transport: str = '',
     namespace: str = '',
+    composed: bool = False,
     parameter_file: Path | None = None,
 ) -> dict[str, list[str]]:
     """
-    Command line of each node, by its name.
+    Command line of each node, by its name; or of one process for all but the simulator.
 
     Without `room_file` walls and poses are found. `simulator` is what the simulated robot is given
     beside `robot_file`; without it there is none.
@@ -58,6 +61,8 @@ def node_commands(
         'triangulation_localizer': camera,
         'odometry_fusion': {'robot_file': robot},
     }
+    if composed:
+        given = {_ALL: {k: v for one in given.values() for k, v in one.items()}}
     if simulator is not None:
         given = {'room_simulator': {'robot_file': robot, **simulator}} | given
     return {

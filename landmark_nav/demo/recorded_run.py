@@ -12,6 +12,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
+from landmark_nav.localization.estimator.integrity import ProtectionLevel
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation
 from landmark_nav.messages import decode
@@ -50,8 +51,8 @@ SWEEP_TOPICS = (
 T = TypeVar('T')
 
 _NOT_RECORDED = Refusal('not recorded')
-# DiagnosticStatus.ERROR, which rosbags reads as a number.
-_ERROR = 2
+# By the levels OK, WARN and ERROR of DiagnosticStatus, which rosbags reads as numbers.
+_STATUS = ('tracking', 'coasting', 'lost')
 
 
 def recorded_run(bag: Bag) -> Replay:
@@ -73,6 +74,10 @@ def recorded_run(bag: Bag) -> Replay:
     truth = _read(bag, 'ground_truth/odom', decode.pose_estimate)
     fixes = {e.stamp_ns: e for e in _read(bag, 'triangulation/pose', decode.pose_estimate)}
     found = {e.stamp_ns: e for e in _read(bag, 'detections', decode.detections)}
+    levels = {
+        e.stamp_ns: ProtectionLevel.unscaled(e)
+        for e in _read(bag, 'odometry_fusion/protection_level', decode.pose_estimate)
+    }
     started = [stamp for stamp in sorted(fused) if stamp in odometry]
     if not started:
         raise LandmarkNavError(f"{bag.path}: odometry/fused never came: see the nodes' logs")
@@ -81,9 +86,9 @@ def recorded_run(bag: Bag) -> Replay:
     stamps = [s for s in images if started[0] <= s <= fused_track.stamps_ns[-1]]
     if not stamps:
         raise LandmarkNavError(f'{bag.path}: no image was recorded while driving')
-    lost = _lost_at(bag, np.array(stamps, dtype=np.int64))
+    states = _states_at(bag, np.array(stamps, dtype=np.int64))
     updates = []
-    for stamp, pose, is_lost in zip(stamps, fused_track.at(stamps), lost, strict=True):
+    for stamp, pose, (status, reason) in zip(stamps, fused_track.at(stamps), states, strict=True):
         nearest = min(fused, key=lambda other: abs(other - stamp))
         seen = found.get(stamp, _nothing(stamp))
         updates.append(
@@ -92,8 +97,9 @@ def recorded_run(bag: Bag) -> Replay:
                 Observation(seen, {}, partial(_or_refusal, fixes.get(stamp))),
                 len(seen),
                 PoseEstimate(stamp, pose, fused[nearest].covariance),
-                'lost' if is_lost else 'tracking',
-                '',
+                status,
+                '' if status == 'tracking' else reason,
+                level=levels.get(nearest),
             )
         )
     track = PoseTrack.of(odometry.items())
@@ -114,16 +120,16 @@ def _read(bag: Bag, name: str, decoder: Callable[[Any], T]) -> list[T]:
     return [decoder(entry.message) for entry in bag.messages([topic])] if topic else []
 
 
-def _lost_at(bag: Bag, stamps_ns: Any) -> list[bool]:
-    """Last report of the fusion at each image; not lost before the first."""
-    states: list[tuple[int, bool]] = [(0, False)]
+def _states_at(bag: Bag, stamps_ns: Any) -> list[tuple[str, str]]:
+    """Last report of the fusion at each image, status and reason; not lost before the first."""
+    states = [(0, 'tracking', '')]
     for entry in bag.messages(['/diagnostics']):
         for status in entry.message.status:
             if status.name.startswith('odometry_fusion:'):
                 stamp = decode.stamp_ns(entry.message.header)
-                states.append((stamp, int(status.level) == _ERROR))
-    last = np.searchsorted([stamp for stamp, _ in states], stamps_ns, side='right') - 1
-    return [states[k][1] for k in last]
+                states.append((stamp, _STATUS[min(int(status.level), 2)], status.message))
+    last = np.searchsorted([stamp for stamp, *_ in states], stamps_ns, side='right') - 1
+    return [states[k][1:] for k in last]
 
 
 def _or_refusal(fix: PoseEstimate | None) -> PoseEstimate | Refusal:

@@ -9,6 +9,7 @@ from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import (
     aligned,
     aligned_report,
+    integrity_report,
     pose_report,
     run_errors,
     RunErrors,
@@ -42,9 +43,10 @@ def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay
     A map of its own frame has them after alignment; the run is then in the metre of the map.
     """
     walls = len({landmark.wall_id for landmark in landmarks.landmarks})
-    of_run = {'spells': spells(run), 'walls': walls}
+    of_run: dict[str, Any] = {'spells': spells(run), 'walls': walls}
     if not landmarks.has_own_frame:
         errors = run_errors(run)
+        of_run['integrity'] = integrity_report(run, errors)
         return pose_report(run, errors, landmarks) | of_run, run, errors
     rigid, (run, errors, alignment) = aligned(run, scaled=False)[1], aligned(run, scaled=True)
     in_frame = aligned_report(rigid, errors, alignment)

@@ -118,6 +118,11 @@ def camera_finding(error: CameraError) -> Finding:
     }
     name, text, advice = {
         **of_lens,
+        'size': (
+            'camera lens',
+            f'its K is of images {share:.0f} % {"smaller" if value > 0.0 else "larger"}',
+            'publish K of the size that is published, or binning and roi with K of the full image',
+        ),
         'tilt': (
             'camera tilt',
             f'looks {degrees:.0f} deg {"higher" if value > 0.0 else "lower"} than mount and tilt '
@@ -199,7 +204,7 @@ def _named(cause: Cause) -> Finding:
         return Finding(
             'joint names',
             'error',
-            f'joint {cause.name} turns as the camera does, pan_joint does not',
+            f'joint {cause.name} turns as the camera does, that of robot.yaml does not',
             f'set pan_joint: {cause.name} in robot.yaml',
             {'pan_joint': cause.name},
         )
@@ -216,6 +221,14 @@ def _named(cause: Cause) -> Finding:
             'error',
             'summed up, the pan is what the images turn by: it holds speeds, not angles',
             'publish angles as position in joint_states',
+        )
+    if cause.kind == 'filter':
+        return Finding(
+            'pan filter',
+            'error',
+            f'the pan follows the images as behind a filter of {abs(value):.2f} s',
+            'publish what the encoder measures, not what a controller or a smoother makes of it',
+            {'filter_s': value},
         )
     if cause.kind == 'heading':
         return Finding(

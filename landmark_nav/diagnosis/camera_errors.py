@@ -42,7 +42,8 @@ _WIDTH, _MOST_CORNERS = 320, 400
 # Matches farther from the homography of most, pixels, are mistaken or very near.
 _APART_PX, _LEAST_MATCHES = 6.0, 12
 _FREEDOM, _ITERATIONS = 3.0, 8
-_LEAST_SIGMA_RAD = 2e-4
+# Points are not tracked better, whatever agrees.
+_LEAST_SIGMA_PX = 0.1
 # Matches of one pair share what their depths do: as many as these are independent.
 _INDEPENDENT = 4
 _MOST_MATCHES, _SPACING_PX, _TRACKED_PX = 50, 12.0, 20.0
@@ -167,6 +168,13 @@ def _lens(setup: CameraSetup, **change: Any) -> CameraSetup:
     return replace(setup, camera=replace(setup.camera, **change))
 
 
+def _sized(setup: CameraSetup, share: float) -> CameraSetup:
+    """A calibration of an image that is so many times as large as it is taken for."""
+    c = setup.camera
+    middle = {'cx': share * (c.cx + 0.5) - 0.5, 'cy': share * (c.cy + 0.5) - 0.5}
+    return _lens(setup, fx=share * c.fx, fy=share * c.fy, **middle)
+
+
 def _bent(setup: CameraSetup, value: float) -> CameraSetup:
     first, *rest = setup.camera.coefficients.tolist()
     return replace(setup, camera=replace(setup.camera, distortion=(first + value, *rest)))
@@ -192,17 +200,21 @@ class _Error:
 
 _QUARTER = 0.5 * np.pi
 _ERRORS = {
-    'tilt': _Error(lambda s, v: replace(s, tilt_rad=s.tilt_rad + v), 1.0),
-    'axis pitch': _Error(lambda s, v: _mounted(s, pitch=v), 1.0),
-    'axis roll': _Error(lambda s, v: _mounted(s, roll=v), 1.0),
-    'roll': _Error(_rolled, 0.6, starts=(0.0, _QUARTER, -_QUARTER, np.pi)),
+    'tilt': _Error(lambda s, v: replace(s, tilt_rad=s.tilt_rad + v), _QUARTER),
+    'axis pitch': _Error(lambda s, v: _mounted(s, pitch=v), _QUARTER),
+    'axis roll': _Error(lambda s, v: _mounted(s, roll=v), _QUARTER),
+    # By half a turn, nothing that turns shows which way up images are; the pan does.
+    'roll': _Error(_rolled, 0.6, starts=(0.0, _QUARTER, -_QUARTER)),
     'focal length': _Error(
-        lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v), fy=s.camera.fy * np.exp(v)), 0.7
+        lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v), fy=s.camera.fy * np.exp(v)),
+        0.7,
+        starts=(0.0, -1.4, 1.4, -2.8, 2.8, 4.2),
     ),
+    'size': _Error(lambda s, v: _sized(s, np.exp(v)), 0.7, starts=(0.0, -1.4, 1.4)),
     'fx': _Error(lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v)), 0.7),
     'fy': _Error(lambda s, v: _lens(s, fy=s.camera.fy * np.exp(v)), 0.7),
-    'cx': _Error(lambda s, v: _lens(s, cx=s.camera.cx + v * s.camera.fx), 0.4),
-    'cy': _Error(lambda s, v: _lens(s, cy=s.camera.cy + v * s.camera.fy), 0.4),
+    'cx': _Error(lambda s, v: _lens(s, cx=s.camera.cx + v * s.camera.fx), 0.6),
+    'cy': _Error(lambda s, v: _lens(s, cy=s.camera.cy + v * s.camera.fy), 0.6),
     'distortion': _Error(_bent, 0.4),
 }
 
@@ -279,9 +291,12 @@ def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> t
 
     def badness(value: float) -> float:
         try:
-            return -_score(matches, error.change(setup, value))
-        except LandmarkNavError:
+            # Far from the truth, rays may have no pixel.
+            with np.errstate(all='ignore'):
+                score = _score(matches, error.change(setup, value))
+        except (LandmarkNavError, np.linalg.LinAlgError):
             return np.inf  # no lens
+        return -score if np.isfinite(score) else np.inf
 
     tried = [s + d * error.reach for s in error.starts for d in _TRIED]
     scores = [badness(value) for value in tried]
@@ -324,9 +339,11 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
     moved = np.stack(
         [wrap_rad(azimuth_after - azimuth - turn[k]), (slope_after - slope) * level], -1
     )
-    # Depths disturb azimuths more than elevations.
-    residuals = moved
-    sigma = np.maximum(np.median(np.abs(moved), axis=0), _LEAST_SIGMA_RAD)
+    # Depths disturb azimuths more than elevations. What was measured are pixels, whatever angle a
+    # lens gives them.
+    residuals, log_area = moved, _log_angle_per_px(matches, setup)
+    least = _LEAST_SIGMA_PX * np.exp(0.5 * log_area)
+    sigma = np.maximum(np.median(np.abs(moved), axis=0), least)
     for _ in range(_ITERATIONS):
         weights = (_FREEDOM + 1.0) / (_FREEDOM + (residuals / sigma) ** 2)
         weighted = (weights / sigma**2)[..., None] * columns
@@ -336,11 +353,9 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
         right = _sums(np.einsum('nri,nr->ni', weighted, moved), k)
         local = np.linalg.solve(information, right[..., None])[..., 0]
         residuals = moved - np.einsum('nri,ni->nr', columns, local[k])
-        sigma = np.maximum(np.sqrt(np.mean(weights * residuals**2, axis=0)), _LEAST_SIGMA_RAD)
+        sigma = np.maximum(np.sqrt(np.mean(weights * residuals**2, axis=0)), least)
     each = -np.log(sigma) - 0.5 * (_FREEDOM + 1.0) * np.log1p((residuals / sigma) ** 2 / _FREEDOM)
-    # What was measured are pixels, whatever angle a lens gives them.
-    in_pixels = each.sum(1).mean() + _log_angle_per_px(matches, setup)
-    return float(0.5 * _INDEPENDENT * (k[-1] + 1) * in_pixels)
+    return float(0.5 * _INDEPENDENT * (k[-1] + 1) * (each.sum(1).mean() + log_area))
 
 
 def _log_angle_per_px(matches: Matches, setup: CameraSetup) -> float:

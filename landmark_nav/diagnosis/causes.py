@@ -68,9 +68,9 @@ class Cause:
     stream : str
         Whose fault: ``images``, ``joint_states``, ``odom`` or ``pan_axis``.
     kind : str
-        ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed`` and ``heading``
-        (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``, ``left``,
-        ``offset`` and ``upside down`` (of the mount).
+        ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed``, ``filter`` and
+        ``heading`` (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``,
+        ``left``, ``offset`` and ``upside down`` (of the mount).
     motion : Motion
         Without the fault.
     left : Fit
@@ -238,7 +238,14 @@ def _others(motion: Motion) -> Iterator[Cause]:
     # A camera the other way up sees what one sees whose robot turns the other way.
     hanging = replace(motion, turns_rad=-motion.turns_rad, pan=replace(pan, values=-pan.values))
     yield _cause(MOUNT, 'upside down', hanging, 1 if motion.hangs else 3)
+
+    def sharp(seconds: float) -> Motion:
+        # Before a filter of the first order.
+        rate = np.gradient(pan.values[:, 0], pan.seconds) if len(pan.seconds) > 1 else 0.0
+        return replace(motion, pan=replace(pan, values=pan.values + seconds * np.c_[rate]))
+
     for stream, kind, reach, change in (
+        (JOINTS, 'filter', 1.0, sharp),
         (ODOMETRY, 'bias', 1.0, lambda value: again(bias_rad_s=value)),
         (ODOMETRY, 'curve', 3.0, lambda value: again(curve_rad_m=value)),
         (MOUNT, 'ahead', 2.0, lambda value: moved(value, 0.0)),

@@ -55,6 +55,38 @@ class Finding:
         }
 
 
+@dataclass(frozen=True)
+class Delays:
+    """
+    By how much streams are stamped late, seconds, where that is to be taken off.
+
+    `pan_sigma_s` is the sigma of what the first two do to the pan of an image.
+    """
+
+    images_s: float = 0.0
+    joints_s: float = 0.0
+    odometry_s: float = 0.0
+    pan_sigma_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found, and the delays that can be corrected."""
+
+    findings: tuple[Finding, ...]
+    delays: Delays = Delays()
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """What cannot be localized or learned with."""
+        return tuple(finding for finding in self.findings if finding.level == 'error')
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """What costs accuracy, or may."""
+        return tuple(finding for finding in self.findings if finding.level == 'warning')
+
+
 def worst(findings: Iterable[Finding]) -> Level:
     """Level of the worst finding."""
     return max((finding.level for finding in findings), key=_ORDER.index, default='ok')

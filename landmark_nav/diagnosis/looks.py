@@ -8,7 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
-from landmark_nav.diagnosis.camera_errors import CameraSetup, Corners, corners, matched
+from landmark_nav.diagnosis.camera_errors import (
+    camera_error,
+    CameraError,
+    CameraSetup,
+    Corners,
+    corners,
+    matched,
+    Matches,
+)
 from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.image_motion import Strip, StripView
 from landmark_nav.diagnosis.streams import Stream
@@ -16,9 +24,10 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagMessage
-from landmark_nav.storage.bags.timelines import CameraInfos
+from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
+from landmark_nav.types import JointSample
 
-__all__ = ['Looks', 'look']
+__all__ = ['Looks', 'camera_error_of', 'look']
 
 # Images are compared in runs of so many, spread over the recording.
 _RUN = 12
@@ -102,7 +111,7 @@ def look(
     strips: dict[int, Strip] = {}
     view: StripView | None = None
     camera: CameraModel | None = None
-    cameras: CameraInfos | None = None
+    cameras, refused = _cameras(bag, infos)
     setup = mounted if isinstance(mounted, CameraSetup) else None
     tracked = set() if setup else _tracked(chosen)
     points: dict[int, tuple[FloatArray, FloatArray]] = {}
@@ -113,11 +122,9 @@ def look(
         logged.append(entry.stamp_ns)
         unstamped += entry.header_ns == 0
         frames[str(entry.message.header.frame_id)] = None
-        if index not in chosen:
+        if index not in chosen or cameras is None:
             continue
         try:
-            if cameras is None:
-                cameras = CameraInfos.read(bag, *infos)
             image, seen_by = decode.camera_image(entry.message, cameras.at(stamps[-1]), True)
             if view is None:
                 camera = setup.camera if setup else seen_by
@@ -144,9 +151,41 @@ def look(
         origin_ns=bag.start_ns,
         unstamped=unstamped,
     )
-    findings = (*_encoding(failed, kinds, len(chosen)), *_lens(camera))
+    findings = (*refused, *_encoding(failed, kinds, len(chosen)), *_lens(camera))
     each = np.array(pairs, dtype=np.intp).reshape(-1, 2)
     return Looks(stream, each, findings, strips, view, camera, points)
+
+
+def camera_error_of(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError | None:
+    """An error of lens or mount that matters, by points that were tracked."""
+    if looks.camera is None or not looks.points:
+        return None
+    try:
+        joints = JointHistory.read(bag, mount)
+    except LandmarkNavError:
+        joints = JointHistory(())  # said elsewhere
+    first = np.array(list(looks.points))
+    stamps = looks.stream.stamps_ns[np.stack([first, first + 1], -1)]
+    angles = [
+        (sample.pan_rad, sample.tilt_rad) if isinstance(sample, JointSample) else (0.0, np.nan)
+        for sample in map(joints.at, stamps.ravel().tolist())
+    ]
+    pans, tilts = np.array(angles).T.reshape(2, -1, 2)
+    known = tilts[np.isfinite(tilts)]
+    tilts[~np.isfinite(tilts)] = np.median(known) if len(known) else 0.0
+    before, after = zip(*looks.points.values(), strict=True)
+    pairs = np.repeat(np.arange(len(before)), [len(points) for points in before])
+    matches = Matches(np.concatenate(before), np.concatenate(after), pairs, pans, tilts)
+    return camera_error(matches, CameraSetup(looks.camera, mount))
+
+
+def _cameras(bag: Bag, infos: tuple[str, ...]) -> tuple[CameraInfos | None, tuple[Finding, ...]]:
+    """Read the calibrations of a bag; or say why none can be used."""
+    try:
+        return CameraInfos.read(bag, *infos), ()
+    except LandmarkNavError as error:
+        text = str(error).removeprefix(f'{bag.path}: ')
+        return None, (Finding('camera lens', 'error', text, when_read=True),)
 
 
 def _tracked(chosen: set[int]) -> set[int]:

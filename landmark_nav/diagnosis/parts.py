@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from landmark_nav.arrays import BoolArray
+from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.causes import JOINTS, ODOMETRY
 from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.looks import Looks
 from landmark_nav.diagnosis.motion import fit, Motion, NOISE_RAD, Track
 from landmark_nav.diagnosis.streams import Stream
 
-__all__ = ['blank_images', 'coarse_values', 'repeated_images', 'staying_values', 'strange_images']
+__all__ = [
+    'blank_images',
+    'coarse_values',
+    'held_values',
+    'jumping_values',
+    'limited_values',
+    'repeated_images',
+    'staying_values',
+    'strange_images',
+]
 
 # Texture of a strip per pixel, where evened contrast is 1: less is a wall, much less is nothing.
 _BLANK = 0.02
@@ -22,12 +33,16 @@ _SOME = 0.1
 _STILL_RAD, _TURNING_RAD, _MOST = 1e-3, 0.03, 0.9
 _SAME_RAD = 1e-7
 _LEAST_PAIRS = 12
-# A value that stays so long, and in so many pairs of images that turn otherwise.
-_STAYS_S, _STAYS_PAIRS = 2.0, 6
+# A value that stays all the time between two images, in so many pairs of them that turn.
+_ALL, _STAYS_PAIRS = 0.99, 6
 # It turned so far in as many pairs before, or after: else it is another joint's.
 _WORKS_RAD = 0.01
 # What is off by so much is no noise.
 _OFF_RAD, _OFF_SIGMAS = 0.02, 6.0
+# Values that each come more often than this; such a time is too long for localization.
+_HELD, _HELD_S = 2.5, 0.1
+# A jump that is no noise; what the images lack is as large, to this share.
+_JUMP_RAD, _SAME_JUMP = 0.1, 0.25
 # Values are whole multiples of a step to this share of it.
 _WHOLE = 1e-3
 # Images of another camera: of pairs that should share half of what they show, so many do not
@@ -101,12 +116,11 @@ def strange_images(motion: Motion, width_rad: float) -> Finding | None:
 
 
 def staying_values(motion: Motion) -> tuple[Finding, Motion] | None:
-    """A stream whose values stay for a while though the images turn, and the motion without."""
+    """A stream whose values stay now and then though the images turn, and the motion without."""
     for stream, track in ((JOINTS, motion.pan), (ODOMETRY, motion.odometry)):
-        if track is None or (run := _longest_stay(track)) is None:
+        if track is None:
             continue
-        begin, end = run
-        inside: BoolArray = (motion.before_s > begin) & (motion.after_s < end)
+        inside = _unchanged(track, motion) > _ALL
         left, sideways = motion.turns_rad - motion.panned() - motion.yawed(), motion.parallax()
         by_stream = motion.panned() if stream == JOINTS else motion.yawed()
         works = np.abs(by_stream[~inside]) > _WORKS_RAD
@@ -115,17 +129,111 @@ def staying_values(motion: Motion) -> tuple[Finding, Motion] | None:
         rest = fit(left[~inside], sideways[~inside])
         away = np.abs(left - sideways @ rest.values)[inside]
         off = away > max(_OFF_RAD, _OFF_SIGMAS * rest.noise_rad)
-        if rest.quiet and off.sum() >= max(_STAYS_PAIRS, _SOME * inside.sum()):
+        # What turns then may be another stream that is off by a scale.
+        others = np.column_stack([motion.panned() + motion.yawed() - by_stream, sideways])
+        scaled = fit(left[inside], others[inside]).quiet and np.abs(others[:, 0]).max() > 0.0
+        if rest.quiet and not scaled and off.sum() >= max(_STAYS_PAIRS, _SOME * inside.sum()):
             what = 'the pan' if stream == JOINTS else 'its pose'
+            begin, end = motion.before_s[inside][off].min(), motion.after_s[inside][off].max()
             finding = Finding(
                 f'{stream} values',
                 'error',
-                f'{what} stays as it is from {begin:.1f} to {end:.1f} s while the images turn',
-                'look at its driver: an encoder or a source that hangs repeats its last value',
-                {'begin_s': begin, 'end_s': end},
+                f'{what} stays as it is in {off.sum()} pairs of images that turn, from '
+                f'{begin:.1f} to {end:.1f} s',
+                'look at its driver: it hangs and repeats its last value, or is at its limit',
+                {'begin_s': float(begin), 'end_s': float(end), 'pairs': int(off.sum())},
             )
             return finding, motion.only(~inside)
     return None
+
+
+def limited_values(motion: Motion) -> tuple[Finding, Motion] | None:
+    """A pan that stays at its least or greatest value though images turn; the motion without."""
+    low, high = motion.pan.values.min(), motion.pan.values.max()
+    left, parallax = motion.turns_rad - motion.panned() - motion.yawed(), motion.parallax()
+    ends = motion.pan.at(motion.pan_clock.at(np.stack([motion.before_s, motion.after_s])))[..., 0]
+    at = ((ends == low) | (ends == high)).any(0) & (_unchanged(motion.pan, motion) > 0.0)
+    off = np.abs(left) > _JUMP_RAD
+    if high - low < _JUMP_RAD or (at & off).sum() < max(_STAYS_PAIRS, _MOST * off.sum()):
+        return None
+    if fit(left[at], np.column_stack([motion.yawed(), parallax])[at]).quiet:
+        return None  # a yaw of another scale
+    finding = Finding(
+        'pan limit',
+        'error',
+        f'the images turn on where the pan stays at {low:.2f} or {high:.2f} rad',
+        'publish what the joint does beyond: its driver cuts values off there',
+        {'low_rad': float(low), 'high_rad': float(high), 'pairs': int((at & off).sum())},
+    )
+    return finding, motion.only(~at)
+
+
+def held_values(motion: Motion) -> tuple[Finding, Motion] | None:
+    """A stream that sends each of its values several times, and the motion by these once each."""
+    turned = motion.turns_rad - motion.panned() - motion.yawed()
+    for stream, track in ((JOINTS, motion.pan), (ODOMETRY, motion.odometry)):
+        if track is None or len(track.seconds) < 3:
+            continue
+        by_stream = motion.panned() if stream == JOINTS else motion.yawed()
+        changes = np.append(True, (np.diff(track.values, axis=0) != 0.0).any(1))
+        times = track.seconds[changes]
+        moves = np.abs(turned + by_stream) > _TURNING_RAD
+        # Values that hold while the stream should turn.
+        at = np.searchsorted(times, motion.before_s[moves], side='right') - 1
+        at = np.unique(at[(at >= 0) & (at + 1 < len(times))])
+        if len(at) < _STAYS_PAIRS:
+            continue
+        period, held_s = float(np.median(np.diff(track.seconds))), np.diff(times)[at]
+        usual = float(np.median(held_s))
+        if usual < _HELD * period or np.mean(np.abs(held_s - usual) < 1.5 * period) < _MOST:
+            continue
+        once = Track(times, track.values[changes])
+        finding = Finding(
+            f'{stream} rate',
+            'error' if usual > _HELD_S else 'warning',
+            f'values change {1.0 / usual:.1f} times a second, messages come {1.0 / period:.0f} '
+            'times: each is repeated',
+            'publish each measurement once, with the time at which it was taken',
+            {'changes_hz': 1.0 / usual, 'messages_hz': 1.0 / period},
+        )
+        part = {'pan': once} if stream == JOINTS else {'odometry': once}
+        return finding, replace(motion, **part)  # type: ignore[arg-type]
+    return None
+
+
+def jumping_values(motion: Motion) -> list[Finding]:
+    """Jumps of pan or yaw in which the images do not turn; `motion` is right but for these."""
+    left = motion.turns_rad - motion.panned() - motion.yawed()
+    left = fit(left, motion.parallax()).residuals_rad
+    noise = fit(left, np.empty((len(left), 0))).noise_rad
+    found = []
+    for stream, track, column in ((JOINTS, motion.pan, 0), (ODOMETRY, motion.odometry, 2)):
+        if track is None:
+            continue
+        clock = motion.pan_clock if stream == JOINTS else motion.odometry_clock
+        steps = np.diff(track.values[:, column])
+        for k in np.flatnonzero(np.abs(left) > max(_JUMP_RAD, _OFF_SIGMAS * noise)):
+            span = np.array([motion.before_s[k], motion.after_s[k]])
+            first, last = np.searchsorted(track.seconds, clock.at(span))
+            inside = steps[max(first - 1, 0) : last]
+            if not len(inside):
+                continue
+            jump = float(inside[np.abs(inside).argmax()] - np.median(inside))
+            if abs(left[k] + jump) > _SAME_JUMP * abs(left[k]):
+                continue
+            name = 'pan' if stream == JOINTS else 'odom yaw'
+            found.append(
+                Finding(
+                    f'{name} jumps',
+                    'error' if stream == JOINTS else 'warning',
+                    f'it jumps by {np.degrees(jump):.0f} deg at {motion.before_s[k]:.1f} s, the '
+                    'images do not',
+                    'its zero is another one since: see why it slips or was set anew',
+                    {'jump_rad': jump, 'at_s': float(motion.before_s[k])},
+                )
+            )
+            break
+    return found
 
 
 def coarse_values(stream: Stream) -> Finding | None:
@@ -144,14 +252,9 @@ def coarse_values(stream: Stream) -> Finding | None:
     )
 
 
-def _longest_stay(track: Track) -> tuple[float, float] | None:
-    """Begin and end, seconds, of the longest time in which no value changes at all."""
+def _unchanged(track: Track, motion: Motion) -> FloatArray:
+    """Share (n,) of the time between two images in which no value changes at all."""
     same = (np.diff(track.values, axis=0) == 0.0).all(1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-    if not len(edges):
-        return None
-    begins, ends = track.seconds[edges[::2]], track.seconds[edges[1::2]]
-    longest = int(np.argmax(ends - begins))
-    if ends[longest] - begins[longest] < _STAYS_S:
-        return None
-    return float(begins[longest]), float(ends[longest])
+    kept = np.append(0.0, np.cumsum(np.where(same, np.diff(track.seconds), 0.0)))
+    before, after = np.interp(np.stack([motion.before_s, motion.after_s]), track.seconds, kept)
+    return np.asarray((after - before) / (motion.after_s - motion.before_s))

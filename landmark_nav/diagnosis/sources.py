@@ -45,7 +45,9 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
     """
     # As they arrive: stamps may go back.
     order = np.argsort(stream.logged, kind='stable')
-    times, values = stream.logged[order], stream.values[order]
+    # A source that sends a value again says nothing new.
+    new = np.append(True, (np.diff(stream.values[order], axis=0) != 0.0).any(1))
+    times, values = stream.logged[order[new]], stream.values[order[new]]
     is_angle = np.isin(np.arange(values.shape[1]), angles)
     speed = np.where(is_angle, _FASTEST_RAD_S, _FASTEST_M_S)
     tolerance = np.where(is_angle, _TOLERANCE_RAD, _TOLERANCE_M)
@@ -87,8 +89,8 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
         owner = np.all(values == kinds[often.argmax()], axis=1).astype(np.intp)
 
     def source(index: int) -> Source:
-        keep = np.zeros(len(times), dtype=np.bool_)
-        keep[order[owner == index]] = True
+        keep = np.zeros(len(order), dtype=np.bool_)
+        keep[order[(owner == index)[np.cumsum(new) - 1]]] = True
         steps = np.diff(times[owner == index])
         period = float(np.median(steps)) if len(steps) else 0.0
         spread = float(np.ptp(values[owner == index], axis=0).max())

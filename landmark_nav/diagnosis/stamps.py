@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,15 @@ from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Clock
 from landmark_nav.diagnosis.streams import Stream
 
-__all__ = ['LogClock', 'check_stamps', 'clock_hints', 'in_step', 'log_clock', 'longest_part']
+__all__ = [
+    'LogClock',
+    'by_arrival',
+    'check_stamps',
+    'clock_hints',
+    'in_step',
+    'log_clock',
+    'longest_part',
+]
 
 
 class _Need(NamedTuple):
@@ -34,8 +43,11 @@ _OUT_OF_STEP_S = 0.5
 _STEADY = 0.8
 # Jitter of stamps that matters while a camera turns at 1 rad/s.
 _SHAKEN_S = 0.01
-# What is more often than this out of order was sent so.
-_OFTEN = 0.01
+# Of a normal distribution, 90 % lie within so many standard deviations.
+_NORMAL_90 = 1.645
+# What is more often than this out of order was sent so; stamps that come twice so often are
+# rounded.
+_OFTEN, _REPEATED = 0.01, 0.1
 
 
 class LogClock(NamedTuple):
@@ -118,10 +130,10 @@ def _rate(name: str, need: _Need | None, rate_hz: float, messages: int) -> Findi
 
 def _jitter(stream: Stream, what: str) -> list[Finding]:
     """Stamps that are shaken while messages arrive evenly."""
-    lag = np.diff(stream.seconds - stream.logged)
-    arrival = np.diff(stream.logged)
-    shaken = float(1.4826 * np.median(np.abs(lag - np.median(lag))))
-    uneven = float(1.4826 * np.median(np.abs(arrival - np.median(arrival))))
+    steps = np.diff([stream.seconds - stream.logged, stream.logged])
+    away = np.abs(steps - np.median(steps, axis=1, keepdims=True))
+    # One message in five that is off counts, a step of a clock does not.
+    shaken, uneven = (np.quantile(away, 0.9, axis=1) / _NORMAL_90).tolist()
     if shaken < _SHAKEN_S or uneven > 0.5 * shaken:
         return []
     return [
@@ -134,6 +146,17 @@ def _jitter(stream: Stream, what: str) -> list[Finding]:
             {'stamps_s': shaken, 'arrival_s': uneven},
         )
     ]
+
+
+def by_arrival(stream: Stream) -> Stream:
+    """Stamp a stream by its times of recording where its own stamps say less than these."""
+    if len(stream) < 2 or not stream.stamps_ns.any():
+        return stream
+    same = np.mean(np.diff(stream.stamps_ns) == 0)
+    if same < _REPEATED and not _jitter(stream, ''):
+        return stream
+    lag_ns = np.median(stream.stamps_ns - stream.logged_ns).astype(np.int64)
+    return replace(stream, stamps_ns=stream.logged_ns + lag_ns)
 
 
 def _order(name: str, stream: Stream, same: int, back: int, furthest_s: float) -> Finding:

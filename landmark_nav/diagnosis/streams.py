@@ -11,8 +11,10 @@ import numpy as np
 
 from landmark_nav.arrays import FloatArray, IntArray
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagMessage
+from landmark_nav.storage.bags.timelines import logged_joints
 
 # Numbers of one message; None where it has none of use.
 Values = Callable[[Any], 'FloatArray | None']
@@ -181,3 +183,16 @@ def unwrapped(angles: FloatArray) -> FloatArray:
             jumps = np.abs(np.diff(angles)) > 0.5 * turn
             return np.unwrap(angles, period=turn) if jumps.any() else angles
     return angles
+
+
+def pan_stream(bag: Bag, mount: PanTiltMount) -> Stream:
+    """Pan (n, 1) of a bag, wherever it is."""
+    logged, _ = logged_joints(bag, mount)
+    return Stream(
+        'joint_states',
+        bag.find('joint_states') or '',
+        np.array([sample.stamp_ns for _, sample in logged], dtype=np.int64),
+        np.array([log_ns for log_ns, _ in logged], dtype=np.int64),
+        np.array([sample.pan_rad for _, sample in logged])[:, None],
+        origin_ns=bag.start_ns,
+    )

@@ -51,7 +51,7 @@ def learning_report(
     """
     outcomes = [outcome for group in result.outcomes for outcome in group]
     refused = Counter(o.reason for o in outcomes if isinstance(o, Refusal))
-    walls = Counter(landmark.wall_id for landmark in result.map.landmarks)
+    walls = Counter(landmark.wall_id or 'no wall' for landmark in result.map.landmarks)
     return {
         'schema': SCHEMA,
         'sweeps': [

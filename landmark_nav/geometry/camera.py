@@ -36,6 +36,8 @@ MAX_PX_PER_RAD = 600.0
 _LEAST_SLOPE, _WIDEST_RAD = 0.2, float(np.radians(85.0))
 # That must leave this share of the image; and so much must be seen to both sides.
 _LEAST_SHARE, _LEAST_HALF_FOV_RAD = 0.5, float(np.radians(1.5))
+# Of a perspective image no lens gives more: its border is stretched 30 times there.
+_MOST_TANGENT = math.tan(math.radians(80.0))
 
 # Enough for 1e-9 px with any lens, as far as it is used; most take three.
 _POLISH_ITERATIONS = 30
@@ -116,6 +118,13 @@ class CameraModel:
             raise LandmarkNavError(
                 f'{what} has its principal point at {self.cx:g}, {self.cy:g}, outside of the '
                 'image: calibrate it, or give K at the size of the image'
+            )
+        sides = (self.cx + 0.5) / self.fx, (self.width - 0.5 - self.cx) / self.fx
+        if self.model != 'equidistant' and max(sides) > _MOST_TANGENT:
+            wide = math.degrees(sum(map(math.atan, sides)))
+            raise LandmarkNavError(
+                f'{what} is {wide:.0f} deg wide: no lens is; K is of another image or in another '
+                'unit'
             )
         if self._used_share < _LEAST_SHARE:
             raise LandmarkNavError(f'camera_info: {self.restriction}: calibrate it')

@@ -200,11 +200,15 @@ class Room:
 
     def visible(self, origin_xy: npt.ArrayLike, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether no wall stands between origins (..., 2) and points (..., 2)."""
+        return np.asarray(~self.hiding(origin_xy, points_xy).any(axis=-1))
+
+    def hiding(self, origin_xy: npt.ArrayLike, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Which walls stand between origins (..., 2) and points (..., 2), (..., walls)."""
         delta = np.asarray(points_xy, dtype=np.float64) - np.asarray(origin_xy, dtype=np.float64)
         x, y = delta[..., 0], delta[..., 1]
         reach = np.maximum(np.hypot(x, y), 1e-12)
         beyond = (self._wall_hits(origin_xy, x, y) - 1.0) * reach[..., None] + self.slack_m
-        return np.asarray((beyond > 0.0).all(axis=-1))
+        return np.asarray(beyond <= 0.0)
 
     def contains(self, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Whether points (..., 2) lie inside the outline (even-odd rule)."""

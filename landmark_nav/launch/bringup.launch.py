@@ -10,7 +10,7 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -52,8 +52,23 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'rviz', default_value='false', description='show all of it in RViz (package rviz2)'
         ),
+        DeclareLaunchArgument(
+            'autostart', default_value='true', description='false: a lifecycle manager starts them'
+        ),
+        DeclareLaunchArgument(
+            'composed', default_value='false', description='all nodes in one process'
+        ),
     ]
-    types = {'load_on_start': bool, 'use_sim_time': bool}
+    composed = LaunchConfiguration('composed')
+    types = {'load_on_start': bool, 'use_sim_time': bool, 'autostart': bool}
+    common = ('use_sim_time', 'autostart')
+
+    def given(*names: str) -> dict[str, ParameterValue]:
+        return {
+            name: ParameterValue(LaunchConfiguration(name), value_type=types.get(name, str))
+            for name in (*names, *common)
+        }
+
     nodes = [
         Node(
             package='landmark_nav',
@@ -61,16 +76,22 @@ def generate_launch_description() -> LaunchDescription:
             name=name,
             namespace=LaunchConfiguration('namespace'),
             output='screen',
-            parameters=[
-                LaunchConfiguration('params_file'),
-                {
-                    key: ParameterValue(LaunchConfiguration(key), value_type=types.get(key, str))
-                    for key in (*taken, 'use_sim_time')
-                },
-            ],
+            parameters=[LaunchConfiguration('params_file'), given(*taken)],
+            condition=UnlessCondition(composed),
         )
         for name, taken in NODES.items()
     ]
+    together = Node(
+        package='landmark_nav',
+        executable='all_nodes',
+        namespace=LaunchConfiguration('namespace'),
+        output='screen',
+        parameters=[
+            LaunchConfiguration('params_file'),
+            given(*sorted({name for taken in NODES.values() for name in taken})),
+        ],
+        condition=IfCondition(composed),
+    )
     # The layout's topics are relative, so that RViz finds them in its namespace.
     rviz = Node(
         package='rviz2',
@@ -82,4 +103,4 @@ def generate_launch_description() -> LaunchDescription:
         ],
         condition=IfCondition(LaunchConfiguration('rviz')),
     )
-    return LaunchDescription([*arguments, *nodes, rviz])
+    return LaunchDescription([*arguments, *nodes, together, rviz])

@@ -45,19 +45,20 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'rviz', default_value='false', description='show all of it in RViz (package rviz2)'
         ),
+        DeclareLaunchArgument(
+            'autostart', default_value='true', description='false: a lifecycle manager starts them'
+        ),
+        DeclareLaunchArgument(
+            'composed', default_value='false', description='all nodes in one process'
+        ),
     ]
     # launch refuses an include that does not hand on what has no default.
     bringup = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(share / 'launch' / 'bringup.launch.py')),
         launch_arguments={
-            'params_file': LaunchConfiguration('params_file'),
-            'robot_file': LaunchConfiguration('robot_file'),
-            'room_file': LaunchConfiguration('room_file'),
-            'map_folder': LaunchConfiguration('map_folder'),
-            'load_on_start': LaunchConfiguration('load_on_start'),
-            'namespace': LaunchConfiguration('namespace'),
-            'use_sim_time': LaunchConfiguration('use_sim_time'),
-            'rviz': LaunchConfiguration('rviz'),
+            argument.name: LaunchConfiguration(argument.name)
+            for argument in arguments
+            if argument.name != 'seed'
         }.items(),
     )
     types = {'seed': int, 'robot_file': str, 'room_file': str}

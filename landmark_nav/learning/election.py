@@ -25,6 +25,8 @@ __all__ = ['ElectionConfig', 'elect']
 
 # Greatest misfit of two measurements and a wall, squared; more views may add to it.
 _MAX_CHI_SQUARE = 13.8
+# Cosine between the normals of patches that may cover each other.
+_SAME_NORMAL = 0.7
 # Share of the correlation between its own views that counts as found.
 _THRESHOLD_SHARE = 0.75
 
@@ -44,7 +46,8 @@ class ElectionConfig(Config):
     )
     max_sigma_m: float = parameter(
         0.03,
-        'greatest standard deviation of its location beside others, along any axis',
+        'greatest standard deviation of its location beside others, along any axis; of what hangs '
+        'on no wall, across the view that it was learned from',
         minimum=1e-4,
         maximum=1,
     )
@@ -54,6 +57,8 @@ class ElectionConfig(Config):
         minimum=1e-4,
         maximum=1,
     )
+    # Greatest standard deviation of how far what hangs on no wall is, as a share of that.
+    max_range_share: float = 0.05
     # Greatest share of a patch that another may cover.
     max_overlap: float = 0.4
     max_count: int = parameter(150, 'most landmarks of a map', minimum=3, maximum=5000)
@@ -106,9 +111,7 @@ def elect(
             [panoramas[other] for other in others], config,
         )  # fmt: skip
         if refusal is None and any(
-            _overlap(patch, adjustment.positions[k], other) > config.max_overlap
-            for other in taken
-            if other.wall_id == room.walls[patch.wall].id
+            _overlap(patch, adjustment.positions[k], other) > config.max_overlap for other in taken
         ):
             refusal = Refusal('covered by a stronger landmark')
         if refusal is None and len(taken) >= config.max_count:
@@ -119,7 +122,7 @@ def elect(
         score = min(s.score for s in measurements[k])
         landmark = _landmark(
             len(taken) + 1, patch, adjustment.positions[k], panoramas[patch.source],
-            greys[patch.source], room,
+            greys[patch.source], room.walls[patch.wall].id if patch.on_wall else '',
             covariance=covariance[k],
             shared_loading=adjustment.shared_loading[k],
             threshold=float(np.clip(_THRESHOLD_SHARE * score, 0.55, 0.85)),
@@ -147,16 +150,28 @@ def _refuse(
     likelihood = chdtrc(2, _MAX_CHI_SQUARE)
     most = float(chdtri(2 * len(others), likelihood))
     off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
-    if abs(off_wall) > config.max_off_wall_m or misfit > most:
-        return Refusal('not on a wall', f'{off_wall * 100:.0f} cm off, misfit {misfit:.0f}')
-    # The wall would draw to it whatever stands there.
-    if depth_sigma > config.max_depth_sigma_m:
-        return Refusal('too little parallax', f'{depth_sigma * 100:.1f} cm sigma of its depth')
     # What all landmarks of the map share tells none of them from the others.
-    sigma = float(np.sqrt(np.linalg.eigvalsh(adjustment.own_covariance[k])[-1]))
+    own = adjustment.own_covariance[k]
+    ray = panorama.center_map[:2] - adjustment.positions[k, :2]
+    if patch.on_wall:
+        if abs(off_wall) > config.max_off_wall_m or misfit > most:
+            return Refusal('not on a wall', f'{off_wall * 100:.0f} cm off, misfit {misfit:.0f}')
+        # The wall would draw to it whatever stands there.
+        if depth_sigma > config.max_depth_sigma_m:
+            return Refusal('too little parallax', f'{depth_sigma * 100:.1f} cm sigma of its depth')
+    else:
+        if misfit > most:
+            return Refusal('its views contradict each other', f'misfit {misfit:.0f}')
+        reach = float(np.hypot(*ray))
+        toward = np.append(ray / reach, 0.0)
+        share = float(np.sqrt(toward @ own @ toward)) / reach
+        if share > config.max_range_share:
+            return Refusal('too little parallax', f'{share * 100:.0f} % sigma of its distance')
+        across = np.eye(3) - np.outer(toward, toward)
+        own = across @ own @ across
+    sigma = float(np.sqrt(np.linalg.eigvalsh(own)[-1]))
     if sigma > config.max_sigma_m:
         return Refusal('place too uncertain', f'{sigma * 100:.1f} cm')
-    ray = panorama.center_map[:2] - adjustment.positions[k, :2]
     incidence = float(np.arccos(np.clip(ray @ patch.normal[:2] / np.hypot(*ray), -1.0, 1.0)))
     if incidence > config.max_incidence_rad:
         return Refusal('seen too obliquely', f'{np.degrees(incidence):.0f} deg')
@@ -176,11 +191,14 @@ def _refuse(
 
 
 def _overlap(patch: WallPatch, position: FloatArray, other: Landmark) -> float:
-    """Share of the smaller of two patches of one wall that the other covers."""
+    """Share of the smaller of two patches of one plane that the other covers."""
     size = np.array([patch.shape[1], patch.shape[0]]) * patch.texel_m
     other_size = np.array([other.width_m, other.height_m])
     right, down = patch_axes(patch.normal)
-    apart = np.abs([(other.position - position) @ right, (other.position - position) @ down])
+    away = other.position - position
+    if abs(away @ patch.normal) > 0.5 * size.max() or other.normal @ patch.normal < _SAME_NORMAL:
+        return 0.0
+    apart = np.abs([away @ right, away @ down])
     common = np.clip((size + other_size) / 2.0 - apart, 0.0, np.minimum(size, other_size))
     return float(np.prod(common) / min(np.prod(size), np.prod(other_size)))
 
@@ -191,7 +209,7 @@ def _landmark(
     position: FloatArray,
     panorama: Panorama,
     grey: Float32Array,
-    room: Room,
+    wall_id: str,
     *,
     covariance: FloatArray,
     shared_loading: FloatArray,
@@ -211,7 +229,7 @@ def _landmark(
         patch=_levels(texture),
         viewpoint=panorama.center_map,
         threshold=threshold,
-        wall_id=room.walls[patch.wall].id,
+        wall_id=wall_id,
         saliency=patch.candidate.saliency,
     )
 

@@ -38,6 +38,7 @@ from landmark_nav.learning.reference_area import joint_covariance, ReferenceArea
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again, Found
+from landmark_nav.learning.stereo.ties import Ties
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
@@ -108,6 +109,7 @@ def learn_from_panoramas(
     config: LearningConfig,
     log: StageLog | None = None,
     places: FloatArray | None = None,
+    ties: Ties | None = None,
 ) -> LearningResult:
     """
     Learn landmarks from two panoramas or more.
@@ -125,6 +127,8 @@ def learn_from_panoramas(
     places : ndarray, shape (4 v, 4 v), optional
         Joint covariance of the viewpoints before there are measurements; without it they were
         measured from papers, or each for itself.
+    ties : Ties, optional
+        Features that panoramas share.
 
     Raises
     ------
@@ -138,19 +142,22 @@ def learn_from_panoramas(
         np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for p in panoramas
     ]
     with log.measure('attention'):
-        attended = [attend(p, config.attention) for p in panoramas]
+        matched = [ties and ties.pixels(k, p.cylinder) for k, p in enumerate(panoramas)]
+        attended = [
+            attend(p, config.attention, at) for p, at in zip(panoramas, matched, strict=True)
+        ]
         candidates = tuple(a.candidates for a in attended)
 
     if places is None:
         places = joint_covariance(panoramas, room, config.reference_area)
     with log.measure('stereo'):
-        found = find_again(panoramas, candidates, greys, room, config.stereo)
+        found = find_again(panoramas, candidates, greys, room, config.stereo, ties)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
-            free = _adjust(found, panoramas, places, room, _without_walls(config))
+            free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
             moved = moved_walls(free, found.walls, room, config.adjustment)
             if moved is not room:
                 room = moved
-                found = find_again(panoramas, candidates, greys, room, config.stereo)
+                found = find_again(panoramas, candidates, greys, room, config.stereo, ties)
     outcomes = found.outcomes
     if len(found.patches) < 3:
         raise LandmarkNavError(
@@ -159,7 +166,9 @@ def learn_from_panoramas(
             'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        adjustment, free, residuals, hidden = _adjusted(found, panoramas, places, room, config)
+        adjustment, free, residuals, hidden = _adjusted(
+            found, panoramas, places, room, config, ties
+        )
     uneven = wall_warnings(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
     )
@@ -231,9 +240,20 @@ def _adjust(
     places: FloatArray,
     room: Room,
     expected: AdjustmentConfig,
+    ties: Ties | None,
 ) -> Adjustment:
     start = np.array([patch.position for patch in found.patches])
-    return adjust(found.measurements, found.walls, start, panoramas, places, room, expected)
+    return adjust(
+        found.measurements,
+        found.walls,
+        start,
+        panoramas,
+        places,
+        room,
+        expected,
+        found.normals,
+        ties,
+    )
 
 
 def _adjusted(
@@ -242,19 +262,18 @@ def _adjusted(
     places: FloatArray,
     room: Room,
     config: LearningConfig,
+    ties: Ties | None,
 ) -> tuple[Adjustment, Adjustment, tuple[WallResidual, ...], str]:
     """Adjust with the walls and without; how far before each wall things lie, and what is odd."""
     without_walls = _without_walls(config)
-    hidden = check_walls(
-        _adjust(found.anywhere, panoramas, places, room, without_walls),
-        found.anywhere.walls,
-        room,
-        config.adjustment,
-        config.wall_fit,
-    )
+    hidden = ''
+    if ties is None:  # otherwise walls were found, and nobody says that they are right
+        behind = found.before_walls
+        placed = _adjust(behind, panoramas, places, room, without_walls, ties)
+        hidden = check_walls(placed, behind.walls, room, config.adjustment, config.wall_fit)
     walls = found.walls
-    free = _adjust(found, panoramas, places, room, without_walls)
-    adjustment = _adjust(found, panoramas, places, room, config.adjustment)
+    free = _adjust(found, panoramas, places, room, without_walls, ties)
+    adjustment = _adjust(found, panoramas, places, room, config.adjustment, ties)
     residuals = wall_residuals(adjustment, walls, room, config.adjustment)
     return adjustment, free, residuals, hidden
 

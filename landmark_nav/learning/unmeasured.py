@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+import logging
 
 import cv2
 import numpy as np
@@ -17,12 +18,14 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.calibration.combined import levelled
+from landmark_nav.learning.calibration.combined import leant
 from landmark_nav.learning.facades import (
     FacadesConfig,
     find_facades,
+    located as place_matches,
+    open_room,
     room_of,
-    seen_points,
+    SeenPoints,
 )
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
@@ -35,9 +38,11 @@ from landmark_nav.learning.relative_pose import (
     RelativePoseConfig,
     RelativePoses,
 )
-from landmark_nav.learning.relative_pose.epipolar import center
+from landmark_nav.learning.relative_pose.epipolar import center, RayPairs
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.stereo.ties import Ties
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.learning.sweep_pipeline import (
     panorama_from_sweep,
     PanoramaStages,
@@ -55,11 +60,15 @@ __all__ = [
     'locate_sweeps',
 ]
 
+_LOG = logging.getLogger(__name__)
+
 # How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
 RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
 # Covariance of a pose that is only given to know how far the walls are.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
+# Less than half a pixel at the horizon: panoramas are upright.
+_UPRIGHT_RAD = 1e-3
 # The scale is taken as it is, up to this: relief would shrink with it, and speak for less.
 _FIXED_SCALE = 1e-5
 
@@ -83,12 +92,14 @@ class Located:
 
     `places` (4 v, 4 v) is the joint covariance of the viewpoints by the sources of the scale, were
     the scale known: the map is right in its own metre, which is off by `poses.scale_sigma`.
+    `ties` are the features that panoramas share.
     """
 
     panoramas: tuple[Panorama, ...]
     room: Room
     places: FloatArray
     poses: RelativePoses
+    ties: Ties
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -105,6 +116,7 @@ def locate(
     lever: FloatArray,
     config: UnmeasuredConfig,
     log: StageLog | None = None,
+    before: RelativePoses | None = None,
 ) -> Located:
     """
     Find where panoramas were taken, and the walls around.
@@ -121,6 +133,8 @@ def locate(
         Parameters of the stages.
     log : StageLog, optional
         Where times go.
+    before : RelativePoses, optional
+        What was found before the panoramas were made again.
 
     Raises
     ------
@@ -146,13 +160,19 @@ def locate(
             for p in panoramas
         ]
         sheets = [find_sheets(p, config.sheets) for p in panoramas]
-        poses = relative_poses(features, known, lever, config.relative_pose, sheets)
+        poses = relative_poses(features, known, lever, config.relative_pose, sheets, before)
     with log.measure('facades'):
         sigma = config.relative_pose.direction_sigma_rad
-        points = seen_points(poses.states, poses.pairs, lever, sigma)
+        matched = [place_matches(poses.states, p, lever, sigma) for p in poses.pairs]
         eyes = np.array([center(state, lever) for state in poses.states])
-        facades = find_facades(points, config.facades)
-        room = room_of(facades, eyes, config.facades, 'map')
+        joined = SeenPoints.joined([points for points, _ in matched])
+        facades = find_facades(joined, config.facades)
+        try:
+            room = room_of(facades, eyes, config.facades, 'map')
+        except LandmarkNavError as error:
+            _LOG.warning('%s: only what stands for itself is learned', error)
+            room = open_room(joined, eyes, config.facades, 'map')
+        ties = Ties(joined.positions, [m for _, pairs in matched for m in _measured(pairs, sigma)])
     located = [
         replace(
             p,
@@ -162,8 +182,8 @@ def locate(
         )
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
-    shared = _viewpoints(poses, eyes, lever, config.relative_pose)
-    return Located(tuple(located), room, shared, poses)
+    places = _viewpoints(poses, eyes, lever, config.relative_pose)
+    return Located(tuple(located), room, places, poses, ties)
 
 
 def locate_sweeps(
@@ -206,23 +226,24 @@ def locate_sweeps(
     places = known(stamped)
     lever = np.array([*mount.axis_xyz[:2], panoramas[0].center_map[2]])
     located = locate(panoramas, places, lever, config, log)
+    tilts = located.poses.states[:, 4:]
+    if not stages.calibration.enabled or np.abs(tilts).max() < _UPRIGHT_RAD:
+        tilts = np.zeros(tilts.shape)
     again = [
         panorama_from_sweep(
             replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, state[:3], _KNOWN)),
             located.room,
-            levelled(mount, information @ state[4:], information, stages.calibration)[0],
+            leant(mount, tilt) if tilt.any() else mount,
             stages,
             log,
         )
-        for sweep, state, information in zip(
-            sweeps(), located.poses.states, located.poses.tilt_information, strict=True
-        )
+        for sweep, state, tilt in zip(sweeps(), located.poses.states, tilts, strict=True)
     ]
     if all(
         np.array_equal(new.image, old.image) for new, old in zip(again, panoramas, strict=True)
     ):
         return located
-    return locate(again, places, lever, config, log)
+    return locate(again, places, lever, config, log, located.poses)
 
 
 def learn_located(
@@ -232,10 +253,35 @@ def learn_located(
     log: StageLog | None = None,
 ) -> LearningResult:
     """Learn landmarks on the walls that were found; as `learn_from_panoramas`."""
-    adjustment = replace(config.adjustment, camera_weight=unmeasured.camera_weight)
+    adjustment = replace(
+        config.adjustment,
+        camera_weight=unmeasured.camera_weight,
+        tilt_sigma_rad=unmeasured.relative_pose.tilt_sigma_rad,
+        wave_sigma_rad=located.poses.wave_sigma_rad,
+    )
     config = replace(config, adjustment=adjustment)
-    result = learn_from_panoramas(located.panoramas, located.room, config, log, located.places)
+    result = learn_from_panoramas(
+        located.panoramas,
+        located.room,
+        config,
+        log,
+        located.places,
+        located.ties,
+    )
     return replace(result, map=_turned(result.map, unmeasured.relative_pose.heading_sigma_rad))
+
+
+def _measured(pairs: RayPairs, sigma_rad: float) -> Iterator[list[PatchMeasurement]]:
+    """Where two panoramas show each match."""
+    sides = [
+        (view, np.arctan2(rays[:, 1], rays[:, 0]), rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]))
+        for view, rays in ((pairs.one, pairs.rays), (pairs.other, pairs.other_rays))
+    ]
+    for k in range(len(pairs.rays)):
+        yield [
+            PatchMeasurement(view, float(azimuth[k]), float(tangent[k]), sigma_rad, sigma_rad, 1.0)
+            for view, azimuth, tangent in sides
+        ]
 
 
 def _viewpoints(

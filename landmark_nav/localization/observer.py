@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.se2 import relative
 from landmark_nav.localization.detection.correlation import detect_blurred, DetectionResult
 from landmark_nav.localization.detection.expectation import Expectation as Window
@@ -188,17 +189,22 @@ def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
     focal, shift = (
         _STEP * round(calibration[name][0] / _STEP) for name in ('focal_scale', 'principal_point')
     )
-    camera = frame.camera
     return replace(
         frame,
-        camera=replace(
-            camera,
-            fx=camera.fx * (1.0 + focal),
-            fy=camera.fy * (1.0 + focal),
-            cx=camera.cx + shift * camera.fx,
-        ),
+        camera=_calibrated(frame.camera, focal, shift),
         pan_rad=frame.pan_rad * (1.0 + calibration['pan_scale'][0]),
         tilt_rad=frame.tilt_rad + calibration['camera_tilt'][0],
+    )
+
+
+@lru_cache(maxsize=8)
+def _calibrated(camera: CameraModel, focal: float, shift: float) -> CameraModel:
+    """Return one object as long as the values are the same: it keeps tables of its lens."""
+    return replace(
+        camera,
+        fx=camera.fx * (1.0 + focal),
+        fy=camera.fy * (1.0 + focal),
+        cx=camera.cx + shift * camera.fx,
     )
 
 

@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 
 from landmark_nav.errors import LandmarkNavError
@@ -33,8 +34,9 @@ class BagPlayerNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('bag_player', 'playback', **options)
-        self._stop = Event()
-        self._player: Thread | None = None
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = configured(self, 'bag_player')
         self._bag = Bag(self.required('bag', self._config.bag))
         self._players = {
@@ -43,15 +45,20 @@ class BagPlayerNode(LandmarkNode):
         clock = message_class('rosgraph_msgs/msg/Clock')
         self._clock_publisher = self.create_publisher(clock, '/clock', 10)
         self._played_ns = 0
+        self._stop = Event()
         self._player = Thread(target=self._play, daemon=True)
-        self._player.start()
+        self.close_with(self._leave)
 
-    def destroy_node(self) -> None:
-        """Leave nobody behind who publishes."""
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to play; what has begun goes on to its end."""
+        if self._player.ident is None:
+            self._player.start()
+        return super().on_activate(state)
+
+    def _leave(self) -> None:
         self._stop.set()
-        if self._player is not None:
+        if self._player.ident is not None:
             self._player.join()
-        super().destroy_node()
 
     def health(self) -> Health:
         """How far it is."""

@@ -39,6 +39,9 @@ class LandmarkLearnerNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('landmark_learner', 'learning', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = configured(self, 'landmark_learner')
         self._outputs = [
             self.advertise(name) for name in ('landmarks', 'landmarks/atlas', 'landmarks/markers')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.transforms import TransformBroadcaster
+from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.types import (
     Detections,
     LandmarkMap,
@@ -52,6 +54,9 @@ class OdometryFusionNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('odometry_fusion', 'fusion', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = configured(self, 'odometry_fusion')
         calibration = calibration_of(self, self._config)
         self._mount = calibration.mount
@@ -78,6 +83,7 @@ class OdometryFusionNode(LandmarkNode):
         self.listen('initialpose', self._on_initial_pose)
         self.listen('global_localization/pose', self._on_global_pose)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
+        self.offer('calibrate', self._calibrate)
 
     def health(self) -> Health:
         """As the fusion judges itself."""
@@ -123,6 +129,23 @@ class OdometryFusionNode(LandmarkNode):
         self._fusion.change_map(landmarks)
         self._landmarks = len(landmarks.landmarks)
         self.get_logger().info(f'{self._landmarks} landmarks received')
+
+    def _calibrate(self) -> str:
+        """Write what the drive has shown beside `robot_file`, which stays as it is."""
+        given, found = self._fusion.prior, self._fusion.calibration
+        hidden = found.unobserved(given)
+        shown = [name for name in NAMES if name not in hidden and given[name][1] > 0.0]
+        if not shown:
+            raise LandmarkNavError(
+                'the drive has shown nothing of the calibration yet: find the pose, then drive a '
+                'metre straight on and turn on the spot'
+            )
+        file = Path(self._config.robot_file)
+        written = file.with_name(f'{file.stem}_calibrated.yaml')
+        save_calibration(found, written)
+        off = found.surprises(given) or 'nothing is off'
+        words = f'{len(shown)} quantities calibrated in {written}; {off}'
+        return f'{words}; not observed: {", ".join(hidden)}' if hidden else words
 
     def _on_initial_pose(self, message: Any) -> None:
         decode.check_frame(message.header, self._config.map_frame, 'give it there')

@@ -38,6 +38,9 @@ class PanoramaSynthesizerNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('panorama_synthesizer', 'panorama', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = configured(self, 'panorama_synthesizer')
         self._known = calibration_of(self, self._config)
         self._room = load_room(self._config.room_file) if self._config.room_file else None

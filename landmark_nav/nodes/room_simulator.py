@@ -49,6 +49,9 @@ class RoomSimulatorNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('room_simulator', 'robot', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = config = configured(self, 'room_simulator')
         self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
         self._began_s = time.monotonic()

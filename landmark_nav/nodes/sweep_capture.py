@@ -31,6 +31,9 @@ class SweepCaptureNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('sweep_capture', 'sweep', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = configured(self, 'sweep_capture')
         mount = calibration_of(self, self._config).mount
         command = self._config.command

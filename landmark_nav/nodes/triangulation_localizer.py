@@ -55,6 +55,9 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triangulation_localizer', 'detection', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = configured(self, 'triangulation_localizer')
         self._calibration = calibration_of(self, self._config)
         self._mount = self._calibration.mount
@@ -82,6 +85,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._source: ImageSource | None = None
         # Joint states and odometry come in while an image is looked at.
         self._images = LatestOnlyWorker(self.guarded('camera/image_raw', self._on_image))
+        self.close_with(self._images.close)
         self._latency = Latency()
         self._stale = 0
         self._images_unusable = False
@@ -103,11 +107,6 @@ class TriangulationLocalizerNode(LandmarkNode):
             if since_s is not None and now_s - since_s > _SILENCE_S:
                 return Health(level, f'{what} for {now_s - since_s:.1f} s', health.values)
         return health
-
-    def destroy_node(self) -> None:
-        """Leave nobody behind who looks at images."""
-        self._images.close()
-        super().destroy_node()
 
     def _on_odometry(self, message: Any) -> None:
         sample = decode.odometry(message)

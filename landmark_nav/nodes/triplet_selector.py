@@ -45,6 +45,9 @@ class TripletSelectorNode(LandmarkNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triplet_selector', 'attention', **options)
+
+    def set_up(self) -> None:
+        """Read parameters and files; make topics and services."""
         self._config = configured(self, 'triplet_selector')
         self._mount = calibration_of(self, self._config).mount
         self._calibrated = self._mount

@@ -51,7 +51,9 @@ def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) 
         array.header.stamp = node.get_clock().now().to_msg()
         publisher.publish(array)
 
-    node.create_timer(
+    # Not the node's own kind of timer: it reports in every state.
+    Node.create_timer(
+        node,
         1.0,
         publish,
         callback_group=ReentrantCallbackGroup(),

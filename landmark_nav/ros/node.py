@@ -1,8 +1,5 @@
 """What all nodes of the package share: topics by name, guarded callbacks, services, health."""
 
-# rclpy is not typed in every distribution: its Node may be Any here.
-# mypy: disallow_subclassing_any=False
-
 from __future__ import annotations
 
 from collections import Counter
@@ -15,9 +12,9 @@ from typing import Any, cast
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSPolicyKind
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -29,6 +26,7 @@ from landmark_nav.messages import decode
 from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
+from landmark_nav.ros.managed import ManagedNode
 from landmark_nav.ros.renamed_topics import (
     FORMER_NAMES,
     FormerSubscription,
@@ -38,7 +36,6 @@ from landmark_nav.ros.topics import TOPICS, with_depth
 
 __all__ = ['LandmarkNode']
 
-_LOG = logging.getLogger(__name__)
 
 # Parameters that name files end so.
 _FILES = ('_file', '_folder', 'bag')
@@ -51,7 +48,7 @@ _MOST_LOGGED = 200
 _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.RELIABILITY,))
 
 
-class LandmarkNode(Node):
+class LandmarkNode(ManagedNode):
     """
     Base of the package's nodes.
 
@@ -79,9 +76,11 @@ class LandmarkNode(Node):
         self.internal_errors = 0
         self._awaits = False
         super().__init__(name, **options)
+        self._log = logging.getLogger(f'{__name__}.{self.get_name()}')
         self.ended: Future[None] = Future()
-        self.calls_that_wait = 0
+        self.calls_that_wait = self._calls = 0
         publish_health(self, subcomponent, self._checked_health)
+        self.start()
 
     def health(self) -> Health:
         """How well the node does; overridden by each."""
@@ -95,6 +94,17 @@ class LandmarkNode(Node):
             self.ended.set_result(None)
         else:
             self.ended.set_exception(failure)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no service is at work."""
+        return not self._calls
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Log what the node takes and gives, where it is running already."""
+        if self.executor is not None:
+            self.announce()
+        return super().on_activate(state)
 
     def announce(self) -> None:
         """Log that the node is ready: its topics, services and files, and what it waits for."""
@@ -113,14 +123,14 @@ class LandmarkNode(Node):
         }
         said = {what: [name for name in names if name not in own] for what, names in ends.items()}
         words = [f'{what} {", ".join(names)}' for what, names in said.items() if names]
-        _LOG.info('ready: %s', '; '.join(words))
+        self._log.info('ready: %s', '; '.join(words))
         self._awaits = bool(awaited)
 
     def _note_complete(self) -> None:
         """Log once that all that the node waited for is there."""
         if self._awaits and not any(one.waits() for one in self.inputs.awaited()):
             self._awaits = False
-            _LOG.info('has all that it waited for')
+            self._log.info('has all that it waited for')
 
     def required(self, name: str, value: str) -> str:
         """Value of a parameter that has no sensible default, such as the path of a file."""
@@ -172,9 +182,13 @@ class LandmarkNode(Node):
     ) -> Subscription[Any]:
         """Subscribe as rclpy does, with a callback that is watched and guarded."""
         source = self.inputs.expect(topic)
+        spec = TOPICS.get(topic)
+        comes_once = spec is not None and spec.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             source.arrived(message, info)
+            if not self.is_active and not comes_once:
+                return
             try:
                 if self._attempt(topic, callback, message):
                     source.used()
@@ -202,13 +216,14 @@ class LandmarkNode(Node):
     def create_timer(  # type: ignore[override]
         self, timer_period_sec: float, callback: Callable[[], None], *args: Any, **given: Any
     ) -> Timer:
-        """Make a timer as rclpy does, with a callback that is guarded."""
-        return super().create_timer(
-            timer_period_sec,
-            self.guarded(getattr(callback, '__name__', 'timer'), callback),
-            *args,
-            **given,
-        )
+        """Make a timer as rclpy does, with a callback that is guarded and rests with the node."""
+        guarded = self.guarded(getattr(callback, '__name__', 'timer'), callback)
+
+        def tick() -> None:
+            if self.is_active:
+                guarded()
+
+        return super().create_timer(timer_period_sec, tick, *args, **given)
 
     def _stamped(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         """Callback whose messages have the time of arrival where they have no stamp."""
@@ -236,15 +251,20 @@ class LandmarkNode(Node):
         """
 
         async def answer(_request: Any, response: Any) -> Any:
+            self._calls += 1
             try:
+                if not self.is_active:
+                    raise LandmarkNavError(f'{self.get_name()} is {self.state}: activate it')
                 done = action()
                 response.message = done if isinstance(done, str) else await self._awaited(done)
                 response.success = True
             except LandmarkNavError as error:
                 response.message = str(error)
-                _LOG.warning('%s refused: %s', service, error)
+                self._log.warning('%s refused: %s', service, error)
             except Exception as error:
                 response.message = self.fault(service, error)
+            finally:
+                self._calls -= 1
             return response
 
         self.create_service(Trigger, service, answer, callback_group=group)
@@ -276,7 +296,7 @@ class LandmarkNode(Node):
         self.internal_errors += 1
         where = ''.join(traceback.format_tb(error.__traceback__)[-1:])
         if self._is_new(where):
-            _LOG.error('%s failed:\n%s', what, ''.join(traceback.format_exception(error)))
+            self._log.error('%s failed:\n%s', what, ''.join(traceback.format_exception(error)))
         return one_line(f'internal error, please report it: {error!r}')
 
     def guarded(self, what: str, callback: Callable[..., None]) -> Callable[..., None]:
@@ -303,7 +323,7 @@ class LandmarkNode(Node):
 
     def _warn_once(self, words: str) -> None:
         if self._is_new(re.sub(r'[-+.\d]+', '#', words)):
-            _LOG.warning('%s', words)
+            self._log.warning('%s', words)
 
     def _is_new(self, words: str) -> bool:
         """Whether something is to be logged; input that varies without end is not."""
@@ -313,6 +333,8 @@ class LandmarkNode(Node):
         return True
 
     def _checked_health(self) -> Health:
+        if not self.is_active:
+            return Health(Level.DEGRADED, f'{self.state}: a lifecycle manager activates it')
         try:
             health = self.health()
         except Exception as error:

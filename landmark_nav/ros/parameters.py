@@ -21,8 +21,6 @@ __all__ = ['declare', 'settle']
 T = TypeVar('T')
 
 _LARGEST_INTEGER = 2**63 - 1
-# Parameters that rclpy declares by itself.
-_OF_ROS = ('use_sim_time', 'qos_overrides', 'start_type_description_service')
 
 
 def settle(node: Node, config: Any) -> Mapping[str, Any]:
@@ -43,7 +41,12 @@ def settle(node: Node, config: Any) -> Mapping[str, Any]:
 
     """
     overrides = getattr(node, '_parameter_overrides', {})  # rclpy has them nowhere else
-    own = {key: value for key, value in overrides.items() if key.partition('.')[0] not in _OF_ROS}
+    # What rclpy declares itself, or as topics are made, is not ours.
+    own = {
+        key: value
+        for key, value in overrides.items()
+        if not node.has_parameter(key) and not key.startswith('qos_overrides.')
+    }
     known = [name for name, _, _ in leaves(config)]
     given = settled({name: parameter.value for name, parameter in own.items()}, known)
     for warning in given.warnings:

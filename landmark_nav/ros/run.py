@@ -1,8 +1,8 @@
-"""`main` of every node: spin until SIGINT or SIGTERM, then end cleanly."""
+"""`main` of the nodes: spin until SIGINT or SIGTERM, then end cleanly."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 import sys
 
@@ -17,7 +17,7 @@ from landmark_nav.ros.logs import forward_logs
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.shutdown_guard import ShutdownGuard
 
-__all__ = ['run_node']
+__all__ = ['run_node', 'run_nodes']
 
 # A stage such as learning takes seconds and can't be interrupted; what it writes appears whole or
 # not at all, so the process may end in the midst of it.
@@ -25,20 +25,25 @@ _GRACE_S = 2.0
 
 
 def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
+    """Run one node in this process; see `run_nodes`."""
+    return run_nodes([make_node], threads)
+
+
+def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) -> int:
     """
-    Run one node in this process.
+    Run nodes in this process, by one executor; if one of them ends, all do.
 
     Parameters
     ----------
-    make_node : callable
-        Makes it; called once ROS is initialised.
+    make_nodes : sequence of callable
+        Each makes one; called once ROS is initialised.
     threads : int
         How many callbacks may run at once.
 
     Returns
     -------
     int
-        Exit status: 0 after a signal or the node's own end, 1 if it could not be made or ended
+        Exit status: 0 after a signal or the end of a node, 1 if one could not be made or ended
         with a failure, 2 for wrong usage.
 
     """
@@ -48,13 +53,15 @@ def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
         try:
             join_ros()
             if own := remove_ros_args(sys.argv)[1:]:
-                print(_usage(name, sys.modules[make_node.__module__].__doc__ or ''))
+                print(_usage(name, sys.modules[make_nodes[0].__module__].__doc__ or ''))
                 return 0 if set(own) & {'-h', '--help'} else 2
-            node = make_node()
-            asked.add_done_callback(lambda _: node.end())
-            forward_logs(node.get_logger())
-            node.announce()
-            _spin(node, threads, shutdown_guard)
+            nodes = [make() for make in make_nodes]
+            asked.add_done_callback(lambda _: nodes[0].end())
+            forward_logs(nodes)
+            for node in nodes:
+                if node.is_active:
+                    node.announce()
+            _spin(nodes, threads, shutdown_guard)
         except LandmarkNavError as error:
             print(f'{name}: {error}', file=sys.stderr)
             return 1
@@ -71,29 +78,35 @@ def _usage(name: str, does: str) -> str:
     )
 
 
-def _spin(node: LandmarkNode, threads: int, shutdown_guard: ShutdownGuard) -> None:
-    """Spin to the end of a node."""
+def _spin(nodes: Sequence[LandmarkNode], threads: int, shutdown_guard: ShutdownGuard) -> None:
+    """Spin to the end of a node, which is that of all."""
     executor = CallbackExecutor(threads)
-    executor.add_node(node)
 
     def wake(_: object) -> None:
+        for node in nodes:
+            node.end()
         # A wait ends when there is something to do.
         executor.create_task(bool)
 
-    # Not `spin_until_future_complete`: that of Jazzy adds another callback every turn.
-    node.ended.add_done_callback(wake)
+    for node in nodes:
+        executor.add_node(node)
+        # Not `spin_until_future_complete`: that of Jazzy adds another callback every turn.
+        node.ended.add_done_callback(wake)
     try:
         # Calls that wait see the end, and are answered.
-        while not node.ended.done() or node.calls_that_wait:
+        while any(not node.ended.done() or node.calls_that_wait for node in nodes):
             executor.spin_once()
-        node.ended.result()
-        # Not where the node or a callback failed: the status has to say so.
+        for node in nodes:
+            node.ended.result()
+        # Not where a node or a callback failed: the status has to say so.
         shutdown_guard.expect_end()
     finally:
-        node.end()
+        for node in nodes:
+            node.end()
         try:
             # Callbacks under way are waited for, and still have publishers and services.
             executor.shutdown()
         finally:
-            # Not every rclpy does that as it shuts down.
-            node.destroy_node()
+            for node in nodes:
+                # Not every rclpy does that as it shuts down.
+                node.destroy_node()

@@ -20,6 +20,9 @@ _TARGET_SIZE_M = 0.5
 _GAP_M = 0.1
 _CORNER_M = 0.12
 
+# Tags of 16 cm in their white border, and the heights at which they find a place.
+_TAG_M, _TAG_HEIGHTS_M = 0.2, (1.5, 1.1, 1.9)
+
 _POSTERS = ('photo', 'poster')
 # Light that is left of a lamp on another day.
 _DIMMED = 0.35
@@ -132,6 +135,31 @@ def exchange_posters(scene: Scene, share: float, rng: Generator) -> tuple[WallIt
     posters = [k for k, item in enumerate(items) if item.kind in _POSTERS]
     for k in rng.permutation(posters)[: round(share * len(posters))]:
         items[k] = replace(items[k], seed=int(rng.integers(2**31)))
+    return tuple(items)
+
+
+def hang_tags(scene: Scene, spacing_m: float) -> tuple[WallItem, ...]:
+    """Items of a room, and AprilTags so far apart where nothing else hangs."""
+    items = list(scene.items)
+    for index, wall in enumerate(scene.room.walls):
+        hung = [
+            (item.along_m, item.center_z_m, item.width_m, item.height_m)
+            for item in scene.items
+            if item.wall == index
+        ]
+        for paper in scene.room.papers:
+            away = np.append(np.subtract(paper.center[:2], wall.start), 0.0)
+            if abs(away @ wall.normal) < _GAP_M:
+                hung.append((away[:2] @ wall.along, paper.center[2], paper.width, paper.height))
+        for along in np.arange(0.5 * spacing_m, wall.length, spacing_m):
+            for z in _TAG_HEIGHTS_M:
+                if all(
+                    abs(along - x) > 0.5 * (_TAG_M + width) or abs(z - y) > 0.5 * (_TAG_M + height)
+                    for x, y, width, height in hung
+                ):
+                    number = len(items) - len(scene.items)
+                    items.append(WallItem('tag', index, float(along), z, _TAG_M, _TAG_M, number))
+                    break
     return tuple(items)
 
 

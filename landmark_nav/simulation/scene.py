@@ -25,8 +25,8 @@ class WallItem:
     Parameters
     ----------
     kind : str
-        ``photo``, ``poster``, ``shelf``, ``blinds``, ``door``, ``target``, or ``sheet``: a paper
-        of one colour, which the robot is not given.
+        ``photo``, ``poster``, ``shelf``, ``blinds``, ``door``, ``target``, ``sheet``: a paper
+        of one colour, which the robot is not given, or ``tag``: an AprilTag.
     wall : int
         Index of the wall that carries it.
     along_m : float
@@ -34,7 +34,7 @@ class WallItem:
     center_z_m, width_m, height_m : float
         Height of its centre above the floor and its size.
     seed : int
-        What it looks like.
+        What it looks like; the number of a tag.
     before_m : float
         How far before the wall its face is: the depth of a frame.
 

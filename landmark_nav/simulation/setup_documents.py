@@ -89,6 +89,7 @@ def scene_document(scene: Scene) -> str:
             'wall': scene.room.walls[item.wall].id,
             'center': [round(float(value), 4) for value in item.center(scene.room)],
             'size': [round(item.width_m, 4), round(item.height_m, 4)],
+            'seed': item.seed,
         }
         for item in scene.items
     ]

@@ -40,7 +40,10 @@ def draw_item(kind: str, seed: int, shape: tuple[int, int]) -> ImageArray:
     ndarray of uint8, shape (rows, columns, 3)
 
     """
-    large = _PAINTERS[kind](np.random.default_rng(seed), (2 * shape[0], 2 * shape[1]))
+    twice = 2 * shape[0], 2 * shape[1]
+    large = (
+        _tag(seed, twice) if kind == 'tag' else _PAINTERS[kind](np.random.default_rng(seed), twice)
+    )
     return np.asarray(
         cv2.resize(large, (shape[1], shape[0]), interpolation=cv2.INTER_AREA), dtype=np.uint8
     )
@@ -187,6 +190,15 @@ def _door(rng: Generator, shape: tuple[int, int]) -> ImageArray:
     cv2.circle(image, knob, columns // 28, (190, 205, 210), -1, cv2.LINE_AA)
     cv2.rectangle(image, (0, 0), (columns - 1, rows), (35, 45, 60), 5 * line)
     return np.asarray(image)
+
+
+def _tag(number: int, shape: tuple[int, int]) -> ImageArray:
+    """Draw an AprilTag of the family 36h11, of 8 modules in a white border of one."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    modules = cv2.aruco.generateImageMarker(dictionary, number, 8)
+    white = np.pad(modules, 1, constant_values=255)
+    tag = cv2.resize(white, shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(cv2.cvtColor(tag, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
 
 
 _PAINTERS: dict[str, Callable[[Generator, tuple[int, int]], ImageArray]] = {

@@ -41,7 +41,7 @@ def problems_of_map(landmarks: LandmarkMap) -> list[str]:
             problems += [
                 f'landmark {k.id}: {text}' for text in _problems_on_wall(k, walls[k.wall_id])
             ]
-        elif walls:
+        elif walls and k.wall_id:
             problems.append(f'landmark {k.id}: its wall {k.wall_id!r} is not in the map')
     return problems
 

@@ -115,7 +115,7 @@ def _check_sweeps(a: LandmarkMap, b: LandmarkMap) -> None:
 
 def _on_wall_of(landmarks: LandmarkMap, k: Landmark) -> Landmark | None:
     """Landmark on the wall of another map that it is on there; None if there is no such wall."""
-    if not landmarks.walls:
+    if not landmarks.walls or not k.wall_id:
         return k
     room = Room(landmarks.walls)
     off = room.wall_distances(k.position[:2])

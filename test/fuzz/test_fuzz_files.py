@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 import os
 from pathlib import Path
+import shutil
 import tempfile
 from typing import Any
 
@@ -206,7 +207,8 @@ def test_bags(kind: str, data: st.DataObject, scratch: Path) -> None:
 @FUZZ
 @given(data=st.data())
 def test_bags_of_hostile_messages(data: st.DataObject, scratch: Path) -> None:
-    path = scratch / f'bag{len(list(scratch.iterdir()))}'
+    path = scratch / 'bag'
+    shutil.rmtree(path, ignore_errors=True)
     messages = dict(robot_messages())
     topic = data.draw(st.sampled_from(BAG_TOPICS))
     store = default_typestore()

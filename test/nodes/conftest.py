@@ -11,11 +11,12 @@ from typing import Any, TYPE_CHECKING
 
 import pytest
 
-from landmark_nav.cli.main import main
 from landmark_nav.demo.graph import node_command, node_environment
 from landmark_nav.demo.supervisor import Supervisor
 
 if TYPE_CHECKING:
+    from graph import Graph
+
     from landmark_nav.ros.robot_client import RobotClient
 
 _NUMBER = count()
@@ -24,7 +25,8 @@ _NUMBER = count()
 @pytest.fixture
 def domain_id() -> int:
     """A domain that no other test of this run uses, below the ephemeral ports."""
-    return 10 + (os.getpid() * 7 + next(_NUMBER)) % 90
+    worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
+    return 10 + 45 * (worker % 2) + (os.getpid() * 7 + next(_NUMBER)) % 45
 
 
 @pytest.fixture
@@ -44,13 +46,9 @@ def start(supervisor: Supervisor) -> Callable[..., None]:
 
 
 @pytest.fixture(scope='session')
-def learned_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def learned_map(recorded: Path) -> Path:
     """Folder of what is learned of the recorded room."""
-    folder = tmp_path_factory.mktemp('learned') / 'map'
-    recorded = Path(__file__).resolve().parents[2] / 'bags'
-    inputs = ['--room', str(recorded / 'room.yaml'), '--robot', str(recorded / 'robot.yaml')]
-    assert main(['learn', str(recorded / 'learn'), *inputs, '--out', str(folder)]) == 0
-    return folder
+    return recorded / 'map'
 
 
 @pytest.fixture
@@ -79,6 +77,15 @@ def client(
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with RobotClient(domain_id, supervisor.check) as joined:
         yield joined
+
+
+@pytest.fixture
+def graph(domain_id: int) -> Iterator[Graph]:
+    from graph import Graph
+
+    made = Graph(domain_id)
+    yield made
+    made.close()
 
 
 @pytest.fixture

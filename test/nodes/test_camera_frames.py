@@ -1,4 +1,4 @@
-"""Joint states that nodes keep for images of a while ago."""
+"""Images of whichever topic has them, and joint states that are kept for them."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ import pytest
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
+from landmark_nav.ros.camera_frames import CameraFrames
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.image_source import ImageSource
+from landmark_nav.ros.inputs import IrrelevantError
+from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import JointSample
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from landmark_nav.ros.camera_frames import CameraFrames
-from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.inputs import IrrelevantError
-from landmark_nav.ros.node import LandmarkNode
 
 MOUNT = PanTiltMount()
+
+
 RATE_RAD_S = 0.5
 
 
@@ -144,3 +147,44 @@ def test_messages_without_stamps_have_the_time_of_arrival() -> None:
         stamped(encode.joint_state(ros_factory, JointSample(stamp_ns, 0.0), MOUNT))
     assert heard == [7_000_000_005, 4_000_000_000]
     assert len(noted) == 1
+
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+
+RAW, COMPRESSED = 'camera/image_raw', 'camera/image_raw/compressed'
+
+
+class Listener:
+    """Keeps who listens to what, as a node; `meanwhile` is what another thread does."""
+
+    def __init__(self) -> None:
+        self.heard: dict[str, Callable[[Any], None]] = {}
+        self.meanwhile: Callable[[], None] = lambda: None
+
+    def listen(self, topic: str, callback: Callable[[Any], None], **_: Any) -> Any:
+        self.heard[topic] = callback
+        return SimpleNamespace(topic=topic)
+
+    def destroy_subscription(self, subscription: Any) -> None:
+        del self.heard[subscription.topic]
+        self.meanwhile()
+
+
+def test_the_first_that_delivers_stays() -> None:
+    node: Any = Listener()
+    images: list[Any] = []
+    ImageSource(node, RAW, images.append)
+    late = node.heard[RAW]
+    node.heard[COMPRESSED]('jpeg')
+    late('raw')
+    assert images == ['jpeg']
+    assert list(node.heard) == [COMPRESSED]
+
+
+def test_a_source_that_two_threads_close_is_closed() -> None:
+    node: Any = Listener()
+    source = ImageSource(node, RAW, lambda _: None)
+    node.meanwhile = source.close
+    source.close()
+    assert not node.heard

@@ -32,9 +32,10 @@ DEMO = [sys.executable, '-m', 'landmark_nav', 'demo', '--out']
 
 @pytest.fixture
 def demo(tmp_path: Path, domain_id: int) -> Iterator[subprocess.Popen[str]]:
-    """A demo under way."""
+    """A demo under way, in the domain of its environment."""
     process = subprocess.Popen(
-        [*DEMO, str(tmp_path / 'demo'), '--domain-id', str(domain_id)],
+        [*DEMO, str(tmp_path / 'demo')],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -78,26 +79,17 @@ def test_who_died_is_reported_and_the_rest_ends(
     assert processes(tmp_path) == {}
 
 
-def test_the_domain_is_that_of_the_environment(tmp_path: Path, domain_id: int) -> None:
-    command = [*DEMO, str(tmp_path / 'demo')]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
-    try:
-        wait(lambda: len(processes(tmp_path)) == NODES, 60.0)
-        for number in processes(tmp_path).values():
-            variables = Path(f'/proc/{number}/environ').read_text().split('\0')
-            assert f'ROS_DOMAIN_ID={domain_id}' in variables
-    finally:
-        process.terminate()
-        process.wait(30.0)
-
-
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_all(
-    number: signal.Signals, demo: subprocess.Popen[str], tmp_path: Path
+def test_a_signal_ends_all_nodes_of_the_domain(
+    number: signal.Signals, demo: subprocess.Popen[str], tmp_path: Path, domain_id: int
 ) -> None:
     wait(lambda: len(processes(tmp_path)) == NODES, 60.0)
-    time.sleep(3.0)
+    for node in processes(tmp_path).values():
+        variables = Path(f'/proc/{node}/environ').read_text().split('\0')
+        assert f'ROS_DOMAIN_ID={domain_id}' in variables
+    # They run by then.
+    log = tmp_path / 'demo' / 'logs' / 'sweep_capture.log'
+    wait(lambda: log.is_file() and 'ready' in log.read_text(), 60.0)
     demo.send_signal(number)
     _, complaint = demo.communicate(timeout=30)
     assert demo.returncode == 130, complaint

@@ -17,9 +17,9 @@ from landmark_nav.types import JointSample, OdometrySample
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
+from graph import Graph
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -53,33 +53,19 @@ class Listener(LandmarkNode):
         self.odometry.append(decode.odometry(message))
 
 
-class Graph:
-    """A listener and drivers, in one process."""
+class Robot(Graph):
+    """A listener and drivers."""
 
-    def __init__(self, context: Context) -> None:
-        self.context = context
-        self.executor = SingleThreadedExecutor(context=context)
-        self.nodes: list[Any] = []
-        self.listener = Listener(context=context)
-        self.add(self.listener)
-
-    def add(self, node: Any) -> None:
-        self.nodes.append(node)
-        self.executor.add_node(node)
+    def __init__(self, domain_id: int) -> None:
+        super().__init__(domain_id)
+        self.listener = self.add(Listener(context=self.context))
 
     def publisher(self, node: str, topic: str, kind: str = '') -> Any:
-        self.add(rclpy.create_node(node, context=self.context))
         spec = TOPICS.get(topic.removeprefix('/robot/'))
         qos = spec.qos if spec is not None else 10
         made: Any = message_class(kind or TOPICS[topic.removeprefix('/robot/')].type_name)
-        return self.nodes[-1].create_publisher(made, topic, qos)
-
-    def until(self, condition: Callable[[], bool], meanwhile: Callable[[], None]) -> None:
-        deadline = time.monotonic() + 20.0
-        while not condition():
-            assert time.monotonic() < deadline, self.health().reason
-            meanwhile()
-            self.executor.spin_once(timeout_sec=0.02)
+        driver: Any = self.add(rclpy.create_node(node, context=self.context))
+        return driver.create_publisher(made, topic, qos)
 
     def health(self) -> Health:
         return self.listener._checked_health()
@@ -89,15 +75,10 @@ class Graph:
 
 
 @pytest.fixture
-def graph(domain_id: int) -> Iterator[Graph]:
-    context = Context()
-    context.init(domain_id=domain_id)
-    made = Graph(context)
+def graph(domain_id: int) -> Iterator[Robot]:
+    made = Robot(domain_id)
     yield made
-    made.executor.shutdown()
-    for node in made.nodes:
-        node.destroy_node()
-    context.try_shutdown()
+    made.close()
 
 
 def odometry(stamp_ns: int, x: float = 0.0) -> Any:
@@ -116,7 +97,7 @@ def reliability(of: str, value: Any) -> dict[str, Any]:
 
 
 def test_reliability_is_overridden_and_a_publisher_that_does_not_suffice_is_named(
-    graph: Graph,
+    graph: Robot,
 ) -> None:
     wheels = graph.publisher('wheels', '/robot/odom')
     strict = Listener(context=graph.context, **reliability('subscription', 'reliable'))
@@ -137,14 +118,14 @@ def test_reliability_is_overridden_and_a_publisher_that_does_not_suffice_is_name
 
 
 @pytest.mark.parametrize('value', ['perfect', '', 5, True])
-def test_a_reliability_that_is_none_is_refused_in_a_line(graph: Graph, value: Any) -> None:
+def test_a_reliability_that_is_none_is_refused_in_a_line(graph: Robot, value: Any) -> None:
     with pytest.raises(LandmarkNavError, match=r'^qos_overrides of odom.*best_effort') as refused:
         Listener(context=graph.context, **reliability('subscription', value))
     assert len(str(refused.value)) <= 200
 
 
 def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(
-    graph: Graph, domain_id: int
+    graph: Robot, domain_id: int
 ) -> None:
     graph.listener.fails = True
     health = graph.health()
@@ -166,7 +147,7 @@ def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(
 
 
 def test_what_is_awaited_is_logged_and_once_that_it_is_there(
-    graph: Graph, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    graph: Robot, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Another test may have sent what the package logs to a node.
     package = logging.getLogger('landmark_nav')
@@ -186,7 +167,7 @@ def test_what_is_awaited_is_logged_and_once_that_it_is_there(
     assert len(caplog.messages) == 2
 
 
-def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph: Graph) -> None:
+def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph: Robot) -> None:
     wheels = graph.publisher('wheels', '/robot/odom')
     send = lambda: wheels.publish(odometry(NOW_NS, np.nan))  # noqa: E731
     graph.until(graph.reports('odom from /wheels dropped: odometry position'), send)
@@ -201,7 +182,7 @@ def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph: Graph) ->
     assert graph.listener.odometry[0].pose_odom_base[0] == 1.0
 
 
-def test_bytes_that_are_no_message_end_nothing(graph: Graph) -> None:
+def test_bytes_that_are_no_message_end_nothing(graph: Robot) -> None:
     wheels, rng = graph.publisher('wheels', '/robot/odom'), np.random.default_rng(1)
     graph.until(
         lambda: bool(graph.listener.odometry),
@@ -212,7 +193,7 @@ def test_bytes_that_are_no_message_end_nothing(graph: Graph) -> None:
     )
 
 
-def test_joints_of_other_names_are_listed_until_the_pan_comes(graph: Graph) -> None:
+def test_joints_of_other_names_are_listed_until_the_pan_comes(graph: Robot) -> None:
     unit = graph.publisher('unit', '/robot/joint_states')
     wrong = 'neck_pan, neck_tilt arrive, not pan_joint: set pan_joint in robot.yaml'
     graph.until(
@@ -225,7 +206,7 @@ def test_joints_of_other_names_are_listed_until_the_pan_comes(graph: Graph) -> N
     assert 'arrive, not' not in graph.health().reason
 
 
-def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph: Graph) -> None:
+def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph: Robot) -> None:
     one = graph.publisher('one', '/robot/odom')
     graph.until(lambda: bool(graph.listener.odometry), lambda: one.publish(odometry(NOW_NS, 1.0)))
     other = graph.publisher('other', '/robot/odom')
@@ -241,7 +222,7 @@ def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph: 
 
 
 @pytest.mark.parametrize('off_s', [-4990, 60, 1_700_000_000])
-def test_a_stream_of_another_clock_is_named_with_its_offset(graph: Graph, off_s: int) -> None:
+def test_a_stream_of_another_clock_is_named_with_its_offset(graph: Robot, off_s: int) -> None:
     wheels, unit = (
         graph.publisher('wheels', '/robot/odom'),
         graph.publisher('unit', '/robot/joint_states'),
@@ -260,7 +241,7 @@ def test_a_stream_of_another_clock_is_named_with_its_offset(graph: Graph, off_s:
     assert '/robot/odom' in words
 
 
-def test_a_clock_that_does_not_come_is_reported(graph: Graph) -> None:
+def test_a_clock_that_does_not_come_is_reported(graph: Robot) -> None:
     assert 'use_sim_time' not in graph.health().reason
     simulated = [Parameter('use_sim_time', value=True)]
     graph.listener.set_parameters(simulated)
@@ -279,7 +260,7 @@ def test_a_clock_that_does_not_come_is_reported(graph: Graph) -> None:
     )
 
 
-def test_two_nodes_of_one_name_are_reported(graph: Graph) -> None:
+def test_two_nodes_of_one_name_are_reported(graph: Robot) -> None:
     assert 'two nodes' not in graph.health().reason
     twin = Listener(context=graph.context)
     graph.add(twin)
@@ -288,7 +269,7 @@ def test_two_nodes_of_one_name_are_reported(graph: Graph) -> None:
     assert 'two nodes are named /robot/listener' in twin._checked_health().reason
 
 
-def test_a_service_that_fails_answers(graph: Graph) -> None:
+def test_a_service_that_fails_answers(graph: Robot) -> None:
     def refuse() -> str:
         raise LandmarkNavError('not now')
 

@@ -86,25 +86,29 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
     play: Callable[..., subprocess.Popen[bytes]],
     tmp_path: Path,
 ) -> None:
+    """With a start where they arrive late as well; else the place is found by the camera."""
     drive = Bag(stamped_late(tmp_path / 'drive', arrive_late))
     first = next(drive.messages([drive.require('odom')])).message
     begin_ns = decode.stamp_ns(first.header)
     pose = np.array(json.loads((RECORDED / 'start.json').read_text())['pose'])
     given = PoseEstimate(begin_ns, pose, np.diag(np.square(START_SIGMA)))
-    fused: dict[int, np.ndarray] = {}
+    fused: dict[int, PoseEstimate] = {}
     found: dict[int, int] = {}
 
     def saw(message: Any) -> None:
         detections = decode.detections(message)
         found[detections.stamp_ns] = len(detections)
 
+    def knew(message: Any) -> None:
+        estimate = decode.pose_estimate(message)
+        fused[estimate.stamp_ns] = estimate
+
     client.listen('detections', saw)
+    client.listen('odometry/fused', knew)
     player = play(tmp_path / 'drive')
 
     def over() -> bool:
-        if client.fused is not None:
-            fused[client.fused.stamp_ns] = client.fused.pose
-        elif client.odometry is not None:
+        if arrive_late and not fused and client.odometry is not None:
             client.start_at(given)
         return player.poll() == 0
 
@@ -114,10 +118,16 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
     assert sigma_s < 0.005
     assert delay_s == pytest.approx(1e-9 * LATE_NS, abs=4.0 * sigma_s + 0.002)
     assert 'ms late, which is put right' in client.status_of('odometry_fusion').reason
-    truth = true_places(drive)
-    later = [stamp for stamp in fused if stamp - begin_ns > KNOWN_S * 1e9]
-    errors = pose_errors(np.array([fused[stamp] for stamp in later]), truth.at(later))
-    assert np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))) < 0.03
+    stamps = sorted(fused)
+    assert len(stamps) > 100
+    errors = pose_errors(np.array([fused[k].pose for k in stamps]), true_places(drive).at(stamps))
+    known = np.isfinite(errors).all(axis=1)
+    # A heading that late joint states turned is never claimed to be certain.
+    inverse = np.linalg.inv([fused[k].covariance for k in stamps])
+    sigmas = np.sqrt(np.einsum('ni,nij,nj->n', errors, inverse, errors))
+    assert arrive_late or sigmas[known].max() < 5.0
+    later = known & (np.array(stamps) - begin_ns > KNOWN_S * 1e9)
+    assert np.sqrt(np.mean(np.sum(errors[later, :2] ** 2, axis=1))) < 0.03
     # The camera turns by 2 rad/s: by 23 deg more than joint states of 0.2 s before say.
     mount = load_robot(RECORDED / 'robot.yaml')
     turning = [
@@ -130,25 +140,3 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
     ]
     # Three of five look at landmarks; one in ten finds some with the pan as it is given.
     assert np.mean(np.array(turning) >= 3) > 0.5
-
-
-def test_a_place_that_is_found_is_not_sure_of_a_heading_that_late_joint_states_turned(
-    localizing: None,
-    client: RobotClient,
-    play: Callable[..., subprocess.Popen[bytes]],
-    tmp_path: Path,
-) -> None:
-    drive = Bag(stamped_late(tmp_path / 'drive', arrive_late=False))
-    given: list[PoseEstimate] = []
-    client.listen('odometry/fused', lambda message: given.append(decode.pose_estimate(message)))
-    player = play(drive.path)
-    client.wait(lambda: player.poll() == 0, 60.0, 'the end of the drive')
-    errors = pose_errors(
-        np.array([estimate.pose for estimate in given]),
-        true_places(drive).at([estimate.stamp_ns for estimate in given]),
-    )
-    inside = np.isfinite(errors).all(axis=1)
-    assert inside.sum() > 100
-    inverse = np.linalg.inv([estimate.covariance for estimate in given])
-    sigmas = np.sqrt(np.einsum('ni,nij,nj->n', errors, inverse, errors)[inside])
-    assert sigmas.max() < 5.0

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -60,3 +61,21 @@ def test_simulation_gives_the_simulator_parameters_that_it_has() -> None:
     assert types == {name: fields[name] for name in types}
     assert set(types) <= set(READS['room_simulator'])
     assert set(types) <= declared(simulation) | declared(tree('bringup.launch.py'))
+
+
+def test_the_analyzers_of_diagnostics_name_nodes_and_their_work() -> None:
+    file = LAUNCH.parents[1] / 'config' / 'diagnostic_aggregator.yaml'
+    text = file.read_text(encoding='utf-8')
+    parameters = yaml.safe_load(text)['/**']['ros__parameters']
+    groups = [group for group in parameters.values() if isinstance(group, dict)]
+    names = {name for group in groups for name in group['startswith']}
+    assert names == set(assigned(tree('bringup.launch.py'), 'NODES'))
+    nodes = LAUNCH.parent / 'nodes'
+    for expected in (name for group in groups for name in group.get('expected', ())):
+        node, _, work = expected.partition(': ')
+        assert f"super().__init__('{node}', '{work}'" in (nodes / f'{node}.py').read_text()
+
+
+def test_both_launch_files_take_the_same_arguments() -> None:
+    bringup, simulation = (declared(tree(f'{k}.launch.py')) for k in ('bringup', 'simulation'))
+    assert bringup <= simulation

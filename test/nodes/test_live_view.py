@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 import time
 from typing import Any
 
@@ -12,8 +11,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from graph import Graph
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.observer import Observation
@@ -46,30 +44,9 @@ class Bystander(LandmarkNode):
         return Health(Level.OK, 'looking')
 
 
-class Graph:
-    """A node, and a way to let messages in."""
-
-    def __init__(self, context: Context) -> None:
-        self.node = Bystander(context=context)
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.node)
-
-    def until(self, condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + 20.0
-        while not condition():
-            assert time.monotonic() < deadline, 'it did not come in time'
-            self.executor.spin_once(timeout_sec=0.02)
-
-
 @pytest.fixture
-def graph(domain_id: int) -> Iterator[Graph]:
-    context = Context()
-    context.init(domain_id=domain_id)
-    made = Graph(context)
-    yield made
-    made.executor.shutdown()
-    made.node.destroy_node()
-    context.try_shutdown()
+def node(graph: Graph) -> Bystander:
+    return graph.add(Bystander(context=graph.context))
 
 
 def estimate(k: int, x: float, y: float = 0.0) -> PoseEstimate:
@@ -96,11 +73,13 @@ def test_a_path_follows_the_drive_and_stays_bounded() -> None:
     assert not path.changed
 
 
-def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(graph: Graph) -> None:
-    live = LivePose(graph.node, 'map')
+def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(
+    graph: Graph, node: Bystander
+) -> None:
+    live = LivePose(node, 'map')
     came: dict[str, list[Any]] = {'odometry_fusion/path': [], 'odometry_fusion/odometry_path': []}
     for topic, messages in came.items():
-        graph.node.listen(topic, messages.append)
+        node.listen(topic, messages.append)
     graph.until(lambda: all(one.get_subscription_count() for one in live._outputs))
     begun_s, k = time.monotonic(), 0
     while time.monotonic() - begun_s < 1.2:
@@ -122,7 +101,7 @@ def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(graph: Graph)
     assert max(abs(one.pose.position.y) for one in fused) == 0.0
     # Who comes later sees the way up to now, though the robot stands.
     late: list[Any] = []
-    graph.node.listen('odometry_fusion/path', late.append)
+    node.listen('odometry_fusion/path', late.append)
 
     def standing() -> bool:
         live.show(estimate(k, 0.01 * k), odometry(k, 0.011 * k), lambda: None)
@@ -141,7 +120,7 @@ def no(*_given: Any, **_named: Any) -> Any:
 
 
 def test_without_a_subscriber_nothing_is_drawn(
-    graph: Graph, monkeypatch: pytest.MonkeyPatch
+    node: Bystander, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module, name in (
         (live_view, 'draw_observation'),
@@ -151,21 +130,23 @@ def test_without_a_subscriber_nothing_is_drawn(
         (live_pose.ThinnedPath, 'message'),
     ):
         monkeypatch.setattr(module, name, no)
-    show_image(LiveView(graph.node, 'map'))
-    live = LivePose(graph.node, 'map')
+    show_image(LiveView(node, 'map'))
+    live = LivePose(node, 'map')
     for k in range(3):
         live.show(estimate(k, float(k)), odometry(k, float(k)), no)
 
 
-def test_the_debug_image_and_the_markers_reach_who_subscribes(graph: Graph) -> None:
-    live, poses = LiveView(graph.node, 'map'), LivePose(graph.node, 'map')
+def test_the_debug_image_and_the_markers_reach_who_subscribes(
+    graph: Graph, node: Bystander
+) -> None:
+    live, poses = LiveView(node, 'map'), LivePose(node, 'map')
     came: dict[str, list[Any]] = {
         IMAGE: [],
         'triangulation_localizer/markers': [],
         'odometry_fusion/markers': [],
     }
     for topic, messages in came.items():
-        graph.node.listen(topic, messages.append)
+        node.listen(topic, messages.append)
 
     def all_came() -> bool:
         show_image(live)

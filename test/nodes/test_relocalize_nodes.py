@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from faults import displaced_drive
+from drive_faults import displaced_drive
 import numpy as np
 import pytest
 

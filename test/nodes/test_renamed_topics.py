@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-import time
+from itertools import count
 from typing import Any
 
 import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
+from graph import Graph
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import Int32
 
@@ -32,42 +31,26 @@ class Watched(LandmarkNode):
         return Health(Level.OK, 'fine')
 
 
-class Graph:
-    """Nodes in one executor."""
-
-    def __init__(self, context: Context) -> None:
-        self.context = context
-        self.executor = SingleThreadedExecutor(context=context)
-
-    def node(self, name: str) -> Node:
-        made = Node(name, context=self.context)
-        self.executor.add_node(made)
-        return made
-
-    def watched(self, name: str) -> Watched:
-        made = Watched(name, self.context)
-        self.executor.add_node(made)
-        return made
-
-    def publish_until(self, publisher: Any, received: list[int]) -> None:
-        """Publish rising numbers until one arrives, and then three more."""
-        deadline, number, left = time.monotonic() + 20.0, 0, 3
-        while left:
-            assert time.monotonic() < deadline, 'nothing arrives'
-            number, left = number + 1, left - bool(received)
-            publisher.publish(Int32(data=number))
-            for _ in range(10):
-                self.executor.spin_once(timeout_sec=0.02)
+def watched(graph: Graph, name: str) -> Watched:
+    return graph.add(Watched(name, graph.context))
 
 
-@pytest.fixture
-def graph(domain_id: int) -> Iterator[Graph]:
-    context = Context()
-    context.init(domain_id=domain_id)
-    made = Graph(context)
-    yield made
-    made.executor.shutdown()
-    context.try_shutdown()
+def plain(graph: Graph, name: str) -> Node:
+    return graph.add(Node(name, context=graph.context))
+
+
+def publish_until(graph: Graph, publisher: Any, received: list[int]) -> None:
+    """Publish rising numbers until one arrives, and then three more."""
+    numbers = count()
+
+    def publish() -> None:
+        publisher.publish(Int32(data=next(numbers)))
+        for _ in range(9):
+            graph.executor.spin_once(timeout_sec=0.02)
+
+    graph.until(lambda: bool(received), publish)
+    for _ in range(3):
+        publish()
 
 
 def take(received: list[int]) -> Any:
@@ -75,27 +58,27 @@ def take(received: list[int]) -> Any:
 
 
 def test_who_subscribes_to_the_former_name_is_served_and_named(graph: Graph) -> None:
-    sender, received = graph.watched('new'), []
+    sender, received = watched(graph, 'new'), []
     publisher = sender.create_publisher(Int32, NEW, 10)
-    graph.node('old').create_subscription(Int32, FORMER, take(received), 10)
-    graph.publish_until(publisher, received)
+    plain(graph, 'old').create_subscription(Int32, FORMER, take(received), 10)
+    publish_until(graph, publisher, received)
     (warning,) = set(sender.warned)
     assert '/old' in warning
     assert NEW in warning
 
 
 def test_who_publishes_by_the_former_name_is_heard_and_named(graph: Graph) -> None:
-    listener, received = graph.watched('new'), []
+    listener, received = watched(graph, 'new'), []
     listener.create_subscription(Int32, NEW, take(received), 10)
-    publisher = graph.node('old').create_publisher(Int32, FORMER, 10)
-    graph.publish_until(publisher, received)
+    publisher = plain(graph, 'old').create_publisher(Int32, FORMER, 10)
+    publish_until(graph, publisher, received)
     assert any('/old' in text and NEW in text for text in listener.warned)
 
 
 def test_between_new_nodes_each_message_arrives_once(graph: Graph) -> None:
-    sender, listener, received = graph.watched('sender'), graph.watched('listener'), []
+    sender, listener, received = watched(graph, 'sender'), watched(graph, 'listener'), []
     listener.create_subscription(Int32, NEW, take(received), 10)
-    graph.publish_until(sender.create_publisher(Int32, NEW, 10), received)
+    publish_until(graph, sender.create_publisher(Int32, NEW, 10), received)
     assert len(received) == len(set(received)) >= 2
     assert not sender.warned
     assert not [text for text in listener.warned if FORMER in text]

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 import json
 from pathlib import Path
+import shutil
 import subprocess
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from landmark_nav.calibration import NAMES
 from landmark_nav.evaluation.metrics import error_summary, pose_errors
 from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import PoseEstimate
 
 if TYPE_CHECKING:
@@ -61,7 +64,8 @@ def test_learned_and_localized_as_offline(
     play_all: Callable[..., None],
     tmp_path: Path,
 ) -> None:
-    robot, room = str(recorded / 'robot.yaml'), str(recorded / 'room.yaml')
+    robot, room = str(tmp_path / 'robot.yaml'), str(recorded / 'room.yaml')
+    shutil.copy(recorded / 'robot.yaml', robot)
     start('panorama_synthesizer', robot_file=robot, room_file=room)
     start('landmark_learner', room_file=room, map_folder=str(tmp_path / 'map'))
     start('triangulation_localizer', robot_file=robot)
@@ -117,3 +121,9 @@ def test_learned_and_localized_as_offline(
     delay, sigma = (float(node) for node in status_of.values['joint_delay_ms'].split(' +- '))
     assert sigma < 10.0
     assert abs(delay) < 4.0 * sigma + 1.0
+
+    # The recorded robot is as its robot.yaml says.
+    client.call('calibrate', 10.0)
+    known, better = load_calibration(robot), load_calibration(tmp_path / 'robot_calibrated.yaml')
+    assert not set(NAMES) - set(better.unobserved(known)) <= {'joint_delay'}
+    np.testing.assert_array_less(abs(better.values - known.values), 5.0 * better.sigmas + 1e-9)

@@ -1,9 +1,8 @@
-"""The offline commands as a user calls them, on data that this project did not draw."""
+"""The offline commands as a user calls them, and what they say of data that is wrong."""
 
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
 import json
 from pathlib import Path
 import re
@@ -14,49 +13,27 @@ import pytest
 import yaml
 
 from landmark_nav.cli.main import main
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags import Bag, BagWriter
-from landmark_nav.storage.maps import load_map
 
 STORE = default_typestore()
 
 
-@dataclass(frozen=True)
 class Study:
-    folder: Path
-    learned: Path
-    figures: dict
+    """The recorded room of bags/."""
 
-    @property
-    def robot(self):
-        return str(self.folder / 'robot.yaml')
+    folder = Path(__file__).resolve().parents[2] / 'bags'
+    robot, room = str(folder / 'robot.yaml'), str(folder / 'room.yaml')
+    start = tuple(map(str, json.loads((folder / 'start.json').read_text())['pose']))
 
-    @property
-    def room(self):
-        return str(self.folder / 'room.yaml')
-
-    @property
-    def start(self):
-        pose = json.loads((self.folder / 'start.json').read_text())['pose']
-        return [str(value) for value in pose]
+    def __init__(self, recorded):
+        self.learned = recorded / 'map'
+        self.figures = json.loads((recorded / 'learn.json').read_text())
 
 
 @pytest.fixture(scope='module')
-def study(shared_data, tmp_path_factory):
-    folder = shared_data / 'study'
-    place = tmp_path_factory.mktemp('learned')
-    out, figures = place / 'map', place / 'learn.json'
-    status = main(
-        [
-            'learn',
-            str(folder / 'learn'),
-            *('--room', str(folder / 'room.yaml'), '--robot', str(folder / 'robot.yaml')),
-            *('--out', str(out), '--json', str(figures)),
-        ]
-    )
-    assert status == 0
-    return Study(folder, out, json.loads(figures.read_text()))
+def study(recorded):
+    return Study(recorded)
 
 
 def rewrite(source, target, change):
@@ -118,57 +95,6 @@ def test_map_show_lists_the_landmarks(study, capsys):
     assert 'learned_from: learn' in printed
 
 
-def test_evaluate_reaches_the_figures_and_repeats_them(study, tmp_path, capsys):
-    # The second half of a second run would show nothing new: it is cut short.
-    short = rewrite(
-        study.folder / 'drive',
-        tmp_path / 'short',
-        lambda entry: entry.data if entry.stamp_ns < 5005 * 10**9 else None,
-    )
-    # The mount is as it says; without sigmas the heading would be that of the wheels' side slip.
-    robot, axis = tmp_path / 'robot.yaml', 'xyz: [0.08, 0.0, 1.1]'
-    given = Path(study.robot).read_text()
-    assert axis in given
-    exact = given.replace(axis, f'{axis}\n  xyz_sigma: 0.0001\n  rpy_sigma: 0.0001')
-    robot.write_text(f'{exact}optical_center_offset_sigma: 0.0001\ncamera_roll_sigma: 0.0001\n')
-    reports = []
-    for bag, name in ((study.folder / 'drive', 'whole'), (short, 'one'), (short, 'two')):
-        figures = tmp_path / name / 'evaluate.json'
-        page = tmp_path / name / 'report.html'
-        arguments = ['evaluate', str(bag), '--map', str(study.learned), '--robot', str(robot)]
-        arguments += ['--start', *study.start, '--json', str(figures), '--report', str(page)]
-        arguments += ['--out', str(figures.parent)]
-        assert main(arguments) == 0
-        reports.append(json.loads(figures.read_text()))
-        for camera_image in ('trajectory.png', 'errors.png'):
-            assert cv2.imread(str(figures.parent / camera_image)) is not None
-        assert 100_000 < page.stat().st_size < 15e6 / 60 * 37
-    whole, one, two = reports
-    assert whole['frames'] == 184
-    assert whole['fused']['position_rmse_m'] <= 0.03
-    assert whole['fused']['heading_rmse_deg'] <= 0.4
-    assert whole['availability'] >= 0.95
-    assert whole['odometry']['position_rmse_m'] > whole['fused']['position_rmse_m']
-    assert whole['realtime_factor'] > 0.0
-    assert one['result_hash'] == two['result_hash'] != whole['result_hash']
-    assert 'fused' in capsys.readouterr().out
-
-
-def test_a_drive_without_a_start_finds_its_own_place(study, tmp_path):
-    short = rewrite(
-        study.folder / 'drive',
-        tmp_path / 'short',
-        lambda entry: entry.data if entry.stamp_ns < 5008 * 10**9 else None,
-    )
-    figures = tmp_path / 'evaluate.json'
-    arguments = [*evaluate(short, study, start=False), '--json', figures]
-    assert main([str(a) for a in arguments]) == 0
-    report = json.loads(figures.read_text())
-    assert 0.0 <= report['found']['after_s'] <= 5.0
-    assert report['fused']['position_max_m'] < 0.1
-    assert report['availability'] < 1.0
-
-
 @pytest.mark.parametrize('name', ['grail', 'parrington'])
 def test_photographs_become_a_panorama_of_a_full_turn(shared_data, tmp_path, capsys, name):
     folder, out = shared_data / 'pan_sweeps' / name, tmp_path / 'panorama.png'
@@ -204,7 +130,6 @@ def test_what_is_no_bag_is_refused(study, tmp_path, capsys):
     out = tmp_path / 'map'
     refused(capsys, learn(tmp_path / 'nowhere', study, out), 'no bag there')
     refused(capsys, learn(study.room, study, out), 'not a bag')
-    refused(capsys, learn(study.folder / 'drive', study, out), 'sweep/image', 'is missing')
     refused(capsys, evaluate(study.folder / 'learn', study), 'camera/image_raw', 'is missing')
     assert not list(tmp_path.iterdir())
 
@@ -216,29 +141,6 @@ def test_a_recording_that_broke_off_may_leave_a_single_sweep(study, tmp_path, ca
     refused(capsys, learn(cut, study, tmp_path / 'map'), 'two panoramas')
     assert 'cut off or damaged' in caplog.text
     assert [p.name for p in tmp_path.iterdir()] == ['cut.mcap']
-
-
-def test_a_hole_in_a_sweep_is_named_and_nothing_learned_there(study, tmp_path, caplog):
-    def without_some(entry):
-        missing = 1024 * 10**9 <= entry.stamp_ns < 1031 * 10**9
-        return None if missing and 'image' in entry.topic else entry.data
-
-    bag = rewrite(study.folder / 'learn', tmp_path / 'holes', without_some)
-    figures, out = tmp_path / 'learn.json', tmp_path / 'map'
-    setup = ['--room', study.room, '--robot', study.robot, '--out', str(out)]
-    assert main(['learn', bag, *setup, '--json', str(figures)]) == 0
-    assert '14 frames are missing, at pan 60, 65' in caplog.text
-    assert 'nothing is seen from pan 81 to 104 deg' in caplog.text
-    report = json.loads(figures.read_text())
-    assert [sweep['frames'] for sweep in report['sweeps']] == [58, 72]
-    assert all(sweep['error_position_m'] < 0.02 for sweep in report['sweeps'])
-    assert report['elected'] >= 20
-    x, y, heading = report['sweeps'][0]['pose']
-    for landmark in load_map(out).landmarks:
-        if np.hypot(*(landmark.viewpoint[:2] - [x, y])) < 0.2:
-            east, north = landmark.position[:2] - landmark.viewpoint[:2]
-            azimuth_deg = np.degrees(wrap_rad(np.arctan2(north, east) - heading))
-            assert not 83.0 < azimuth_deg < 102.0
 
 
 @pytest.mark.parametrize(
@@ -265,17 +167,6 @@ def test_unknown_cameras_and_encodings_are_refused_by_name(
 
     bag = rewrite(study.folder / 'learn', tmp_path / 'strange', with_change)
     refused(capsys, learn(bag, study, tmp_path / 'map'), topic, *words)
-    assert not (tmp_path / 'map').exists()
-
-
-def test_papers_given_on_the_opposite_wall_are_refused(study, tmp_path, capsys):
-    room = yaml.safe_load(Path(study.room).read_text())
-    for paper in room['reference_area']['papers']:
-        paper['center'][1] += 4.35
-    path = tmp_path / 'room.yaml'
-    path.write_text(yaml.safe_dump(room))
-    bag = study.folder / 'learn'
-    refused(capsys, learn(bag, study, tmp_path / 'map', str(path)), 'papers', 'opposite wall')
     assert not (tmp_path / 'map').exists()
 
 
@@ -325,14 +216,14 @@ def test_maps_and_starts_that_cannot_be_are_refused(study, tmp_path, capsys):
     refused(capsys, ['map', 'show', tmp_path], 'schema version 7')
     arguments = evaluate(drive, study, start=False)
     refused(capsys, [*arguments, '--start', '1', '1', '90'], 'radians', status=2)
-    outside = [*arguments, '--start', '7.6', '1', '0']
+    outside = [*arguments, '--start', '9.8', '1', '0']
     refused(capsys, outside, '1.00 m outside the room', status=2)
 
 
 def test_a_truncated_drive_is_evaluated_up_to_the_break(study, tmp_path, caplog):
     whole = (study.folder / 'drive' / 'drive.mcap').read_bytes()
     cut = tmp_path / 'cut.mcap'
-    cut.write_bytes(whole[: len(whole) // 10])
+    cut.write_bytes(whole[: len(whole) // 4])
     figures = tmp_path / 'evaluate.json'
     arguments = [*evaluate(cut, study), '--json', figures]
     assert main([str(a) for a in arguments]) == 0

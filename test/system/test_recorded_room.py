@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from faults import displaced_drive, late_drive, starved_drive
+from drive_faults import displaced_drive, late_drive, starved_drive
 import numpy as np
 import pytest
 
@@ -24,18 +24,10 @@ BAGS = Path(__file__).resolve().parents[2] / 'bags'
 
 
 @pytest.fixture(scope='module')
-def figures(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, float], Path]:
+def figures(recorded: Path) -> tuple[dict[str, float], Path]:
     """What `learn` and `evaluate` measure, by the names of expected.json, and the map."""
-    out = tmp_path_factory.mktemp('recorded')
-    room, robot = str(BAGS / 'room.yaml'), str(BAGS / 'robot.yaml')
-    start = json.loads((BAGS / 'start.json').read_text())['pose']
-    learn = ['learn', str(BAGS / 'learn'), '--room', room, '--robot', robot]
-    assert main([*learn, '--out', str(out / 'map'), '--json', str(out / 'learn.json')]) == 0
-    evaluate = ['evaluate', str(BAGS / 'drive'), '--map', str(out / 'map'), '--robot', robot]
-    evaluate += ['--start', *map(str, start), '--json', str(out / 'run.json')]
-    assert main([*evaluate, '--report', str(out / 'run.html')]) == 0
-    learned = json.loads((out / 'learn.json').read_text())
-    run = json.loads((out / 'run.json').read_text())
+    learned = json.loads((recorded / 'learn.json').read_text())
+    run = json.loads((recorded / 'run.json').read_text())
     return {
         'landmarks': learned['elected'],
         'walls': len(learned['landmarks_per_wall']),
@@ -45,7 +37,7 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, float],
         'fused_heading_rmse_deg': run['fused']['heading_rmse_deg'],
         'odometry_position_rmse_m': run['odometry']['position_rmse_m'],
         'availability': run['availability'],
-    }, out
+    }, recorded
 
 
 def test_as_expected(figures: tuple[dict[str, float], Path]) -> None:
@@ -162,10 +154,12 @@ def test_what_a_starved_machine_loses_is_in_the_covariance(
     assert run['availability'] > 0.9
 
 
-def run_with(out: Path, calibration: Calibration, *options: str) -> dict[str, Any]:
+def run_with(
+    landmarks: Path, out: Path, calibration: Calibration, *options: str
+) -> dict[str, Any]:
     """Figures of `evaluate` with another `robot.yaml`."""
     save_calibration(calibration, out / 'robot.yaml')
-    files = ['--map', str(out / 'map'), '--robot', str(out / 'robot.yaml')]
+    files = ['--map', str(landmarks), '--robot', str(out / 'robot.yaml')]
     files += ['--json', str(out / 'run.json')]
     assert main(['evaluate', str(BAGS / 'drive'), *files, *options]) == 0
     run: dict[str, Any] = json.loads((out / 'run.json').read_text())
@@ -176,11 +170,9 @@ def start_of_the_drive() -> list[str]:
     return ['--start', *map(str, json.loads((BAGS / 'start.json').read_text())['pose'])]
 
 
-def test_the_estimator_is_as_good_where_the_mount_is_exact(
-    figures: tuple[dict[str, float], Path],
-) -> None:
+def test_the_estimator_is_as_good_where_the_mount_is_exact(recorded: Path, tmp_path: Path) -> None:
     exact = Calibration.exact(load_robot(BAGS / 'robot.yaml'))
-    run = run_with(figures[1], exact, *start_of_the_drive())
+    run = run_with(recorded / 'map', tmp_path, exact, *start_of_the_drive())
     bounds = json.loads((BAGS / 'expected.json').read_text())
     assert run['fused']['position_rmse_m'] < bounds['fused_position_rmse_m']['most']
     assert run['fused']['heading_rmse_deg'] < bounds['fused_heading_rmse_deg']['most']
@@ -199,11 +191,11 @@ def test_the_estimator_is_as_good_where_the_mount_is_exact(
     ],
 )
 def test_the_estimator_knows_how_wrong_it_may_be(
-    figures: tuple[dict[str, float], Path], error: dict[str, float]
+    recorded: Path, error: dict[str, float], tmp_path: Path
 ) -> None:
     right = Calibration.of_mount(load_robot(BAGS / 'robot.yaml'))
     wrong = right.with_values(**{name: right[name][0] + off for name, off in error.items()})
-    run = run_with(figures[1], wrong, *start_of_the_drive())
+    run = run_with(recorded / 'map', tmp_path, wrong, *start_of_the_drive())
     assert run['integrity']['undetected_wrong'] == 0
     assert run['nees']['mean'] < run['nees']['interval_95'][1]
     assert run['fused']['position_rmse_m'] < 0.03
@@ -212,11 +204,9 @@ def test_the_estimator_knows_how_wrong_it_may_be(
         assert abs(found['value'] - right[name][0]) < max(4.0 * found['sigma'], 0.002)
 
 
-def test_the_estimator_finds_its_own_place(
-    figures: tuple[dict[str, float], Path],
-) -> None:
+def test_the_estimator_finds_its_own_place(recorded: Path, tmp_path: Path) -> None:
     exact = Calibration.exact(load_robot(BAGS / 'robot.yaml'))
-    run = run_with(figures[1], exact)
+    run = run_with(recorded / 'map', tmp_path, exact)
     assert run['found'] is not None
     assert run['integrity']['undetected_wrong'] == 0
     assert run['fused']['position_median_m'] < 0.01

@@ -94,17 +94,6 @@ def test_papers_at_unknown_places_give_the_scale(tmp_path: Path) -> None:
     assert float(found['scale_sigma']) < 0.01
 
 
-def test_papers_whose_size_is_wrong_contradict_odometry(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sweeps = with_odometry(BAGS / 'learn', tmp_path / 'sweeps')
-    words = ['learn', str(sweeps), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
-    assert main([*words, '--paper-size', '0.148', '0.210']) == 1
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert all(word in line for word in ('odom', 'papers', 'sigma'))
-    assert not (tmp_path / 'map').exists()
-
-
 @pytest.mark.parametrize(
     'words',
     [

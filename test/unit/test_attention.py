@@ -120,13 +120,6 @@ def test_bare_wall_yields_nothing(noise):
     assert attend(panorama(gray), AttentionConfig()).candidates == ()
 
 
-@pytest.mark.parametrize('value', [0, 255])
-def test_uniform_image_yields_nothing(value):
-    found = attend(panorama(np.full((HEIGHT, WIDTH), float(value))), AttentionConfig())
-    assert found.candidates == ()
-    assert found.refused == ()
-
-
 def repeated(kind):
     row, column = np.mgrid[:150, :500]
     if kind == 'horizontal bars':

@@ -1,4 +1,4 @@
-"""A sweep is taken of a camera that overshoots, whose frames come late or at any time."""
+"""A sweep is taken of a camera that overshoots and fails, within its limits, and gone on with."""
 
 from __future__ import annotations
 
@@ -6,11 +6,30 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from turning_robot import check_sweep, FakeImage, Robot, SHORT, STEP_NS, TURN
+from turning_robot import (
+    AZIMUTH,
+    check_sweep,
+    FakeImage,
+    inspect,
+    pans,
+    Robot,
+    SHORT,
+    STEP_NS,
+    TURN,
+)
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.capture import Shot
-from landmark_nav.types import JointSample
+from landmark_nav.learning.capture import (
+    begin_or_resume,
+    CaptureConfig,
+    describe_sweep,
+    Shot,
+    SweepCapture,
+)
+from landmark_nav.learning.capture.frames import FrameLog
+from landmark_nav.learning.capture.joints import JointTrack
+from landmark_nav.types import JointSample, OdometrySample
 
 
 @pytest.mark.parametrize('every', [1, 2, 11])
@@ -139,3 +158,327 @@ def test_time_to_go_is_reported():
     robot.run()
     assert reported == pytest.approx((robot.now - start) * 1e-9, rel=0.5)
     assert robot.sweep.seconds_to_go(robot.now) == 0.0
+
+
+@pytest.mark.parametrize('start_deg', [-180.0, 30.0, 300.0])
+@pytest.mark.parametrize('step_deg', [7.5, -7.5])
+def test_any_start_and_direction_make_a_full_turn(start_deg, step_deg):
+    config = replace(
+        TURN, start_rad=np.radians(start_deg), step_rad=np.radians(step_deg), frames=48
+    )
+    sweep = Robot(config).run()
+    assert sweep.total == 48
+    turned = np.sort(np.mod(np.degrees(pans(sweep)) - start_deg, 360.0) + 3.0) % 360.0
+    np.testing.assert_allclose(np.sort(turned), 3.0 + 7.5 * np.arange(48), atol=0.6)
+
+
+def test_limits_by_parameter_leave_steps_out():
+    low, high = np.radians([-150.0, 150.0])
+    config = replace(
+        TURN,
+        start_rad=np.radians(30.0),
+        step_rad=np.radians(7.5),
+        frames=48,
+        pan_min_rad=low,
+        pan_max_rad=high,
+    )
+    sweep = Robot(config, limits=(low, high)).run()
+    np.testing.assert_allclose(np.degrees(pans(sweep)), np.arange(-150.0, 151.0, 7.5), atol=0.6)
+    assert not sweep.reach.stops_rad
+
+
+def test_a_joint_that_does_not_reach_straight_ahead():
+    config = replace(TURN, pan_min_rad=0.5, pan_max_rad=2.5)
+    robot = Robot(config, limits=(0.5, 2.5))
+    robot.pan = 1.0
+    sweep = robot.run()
+    wanted = np.pi / 12 * np.arange(24)
+    check_sweep(sweep, wanted[(wanted > 0.5) & (wanted < 2.5)])
+    # Where it is sent to rest.
+    assert sweep.reach.nearest(0.0) == 0.5
+
+
+def test_limits_are_found_where_the_joint_stops(caplog):
+    sweep = Robot(TURN, limits=(-2.5, 1.9)).run()
+    assert sweep.done
+    wanted = -np.pi + np.pi / 12 * np.arange(24)
+    check_sweep(sweep, wanted[(wanted > -2.505) & (wanted < 1.905)])
+    np.testing.assert_allclose(sorted(sweep.reach.stops_rad), [-2.5, 1.9], atol=0.01)
+    assert 'stops at -143.2 deg' in caplog.text
+
+
+def test_a_joint_that_gets_stuck_is_not_taken_for_one_with_a_limit():
+    robot = Robot(TURN)
+    robot.until(7)
+    robot.stuck = True
+    with pytest.raises(LandmarkNavError, match=r'does not move; 8 frames are kept|does not move'):
+        robot.run()
+    robot.stuck = False
+    robot.sweep.resume(robot.now)
+    assert len(robot.run().kept) == 24
+
+
+def test_a_joint_that_never_moves():
+    robot = Robot()
+    robot.stuck = True
+    with pytest.raises(LandmarkNavError, match=r'frame 1 of 9, -57\.3 deg.*0\.00 deg and does no'):
+        robot.run()
+    # Sent again, in case that a message was lost.
+    assert robot.commands > 1
+
+
+def test_no_angle_within_the_limits_is_refused():
+    with pytest.raises(LandmarkNavError, match='no frame within'):
+        CaptureConfig(start_rad=1.0, frames=3, pan_min_rad=-0.5, pan_max_rad=0.5)
+    with pytest.raises(LandmarkNavError, match='frames'):
+        CaptureConfig(frames=0)
+
+
+def test_default_is_a_full_turn():
+    config = CaptureConfig()
+    assert config.frames * config.step_rad == pytest.approx(2 * np.pi)
+
+
+def test_what_is_covered_is_reported():
+    half = float(AZIMUTH[-1])
+    assert describe_sweep(Robot(TURN).run(), half) == 'the full turn'
+    reported = describe_sweep(Robot(TURN, limits=(-2.5, 1.9)).run(), half)
+    assert reported == (
+        'a partial sweep, nothing is seen from pan 130 to 200 deg; '
+        'the pan joint stops at -143.2 and 108.9 deg'
+    )
+
+
+class Faulty(Robot):
+    """The frames from number `first` to `last` after the fifth was kept are bad."""
+
+    first, last, count = 1, 3, 0
+
+    def bad(self, camera_image, stamp):
+        return camera_image, stamp
+
+    def camera_image(self):
+        camera_image, stamp = super().camera_image()
+        if len(self.sweep.kept) < 5:
+            return camera_image, stamp
+        # Count those that arrive while the joint is at rest.
+        self.count += abs(self.rate) < 0.01 and abs(self.pan - self.target) < 0.005
+        bad = self.first <= self.count <= self.last
+        return self.bad(camera_image, stamp) if bad else (camera_image, stamp)
+
+
+def blurred(self, camera_image, stamp):
+    return replace(camera_image, sharpness=0.4), stamp
+
+
+def frozen(self, camera_image, stamp):
+    return self.sweep.kept[-1].frame, stamp
+
+
+def repeated(self, camera_image, stamp):
+    return self.sweep.kept[-1].frame, self.sweep.kept[-1].joints.stamp_ns
+
+
+def from_the_future(self, camera_image, stamp):
+    return camera_image, stamp + 10**9
+
+
+def from_the_past(self, camera_image, stamp):
+    return camera_image, 5
+
+
+def unreadable(self, camera_image, stamp):
+    return replace(camera_image, broken="image encoding 'yuv' is not supported"), stamp
+
+
+BAD = [
+    (blurred, 'blurred or covered'),
+    (frozen, 'frozen'),
+    (repeated, 'badly timed'),
+    (from_the_future, 'badly timed'),
+    (from_the_past, 'badly timed'),
+    (unreadable, 'unusable'),
+]
+
+
+@pytest.mark.parametrize(('bad', 'reason'), BAD)
+def test_a_bad_frame_is_refused_and_taken_again(bad, reason, caplog):
+    robot = type('Bad', (Faulty,), {'bad': bad, 'last': 12})()
+    sweep = robot.run()
+    check_sweep(sweep)
+    assert sum(sweep.refused.values()) >= 1
+    assert reason in sweep.refused
+    assert 'refused' in caplog.text
+    assert reason in caplog.text
+
+
+@pytest.mark.parametrize(('bad', 'reason'), BAD[1:])
+def test_frames_that_stay_bad_interrupt_it_with_the_reason(bad, reason):
+    robot = type('Bad', (Faulty,), {'bad': bad, 'last': 10**9})()
+    with pytest.raises(LandmarkNavError, match=f'6 frames refused, the last as {reason}'):
+        robot.run()
+    with pytest.raises(LandmarkNavError, match=r'frame [56] of 9.*[45] frames are kept'):
+        robot.sweep.check(robot.now)
+    # Mended, it goes on.
+    robot.last = 0
+    robot.sweep.resume(robot.now)
+    check_sweep(robot.run())
+
+
+def test_a_camera_frozen_from_the_start_leaves_no_frame():
+    class Frozen(Robot):
+        def camera_image(self):
+            return FakeImage(0.0, 0), self.now - 7_000_000
+
+    robot = Frozen()
+    with pytest.raises(LandmarkNavError, match='refused, the last as frozen'):
+        robot.run()
+    assert not robot.sweep.kept
+
+
+def test_blank_walls_dark_and_noiseless_views_are_taken():
+    class Blank(Robot):
+        def camera_image(self):
+            return FakeImage(0.0, 0, flat=True), self.now - 7_000_000
+
+    robot = Blank()
+    assert robot.run().done
+    assert not robot.sweep.refused
+
+
+def test_a_view_that_stays_less_sharp_is_taken_in_the_end():
+    class Foggy(Robot):
+        def camera_image(self):
+            fog = 0.2 if 0.4 < self.pan < 0.6 else 1.0
+            return FakeImage(self.pan, self.k, fog), self.now - 7_000_000
+
+    sweep = Foggy().run()
+    assert sweep.done
+    assert len(sweep.kept) == 9
+    assert 0 < sweep.refused['blurred or covered'] < 10
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_people_who_pass_do_not_keep_it_from_ending(seed):
+    """In four frames of five somebody in plain clothes hides a third of the view."""
+    rng = np.random.default_rng(seed)
+
+    class Crowded(Robot):
+        def camera_image(self):
+            person = rng.uniform(-0.4, 0.4) if rng.random() < 0.8 else np.inf
+            return FakeImage(self.pan, self.k, person=person), self.now - 7_000_000
+
+    robot = Crowded(TURN)
+    check_sweep(robot.run(), -np.pi + np.pi / 12 * np.arange(24))
+    assert sum(robot.sweep.refused.values()) < 24
+
+
+def test_a_blurred_first_frame_is_found_out_by_its_neighbours():
+    class Shaky(Robot):
+        def camera_image(self):
+            return FakeImage(self.pan, self.k, 0.3 if not self.sweep.kept else 1.0), self.now - 7
+
+    config = replace(SHORT, start_rad=0.2, step_rad=0.1)
+    robot = Shaky(config)
+    check_sweep(robot.run(), 0.2 + 0.1 * np.arange(9))
+    assert robot.sweep.refused['blurred or covered'] == 1
+
+
+def test_an_image_that_outran_its_joint_state_is_not_frozen_for_ever():
+    config = CaptureConfig()
+    log, track = FrameLog(config), JointTrack(config)
+    track.add(JointSample(0, -0.9))
+    # It shows -1.0 already, of which the joint states do not know yet.
+    assert not log.seen_elsewhere(b'image', 20_000_000, track)
+    for k in range(1, 4):
+        track.add(JointSample(20_000_000 * k, -1.0))
+        assert not log.seen_elsewhere(b'image', 20_000_000 * k, track)
+    track.add(JointSample(10_000_000_000, 0.5))
+    assert log.seen_elsewhere(b'image', 10_000_000_000, track)
+
+
+def test_an_image_whose_pan_was_never_known_is_not_frozen():
+    config = CaptureConfig()
+    log, track = FrameLog(config), JointTrack(config)
+    track.add(JointSample(0, -0.9))
+    # It shows 0.5, where the joint came while its states were lost.
+    assert not log.seen_elsewhere(b'image', 200_000_000, track)
+    for stamp_ns in (10_000_000_000, 10_020_000_000):
+        track.add(JointSample(stamp_ns, 0.5))
+        assert not log.seen_elsewhere(b'image', stamp_ns, track)
+    track.add(JointSample(20_000_000_000, -0.9))
+    assert log.seen_elsewhere(b'image', 20_000_000_000, track)
+
+
+def test_it_goes_on_where_it_was_interrupted():
+    robot = Robot()
+    robot.until(4)
+    before = robot.sweep.kept
+    robot.sweep.stop('the operator said so')
+    with pytest.raises(LandmarkNavError, match=r'frame 5 of 9.*operator.*4 frames are kept'):
+        robot.run()
+    assert not robot.sweep.why_not_resumed(robot.now)
+    robot.sweep.resume(robot.now)
+    check_sweep(robot.run())
+    assert robot.sweep.kept[:4] == before
+
+
+@pytest.mark.parametrize('lost', ['joints', 'images'])
+def test_it_goes_on_after_a_topic_was_lost(lost):
+    robot = Robot()
+    robot.until(3)
+    words = {
+        'joints': 'no joint_states since then',
+        'images': r'for an image; the pan is .*, the last image came [\d.]+ s ago',
+    }[lost]
+    robot.mute = lost == 'joints'
+    if lost == 'images':
+        robot.camera_image = lambda: None
+    with pytest.raises(LandmarkNavError, match=words):
+        robot.run()
+    robot.mute, robot.camera_image = False, lambda: Robot.camera_image(robot)
+    robot.sweep.resume(robot.now)
+    check_sweep(robot.run())
+
+
+def test_a_robot_that_drives_away_ends_it():
+    robot = Robot()
+    robot.until(3)
+    robot.x = 0.005
+    robot.until(4)
+    robot.x = 0.5
+    with pytest.raises(LandmarkNavError, match=r'the robot moved 50\.0 cm'):
+        robot.run()
+    assert 'moved 50.0 cm' in robot.sweep.why_not_resumed(robot.now)
+    robot.x = 0.0
+    robot.sweep.add_odometry(OdometrySample(robot.now, np.zeros(3)))
+    assert not robot.sweep.why_not_resumed(robot.now)
+    assert '700 s have passed' in robot.sweep.why_not_resumed(robot.now + 700 * 10**9)
+
+
+def test_a_call_goes_on_or_begins_anew_and_reports_it():
+    robot = Robot()
+    config, now = SHORT, 5 * 10**9
+    assert begin_or_resume(None, config, inspect, now)[1] == ''
+    robot.until(3)
+    robot.sweep.stop('no reason')
+    again, note = begin_or_resume(robot.sweep, config, inspect, robot.now)
+    assert again is robot.sweep
+    assert note == 'gone on after 3 frames of before'
+    robot.x = 1.0
+    with pytest.raises(LandmarkNavError):
+        robot.tick()
+    anew, note = begin_or_resume(robot.sweep, config, inspect, robot.now)
+    assert not anew.kept
+    assert note.startswith('begun anew without 3 frames of before: the robot moved 100.0 cm')
+    robot = Robot()
+    # A sweep that is complete is not gone on with.
+    anew, note = begin_or_resume(robot.run(), config, inspect, robot.now)
+    assert (anew is robot.sweep, note) == (False, '')
+
+
+def test_gives_up_without_joint_states():
+    sweep = SweepCapture(replace(SHORT, step_timeout_s=5.0), inspect, 0)
+    sweep.check(int(4e9))
+    with pytest.raises(LandmarkNavError, match=r'frame 1 of 9.*no joint_states'):
+        sweep.check(int(6e9))

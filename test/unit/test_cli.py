@@ -201,6 +201,7 @@ def test_long_lines_go_on_below_and_keep_their_words() -> None:
         (['evaluate', 'b', '--map', 'm', '--robot', 'r', '--report', 'page.txt'], '--report'),
         (['panorama', 'b', '--out', 'p.jpg'], '--out'),
         (['panorama', 'b', '--out', 'p.png', '--crop', '-1'], 'argument --crop'),
+        (['figures', '--out', 'f', '--bag', 'b'], '--bag needs'),
     ],
 )
 def test_arguments_that_cannot_be_are_status_2_and_one_line(

@@ -229,7 +229,7 @@ def test_a_wrong_start_teaches_nothing() -> None:
     assert np.abs(error(fusion, drive)[:2]).max() < 0.03
 
 
-@pytest.mark.parametrize('seed', [4, 5, 7, 8])
+@pytest.mark.parametrize('seed', [5, 8])
 def test_a_wrong_start_is_not_taken_for_a_wrong_mount(seed: int) -> None:
     drive = simulated(seed, seconds=16.0, prior=Calibration.of_mount(MOUNT))
     fusion = fused(drive)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -63,9 +64,14 @@ SCENE = scene_of(ROOM)
 
 
 def sweep_at(pose: FloatArray, mount: PanTiltMount = MOUNT, known: bool = False) -> Sweep:
-    rng = np.random.default_rng(0)
     place = PoseEstimate(0, pose, np.diag([0.01, 0.01, 0.004]) ** 2) if known else None
-    return draw_sweep(SCENE, CAMERA, mount, pose, TURN, rng=rng, known=place)
+    return replace(_drawn(tuple(pose), mount), pose_map_base=place)
+
+
+@cache
+def _drawn(pose: tuple[float, ...], mount: PanTiltMount) -> Sweep:
+    rng = np.random.default_rng(0)
+    return draw_sweep(SCENE, CAMERA, mount, np.array(pose), TURN, rng=rng)
 
 
 def axis_of(pose: FloatArray) -> FloatArray:

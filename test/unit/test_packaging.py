@@ -142,7 +142,7 @@ def test_every_node_can_be_found_by_ros2_run(setup_arguments: dict[str, Any]) ->
     scripts = setup_arguments['entry_points']['console_scripts']
     nodes = {script.partition(' = ')[0] for script in scripts if '.nodes.' in script}
     assert {Path(file).name for file in files} == nodes
-    assert len(nodes) == 8
+    assert len(nodes) == 9
     for file in files:
         assert os.access(REPOSITORY / file, os.X_OK)
 

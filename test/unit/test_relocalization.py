@@ -1,4 +1,4 @@
-"""The place of a robot that knows nothing of it: found, refused, or not unique."""
+"""The pose of a robot that knows nothing of it: found, refused, or not unique."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from scenes import (
     true_landmark,
 )
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization import (
     RelocalizationConfig,
@@ -315,3 +317,43 @@ def test_a_camera_that_was_displaced_finds_its_place(tilt_rad: float, roll_rad: 
         if isinstance(outcome, PoseEstimate):
             break
     assert_right(outcome, pose)
+
+
+OTHER = textured_room(ROOM, seed=23, feature_m=0.045)
+
+
+POSE = (2.4, 1.9, 0.4)
+
+
+def reported(frames: list[CameraFrame]) -> tuple[list[str], int]:
+    """What the state says with each image of a robot that turns its camera, and places found."""
+    localizer = Localizer(MAP, Calibration.exact(MOUNT), LocalizationConfig())
+    statuses, places = [], 0
+    for k, frame in enumerate(frames):
+        for tick in range(4):
+            stamp_ns = 200_000_000 * k + 50_000_000 * tick
+            localizer.add_odometry(OdometrySample(stamp_ns, np.zeros(3)))
+        frame = replace(frame, stamp_ns=200_000_000 * k)
+        update = localizer.add_frame(frame)
+        found = update.search if isinstance(update, LocalizationUpdate) else update
+        places += isinstance(found, PoseEstimate)
+        statuses.append(localizer.status[0])
+    return statuses, places
+
+
+@pytest.mark.xfail(
+    strict=True, reason='tracking in 5 of 18 images, where the camera looks at the shared wall'
+)
+def test_one_known_wall_in_a_foreign_room_is_not_the_room() -> None:
+    boards = (SCENE.boards[0], *OTHER.boards[1:])
+    pans = np.radians(np.arange(-180, 360, 30))
+    statuses, places = reported(sweep(replace(OTHER, boards=boards), POSE, pans))
+    assert places
+    assert 'tracking' not in statuses
+
+
+def test_the_room_itself_is_sure_when_two_walls_were_seen() -> None:
+    statuses, places = reported(sweep(SCENE, POSE, np.radians(np.arange(-180, 180, 30))))
+    assert places == 1
+    assert statuses[-1] == 'tracking'
+    assert 'lost' not in statuses[statuses.index('tracking') :]

@@ -12,6 +12,7 @@ from test_figures import a_map, a_run
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.report import (
+    drawn_panoramas,
     drive_page,
     FrameStrip,
     panoramas,
@@ -216,6 +217,33 @@ def test_pages_work_whatever_is_missing(opened, given):
     chrome = opened(page_of(**given))
     press(chrome, 'End')
     assert np.isfinite(robot_at(chrome)).all()
+    assert chrome.get_log('browser') == []
+
+
+def test_panoramas_that_learn_drew_beside_the_map_are_shown(opened, tmp_path):
+    for number in (1, 2):
+        picture = np.full((60, 100 * number, 3), 90, np.uint8)
+        cv2.imwrite(str(tmp_path / f'panorama_{number}.png'), picture)
+    page = page_of()
+    page['data']['panoramas'] = drawn_panoramas(tmp_path)
+    assert [one['size'] for one in page['data']['panoramas']] == [[100, 60], [200, 60]]
+    chrome = opened(page)
+    loaded = chrome.execute_async_script(
+        'const done = arguments[0];'
+        "Promise.all([...document.querySelectorAll('.panorama image')].map((one) => {"
+        "const image = new Image(); image.src = one.getAttribute('href');"
+        'return image.decode().then(() => image.naturalWidth);})).then(done, () => done([]))'
+    )
+    assert loaded == [100, 200]
+    assert drawn_panoramas(tmp_path / 'nowhere') == []
+
+
+def test_a_page_that_is_not_laid_out_has_no_error(opened):
+    chrome = opened(page_of())
+    hide = "document.querySelector('.stage').style.display = arguments[0]"
+    for display in ('none', ''):
+        chrome.execute_script(hide, display)
+        chrome.execute_async_script('requestAnimationFrame(() => setTimeout(arguments[0], 50))')
     assert chrome.get_log('browser') == []
 
 

@@ -129,3 +129,22 @@ def test_signals_held_back_by_the_starter_are_heeded() -> None:
     process.send_signal(signal.SIGINT)
     output, complaint = process.communicate(timeout=30)
     assert (process.returncode, output, complaint) == (7, '', '')
+
+
+def test_an_executable_holds_signals_back_until_its_program_heeds_them(tmp_path: Path) -> None:
+    env = ['env', '--block-signal=INT,TERM', 'true']
+    if subprocess.run(env, check=False, capture_output=True).returncode:
+        pytest.skip('env of this system cannot block signals')
+    executable, program = tmp_path / 'lib' / 'landmark_nav' / 'node', tmp_path / 'bin' / 'node'
+    for file in (executable, program):
+        file.parent.mkdir(parents=True)
+    executable.symlink_to(Path(__file__).resolve().parents[2] / 'resource' / 'run_executable')
+    program.write_text(
+        f'#!{sys.executable}\nimport signal, sys\n'
+        'print(*map(int, signal.pthread_sigmask(signal.SIG_BLOCK, ())))\nprint(*sys.argv[1:])\n'
+    )
+    program.chmod(0o755)
+    shown = subprocess.run([executable, 'one', 'two three'], capture_output=True, text=True)
+    blocked, arguments = shown.stdout.splitlines()
+    assert {int(number) for number in blocked.split()} >= set(NUMBERS)
+    assert arguments == 'one two three'

@@ -2,6 +2,7 @@
 
 from landmark_nav.evaluation.report.collect import (
     calibration_page,
+    drawn_panoramas,
     drive_page,
     learning_page,
     Page,
@@ -16,6 +17,7 @@ __all__ = [
     'Page',
     'calibration_page',
     'check_report',
+    'drawn_panoramas',
     'drive_page',
     'learning_page',
     'panoramas',

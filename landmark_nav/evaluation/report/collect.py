@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
@@ -31,15 +32,24 @@ from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.localization.localizer import LocalizationUpdate
+from landmark_nav.storage.reading import read_image
 from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, Refusal
 
-__all__ = ['Page', 'calibration_page', 'drive_page', 'learning_page', 'panoramas']
+__all__ = [
+    'Page',
+    'calibration_page',
+    'drawn_panoramas',
+    'drive_page',
+    'learning_page',
+    'panoramas',
+]
 
 # More moments than a minute of video are thinned.
 _MOST_MOMENTS = 2000
 # Lines of the plan hold so many points at most.
 _MOST_POINTS = 2000
 _PATCH_PX, _PANORAMA_PX, _QUALITY = 96, 2400, 75
+_MOST_PANORAMAS = 8
 # Bands of a start given to decimetres, or of a robot that is lost, run off the axes.
 _SHOWN_SHARE = 98.0
 # Residuals beyond this quantile run off the axes; outliers of less weight are left out.
@@ -102,7 +112,7 @@ def drive_page(
         command=command,
         inputs=_texts(inputs),
         tables=drive_tables(report),
-        charts_title='Errors' if len(run.truth) else 'Claimed errors',
+        charts_title='Errors over time' if len(run.truth) else 'Claimed errors over time',
         data=data,
     )
 
@@ -396,6 +406,18 @@ def _residual_charts(before: Residuals, after: Residuals) -> list[dict[str, Any]
         label = f'residual {where} [px], {rms}'
         charts.append({'label': label, 'limit': limit, 't': [], 'series': series})
     return charts
+
+
+def drawn_panoramas(map_folder: Path) -> list[dict[str, Any]]:
+    """Panoramas as `learn` drew them into the folder of a map, where it did."""
+    shown = []
+    for number in range(1, _MOST_PANORAMAS + 1):
+        path = map_folder / f'panorama_{number}.png'
+        if path.is_file():
+            drawn = read_image(path)
+            picture = _base64(jpeg(drawn, _PANORAMA_PX, _QUALITY))
+            shown.append({'image': picture, 'size': list(drawn.shape[1::-1]), 'candidates': []})
+    return shown
 
 
 def panoramas(result: LearningResult) -> list[dict[str, Any]]:

@@ -49,6 +49,7 @@ function zoomable(svg, bar, whole, cover, changed) {
     return cover ? Math.min(byHeight, whole[2]) : Math.max(byHeight, whole[2]);
   };
   const apply = () => {
+    if (!svg.clientWidth) return;  // not laid out: it will be resized
     box[3] = box[2] * shape();
     for (const k of [0, 1]) {
       const center = box[k] + box[k + 2] / 2, inset = Math.min(box[k + 2], whole[k + 2]) / 2;
@@ -448,7 +449,8 @@ function drawPanoramas() {
   for (const parent of document.querySelectorAll('.panorama')) {
     const {image, size: [width, height], candidates} = data.panoramas[parent.dataset.panorama];
     const bar = add(parent, 'div', {class: 'bar'});
-    const says = add(bar, 'span', {'aria-live': 'polite'}, 'Green and bold: elected, with number. Click one.');
+    const says = add(bar, 'span', {'aria-live': 'polite'}, candidates.length
+      ? 'Green and bold: elected, with number. Click one.' : 'Thin: candidates. Green and bold: landmarks, with number.');
     const svg = add(parent, 'svg', {class: 'over', tabindex: 0, role: 'group',
       'aria-label': 'panorama: arrow keys go from candidate to candidate, + and - zoom'});
     svg.style.setProperty('--tall', `${100 * height / width}cqw`);

@@ -103,6 +103,9 @@ def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
             word = 'too small' if small else 'too large' if large else 'consistent'
             consistent = f'covariance {word} (NEES {mean:.2f}{nees_range(interval)})'
             level = 'warning' if small else level
+        elif integrity := report.get('integrity'):
+            inside = cell(integrity['coverage_99'], 100.0, 1)
+            consistent += f'; error inside the 99 % protection level in {inside} % of the images'
     spells = [s for s in report['spells'] if s['status'] == 'lost']
     if spells:
         level = 'warning'

@@ -3,7 +3,7 @@ The measurements of an adjustment, linearized, and their normal equations.
 
 Unknowns are the landmarks, and what they share: poses of panoramas, for each wall how far things
 hang before it on average, for each stretch of a wall how far what hangs there does, and the
-calibration of the robot. Landmarks
+calibration of the robot, tilt of each sweep. Landmarks
 are eliminated first (Schur complement; Triggs et al., Bundle Adjustment, 2000): each meets the
 shared ones alone, so that the sparse structure is a stack of blocks of 3 x 3.
 """
@@ -38,6 +38,10 @@ CALIBRATED = (
     'axis_roll',
     'axis_pitch',
 )
+# Share of the tilt of sweeps by which all of them lean, beside the mount.
+_LEANS_ALIKE = 0.1
+# Azimuths of a panorama err in common by so many waves a turn at most: lenses, bearings, seams.
+_WAVES = 4
 # No calibration is better known than this, metres, radians or a share.
 _LEAST_ERROR = 1e-7
 # Nothing is nearer to a panorama, metres.
@@ -110,7 +114,8 @@ class Problem:
     Measurements of n landmarks, the walls they hang on, and what is known of the panoramas.
 
     `own_sigma` (k, 2) is what matching says of each measurement; `landmark` and `view` (k,) hold
-    what it is of; `stretch` (n,) numbers the stretch of wall that each landmark hangs on.
+    what it is of; `stretch` (n,) numbers the stretch of wall that each landmark hangs on. Those on
+    no wall, -1, have planes of their own: `normals` (n, 3) and where they are at `start` (n, 3).
     """
 
     def __init__(
@@ -121,6 +126,10 @@ class Problem:
         panoramas: Sequence[Panorama],
         places: FloatArray,
         room: Room,
+        normals: FloatArray | None = None,
+        start: FloatArray | None = None,
+        tilt_sigma_rad: float = 0.0,
+        wave_sigma_rad: float = 0.0,
     ) -> None:
         """Collect what does not change while it is solved."""
         flat = [(k, s) for k, group in enumerate(measurements) for s in group]
@@ -130,14 +139,18 @@ class Problem:
         self.count, self.views = len(measurements), len(panoramas)
         self._seen = np.array([(s.azimuth_rad, s.tangent) for _, s in flat])
 
-        self.normal = room.normals[np.asarray(walls, dtype=np.intp)]
+        self.wall = np.asarray(walls, dtype=np.intp)
+        self.on_wall = self.wall >= 0
+        self.normal = room.normals[self.wall]
         starts = np.array([room.walls[w].start for w in walls])
+        if normals is not None and start is not None:
+            self.normal = np.where(self.on_wall[:, None], self.normal, normals)
+            starts[~self.on_wall] = start[~self.on_wall, :2]
         self._level = np.sum(self.normal[:, :2] * starts, 1)
 
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
-        self.wall = np.asarray(walls, dtype=np.intp)
         # Which wall, and which stretch of one, each landmark hangs on: (n, walls + stretches).
-        self._hangs = np.hstack(
+        self._hangs = self.on_wall[:, None] * np.hstack(
             [np.eye(len(room.walls))[self.wall], np.eye(int(stretch.max()) + 1)[stretch]]
         )
         plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
@@ -149,10 +162,21 @@ class Problem:
         # What all walls have in common, each wall alone, and each stretch of one.
         self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
         self._mounted, known, self._calibration, self._made_with = _calibration(panoramas)
-        self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known])
+        # Of each panorama: its tilt, and waves of its azimuths.
+        wave = wave_sigma_rad / np.sqrt(_WAVES)
+        sigma = np.array([tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
+        self._warps = np.flatnonzero(sigma)
+        apart = np.diag(sigma[self._warps] ** 2)
+        # What all sweeps lean alike is the mount's, which the calibration has.
+        alike = np.where(self._warps < 2, 1.0 - _LEANS_ALIKE**2, 0.0) / self.views
+        self._warp_variance = np.kron(np.eye(self.views), apart)
+        self._warp_variance -= np.kron(np.ones((self.views, self.views)), alike * apart)
+        warps = np.zeros(len(self._warp_variance))
+        self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known, warps])
         self._poses = slice(0, poses.size)
         self._walls = slice(poses.size, poses.size + len(plane))
-        self._calibrated = slice(self._walls.stop, len(self.prior))
+        self._calibrated = slice(self._walls.stop, self._walls.stop + len(known))
+        self._warped = slice(self._calibrated.stop, len(self.prior))
         self._places = places
         self._height = np.arange(poses.size) % _POSE == 2
 
@@ -200,6 +224,11 @@ class Problem:
         by_pose[rows, :, self.view, :3] = -by_point
         by_pose[rows, 0, self.view, 3] = -1.0
         by_shared[..., self._poses] = by_pose.reshape(len(d), 2, -1)
+        if len(self._warps):
+            by_warp = np.zeros((len(d), 2, self.views, len(self._warps)))
+            by_warp[rows, :, self.view] = self._by_warps()[..., self._warps]
+            by_shared[..., self._warped] = by_warp.reshape(len(d), 2, -1)
+            seen -= by_shared[..., self._warped] @ shared[self._warped]
         if len(self._calibration):
             by_errors = self._by_errors(reach)
             by_shared[..., self._calibrated] = by_errors
@@ -211,22 +240,28 @@ class Problem:
 
     def _by_errors(self, reach: FloatArray) -> FloatArray:
         """Derivatives (k, 2, c) of azimuths and tangents by errors of the calibration."""
-        azimuth, tangent = self._seen.T
-        cos, sin, square = np.cos(azimuth), np.sin(azimuth), 1.0 + tangent**2
-        # By small turns of the pan axis about x and y of the base.
-        turned = np.stack(
-            [
-                np.stack([tangent * cos, tangent * sin], 1),
-                np.stack([-sin, cos], 1) * square[:, None],
-            ],
-            1,
-        )
+        tangent = self._seen[:, 1]
+        square = 1.0 + tangent**2
         out = np.zeros((len(reach), 2, len(CALIBRATED)))
         # A camera before the axis is nearer, one to its left sees things more to the right.
         out[:, 1, 0], out[:, 0, 1] = tangent / reach, -1.0 / reach
         out[:, 1, 2], out[:, 1, 3] = -square, tangent
-        out[:, :, 4:] = turned @ self._mounted
+        out[:, :, 4:] = self._by_turns() @ self._mounted
         return out
+
+    def _by_warps(self) -> FloatArray:
+        """Derivatives (k, 2, w) of azimuths and tangents by tilt and waves of their panorama."""
+        phase = self._seen[:, :1] * np.arange(1, _WAVES + 1)
+        waves = np.zeros((len(phase), 2, 2 * _WAVES))
+        waves[:, 0] = np.hstack([np.cos(phase), np.sin(phase)])
+        return np.concatenate([self._by_turns(), waves], -1)
+
+    def _by_turns(self) -> FloatArray:
+        """Derivatives (k, 2, 2) of azimuths and tangents by small turns about x and y of the base."""
+        azimuth, tangent = self._seen.T
+        cos, sin, square = np.cos(azimuth), np.sin(azimuth), 1.0 + tangent**2
+        by_azimuth = np.stack([tangent * cos, tangent * sin], 1)
+        return np.stack([by_azimuth, np.stack([-sin, cos], 1) * square[:, None]], 1)
 
     def normal_equations(
         self,
@@ -286,7 +321,8 @@ class Problem:
         factor = np.where(self._height, height, plan)
         off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
         places = self._places * np.outer(factor, factor)
-        return np.asarray(block_diag(places, off_walls + self._given, self._calibration))
+        walls = off_walls + self._given
+        return np.asarray(block_diag(places, walls, self._calibration, self._warp_variance))
 
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray
@@ -343,6 +379,7 @@ def wall_stretches(
     side = np.array([wall.along for wall in room.walls])[list(walls)]
     along = np.sum((points[:, :2] - start) * side, 1)
     cells = np.stack([np.asarray(walls), np.floor(along / length_m)], 1)
+    cells[cells[:, 0] < 0] = -1
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1], np.intp).ravel()
 
 

@@ -19,6 +19,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.config import AdjustmentConfig
 from landmark_nav.learning.adjustment.problem import Linearized, Problem, wall_stretches
 from landmark_nav.learning.least_squares import Damping, root_of
+from landmark_nav.learning.stereo.ties import Ties
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
@@ -38,6 +39,8 @@ _NOISE_ITERATIONS = 60
 _NOISE_CONVERGED = 1e-3
 # Factors that landmarks have in common; what the others hold is below a tenth of a millimetre.
 _MOST_FACTORS = 16
+# So far from where it starts a patch on its own plane may be.
+_NO_WALL_M = 1.0
 # Among the sigmas that are estimated.
 _RELIEF, _SPREAD, _HANGING = 2, slice(3, 8), slice(5, 8)
 _PLACES = np.array([3, 4])
@@ -99,6 +102,8 @@ def adjust(
     places: FloatArray,
     room: Room,
     config: AdjustmentConfig,
+    normals: FloatArray | None = None,
+    ties: Ties | None = None,
 ) -> Adjustment:
     """
     Adjust landmarks and panorama poses to all measurements.
@@ -108,7 +113,7 @@ def adjust(
     measurements : sequence of sequences
         For each of n landmarks, where the panoramas show it.
     walls : sequence of int
-        Wall of each landmark.
+        Wall of each landmark; -1 for those that hang on none.
     start : ndarray, shape (n, 3)
         Positions to start from.
     panoramas : sequence of Panorama
@@ -119,9 +124,24 @@ def adjust(
         The walls; what hangs on them lies near them, not on them.
     config : AdjustmentConfig
         Standard deviations to expect.
+    normals : ndarray, shape (n, 3), optional
+        Of the landmarks; those on walls have that of their wall.
+    ties : Ties, optional
+        What else panoramas share: it is no landmark, but joins them.
     """
+    if normals is None:
+        normals = room.normals[np.asarray(walls, dtype=np.intp)]
+    count = len(start)
+    if ties is not None:
+        measurements = [*measurements, *ties.measurements]
+        walls = [*walls, *[-1] * len(ties.positions)]
+        start = np.concatenate([start, ties.positions])
+        normals = np.concatenate([normals, np.tile([1.0, 0.0, 0.0], (len(ties.positions), 1))])
     stretch = wall_stretches(start, walls, room, config.hanging_length_m)
-    problem = Problem(measurements, walls, stretch, panoramas, places, room)
+    problem = Problem(
+        measurements, walls, stretch, panoramas, places, room, normals, start,
+        config.tilt_sigma_rad, config.wave_sigma_rad,
+    )  # fmt: skip
     expected = np.array(
         [
             config.azimuth_sigma_rad,
@@ -158,15 +178,15 @@ def adjust(
     )
     covariance = equations.shared_covariance()
     root = root_of(covariance)
-    shared_loading, rest, axes = _main_factors(-equations.gain @ root)
+    shared_loading, rest, axes = _main_factors((-equations.gain @ root)[:count])
     return Adjustment(
-        points,
-        influence[:, None, None] * equations.own_covariance() + rest,
+        points[:count],
+        (influence[:, None, None] * equations.own_covariance())[:count] + rest,
         shared_loading,
         problem.poses(shared),
         problem.pose_covariance(covariance),
-        problem.off_wall(points),
-        _misfit(problem, at, noise, trusted),
+        problem.off_wall(points)[:count],
+        _misfit(problem, at, noise, trusted)[:count],
         noise,
         *problem.calibration(shared, covariance),
         problem.calibration_rows(root) @ axes,
@@ -241,7 +261,8 @@ def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
 
 def _variances(problem: Problem, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Variances of measurements (k, 2) and walls (n,)."""
-    return problem.own_sigma**2 + noise[:2] ** 2, np.full(problem.count, noise[_RELIEF] ** 2)
+    relief = np.where(problem.on_wall, noise[_RELIEF], _NO_WALL_M)
+    return problem.own_sigma**2 + noise[:2] ** 2, relief**2
 
 
 def _tail(residual: FloatArray, variance: FloatArray) -> FloatArray:
@@ -306,7 +327,7 @@ def _noise(
     groups = [
         (at.seen[:, 0], variances[0][:, 0], information[0][:, 0], predicted[0][:, 0], seen_voice),
         (at.seen[:, 1], variances[0][:, 1], information[0][:, 1], predicted[0][:, 1], seen_voice),
-        (at.wall, variances[1], information[1], predicted[1], counted),
+        (at.wall, variances[1], information[1], predicted[1], counted & problem.on_wall),
     ]
     squares, counts = np.zeros((2, len(noise)))
     for k, (residual, variance, trust, explained, who) in enumerate(groups):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,10 +14,12 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.attention.config import AttentionConfig
 from landmark_nav.learning.attention.maps import attention_maps
 from landmark_nav.learning.attention.selection import refusal, select
-from landmark_nav.types import Candidate, ImageArray, Panorama, Refusal
+from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
 
 __all__ = ['Attention', 'attend']
 
+# Patches about features are so far apart, as a share of their size.
+_APART = 0.5
 # A patch keeps this far from uncovered pixels, whose neighbours are blurred by interpolation.
 _MARGIN_PX = 2
 
@@ -39,9 +42,14 @@ class Attention:
     refused: tuple[tuple[Candidate, Refusal], ...]
 
 
-def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
+def attend(
+    panorama: Panorama, config: AttentionConfig, matched: FloatArray | None = None
+) -> Attention:
     """
     Select candidates and say why others were refused.
+
+    Where less stands out than `candidates`, features at pixels `matched` (n, 2), which another
+    panorama shows as well, are proposed, too.
 
     Raises
     ------
@@ -60,10 +68,49 @@ def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
     examine = partial(refusal, gray=gray, config=config)
     accepted, refused = select(saliency, _inside(panorama.mask), config, examine)
     first = max((c.saliency for c in accepted), default=1.0)
+    if matched is not None:
+        least = min((c.saliency for c in accepted), default=1.0)
+        also = _about(matched, accepted, gray, _inside(panorama.mask), least, config)
+        accepted = (*accepted, *also)
     return Attention(
         tuple(replace(c, saliency=c.saliency / first) for c in accepted),
         tuple((replace(c, saliency=c.saliency / first), why) for c, why in refused),
     )
+
+
+def _about(
+    pixels: FloatArray,
+    taken: Sequence[Candidate],
+    gray: ImageArray,
+    inside: npt.NDArray[np.bool_],
+    saliency: float,
+    config: AttentionConfig,
+) -> list[Candidate]:
+    """Candidates about pixels (n, 2) that are not of one of those taken, and distinct."""
+    height, width = gray.shape
+    size = config.size_max_px
+    centers = [(c.column, c.row) for c in taken]
+    found: list[Candidate] = []
+    for column, row in np.floor(pixels) + 0.5 * (1 - size % 2):
+        if len(centers) >= config.candidates:
+            break
+        first = int(row - 0.5 * (size - 1))
+        if first < 0 or first + size > height:
+            continue
+        if centers:
+            away = np.abs(np.array(centers) - (column, row))
+            away[:, 0] = np.minimum(away[:, 0], width - away[:, 0])
+            if (away.max(1) < _APART * size).any():
+                continue
+        left = int(column - 0.5 * (size - 1))
+        across = np.arange(left, left + size) % width
+        if not inside[first : first + size].take(across, axis=1).all():
+            continue
+        candidate = Candidate(float(column), float(row), size, size, saliency)
+        if refusal(candidate, gray, config) is None:
+            found.append(candidate)
+            centers.append((column, row))
+    return found
 
 
 def _to_gray(image: ImageArray) -> ImageArray:

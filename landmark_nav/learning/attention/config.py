@@ -26,8 +26,8 @@ class AttentionConfig(Config):
     """
     What attracts attention, what size is cut out, and what is refused.
 
-    The weights are those that ``test/attention_weights.py`` finds, in rooms kept for tuning: in
-    proportion to what each feature proposes, alone, that is found again more often than chance.
+    The weights are in proportion to what each feature proposes, alone, that is found again more
+    often than chance, in simulated rooms kept for tuning (docs/decisions.md).
 
     """
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from landmark_nav.learning.facades.config import FacadesConfig
-from landmark_nav.learning.facades.outline import room_of
+from landmark_nav.learning.facades.outline import open_room, room_of
 from landmark_nav.learning.facades.planes import Facade, find_facades
-from landmark_nav.learning.facades.points import seen_points, SeenPoints
+from landmark_nav.learning.facades.points import located, seen_points, SeenPoints
 
-__all__ = ['Facade', 'FacadesConfig', 'SeenPoints', 'find_facades', 'room_of', 'seen_points']
+__all__ = ['Facade', 'FacadesConfig', 'SeenPoints', 'find_facades', 'located', 'open_room', 'room_of', 'seen_points']

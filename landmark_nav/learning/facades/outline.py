@@ -17,11 +17,15 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.facades.config import FacadesConfig
 from landmark_nav.learning.facades.planes import Facade
+from landmark_nav.learning.facades.points import SeenPoints
 from landmark_nav.types import FloatArray
 
-__all__ = ['room_of']
+__all__ = ['open_room', 'room_of']
 
 _RAYS = 1440
+# A room without facades has so many walls, so far beyond the viewpoints at least, metres; this
+# share of what is seen is inside.
+_OPEN_WALLS, _OPEN_M, _OPEN_SHARE = 12, 1.0, 0.98
 # A facade goes on a little beyond its last point; a corner is no farther from what is seen of its
 # two walls than this.
 _BEYOND_M, _FARTHEST_CORNER_M = 0.1, 3.0
@@ -77,6 +81,26 @@ def room_of(
         if k not in used and room.contains(np.array([inner.start, inner.end])).all():
             room = _with_island(room, inner, k, config)
     return room
+
+
+def open_room(
+    points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame_id: str
+) -> Room:
+    """
+    Room around all that is seen, where facades make none; nothing is known to be on its walls.
+
+    Arguments are as above, and `points` what panoramas share.
+    """
+    middle = eyes[:, :2].mean(0)
+    seen = np.concatenate([eyes[:, :2], points.positions[:, :2]]) - middle
+    least = float(np.hypot(*(eyes[:, :2] - middle).T).max()) + _OPEN_M
+    ends = 2.0 * np.pi * np.arange(_OPEN_WALLS) / _OPEN_WALLS
+    toward = np.stack([np.cos(ends), np.sin(ends)], 1)
+    # A corner is as far out as the outermost that is seen about its direction.
+    reach = np.where(seen @ toward.T > 0.8 * np.hypot(*seen.T)[:, None], seen @ toward.T, 0.0)
+    far = np.maximum(np.quantile(reach, _OPEN_SHARE, axis=0), least) + _BEYOND_M
+    corners = [(middle + f * t, -1) for f, t in zip(far, toward, strict=True)]
+    return _closed(corners, config.wall_height_m, config, frame_id)
 
 
 def _closed(

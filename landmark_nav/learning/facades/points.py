@@ -11,7 +11,7 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
 from landmark_nav.types import FloatArray
 
-__all__ = ['SeenPoints', 'seen_points']
+__all__ = ['SeenPoints', 'located', 'seen_points']
 
 # Depth that is less certain says nothing of a facade, m; what is seen in two directions that
 # differ by less has no depth, rad.
@@ -66,12 +66,13 @@ def seen_points(
         Standard deviation of a direction.
 
     """
-    return SeenPoints.joined([_intersected(states, p, lever, sigma_rad) for p in pairs])
+    return SeenPoints.joined([located(states, p, lever, sigma_rad)[0] for p in pairs])
 
 
-def _intersected(
+def located(
     states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
-) -> SeenPoints:
+) -> tuple[SeenPoints, RayPairs]:
+    """Points of matches between two views, arguments as above; matches that have a depth."""
     here, there = (center(states[k], lever) for k in (pairs.one, pairs.other))
     w = turned(states[pairs.one], pairs.rays)
     v = turned(states[pairs.other], pairs.other_rays)
@@ -89,8 +90,9 @@ def _intersected(
     )
     certain = (np.abs(sine) > np.sin(_LEAST_PARALLAX)) & (reach > 0.0) & (reach_there > 0.0)
     certain &= np.sqrt(covariance[:, 0, 0] + covariance[:, 1, 1]) < _MAX_SIGMA_M
-    return SeenPoints(
+    points = SeenPoints(
         0.5 * (first + second)[certain],
         covariance[certain],
         np.broadcast_to(here, first.shape)[certain],
     )
+    return points, pairs.chosen(certain)

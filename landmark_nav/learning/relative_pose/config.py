@@ -19,6 +19,8 @@ class RelativePoseConfig(Config):
     max_ratio: float = 0.85
     # Standard deviation of the direction of a feature.
     direction_sigma_rad: float = 1.5e-3
+    # The same of a feature alone, in a panorama that has no errors.
+    feature_sigma_rad: float = 5e-4
     # Standard deviation of a sweep's tilt, about x and y.
     tilt_sigma_rad: float = 0.01
     # Standard deviation of the height of a sweep.

@@ -21,6 +21,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     center,
     EpipolarFit,
     fit_poses,
+    misses,
     RayPairs,
     STATE,
 )
@@ -53,6 +54,7 @@ _NO_WAY = 0.8
 _FIXED_SIGMA = 1e-6
 _UNKNOWN_SIGMA = (10.0, 10.0, 3.0)
 _ROUNDS = 3
+_MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,21 +70,21 @@ class RelativePoses:
         Of x, y, heading by the sources of the scale alone, without what panoramas show.
     pairs : tuple of RayPairs
         Matches that agree.
-    tilt_information : ndarray, shape (v, 2, 2)
-        Of the tilt of each sweep.
     scales : tuple of ScaleShare
         What each source says of the scale.
     scale_sigma : float
         Relative standard deviation of the scale by all of them.
+    wave_sigma_rad : float
+        By how much more than features are uncertain directions of panoramas err.
 
     """
 
     states: FloatArray
     covariance: FloatArray
     pairs: tuple[RayPairs, ...]
-    tilt_information: FloatArray
     scales: tuple[ScaleShare, ...]
     scale_sigma: float
+    wave_sigma_rad: float
 
 
 def relative_poses(
@@ -91,6 +93,7 @@ def relative_poses(
     lever: FloatArray,
     config: RelativePoseConfig,
     sheets: Sequence[Sequence[SheetView]] = (),
+    before: RelativePoses | None = None,
 ) -> RelativePoses:
     """
     Find the poses of sweeps from what their panoramas show, and the scale from all that gives it.
@@ -107,6 +110,8 @@ def relative_poses(
         What counts.
     sheets : sequence of sequence of SheetView
         What may be a sheet of a known size, of each sweep.
+    before : RelativePoses, optional
+        What was found of the same sweeps with other panoramas, which were then levelled by it.
 
     Raises
     ------
@@ -115,6 +120,42 @@ def relative_poses(
         sources that contradict panoramas or each other.
 
     """
+    count = len(features)
+    if before is None:
+        start, pairs = _found(features, known, lever, config, sheets)
+    else:
+        start = before.states * np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
+        pairs = [(p.one, p.other) for p in before.pairs]
+    fit, sources, pairs_along = _fitted(start, pairs, features, known, sheets, lever, config)
+    shares = tuple(source.share(fit.states, lever) for source in sources)
+    return RelativePoses(
+        fit.states,
+        _known_covariance(fit.states, sources, config),
+        tuple(p.chosen(which) for p, which in zip(pairs_along, fit.agrees, strict=True)),
+        shares,
+        scale_sigma(shares),
+        _wave_sigma(fit.states, pairs_along, lever, config),
+    )
+
+
+def _wave_sigma(
+    states: FloatArray, pairs: Sequence[RayPairs], lever: FloatArray, config: RelativePoseConfig
+) -> float:
+    """What matches miss each other by that features alone would not."""
+    off = [misses(states, p, lever, config.direction_sigma_rad)[0] for p in pairs]
+    seen = _MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(off))))
+    variance = (seen * config.direction_sigma_rad) ** 2 - config.feature_sigma_rad**2
+    return float(np.sqrt(max(variance, 0.0)))
+
+
+def _found(
+    features: Sequence[Features],
+    known: Sequence[PlaceChain],
+    lever: FloatArray,
+    config: RelativePoseConfig,
+    sheets: Sequence[Sequence[SheetView]],
+) -> tuple[FloatArray, list[tuple[int, int]]]:
+    """States (v, 6) by matches of pairs of panoramas, and the pairs that have some."""
     count = len(features)
     found: dict[tuple[int, int], TwoViews] = {}
     for i, j in _neighbours(known[0].poses) if known else combinations(range(count), 2):
@@ -135,19 +176,7 @@ def relative_poses(
         eyes = [_viewpoint(pose, lever) for pose in known[0].poses]
         lengths = {(i, j): float(np.hypot(*(eyes[j] - eyes[i]))) for i, j in found}
     first = known[0].poses[0] if known else np.zeros(3)
-    start = _placed(count, found, lengths, first, lever)
-    fit, sources, pairs_along = _fitted(start, found, features, known, sheets, lever, config)
-    shares = tuple(source.share(fit.states, lever) for source in sources)
-    covariance = fit.covariance.reshape(count, STATE, count, STATE)
-    tilts = np.array([covariance_of(covariance[k, 4:, k, 4:]) for k in range(count)])
-    return RelativePoses(
-        fit.states,
-        _known_covariance(fit.states, sources, config),
-        tuple(p.chosen(which) for p, which in zip(pairs_along, fit.agrees, strict=True)),
-        tilts,
-        shares,
-        scale_sigma(shares),
-    )
+    return _placed(count, found, lengths, first, lever), sorted(found)
 
 
 def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
@@ -212,7 +241,7 @@ def _viewpoint(pose: FloatArray, lever: FloatArray) -> FloatArray:
 
 def _fitted(
     start: FloatArray,
-    found: Mapping[tuple[int, int], TwoViews],
+    matched: Sequence[tuple[int, int]],
     features: Sequence[Features],
     known: Sequence[PlaceChain],
     sheets: Sequence[Sequence[SheetView]],
@@ -225,10 +254,10 @@ def _fitted(
     covariance, states = _prior_covariance(len(start), config), start
     places = [PlaceSource(chain) for chain in known]
     for number in range(_ROUNDS):
-        poses = {pair: two_views_of(states, *pair, lever) for pair in found}
+        poses = {pair: two_views_of(states, *pair, lever) for pair in matched}
         tracks = sheet_tracks(sheets, poses, FINE if number else ROUGH)[0] if sheets else []
         sources: list[Source] = [*places, *SheetSource.of_kinds(tracks, lever)]
-        pairs = [matches_along(i, j, states, features, lever, config) for i, j in sorted(found)]
+        pairs = [matches_along(i, j, states, features, lever, config) for i, j in matched]
         fit = fit_poses(
             states, pairs, lever, config.direction_sigma_rad, prior, covariance, stacked(sources)
         )

@@ -29,5 +29,9 @@ class StereoConfig(Config):
         minimum=0.05,
         maximum=100,
     )
+    # How far off its wall a patch may hang, m; farther off it is on a plane of its own.
+    max_off_wall_m: float = 0.06
+    # The same of a patch that does not hang on a wall, whose location is then less certain, px.
+    max_relief_px: float = 2.0
     # Search around the epipolar line, at least: more where places are uncertain.
     margin_m: float = 0.04

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from landmark_nav.arrays import Float32Array
+import numpy as np
+
+from landmark_nav.arrays import Float32Array, FloatArray
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.config import StereoConfig
-from landmark_nav.learning.stereo.free_stereo import explain, FreeMatch
+from landmark_nav.learning.stereo.own_plane import depths_of, is_off_wall, match_freely
+from landmark_nav.learning.stereo.ties import Ties
 from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
@@ -22,27 +25,32 @@ class Found:
     Patches that were found again from another place, and where the panoramas show each.
 
     `origin` holds the panorama and the candidate of each; `outcomes` what became of every
-    candidate so far; `off_walls` what was found where it was not looked for, off its wall.
+    candidate so far.
     """
 
     patches: list[WallPatch]
     measurements: list[list[PatchMeasurement]]
     origin: list[tuple[int, int]]
     outcomes: list[list[Landmark | Refusal]]
-    off_walls: list[FreeMatch]
 
     @property
     def walls(self) -> list[int]:
-        """The wall that each patch was looked for on."""
-        return [patch.wall for patch in self.patches]
+        """The wall that each patch hangs on, -1 for those on a plane of their own."""
+        return [patch.wall if patch.on_wall else -1 for patch in self.patches]
 
     @property
-    def anywhere(self) -> Found:
-        """The same with what was found off its wall among the patches."""
+    def normals(self) -> FloatArray:
+        """Normals (n, 3) of the patches."""
+        return np.array([patch.normal for patch in self.patches])
+
+    @property
+    def before_walls(self) -> Found:
+        """Those with a wall behind them, as if they hung on it."""
+        which = [k for k, patch in enumerate(self.patches) if patch.wall >= 0]
         return replace(
             self,
-            patches=[*self.patches, *(match.patch for match in self.off_walls)],
-            measurements=[*self.measurements, *(match.measurements for match in self.off_walls)],
+            patches=[replace(self.patches[k], on_wall=True) for k in which],
+            measurements=[self.measurements[k] for k in which],
         )
 
 
@@ -52,27 +60,51 @@ def find_again(
     greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
+    ties: Ties | None = None,
 ) -> Found:
-    """Look for each candidate in the other panoramas."""
-    found = Found([], [], [], [[] for _ in panoramas], [])
+    """
+    Look for each candidate in the other panoramas: on the wall behind it, else wherever it is.
+
+    `ties` are features that panoramas share: they say how far what is around them is.
+    """
+    found = Found([], [], [], [[] for _ in panoramas])
     for i, panorama in enumerate(panoramas):
+        features = None if ties is None else depths_of(ties.seen_by(i), panorama)
         for n, candidate in enumerate(candidates[i]):
-            patch = hypothesize(candidate, i, panorama, room, config)
-            if isinstance(patch, Refusal):
-                found.outcomes[i].append(patch)
+            again = _on_wall(candidate, i, panoramas, greys, room, config)
+            if isinstance(again, Refusal) or is_off_wall(*again, panoramas, config):
+                own = match_freely(candidate, i, panoramas, greys, config, features)
+                again = again if isinstance(own, Refusal) else own
+            if isinstance(again, Refusal):
+                found.outcomes[i].append(again)
                 continue
-            others = [j for j in range(len(panoramas)) if j != i]
-            matches = [match_in(patch, j, panoramas, greys, room, config) for j in others]
-            seen = [match for match in matches if isinstance(match, PatchMeasurement)]
-            if not seen:
-                refused = next(match for match in matches if isinstance(match, Refusal))
-                off_wall = explain(patch, panoramas, greys, config)
-                if off_wall is not None:
-                    found.off_walls.append(off_wall)
-                found.outcomes[i].append(refused if off_wall is None else off_wall.refusal)
-                continue
+            patch, measurements = again
+            if not patch.on_wall:
+                azimuth = float(panorama.cylinder.azimuth_rad(candidate.column))
+                _, behind = room.raycast(panorama.center_map[:2], azimuth + panorama.heading_rad)
+                patch = replace(patch, wall=int(behind))
             found.outcomes[i].append(Refusal('not elected'))
             found.patches.append(patch)
-            found.measurements.append([own_measurement(patch, panorama), *seen])
+            found.measurements.append(measurements)
             found.origin.append((i, n))
     return found
+
+
+def _on_wall(
+    candidate: Candidate,
+    source: int,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[Float32Array],
+    room: Room,
+    config: StereoConfig,
+) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
+    """Find a candidate on the wall behind it."""
+    patch = hypothesize(candidate, source, panoramas[source], room, config)
+    if isinstance(patch, Refusal):
+        return patch
+    others = [j for j in range(len(panoramas)) if j != source]
+    matches = [match_in(patch, j, panoramas, greys, room, config) for j in others]
+    seen = [match for match in matches if isinstance(match, PatchMeasurement)]
+    if not seen:
+        return next(match for match in matches if isinstance(match, Refusal))
+    return patch, [own_measurement(patch, panoramas[source]), *seen]

@@ -28,10 +28,10 @@ __all__ = [
 @dataclass(frozen=True, eq=False)
 class WallPatch:
     """
-    The piece of wall that a candidate shows if it lies on the wall.
+    The piece of wall that a candidate shows if it lies on the wall, or of a plane of its own.
 
     `position` (3,) and `normal` (3,) in map; `shape` (rows, columns) and `texel_m` of its
-    texture; `source` is the panorama it was proposed in.
+    texture; `source` is the panorama it was proposed in; `wall` the one behind it, or -1.
     """
 
     candidate: Candidate
@@ -41,6 +41,7 @@ class WallPatch:
     normal: FloatArray
     shape: tuple[int, int]
     texel_m: float
+    on_wall: bool = True
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,6 +83,11 @@ def _quarters(image: Float32Array) -> FloatArray:
 # How far places may be wrong, in their sigmas, and where a search on the wall ends.
 _SIGMAS = 3.0
 _LARGEST_MARGIN_M = 0.5
+# Greatest share of the peak that another place may reach. On walls it gains nothing; far before
+# them, where the whole epipolar band is searched, it was not left out.
+_MAX_SECOND_RATIO = 0.9
+# What is not flat errs by this share of how far a quarter of it seems out of place.
+_RELIEF_SHARE = 0.5
 # How near to where it came from a match must lead back.
 _MAX_RETURN_PX = 1.0
 
@@ -178,7 +183,12 @@ def compare(
     own, seen = (texels_per_pixel(patch, p) for p in (here, there))
     coarser = max(own.max(), seen.max())
     template = blur_to(template, seen, own)
-    match = match_template(blur_to(search, own, seen), template, min_score=config.min_score)
+    match = match_template(
+        blur_to(search, own, seen),
+        template,
+        min_score=config.min_score,
+        max_second_ratio=_MAX_SECOND_RATIO,
+    )
     if isinstance(match, Refusal):
         return match
     right, down = patch_axes(patch.normal)
@@ -189,7 +199,12 @@ def compare(
     if search is None or found is None:
         return Refusal('not covered by both panoramas')
     found = blur_to(found, own, seen)
-    back = match_template(blur_to(search, seen, own), found, min_score=0.9 * config.min_score)
+    back = match_template(
+        blur_to(search, seen, own),
+        found,
+        min_score=0.9 * config.min_score,
+        max_second_ratio=_MAX_SECOND_RATIO,
+    )
     if isinstance(back, Refusal):
         return Refusal('no way back', str(back))
     across, below = (back.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
@@ -205,6 +220,10 @@ def compare(
     reach = float(np.hypot(ray[0], ray[1]))
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach
     sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m / reach
+    if not patch.on_wall:
+        # What is not flat is matched by one part of it or another.
+        relief = _RELIEF_SHARE * displaced * coarser * patch.texel_m / reach
+        sigma = np.hypot(sigma, relief)
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,

@@ -72,6 +72,11 @@ class ProtectionLevel(NamedTuple):
         by /= np.maximum([position, position, heading], 1e-9)
         return replace(estimate, covariance=estimate.covariance * np.outer(by, by))
 
+    @classmethod
+    def unscaled(cls, scaled: PoseEstimate) -> ProtectionLevel:
+        """Level that a pose was `scaled` by."""
+        return cls(*map(float, _sigmas(scaled.covariance)))
+
 
 def protection_level(estimate: PoseEstimate, update: Update | None = None) -> ProtectionLevel:
     """Return the level of a pose, with the last update if there was one."""

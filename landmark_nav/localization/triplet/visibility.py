@@ -134,8 +134,12 @@ def landmark_visibilities(
     )
     left = np.flatnonzero(visibility == LandmarkVisibility.USABLE)
     if landmark_map.walls and len(left):
-        seen = _room(landmark_map.walls).visible(viewer[:2], position[left, :2])
-        visibility[left[~seen]] = LandmarkVisibility.HIDDEN
+        room, points = _room(landmark_map.walls), position[left, :2]
+        # What was seen through a wall when it was learned (a door, a window, a mirror, a gap in
+        # what was found) is seen through it again.
+        opaque = ~room.hiding(landmark_map.viewpoints[left, :2], points)
+        hidden = (room.hiding(viewer[:2], points) & opaque).any(axis=-1)
+        visibility[left[hidden]] = LandmarkVisibility.HIDDEN
     return visibility
 
 

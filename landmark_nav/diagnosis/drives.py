@@ -1,0 +1,393 @@
+"""Checks of the streams of a drive: each by itself, then all against how images turn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from landmark_nav.arrays import FloatArray, IndexArray
+from landmark_nav.diagnosis.advice import (
+    camera_finding,
+    cause_findings,
+    clock_finding,
+    CORRECTED_S,
+    HEADING_ERROR_RAD,
+    motion_findings,
+)
+from landmark_nav.diagnosis.camera_errors import CameraSetup
+from landmark_nav.diagnosis.causes import IMAGES, JOINTS, late_odometry, ODOMETRY, verdict
+from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
+from landmark_nav.diagnosis.looks import camera_error_of, look, Looks
+from landmark_nav.diagnosis.motion import Clock, Linear, linear, Motion, Track
+from landmark_nav.diagnosis.parts import (
+    blank_images,
+    coarse_values,
+    held_values,
+    jumping_values,
+    limited_values,
+    repeated_images,
+    staying_values,
+    strange_images,
+)
+from landmark_nav.diagnosis.path import check_jumps, check_path
+from landmark_nav.diagnosis.sources import two_sources
+from landmark_nav.diagnosis.stamps import (
+    by_arrival,
+    check_stamps,
+    clock_hints,
+    in_step,
+    longest_part,
+)
+from landmark_nav.diagnosis.streams import pan_stream, read_joints, read_stream, Stream, unwrapped
+from landmark_nav.diagnosis.units import check_speed, check_twist
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.walls import Room
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag
+
+__all__ = ['THOROUGH', 'DriveChecks']
+
+# So many images are decoded where fewer show a fault.
+THOROUGH = 600
+# Fewer pairs of images show no motion.
+_LEAST_PAIRS = 12
+# Less of the images than this lies in the time of a stream that has another clock.
+_COVERED = 0.1
+# Without motion, times of recording separate clocks to about this.
+_BY_LOG_S = 0.5
+# Delays are not known better from how images turn.
+_LEAST_SIGMA_S = 1e-3
+# Twist beside a pose that stays.
+_OF_POSE = 'odom twist'
+# Follow from a path that is mirrored.
+_OF_PATH = ('odom twist, forward', 'camera heading', 'odom unit')
+# Share of the images at whose time there is ground truth.
+_ENOUGH = 0.8
+# A clock that motion knows to this needs no times of recording.
+_KNOWN_S = 0.1
+
+
+class DriveChecks:
+    """Checks of the streams of a drive."""
+
+    def __init__(self, bag: Bag, images: str, mount: PanTiltMount, room: Room | None) -> None:
+        self._bag, self._images, self._mount, self._room = bag, images, mount, room
+        odometry = bag.find('odom')
+        self._odometry = read_stream(bag, ODOMETRY, odometry, _odometry_of) if odometry else None
+
+    def diagnosis(self, most_images: int) -> Diagnosis:
+        """Decode so many images; more, where these show a fault."""
+        infos = ('camera/camera_info',)
+        looks = look(self._bag, self._images, infos, self._mount, most_images)
+        setup: PanTiltMount | CameraSetup = self._mount
+        of_camera = []
+        if error := camera_error_of(self._bag, looks, self._mount):
+            # All else is judged without it.
+            setup, of_camera = error.setup, [camera_finding(error)]
+            self._mount = error.setup.mount
+            looks = look(self._bag, self._images, infos, setup, most_images)
+        found, delays, healthy = self._judged(looks)
+        if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
+            looks = look(self._bag, self._images, infos, setup, THOROUGH)
+            found, delays, _ = self._judged(looks)
+        said = {finding.name for finding in of_camera}
+        return Diagnosis((*of_camera, *(f for f in found if f.name not in said)), delays)
+
+    def _judged(self, looks: Looks) -> tuple[list[Finding], Delays, bool]:
+        """Findings, delays, and whether joints and odometry explain what the images show."""
+        found = [*check_stamps(looks.stream), *looks.findings]
+        if (blank := blank_images(looks)) is not None:
+            found.append(blank)
+        pan, by_names = self._pan()
+        found += by_names
+        odometry = self._odometry
+        if pan is not None:
+            pan, sources = _one_source(pan, (0,), 1)
+            found += [*check_stamps(pan), *sources]
+        if odometry is None:
+            found.append(Finding('odom', 'error', 'there is no odom', 'record odom'))
+        else:
+            odometry, second = _one_source(odometry, (2,), 3)
+            found += [*check_stamps(odometry), *second]
+            if len(odometry) > 1:
+                found += [check_speed(odometry), *check_twist(odometry)]
+                if not second and (jumps := check_jumps(odometry)) is not None:
+                    found.append(jumps)
+            found += _frames(odometry, looks.stream, self._mount)
+        if pan is None or len(pan) < 2 or len(looks.stream) < 2:
+            return found, Delays(), True
+        if _unstamped(looks.stream) or _unstamped(pan) or (odometry and _unstamped(odometry)):
+            return found, Delays(), True
+        looks = replace(looks, stream=by_arrival(looks.stream))
+        odometry = None if odometry is None else by_arrival(odometry)
+        return self._against_images(looks, by_arrival(pan), odometry, found)
+
+    @cached_property
+    def _joints(self) -> dict[str, Stream]:
+        """All joints by their names."""
+        topic = self._bag.find('joint_states')
+        return read_joints(self._bag, topic) if topic else {}
+
+    def _pan(self) -> tuple[Stream | None, list[Finding]]:
+        """Stream of the pan as it is read from the bag, and what there is to say of joints."""
+        names, name = ', '.join(self._joints)[:90], self._mount.pan_joint
+        try:
+            pan = pan_stream(self._bag, self._mount)
+        except LandmarkNavError as error:
+            if name in self._joints:
+                # Readers refuse what is no pan; what it is instead is to be found.
+                return self._joints[name], []
+            if names:
+                advice = f'set pan_joint in robot.yaml to what turns the camera, not {name}'
+                return None, [Finding('joint names', 'error', f'there are {names}', advice)]
+            described = str(error).removeprefix(f'{self._bag.path}: ')
+            return None, [Finding('joint names', 'error', described, '', {}, when_read=True)]
+        return pan, [Finding('joint names', 'ok', names or name)]
+
+    def _against_images(
+        self, looks: Looks, pan: Stream, odometry: Stream | None, found: list[Finding]
+    ) -> tuple[list[Finding], Delays, bool]:
+        first, last = longest_part(looks.stream)
+        streams = [
+            in_step(stream.only((stream.logged_ns >= first) & (stream.logged_ns <= last)))
+            for stream in (pan, odometry)
+            if stream is not None
+        ]
+        logged = looks.stream.logged_ns
+        images = looks.stream.only((logged >= first) & (logged <= last))
+        if any(len(stream) < 2 for stream in (images, *streams)):
+            return found, Delays(), True
+        by_name = dict(zip((JOINTS, ODOMETRY), streams, strict=False))
+        hints = clock_hints(images, by_name)
+        inside = ((logged >= first) & (logged <= last))[looks.pairs].all(1)
+        pairs = self._motion(looks, looks.pairs[inside], streams)
+        motion = pairs.only(np.isfinite(pairs.turns_rad))
+        if len(motion) < _LEAST_PAIRS:
+            described = (
+                f'{len(motion)} pairs of images show how the camera turned: too few to judge'
+            )
+            found.append(Finding('image motion', 'ok', described))
+            return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
+        if (repeated := repeated_images(motion)) is not None:
+            return [*found, repeated], Delays(), False
+        # A pan that stops for each image holds its values, too, and explains what images show.
+        for part in () if linear(motion).quiet else (held_values, limited_values):
+            if (odd := part(motion)) is not None:
+                one, motion = odd
+                found.append(one)
+        if len(motion) < _LEAST_PAIRS:
+            return found, Delays(), False
+        staying = staying_values(motion)
+        if staying is not None:
+            stays, motion = staying
+            if stays.name.startswith(ODOMETRY):
+                found = [f for f in found if not f.name.startswith(_OF_POSE)]
+            found.append(stays)
+        slopes = linear(motion)
+        path = check_path(streams[1]) if len(streams) > 1 else None
+        if path is not None:
+            mended = replace(motion, odometry=_odometry_track(streams[1], path.mended))
+            fitting = linear(mended)
+            if fitting.fits and not fitting.heading_rad.beyond(
+                HEADING_ERROR_RAD, HEADING_ERROR_RAD
+            ):
+                found, motion, slopes = [path.finding, *found], mended, fitting
+            else:
+                path = None
+        if slopes.fits:
+            jumps = jumping_values(motion)
+            if any(f.name == 'odom jumps' for f in found):
+                jumps = [f for f in jumps if not f.name.startswith(ODOMETRY)]
+            found += motion_findings(motion, slopes, self._room) + jumps
+            found += _clocks_by_log(motion, hints, slopes)
+            if path is not None:
+                found = [f for f in found if f.name not in _OF_PATH]
+            elif looks.view is not None and staying is None and blank_images(looks) is None:
+                strange = strange_images(pairs, looks.view.width_rad)
+                found += [] if strange is None else [strange]
+            return [*found, *self._truth(images, motion, Clock())], Delays(), True
+        others = {
+            name: Track.of(stream.seconds, self._mount.pan_sense * _angles(stream))
+            for name, stream in self._joints.items()
+            if name != self._mount.pan_joint and len(stream) > 1
+        }
+        twist = _by_twist(streams[1]) if len(streams) > 1 else None
+        judged = verdict(motion, others, twist, hints)
+        cause = judged.cause
+        found += cause_findings(judged)
+        slopes = linear(cause.motion)
+        if slopes.quiet:
+            found += motion_findings(cause.motion, slopes, self._room)
+            right = cause.motion.pan_clock if cause.stream == IMAGES else Clock()
+            found += self._truth(images, cause.motion, right)
+        if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
+            # What follows from a wrong heading is no fault of its own.
+            follows = ('odom twist', 'camera heading', 'odom unit')
+            found = [finding for finding in found if not finding.name.startswith(follows)]
+        if cause.kind == 'none' and not judged.fits:
+            coarse = [coarse_values(stream) for stream in streams]
+            found = [f for f in coarse if f is not None] or found
+        if cause.kind == 'none':
+            found += _clocks_by_log(motion, hints, slopes)
+        late = cause.value if cause.kind == 'clock' and abs(cause.value) <= CORRECTED_S else 0.0
+        by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
+        sigma = max(slopes.pan_clock_s.sigma, _LEAST_SIGMA_S)
+        pan_sigma_s = sigma if cause.stream != ODOMETRY else 0.0
+        if not late:
+            return found, Delays(), False
+        return found, Delays(**{by_stream[cause.stream]: late}, pan_sigma_s=pan_sigma_s), False
+
+    def _truth(self, images: Stream, motion: Motion, clock: Clock) -> list[Finding]:
+        """The clock of the ground truth, which serves figures alone, against one that is right."""
+        topic = self._bag.find('ground_truth/odom')
+        truth = read_stream(self._bag, 'ground_truth', topic, _odometry_of) if topic else None
+        if truth is None or len(truth) < 2:
+            return []
+        # Of the same part of the recording as the images.
+        first, last = images.logged_ns[[0, -1]]
+        truth = truth.only((truth.logged_ns >= first) & (truth.logged_ns <= last))
+        if len(truth) < 2:
+            return []
+        values = truth.values[:, :3].copy()
+        values[:, 2] = np.unwrap(values[:, 2])
+        track = Track.of(truth.seconds, values)
+        known = replace(motion, odometry=track, odometry_clock=clock, yaw_scale=1.0)
+        slopes = linear(known)
+        seconds = track.seconds - clock.offset_s
+        if _covered(
+            known, replace(track, seconds=seconds)
+        ) > _ENOUGH and not slopes.odometry_clock_s.beyond(0.05, _KNOWN_S):
+            return []
+        hints = clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
+        late = hints[0].offset_s or hints[1].offset_s
+        if slopes.odometry_clock_s.sigma < np.inf or abs(late) > _BY_LOG_S:
+            late = late_odometry(known, hints) - clock.offset_s
+        described = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
+        advice = 'errors are measured against it: stamp it by the clock of the robot'
+        return [Finding('ground_truth clock', 'warning', described, advice, {'late_s': late})]
+
+    def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
+        seconds = looks.stream.seconds
+        turns = np.array([looks.turn(int(first), int(second)) for first, second in pairs])
+        before, after = seconds[pairs[:, 0]], seconds[pairs[:, 1]]
+        good = after > before
+        odometry = None
+        if len(streams) > 1:
+            odometry = _odometry_track(streams[1], streams[1].values)
+        return Motion(
+            before[good],
+            after[good],
+            turns[good],
+            Track.of(streams[0].seconds, self._mount.pan_sense * _angles(streams[0])),
+            odometry,
+            self._mount.axis_xyz[:2],
+            self._mount.optical_center_offset[:2],
+            float(self._mount.azimuth_base_rad(0.0)),
+            self._mount.pan_sense * np.cos(self._mount.camera_roll_rad) < 0.0,
+        )
+
+
+def _odometry_of(message: Any) -> FloatArray:
+    """x, y, yaw, forward speed and yaw rate of a message."""
+    sample = decode.odometry(message)
+    return np.array([*sample.pose_odom_base, sample.linear_m_s, sample.angular_rad_s])
+
+
+def _odometry_track(stream: Stream, values: FloatArray) -> Track:
+    """Of values (n, k) of a stream of odometry."""
+    poses = values[:, :3].copy()
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Track.of(stream.seconds, poses)
+
+
+def _angles(stream: Stream) -> FloatArray:
+    return unwrapped(stream.values[:, 0])[:, None]
+
+
+def _unstamped(stream: Stream) -> bool:
+    return not stream.stamps_ns.any()
+
+
+def _by_twist(stream: Stream) -> Track:
+    """Odometry summed up from its speeds, (n, 3)."""
+    order = np.argsort(stream.seconds, kind='stable')
+    times, values = stream.seconds[order], stream.values[order]
+    steps = np.clip(np.diff(times, prepend=times[0]), 0.0, 1.0)
+    yaw = np.cumsum(values[:, 4] * steps)
+    x, y = np.cumsum(values[:, 3] * steps * [np.cos(yaw), np.sin(yaw)], axis=1)
+    return Track.of(times, np.stack([x, y, yaw], -1))
+
+
+def _one_source(
+    stream: Stream, angles: tuple[int, ...], columns: int
+) -> tuple[Stream, list[Finding]]:
+    """The main source of a stream, and what there is to say of a second one."""
+    split = two_sources(replace(stream, values=stream.values[:, :columns]), angles)
+    if split is None:
+        return stream, []
+    main, second = split
+    # Of two, one that stands is not the robot's.
+    if main.stands and not second.stands:
+        main, second = second, main
+    does = 'stands still' if second.stands else 'moves otherwise'
+    found = Finding(
+        f'{stream.name} sources',
+        'error',
+        f'two sources in turns: {main.rate_hz:.0f} Hz, and {second.rate_hz:.0f} Hz that {does}',
+        f'two nodes publish {stream.topic}: stop one or remap it (ros2 topic info -v)',
+        {'rates_hz': [main.rate_hz, second.rate_hz], 'messages': int(second.keep.sum())},
+    )
+    return stream.only(main.keep), [found]
+
+
+def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Finding]:
+    """Frames that odometry and images name."""
+    described = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
+    children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames} - {''}
+    bases = {mount.base_frame.rpartition('/')[2], 'base_footprint', 'base_link'}
+    if len(odometry.frames) > 1:
+        advice = 'odom names several frames: two nodes may publish it'
+    elif children - bases:
+        advice = f'odom should be about {mount.base_frame} (base_frame in robot.yaml)'
+    else:
+        return [Finding('frames', 'ok', described)]
+    return [Finding('frames', 'warning', described, advice)]
+
+
+def _clocks_by_log(
+    motion: Motion, hints: Mapping[str, Sequence[Clock]], slopes: Linear | None
+) -> list[Finding]:
+    """Clocks by times of recording, where motion does not show them."""
+    known = {
+        JOINTS: slopes is not None and slopes.quiet and slopes.pan_clock_s.sigma < _KNOWN_S,
+        ODOMETRY: slopes is not None and slopes.quiet and slopes.odometry_clock_s.sigma < _KNOWN_S,
+    }
+    off = {
+        name: clocks[0].offset_s if abs(clocks[0].offset_s) > _BY_LOG_S else clocks[1].offset_s
+        for name, clocks in hints.items()
+        if name != IMAGES and not known[name]
+    }
+    off = {
+        name: late
+        for name, late in off.items()
+        if abs(hints[name][0].offset_s) > _BY_LOG_S
+        or _covered(motion, motion.pan if name == JOINTS else motion.odometry) < _COVERED
+    }
+    how = ' by times of recording'
+    lates = list(off.values())
+    if len(off) == len(known) and np.ptp(lates) < _BY_LOG_S:
+        return [clock_finding(IMAGES, -float(np.mean(lates)), how, corrected=False)]
+    return [clock_finding(name, late, how, corrected=False) for name, late in off.items()]
+
+
+def _covered(motion: Motion, track: Track | None) -> float:
+    """Share of the images that lie in the time of a track."""
+    if track is None or not len(motion):
+        return 1.0
+    inside = (motion.before_s >= track.seconds[0]) & (motion.after_s <= track.seconds[-1])
+    return float(np.mean(inside))

@@ -1,0 +1,94 @@
+"""Checks of the streams of sweeps: what learning cannot estimate is an error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from landmark_nav.diagnosis.advice import (
+    camera_finding,
+    cause_findings,
+    motion_findings,
+)
+from landmark_nav.diagnosis.causes import verdict
+from landmark_nav.diagnosis.findings import Finding
+from landmark_nav.diagnosis.looks import camera_error_of, look, Looks
+from landmark_nav.diagnosis.motion import linear, Motion, Track
+from landmark_nav.diagnosis.stamps import check_stamps
+from landmark_nav.diagnosis.streams import pan_stream, unwrapped
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages import decode
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags.reader import naming
+
+__all__ = ['SweepChecks']
+
+# Fewer pairs of images show no motion.
+_LEAST_PAIRS = 12
+# Scale of focal length or pan that calibration finds in a sweep; angles of as many radians.
+_CALIBRATED = 1.2
+
+
+class SweepChecks:
+    """Checks of the streams of sweeps."""
+
+    def __init__(self, bag: Bag, images: str, mount: PanTiltMount) -> None:
+        self._bag, self._images, self._mount = bag, images, mount
+
+    def findings(self, most_images: int) -> list[Finding]:
+        """Decode so many images."""
+        infos = ('sweep/camera_info', 'camera/camera_info')
+        looks = look(self._bag, self._images, infos, self._mount, most_images)
+        of_camera = []
+        if error := camera_error_of(self._bag, looks, self._mount):
+            of_camera = [camera_finding(error)]
+            if abs(error.value) < np.log(_CALIBRATED):
+                of_camera = [replace(of_camera[0], level='warning')]
+            self._mount = error.setup.mount
+            looks = look(self._bag, self._images, infos, error.setup, most_images)
+        stream = replace(looks.stream, name='sweep images')
+        found = [*of_camera, *check_stamps(stream), *looks.findings]
+        motion = self._motion(looks)
+        if motion is None or len(motion) < _LEAST_PAIRS:
+            return found
+        slopes = linear(motion)
+        if not slopes.fits:
+            judged = verdict(motion)
+            found += [_learned(finding) for finding in cause_findings(judged)]
+            slopes = linear(judged.cause.motion)
+        return [*found, *motion_findings(motion, slopes, None)[:1]]
+
+    def _motion(self, looks: Looks) -> Motion | None:
+        samples = [*self._planned()] or [*self._jointed()]
+        if len(samples) < 2:
+            return None
+        stamps, pans = np.array(sorted(samples)).T
+        seconds = 1e-9 * (stamps - self._bag.start_ns)
+        first, second = looks.stream.seconds[looks.pairs].T
+        turns = np.array([looks.turn(int(a), int(b)) for a, b in looks.pairs])
+        good = np.isfinite(turns) & (second > first)
+        # From sweep to sweep the robot moved.
+        good &= second - first < 3.0 * float(np.median(second - first)) if len(first) else good
+        pan = Track.of(seconds, self._mount.pan_sense * unwrapped(pans)[:, None])
+        return Motion(first[good], second[good], turns[good], pan, None)
+
+    def _planned(self) -> Iterator[tuple[int, float]]:
+        topic = self._bag.find('sweep/trajectory')
+        for entry in self._bag.messages([topic]) if topic else ():
+            with naming(self._bag, topic or ''):
+                for sample in decode.sweep_trajectory(entry.message, self._mount):
+                    yield sample.stamp_ns, sample.pan_rad
+
+    def _jointed(self) -> Iterator[tuple[int, float]]:
+        if self._bag.find('joint_states'):
+            pan = pan_stream(self._bag, self._mount)
+            yield from zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True)
+
+
+def _learned(finding: Finding) -> Finding:
+    """What learning calibrates itself is no error of a sweep."""
+    scale = abs(finding.values.get('scale', np.inf))
+    calibrated = finding.name != 'pan sign' and 1.0 / _CALIBRATED < scale < _CALIBRATED
+    return replace(finding, level='warning') if calibrated else finding

@@ -1,0 +1,345 @@
+"""
+Patches on planes of their own: what does not hang on a wall is found by its own depth and turn.
+
+A patch is moved along its ray, upright and facing both panoramas, so that it looks the same, and
+searched from each depth to the next: together that is the epipolar curve. Where matched features
+around it say how far it is, it is searched there alone. It is then turned until both views of it
+are most alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.arrays import Float32Array
+from landmark_nav.learning.stereo.config import StereoConfig
+from landmark_nav.learning.stereo.magnification import log_nearer
+from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
+from landmark_nav.learning.stereo.wall_stereo import compare
+from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
+
+__all__ = ['Depths', 'depths_of', 'is_off_wall', 'match_freely']
+
+# Azimuths in the base frame, tangents and distances in plan (n,) of what a panorama shows.
+Depths = tuple[FloatArray, FloatArray, FloatArray]
+
+# From each depth to the next; half of that way is searched before it, half behind.
+_STEP = 0.72
+_NEAREST_M, _FARTHEST_M, _WIDEST_M = 0.5, 12.0, 2.0
+# So much is searched that chance finds something, if no features say where to look.
+_MIN_SCORE = 0.88
+# Another depth may not look as good, as a share of the score.
+_MAX_RIVAL = 0.95
+# Features so near to a patch, as a share of its size, tell its depth; this share is searched.
+_AROUND, _DEPTH_SHARE = 0.75, 0.1
+# So many do not agree by chance.
+_AGREED, _ONE_PX = 3, 6.0
+# Turns that are tried, then those beside the best one; how much more alike a larger turn must make
+# both views.
+_TURNS, _FINER = (0.0, 0.5, -0.5, 1.0, -1.0), (0.25,)
+# Until it is turned right it looks less alike, by this share.
+_TURNING_SHARE = 0.8
+_TURN_PRICE = 0.02
+_LEAST_COSINE = 0.35
+# Errors of directions that do not make a patch hang off its wall.
+_SLACK_RAD = 5e-3
+# Once its depth is known it is searched so near to it, metres.
+_NEAR_M, _MARGIN_M = 0.1, 0.01
+# How far sizes in both views may contradict the depth, beside their sigma.
+_MAX_SIZE, _SIZE_SIGMAS = 0.05, 3.0
+
+
+def match_freely(
+    candidate: Candidate,
+    source: int,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[Float32Array],
+    config: StereoConfig,
+    depths: Depths | None = None,
+) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
+    """
+    Find a candidate of panorama number `source` in the others, at any depth.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        As attention proposed it.
+    source : int
+        Of the panorama that it was proposed in.
+    panoramas, greys : sequence
+        All panoramas, and their images in grey.
+    config : StereoConfig
+        What counts as the same patch.
+    depths : tuple of ndarray, optional
+        Distances of matched features.
+
+    Returns
+    -------
+    tuple of WallPatch and list of PatchMeasurement, or Refusal
+        The patch on its own plane and where the panoramas show it, its own one first.
+
+    """
+    others = [j for j in range(len(panoramas)) if j != source]
+    known = _known_depth(candidate, panoramas[source], depths)
+    if depths is not None and known is None:
+        return Refusal('no feature around it is found again')
+    strict = replace(config, min_score=max(config.min_score, _MIN_SCORE))
+    best: tuple[float, WallPatch] | None = None
+    refused = Refusal('found at no depth')
+    for other in others:
+        at = known or _depth(candidate, source, other, panoramas, greys, strict)
+        if isinstance(at, Refusal):
+            refused = at
+            continue
+        loose = replace(config, min_score=_TURNING_SHARE * config.min_score)
+        turned = _turned(candidate, source, other, at, panoramas, greys, loose)
+        if turned is not None and (best is None or turned[0] > best[0]):
+            best = turned
+    if best is None:
+        return refused
+    patch = best[1]
+    seen = []
+    for other in others:
+        found = _near(patch, other, panoramas, greys, config)
+        if isinstance(found, Refusal):
+            refused = found
+        else:
+            seen.append(found)
+    # Two other views, or several features, do not err alike by chance; one may.
+    if seen and len(seen) < 2 and not (known and known.agreed):
+        seen = [found for found in seen if found.score >= strict.min_score]
+        refused = Refusal('low correlation', f'less than {strict.min_score:.2f}')
+    return (patch, [own_measurement(patch, panoramas[source]), *seen]) if seen else refused
+
+
+def depths_of(positions: FloatArray, panorama: Panorama) -> Depths:
+    """Azimuths in the base frame, tangents and distances in plan of points (n, 3) in map."""
+    away = positions - panorama.center_map
+    distance = np.hypot(away[:, 0], away[:, 1])
+    azimuth = np.arctan2(away[:, 1], away[:, 0]) - panorama.heading_rad
+    return azimuth, away[:, 2] / distance, distance
+
+
+def is_off_wall(
+    patch: WallPatch,
+    measurements: Sequence[PatchMeasurement],
+    panoramas: Sequence[Panorama],
+    config: StereoConfig,
+) -> bool:
+    """Whether a patch of a wall, by all that other panoramas show of it, hangs far off it."""
+    here = panoramas[patch.source]
+    off = []
+    for seen in measurements[1:]:
+        there = panoramas[seen.panorama]
+        reach = float(np.hypot(*(patch.position - here.center_map)[:2]))
+        distance = _distance(patch, seen, here, there, config)
+        if distance is None:
+            return False
+        slack = _SLACK_RAD * distance * reach / float(np.hypot(*(there.center_map - here.center_map)[:2]))
+        off.append(abs(1.0 - distance / reach) * _normal_reach(patch, here) - slack)
+    return min(off) > config.max_off_wall_m
+
+
+class _Depth(NamedTuple):
+    """Distance of a patch, how far before and behind it is searched, whether features agree."""
+
+    distance_m: float
+    near_m: float
+    agreed: bool = False
+
+
+def _known_depth(
+    candidate: Candidate, panorama: Panorama, depths: Depths | None
+) -> _Depth | None:
+    """Distance that features about a candidate have; None if there are none."""
+    if depths is None:
+        return None
+    cylinder, (azimuth, tangent, distance) = panorama.cylinder, depths
+    column = cylinder.column_of(azimuth)
+    half = 0.5 * cylinder.width
+    across = (column - candidate.column + half) % cylinder.width - half
+    down = cylinder.row_of(tangent) - candidate.row
+    near = np.abs(across) < _AROUND * candidate.width_px
+    near &= np.abs(down) < _AROUND * candidate.height_px
+    if not near.any():
+        return None
+    middle = float(np.median(distance[near]))
+    spread = float(np.median(np.abs(distance[near] - middle)))
+    if spread > _DEPTH_SHARE * middle:
+        nearest = np.argmin(np.where(near, across**2 + down**2, np.inf))
+        middle, spread = float(distance[nearest]), 0.0
+    near &= np.abs(distance - middle) < _DEPTH_SHARE * middle
+    # One corner may be several features, of one false match.
+    cells = np.stack([across, down], 1)[near] // _ONE_PX
+    agreed = len(np.unique(cells, axis=0)) >= _AGREED
+    return _Depth(middle, _DEPTH_SHARE * middle + spread, agreed)
+
+
+def _depth(
+    candidate: Candidate,
+    source: int,
+    other: int,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[Float32Array],
+    config: StereoConfig,
+) -> _Depth | Refusal:
+    """Distance at which another panorama shows a candidate, by all of its epipolar curve."""
+    here, there = panoramas[source], panoramas[other]
+    found: list[tuple[float, float]] = []
+    for patch in _moved(candidate, source, here, there):
+        step = 0.5 * (1.0 / _STEP - 1.0) * _normal_reach(patch, here)
+        if _normal_reach(patch, there) < 2.0 * step:
+            continue
+        wide = replace(
+            config,
+            before_wall_m=min(step, _WIDEST_M),
+            behind_wall_m=min(1.3 * step, _WIDEST_M),
+            # It is seldom turned as it is taken to be.
+            max_displaced_px=100.0,
+        )
+        seen = compare(patch, other, panoramas, greys, wide)
+        if isinstance(seen, PatchMeasurement):
+            distance = _distance(patch, seen, here, there, config)
+            if distance is not None:
+                found.append((seen.score, distance))
+    if not found:
+        return Refusal('found at no depth')
+    score, distance = max(found)
+    rivals = [s for s, d in found if abs(np.log(d / distance)) > -np.log(1.0 - 2 * _DEPTH_SHARE)]
+    if rivals and max(rivals) > _MAX_RIVAL * score:
+        return Refusal('found at two depths')
+    return _Depth(distance, _NEAR_M)
+
+
+def _moved(
+    candidate: Candidate, source: int, here: Panorama, there: Panorama
+) -> Iterator[WallPatch]:
+    """The patch at all depths, facing both cameras and turned to either side."""
+    distance = _FARTHEST_M
+    while distance > _NEAREST_M:
+        for turn in _TURNS:
+            patch = _patch(candidate, source, distance, turn, here, there)
+            if patch is not None:
+                yield patch
+        distance *= _STEP
+
+
+def _patch(
+    candidate: Candidate,
+    source: int,
+    distance: float,
+    turn: float,
+    here: Panorama,
+    there: Panorama,
+) -> WallPatch | None:
+    """The patch at a distance, turned from facing both; None where one sees it too obliquely."""
+    azimuth = float(here.cylinder.azimuth_rad(candidate.column)) + here.heading_rad
+    ray = np.array([np.cos(azimuth), np.sin(azimuth), here.cylinder.tangent(candidate.row)])
+    position = here.center_map + distance * ray
+    between = 0.5 * (here.center_map + there.center_map)[:2] - position[:2]
+    toward = float(np.arctan2(between[1], between[0])) + turn
+    normal = np.array([np.cos(toward), np.sin(toward), 0.0])
+    cosine = float(-ray[:2] @ normal[:2])
+    across = there.center_map - position
+    if min(cosine, float(across @ normal) / float(np.hypot(*across[:2]))) < _LEAST_COSINE:
+        return None
+    shape = (candidate.height_px, max(8, round(candidate.width_px / cosine)))
+    texel = distance / here.cylinder.fy
+    return WallPatch(candidate, source, -1, position, normal, shape, texel, on_wall=False)
+
+
+def _turned(
+    candidate: Candidate,
+    source: int,
+    other: int,
+    at: _Depth,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[Float32Array],
+    config: StereoConfig,
+) -> tuple[float, WallPatch] | None:
+    """Score and patch, at its distance and turned until two views of it are most alike."""
+    here, there = panoramas[source], panoramas[other]
+    distance, near_m, _ = at
+    best: tuple[float, float, float, WallPatch] | None = None
+    turns = _TURNS
+    for finer in (*_FINER, None):
+        for turn in turns:
+            patch = _patch(candidate, source, distance, turn, here, there)
+            found = patch and _near(patch, other, panoramas, greys, config, near_m)
+            if patch is None or not isinstance(found, PatchMeasurement):
+                continue
+            exact = _distance(patch, found, here, there, config)
+            worth = found.score - _TURN_PRICE * abs(turn)
+            if exact is not None and (best is None or worth > best[0]):
+                share = exact / distance
+                position = here.center_map + share * (patch.position - here.center_map)
+                patch = replace(patch, position=position, texel_m=share * patch.texel_m)
+                best = worth, turn, exact, patch
+        if best is None or finer is None:
+            break
+        _, turn, distance, _ = best
+        near_m = _NEAR_M
+        turns = (turn - finer, turn + finer)
+    return best and (best[0], best[3])
+
+
+def _near(
+    patch: WallPatch,
+    other: int,
+    panoramas: Sequence[Panorama],
+    greys: Sequence[Float32Array],
+    config: StereoConfig,
+    near_m: float = _NEAR_M,
+) -> PatchMeasurement | Refusal:
+    """Find a patch whose plane is nearly known in another panorama."""
+    here, there = panoramas[patch.source], panoramas[other]
+    to_there = there.center_map - patch.position
+    if to_there @ patch.normal < _LEAST_COSINE * np.hypot(*to_there[:2]):
+        return Refusal('too oblique from the other place')
+    close = replace(
+        config,
+        before_wall_m=near_m,
+        behind_wall_m=near_m,
+        margin_m=_MARGIN_M,
+        max_displaced_px=max(config.max_displaced_px, config.max_relief_px),
+    )
+    found = compare(patch, other, panoramas, greys, close)
+    if isinstance(found, Refusal):
+        return found
+    azimuth = found.azimuth_rad + there.heading_rad
+    ray = np.array([np.cos(azimuth), np.sin(azimuth), found.tangent])
+    point = there.center_map + ray * _normal_reach(patch, there) / float(-ray @ patch.normal)
+    nearer, sigma = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
+    missed = abs(nearer - np.log(_normal_reach(patch, here) / _normal_reach(patch, there)))
+    if np.isfinite(sigma) and missed > _MAX_SIZE + _SIZE_SIGMAS * sigma:
+        return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
+    return found
+
+
+def _distance(
+    patch: WallPatch,
+    seen: PatchMeasurement,
+    here: Panorama,
+    there: Panorama,
+    config: StereoConfig,
+) -> float | None:
+    """Distance in plan by both azimuths; None where too little parallax gives it."""
+    # The sine rule in plan (McMillan and Bishop, 1995).
+    ray, base = (p[:2] - here.center_map[:2] for p in (patch.position, there.center_map))
+    azimuth, toward = (float(np.arctan2(v[1], v[0])) for v in (ray, base))
+    heading = seen.azimuth_rad + there.heading_rad
+    parallax = float(np.sin(heading - azimuth))
+    if abs(parallax) < np.sin(0.5 * config.min_parallax_rad):
+        return None
+    distance = float(np.hypot(*base) * np.sin(heading - toward) / parallax)
+    return distance if _NEAREST_M / 2.0 < distance < 2.0 * _FARTHEST_M else None
+
+
+def _normal_reach(patch: WallPatch, panorama: Panorama) -> float:
+    """How far before the plane of a patch a panorama was taken."""
+    reach: FloatArray = (panorama.center_map - patch.position) @ patch.normal
+    return float(reach)

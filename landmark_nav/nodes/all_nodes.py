@@ -1,0 +1,33 @@
+"""All nodes that learn and localize, in one process with one executor."""
+
+from __future__ import annotations
+
+from landmark_nav.nodes.landmark_learner import LandmarkLearnerNode
+from landmark_nav.nodes.odometry_fusion import OdometryFusionNode
+from landmark_nav.nodes.panorama_synthesizer import PanoramaSynthesizerNode
+from landmark_nav.nodes.sweep_capture import SweepCaptureNode
+from landmark_nav.nodes.triangulation_localizer import TriangulationLocalizerNode
+from landmark_nav.nodes.triplet_selector import TripletSelectorNode
+from landmark_nav.ros.run import run_nodes
+
+__all__ = ['main']
+
+_NODES = (
+    SweepCaptureNode,
+    PanoramaSynthesizerNode,
+    LandmarkLearnerNode,
+    TripletSelectorNode,
+    TriangulationLocalizerNode,
+    OdometryFusionNode,
+)
+# As many as they have alone.
+_THREADS = 3 + 2 + 3 + 1 + 1 + 1
+
+
+def main() -> int:
+    """Entry point of the executable."""
+    return run_nodes(_NODES, _THREADS)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

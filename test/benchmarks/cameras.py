@@ -1,0 +1,195 @@
+"""
+Where to look, compared: the active camera, a fixed one, and random triplets.
+
+``python test/benchmarks cameras --seeds 901 902`` simulates rooms, learns each from two sweeps,
+and drives the same way again and again, each time with another rule for the camera: the pan of
+the simulated unit is commanded, in the loop, by what localization has found until then. One line
+a rule: errors of the fused pose and of single fixes, availability, and the share of images with
+a fix. Nothing was tuned on the seeds from 901 on.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+from as_a_user import learned_room
+import numpy as np
+
+from landmark_nav.calibration import Calibration
+from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import bearings
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.triplet import CameraState
+from landmark_nav.localization.triplet.selection import ActiveCamera
+from landmark_nav.simulation.drive_path import PathFollower, plan_tour
+from landmark_nav.simulation.furnishing import generate_scene
+from landmark_nav.simulation.renderer import Renderer
+from landmark_nav.simulation.scene import Scene
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
+from landmark_nav.storage.maps import load_map
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Triplet
+
+STATE_RATE_HZ = 20
+CAMERA_RATE_HZ = 5
+START_SIGMA = (0.02, 0.02, 0.01)
+
+# What a rule gets to know: the last update, the time and the robot; it returns a pan.
+Rule = Callable[[LocalizationUpdate, float], float | None]
+
+
+class Run(NamedTuple):
+    """What came of a drive: errors (n, 3) and whether the state was lost, an image each."""
+
+    fused: FloatArray
+    fixes: FloatArray
+    lost: FloatArray
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--seeds', type=int, nargs='+', required=True)
+    parser.add_argument('--seconds', type=float, default=30.0, help='of each drive (30)')
+    parser.add_argument('--maps', help='maps learned before; {seed} stands for the seed')
+    arguments = parser.parse_args()
+    runs: dict[str, list[Run]] = {}
+    for seed in arguments.seeds:
+        scene, landmark_map = generate_scene(seed), learned(seed, arguments.maps)
+        for name, run in compare(seed, scene, landmark_map, arguments.seconds).items():
+            runs.setdefault(name, []).append(run)
+            print(_row(f'{seed} {name}', [run]), flush=True)
+    print('\n' + _HEADER)
+    for name, several in runs.items():
+        print(_row(name, several))
+    return 0
+
+
+def learned(seed: int, maps: str | None) -> LandmarkMap:
+    """What is learned in a room, or was before."""
+    return learned_room(seed) if maps is None else load_map(maps.format(seed=seed))
+
+
+def compare(seed: int, scene: Scene, landmark_map: LandmarkMap, seconds: float) -> dict[str, Run]:
+    """Drive the same way with each rule."""
+    rng = np.random.default_rng([seed, 77])
+    start = landmark_map.panorama_poses[0].pose[:2]
+    path = plan_tour(scene, start, 0.42 * seconds + 2.0, rng)
+    world = RobotWorld(scene, np.zeros(3), seed)
+    config = LocalizationConfig()
+    config = replace(config, triplet=replace(config.triplet, pan_rate_rad_s=2.1))
+    return {
+        name: _drive(seed, scene, world.renderer, landmark_map, path, seconds, config, rule)
+        for name, rule in (
+            ('active', _Active(landmark_map, config)),
+            ('fixed pan', lambda _update, _time: 0.0),
+            ('random triplets', _Random(landmark_map, seed)),
+        )
+    }
+
+
+class _Active:
+    """Looks at the triplet that is best, chosen anew every half second."""
+
+    def __init__(self, landmark_map: LandmarkMap, config: LocalizationConfig) -> None:
+        self._camera = ActiveCamera(landmark_map, DEFAULT_MOUNT, config.triplet)
+        self._pan: float | None = None
+        self._until_s = 0.0
+
+    def __call__(self, update: LocalizationUpdate, time_s: float) -> float | None:
+        self._camera.saw(update.observation.detections)
+        if time_s >= self._until_s:
+            now = CameraState(self._pan)
+            chosen = self._camera.choose(update.fused, DEFAULT_CAMERA, now).chosen
+            self._pan = chosen.pan_rad if isinstance(chosen, Triplet) else self._pan
+            self._until_s = time_s + 0.5
+        return self._pan
+
+
+class _Random:
+    """Looks at the middle of three landmarks that fit one view, drawn anew every two seconds."""
+
+    def __init__(self, landmark_map: LandmarkMap, seed: int) -> None:
+        self._positions = landmark_map.positions[:, :2]
+        self._rng = np.random.default_rng(seed)
+        self._target: FloatArray | None = None
+        self._until_s = 0.0
+
+    def __call__(self, update: LocalizationUpdate, time_s: float) -> float | None:
+        pan = bearings(update.fused.pose, self._positions)
+        if self._target is None or time_s >= self._until_s:
+            first = int(self._rng.integers(len(pan)))
+            near = np.flatnonzero(np.abs(wrap_rad(pan - pan[first])) < 0.35)
+            chosen = self._rng.choice(near, min(3, len(near)), replace=False)
+            self._target = self._positions[chosen].mean(axis=0)
+            self._until_s = time_s + 2.0
+        return float(bearings(update.fused.pose, self._target))
+
+
+def _drive(
+    seed: int,
+    scene: Scene,
+    renderer: Renderer,
+    landmark_map: LandmarkMap,
+    path: FloatArray,
+    seconds: float,
+    config: LocalizationConfig,
+    rule: Rule,
+) -> Run:
+    """Drive along the path and look where the rule says."""
+    ahead = path[min(8, len(path) - 1)] - path[0]
+    pose = np.array([*path[0], np.arctan2(ahead[1], ahead[0])])
+    world = RobotWorld(scene, pose, seed, renderer=renderer)
+    driver = PathFollower(path, 0.35)
+    localizer = Localizer(landmark_map, Calibration.exact(world.mount), config)
+    rng = np.random.default_rng([seed, 78])
+    sigma = np.array(START_SIGMA)
+    start = PoseEstimate(world.stamp_ns, pose + sigma * rng.normal(size=3), np.diag(sigma**2))
+    localizer.add_odometry(world.odometry_sample())
+    localizer.initialize(start)
+    updates: list[LocalizationUpdate] = []
+    truth: list[FloatArray] = []
+    for k in range(round(seconds * STATE_RATE_HZ)):
+        time_s = k / STATE_RATE_HZ
+        world.command_velocity(*driver.command(world.true_pose))
+        if k:
+            localizer.add_odometry(world.odometry_sample())
+        if k % (STATE_RATE_HZ // CAMERA_RATE_HZ) == 0:
+            update = localizer.add_frame(world.camera_frame())
+            if isinstance(update, LocalizationUpdate):
+                updates.append(update)
+                truth.append(world.true_pose)
+                pan = rule(update, time_s)
+                if pan is not None:
+                    world.command_pan(pan)
+        world.advance(1.0 / STATE_RATE_HZ)
+    fused = np.array([update.fused.pose for update in updates])
+    none = np.full(3, np.nan)
+    found = [update.observation.fix for update in updates]
+    fixes = np.array([fix.pose if isinstance(fix, PoseEstimate) else none for fix in found])
+    lost = np.array([update.status == 'lost' for update in updates])
+    return Run(pose_errors(fused, np.array(truth)), pose_errors(fixes, np.array(truth)), lost)
+
+
+_HEADER = (
+    f'{"camera":<28}{"rmse mm":>9}{"p95 mm":>9}{"rmse deg":>10}{"available":>11}'
+    f'{"fixes":>8}{"fix median mm":>15}'
+)
+
+
+def _row(name: str, runs: list[Run]) -> str:
+    fused = np.concatenate([run.fused for run in runs])
+    fixes = np.concatenate([run.fixes for run in runs])
+    lost = np.concatenate([run.lost for run in runs])
+    away = np.hypot(fused[:, 0], fused[:, 1])
+    fix_away = np.hypot(fixes[:, 0], fixes[:, 1])
+    known = np.isfinite(fix_away)
+    median = np.median(fix_away[known]) if known.any() else np.nan
+    return (
+        f'{name:<28}{1e3 * np.sqrt(np.mean(away**2)):>9.1f}{1e3 * np.percentile(away, 95):>9.1f}'
+        f'{np.degrees(np.sqrt(np.mean(fused[:, 2] ** 2))):>10.3f}{1.0 - np.mean(lost):>11.3f}'
+        f'{np.mean(known):>8.2f}{1e3 * median:>15.1f}'
+    )

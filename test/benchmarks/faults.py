@@ -1,0 +1,141 @@
+"""
+What goes wrong on a robot, put into a recorded drive: when it is reported, and when it is over.
+
+``python test/benchmarks faults DRIVE --map MAP --robot robot.yaml --start X Y THETA`` spoils the
+messages of a drive's bag for some seconds, one way after the other, reads each as ``evaluate``
+does, and prints when the state stops saying ``tracking``, why, how long after the fault it is
+right again, and how long after its beginning an image was still sure of a wrong pose (over 5
+sigma, and `tracking`). It exits with 1 if that is later than two seconds, or if the pose does
+not come back.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+import logging
+from pathlib import Path
+import tempfile
+from typing import Any
+
+from drive_faults import degraded, faults, FOR_GOOD_S
+import numpy as np
+
+from landmark_nav.evaluation.metrics import pose_errors, undetected_failures
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
+from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
+
+START_SIGMA = np.array([0.05, 0.05, 0.035])
+# Time within which faults are to be reported.
+REPORTED_S = 2.0
+# A pose this near is right again.
+RIGHT_M, RIGHT_RAD = 0.05, 0.02
+
+
+@dataclass
+class Outcome:
+    """
+    Of a fault that lasts `over_s`: seconds from its beginning until it is reported, and to the
+    last pose that is wrong without a report; `back_s` from its end, or from the report where it
+    has none, until the pose is right again; of the `images` since its beginning those that are
+    tracking, and those that are wrong without a report.
+    """
+
+    over_s: float
+    reported_s: float = np.nan
+    back_s: float = np.nan
+    wrong_s: float = np.nan
+    images: int = 0
+    tracking: int = 0
+    wrong: int = 0
+    reason: str = ''
+
+    def note(self, after_s: float, status: tuple[str, str]) -> None:
+        if after_s >= 0.0 and np.isnan(self.reported_s) and status[0] != 'tracking':
+            self.reported_s, self.reason = after_s, ': '.join(status)
+
+    def judge(self, after_s: float, update: LocalizationUpdate, true: FloatArray) -> None:
+        self.images += 1
+        if update.status != 'tracking':
+            return
+        self.tracking += 1
+        error = pose_errors([update.fused.pose], [true])
+        if undetected_failures(error, update.fused.covariance[None], np.ones(1, np.bool_)):
+            self.wrong_s = after_s
+            self.wrong += 1
+        right = np.hypot(*error[0, :2]) < RIGHT_M and abs(error[0, 2]) < RIGHT_RAD
+        over_s = self.over_s if self.over_s < FOR_GOOD_S else np.nan_to_num(self.reported_s)
+        if np.isnan(self.back_s) and right and after_s >= over_s:
+            self.back_s = after_s - over_s
+
+    def __str__(self) -> str:
+        times = (self.reported_s, self.back_s, self.wrong_s)
+        reported, back, wrong = (f'{t:5.1f}' if t == t else '    -' for t in times)
+        share = self.tracking / max(self.images, 1)
+        return f'{reported} {back} {share:9.2f} {wrong} {self.wrong:4d}  {self.reason[:90]}'
+
+
+def outcome(
+    events: Iterator[Any],
+    localizer: Localizer,
+    start: FloatArray,
+    at_s: float,
+    over_s: float,
+) -> Outcome:
+    """Drive, with a fault from `at_s` on, for `over_s`."""
+    done, true, period_s, ticks = Outcome(over_s), np.zeros(3), 0.05, 0
+    for event in events:
+        if isinstance(event, PoseEstimate):
+            # The clock of the truth is never set back.
+            true, ticks = event.pose, ticks + 1
+            continue
+        if localizer.estimate() is None:
+            localizer.initialize(PoseEstimate(event.stamp_ns, start, np.diag(START_SIGMA**2)))
+        after_s = period_s * (ticks - 1) - at_s
+        if isinstance(event, OdometrySample):
+            localizer.add_odometry(event)
+        else:
+            update = localizer.add_frame(event)
+            assert isinstance(update, LocalizationUpdate)
+            if after_s >= 0.0:
+                done.judge(after_s, update, true)
+        done.note(after_s, localizer.status)
+    return done
+
+
+def main() -> int:
+    """Print a line for each fault."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('drive')
+    parser.add_argument('--map', required=True)
+    parser.add_argument('--robot', required=True)
+    parser.add_argument('--start', nargs=3, type=float, required=True)
+    parser.add_argument('--at', type=float, default=12.0, help='seconds into the drive (12)')
+    parser.add_argument('--only', nargs='+', help='faults whose name holds one of these')
+    args = parser.parse_args()
+    logging.getLogger('landmark_nav').setLevel(logging.CRITICAL)
+    calibration, landmarks = load_calibration(args.robot), load_map(args.map)
+    mount = calibration.mount
+    bag, good = Bag(args.drive), True
+    print(f'{"fault":44} seen   back  tracking  wrong without a report')
+    for name, fault in faults(bag).items():
+        if not any(part in name for part in args.only or ['']):
+            continue
+        start, at_s = np.array(args.start), args.at
+        if name == 'start 1 m wrong':
+            start, at_s = np.add(start, [0.8, 0.6, 0.0]), 0.0
+        with tempfile.TemporaryDirectory() as scratch:
+            path = Path(scratch) / 'drive'
+            with BagWriter(path) as written:
+                for topic, message, log in degraded(bag, name, fault, at_s):
+                    written.write(topic, message, log)
+            over_s = fault.seconds if fault.topics else 0.0
+            localizer = Localizer(landmarks, calibration, LocalizationConfig())
+            done = outcome(sensor_events(Bag(path), mount), localizer, start, at_s, over_s)
+        print(f'{name:44}{done}', flush=True)
+        good &= not done.wrong_s > REPORTED_S and np.isfinite(done.back_s)
+    return 0 if good else 1

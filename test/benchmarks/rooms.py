@@ -1,0 +1,139 @@
+"""
+Rooms never seen: simulate, learn from two sweeps, evaluate a drive; one line a room.
+
+Before the drive a lamp is dimmed, a piece of furniture moved, and one poster in five exchanged.
+The robot is given a ``room.yaml`` as a person measures it; the exact one with ``--exact``.
+``python test/benchmarks rooms --seeds 201 202 203`` prints the table of the README and exits
+with 1 if a room misses a bound. Seeds are not used anywhere else: nothing is fitted to them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+import tempfile
+
+from as_a_user import command
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2
+import yaml
+
+MAX_POSITION_RMSE_M = 0.008
+MAX_HEADING_RMSE_DEG = 0.4
+MAX_CRLB_RATIO = 1.2
+EXCHANGED = 0.2
+MIN_AVAILABILITY = 0.95
+MIN_LANDMARKS = 20
+MIN_WALLS = 3
+MAX_SWEEP_ERROR_M = 0.02
+MAX_SWEEP_ERROR_DEG = 0.3
+
+
+def run_room(
+    seed: int, folder: Path, *options: str, exact: bool = False
+) -> dict[str, float | bool]:
+    """Take the commands that a user would, in `folder`; what came of it."""
+    changes: list[object] = ['--light-change', '--exchange', EXCHANGED]
+    if exact:
+        changes.append('--exact')
+    command('simulate', '--out', folder, '--overwrite', '--seed', seed, *changes, *options)
+    room, robot = folder / 'room.yaml', folder / 'robot.yaml'
+    start = json.loads((folder / 'start.json').read_text())['pose']
+    command(
+        'learn', folder / 'learn', '--room', room, '--robot', robot,
+        '--out', folder / 'map', '--overwrite', '--json', folder / 'learn.json',
+    )  # fmt: skip
+    command(
+        'evaluate', folder / 'drive', '--map', folder / 'map', '--robot', robot,
+        '--start', *start, '--json', folder / 'evaluate.json',
+    )  # fmt: skip
+    learned = json.loads((folder / 'learn.json').read_text())
+    driven = json.loads((folder / 'evaluate.json').read_text())
+    return {
+        'seed': seed,
+        'landmarks': driven['landmarks'],
+        'walls': len(learned['landmarks_per_wall']),
+        'target': _target_elected(folder),
+        'sweep_mm': 1e3 * max(s['error_position_m'] for s in learned['sweeps']),
+        'sweep_deg': max(s['error_heading_deg'] for s in learned['sweeps']),
+        'fused_mm': 1e3 * driven['fused']['position_rmse_m'],
+        'fused_deg': driven['fused']['heading_rmse_deg'],
+        'availability': driven['availability'],
+        'nees': driven['nees']['mean'],
+        'nees_low': driven['nees']['interval_95'][0],
+        'nees_high': driven['nees']['interval_95'][1],
+        'beyond_5s': driven['silently_wrong'],
+        'crlb_ratio': driven['crlb_ratio'],
+        'odometry_mm': 1e3 * driven['odometry']['position_rmse_m'],
+    }
+
+
+def meets_bounds(row: dict[str, float | bool]) -> bool:
+    """Whether a room is as good as every room has to be."""
+    return bool(
+        row['fused_mm'] <= 1e3 * MAX_POSITION_RMSE_M
+        and row['fused_deg'] <= MAX_HEADING_RMSE_DEG
+        and row['availability'] >= MIN_AVAILABILITY
+        and row['landmarks'] >= MIN_LANDMARKS
+        and row['walls'] >= MIN_WALLS
+        and row['sweep_mm'] <= 1e3 * MAX_SWEEP_ERROR_M
+        and row['sweep_deg'] <= MAX_SWEEP_ERROR_DEG
+        and row['target']
+        and row['crlb_ratio'] <= MAX_CRLB_RATIO
+        and row['nees_low'] <= row['nees'] <= row['nees_high']
+        and row['beyond_5s'] == 0
+    )
+
+
+def over_by_chance(nees_high: float) -> float:
+    """
+    Probability that an estimator at the bound is over `MAX_CRLB_RATIO` in a room.
+
+    What a map is off by is drawn once a room: few numbers make up the errors of a drive. How many
+    is shown by the upper end of the 95 % interval of their mean NEES, which is 3 on average.
+    """
+
+    def excess(count: float) -> float:
+        return float(3.0 * chi2.ppf(0.975, count) / count - nees_high)
+
+    count = brentq(excess, 0.5, 1e4)
+    return float(chi2.sf(MAX_CRLB_RATIO**2 * count, count))
+
+
+def _target_elected(folder: Path) -> bool:
+    """Whether a landmark lies on the specialised target."""
+    scene = json.loads((folder / 'scene.json').read_text())
+    target = next(item for item in scene['items'] if item['kind'] == 'target')
+    landmarks = yaml.safe_load((folder / 'map' / 'map.yaml').read_text())['landmarks']
+    places = np.array([landmark['position'] for landmark in landmarks])
+    away = np.linalg.norm(places - np.array(target['center']), axis=1)
+    return bool(away.min() < 0.5 * max(target['size']))
+
+
+def main() -> int:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--seeds', type=int, nargs='+', required=True)
+    parser.add_argument('--out', type=Path, help='keep the rooms here')
+    parser.add_argument('--exact', action='store_true', help='give the robot the exact room')
+    arguments, options = parser.parse_known_args()
+    rows = []
+    for seed in arguments.seeds:
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = (arguments.out or Path(scratch)) / f'room_{seed}'
+            rows.append(run_room(seed, folder, *options, exact=arguments.exact))
+    for k, row in enumerate(rows):
+        if k == 0:
+            print('\n' + '  '.join(f'{name:>12}' for name in row))
+        print('  '.join(f'{value:12.4g}' for value in row.values()))
+    ratios = np.array([row['crlb_ratio'] for row in rows])
+    chance = sum(over_by_chance(row['nees_high']) for row in rows)
+    print(
+        f'all: {np.mean([row["fused_mm"] for row in rows]):.1f} mm, '
+        f'NEES {np.mean([row["nees"] for row in rows]):.2f} in the mean; '
+        f'{np.sqrt(np.mean(ratios**2)):.2f} times the bound, over {MAX_CRLB_RATIO} in '
+        f'{np.sum(ratios > MAX_CRLB_RATIO)} (an estimator at the bound: in {chance:.1f})'
+    )
+    return 0 if all(meets_bounds(row) for row in rows) else 1

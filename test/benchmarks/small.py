@@ -1,0 +1,92 @@
+"""
+The recorded room of bags/ and a simulated one, beside the figures that are kept of them.
+
+``python test/benchmarks small`` exits with 1 where a figure is over 5 % worse than in
+``baseline.json``; with ``--write`` it keeps what it measures. `make test` runs the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+import tempfile
+
+from as_a_user import command
+from rooms import run_room
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+BAGS = REPOSITORY / 'bags'
+BASELINE = Path(__file__).with_name('baseline.json')
+CAMERA = REPOSITORY / 'test' / 'setups' / 'camera_quarter_vga.yaml'
+SEED = 2718
+WORSE = 0.05
+# +1 where more is better.
+FIGURES = {
+    'fused_mm': -1,
+    'fused_deg': -1,
+    'crlb_ratio': -1,
+    'availability': 1,
+    'landmarks': 1,
+}
+
+Figures = dict[str, float]
+
+
+def recorded_room(out: Path) -> Figures:
+    """Learn and drive in the room of bags/; `learn.json`, `run.json` and the map stay in `out`."""
+    files = ('--room', BAGS / 'room.yaml', '--robot', BAGS / 'robot.yaml')
+    command('learn', BAGS / 'learn', *files, '--out', out / 'map', '--json', out / 'learn.json')
+    command(
+        'evaluate', BAGS / 'drive', '--map', out / 'map', *files[2:],
+        '--start', *json.loads((BAGS / 'start.json').read_text())['pose'],
+        '--json', out / 'run.json', '--report', out / 'run.html',
+    )  # fmt: skip
+    return recorded_figures(out)
+
+
+def recorded_figures(out: Path) -> Figures:
+    """Read what `recorded_room` left."""
+    run = json.loads((out / 'run.json').read_text())
+    return {
+        'fused_mm': 1e3 * run['fused']['position_rmse_m'],
+        'fused_deg': run['fused']['heading_rmse_deg'],
+        'crlb_ratio': run['crlb_ratio'],
+        'availability': run['availability'],
+        'landmarks': run['landmarks'],
+    }
+
+
+def simulated_room(out: Path) -> Figures:
+    """Simulate a room with a camera of few pixels, learn it and drive in it."""
+    row = run_room(SEED, out, '--camera', str(CAMERA), '--drive-seconds', '20')
+    return {name: float(row[name]) for name in FIGURES}
+
+
+def worse(name: str, figures: Figures) -> list[str]:
+    """Figures that are over 5 % worse than those kept, one line each."""
+    kept: Figures = json.loads(BASELINE.read_text())[name]
+    return [
+        f'{name}: {figure} {figures[figure]:.4g}, was {kept[figure]:.4g}'
+        for figure, sign in FIGURES.items()
+        if sign * (figures[figure] - kept[figure]) < -WORSE * kept[figure]
+    ]
+
+
+def main() -> int:
+    """Print what is worse, or keep what is measured."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--write', action='store_true', help='keep these figures')
+    write = parser.parse_args().write
+    measured = {}
+    for name, measure in (('recorded', recorded_room), ('simulated', simulated_room)):
+        with tempfile.TemporaryDirectory() as scratch:
+            measured[name] = measure(Path(scratch))
+    print(json.dumps(measured, indent=1))
+    if write:
+        digits = {k: {f: round(v, 4) for f, v in row.items()} for k, row in measured.items()}
+        BASELINE.write_text(json.dumps(digits, indent=1) + '\n')
+        return 0
+    lost = [line for name, figures in measured.items() for line in worse(name, figures)]
+    print('\n'.join(lost) or 'nothing is over 5 % worse')
+    return int(bool(lost))

@@ -1,0 +1,46 @@
+"""Nodes of a test in one executor, in its own process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+from typing import Any, TypeVar
+
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+Made = TypeVar('Made', bound=Any)
+
+
+class Graph:
+    """Nodes that are added, and a way to let messages in; all are destroyed at its end."""
+
+    def __init__(self, domain_id: int) -> None:
+        self.context = Context()
+        self.context.init(domain_id=domain_id)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.nodes: list[Any] = []
+
+    def add(self, node: Made) -> Made:
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def until(
+        self,
+        condition: Callable[[], bool],
+        meanwhile: Callable[[], object] = int,
+        what: Callable[[], str] = lambda: 'it did not come in time',
+    ) -> None:
+        """Let messages in until a condition holds."""
+        deadline = time.monotonic() + 20.0
+        while not condition():
+            assert time.monotonic() < deadline, what()
+            meanwhile()
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        for node in self.nodes:
+            node.destroy_node()
+        self.context.try_shutdown()

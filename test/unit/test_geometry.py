@@ -1,0 +1,309 @@
+"""Angles, planar poses, cylinder and walls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from landmark_nav.arrays import FloatArray
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import unwrap_joint, wrap_rad
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.walls import Room, Wall
+
+ANGLES = st.floats(-1e3, 1e3)
+
+
+@given(ANGLES)
+def test_wrapped_angle_has_the_same_direction_and_lies_in_one_turn(angle: float) -> None:
+    wrapped = wrap_rad(angle)
+    assert -np.pi < wrapped <= np.pi
+    np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * angle), atol=1e-9)
+
+
+def test_the_half_turn_is_positive() -> None:
+    np.testing.assert_array_equal(wrap_rad([np.pi, -np.pi]), [np.pi, np.pi])
+
+
+def test_shape_is_kept() -> None:
+    assert wrap_rad(np.zeros((2, 3, 4))).shape == (2, 3, 4)
+
+
+def test_a_joint_that_is_reported_within_half_a_turn_turns_on() -> None:
+    stamps_ns = 50_000_000 * np.arange(400)
+    true = 2.5 + np.cumsum(np.repeat([0.1, -0.08], 200))
+    for way in (slice(None), slice(None, None, -1)):
+        found = unwrap_joint(stamps_ns[way], wrap_rad(true)[way])
+        np.testing.assert_allclose(found - found[0], true[way] - true[way][0], atol=1e-9)
+        assert found[0] == wrap_rad(true)[way][0]
+
+
+def test_a_joint_that_counts_its_turns_stays_as_it_is() -> None:
+    pans = np.array([18.7, 18.9, 24.0, 31.0, 18.0])
+    stamps_ns = np.array([0, 50_000_000, 600_000_000, 1_400_000_000, 3_000_000_000])
+    np.testing.assert_array_equal(unwrap_joint(stamps_ns, pans), pans)
+
+
+POSES = st.tuples(*[st.floats(-50.0, 50.0)] * 2, st.floats(-10.0, 10.0)).map(np.array)
+
+
+def matrix(pose: FloatArray) -> FloatArray:
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    return np.array([[cos, -sin, pose[0]], [sin, cos, pose[1]], [0.0, 0.0, 1.0]])
+
+
+def differences(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+    """Central differences of poses by poses, (3, 3)."""
+    step = 1e-6
+    columns = []
+    for k in range(3):
+        offset = np.zeros(3)
+        offset[k] = step
+        change = function(at + offset) - function(at - offset)
+        change[2] = wrap_rad(change[2])
+        columns.append(change / (2.0 * step))
+    return np.stack(columns, -1)
+
+
+@given(POSES, POSES)
+def test_compose_is_the_product_of_matrices(first: FloatArray, second: FloatArray) -> None:
+    np.testing.assert_allclose(
+        matrix(se2.compose(first, second)), matrix(first) @ matrix(second), atol=1e-9
+    )
+
+
+@given(POSES)
+def test_inverse_is_the_inverse_matrix(pose: FloatArray) -> None:
+    np.testing.assert_allclose(matrix(se2.inverse(pose)) @ matrix(pose), np.eye(3), atol=1e-9)
+
+
+@given(POSES, POSES)
+def test_relative_undoes_compose(first: FloatArray, second: FloatArray) -> None:
+    found = se2.relative(first, se2.compose(first, second))
+    np.testing.assert_allclose(matrix(found), matrix(second), atol=1e-9)
+
+
+@given(POSES, POSES)
+def test_headings_are_wrapped(first: FloatArray, second: FloatArray) -> None:
+    for pose in (se2.compose(first, second), se2.inverse(first), se2.relative(first, second)):
+        assert -np.pi < pose[2] <= np.pi
+
+
+@given(POSES, POSES)
+def test_jacobians_agree_with_differences(first: FloatArray, second: FloatArray) -> None:
+    by_first, by_second = se2.compose_jacobians(first, second)
+    numeric_first = differences(lambda pose: se2.compose(pose, second), first)
+    numeric_second = differences(lambda pose: se2.compose(first, pose), second)
+    np.testing.assert_allclose(by_first, numeric_first, atol=1e-6)
+    np.testing.assert_allclose(by_second, numeric_second, atol=1e-6)
+
+
+@given(POSES, st.lists(st.tuples(*[st.floats(-50.0, 50.0)] * 2), min_size=1, max_size=4))
+def test_points_move_with_the_frame(pose: FloatArray, points: list[tuple[float, float]]) -> None:
+    moved = se2.transform_points(pose, points)
+    homogeneous = np.c_[np.array(points), np.ones(len(points))]
+    np.testing.assert_allclose(moved, (homogeneous @ matrix(pose).T)[:, :2], atol=1e-9)
+
+
+def test_many_poses_at_once_equal_one_by_one() -> None:
+    rng = np.random.default_rng(1)
+    first, second = rng.normal(size=(2, 4, 5, 3))
+    together = se2.compose(first, second)
+    for k in np.ndindex(4, 5):
+        np.testing.assert_allclose(together[k], se2.compose(first[k], second[k]))
+    np.testing.assert_allclose(
+        se2.compose(first[0, 0], second)[2, 3], se2.compose(first[0, 0], second[2, 3])
+    )
+
+
+@given(POSES, st.lists(st.floats(-3.1, 3.1), min_size=1, max_size=4), st.floats(0.1, 50.0))
+def test_bearings_are_those_at_which_points_were_put(
+    pose: FloatArray, angles: list[float], away: float
+) -> None:
+    ahead = away * np.column_stack([np.cos(angles), np.sin(angles)])
+    found = se2.bearings(pose, se2.transform_points(pose, ahead))
+    np.testing.assert_allclose(found, angles, atol=1e-9)
+
+
+CYLINDER = Cylinder(width=3600, height=350, fy=573.0, cx=1799.5, cy=170.0)
+
+
+COLUMNS = st.floats(-0.5, 3599.499)
+
+
+ROWS = st.floats(-0.5, 349.5)
+
+
+@given(COLUMNS, ROWS)
+def test_every_pixel_comes_back(column: float, row: float) -> None:
+    found = CYLINDER.project(CYLINDER.rays([column, row]))
+    # A column within rounding of the seam may come back on its other side.
+    gap = (found[0] - column + 1800.0) % 3600.0 - 1800.0
+    assert abs(gap) < 1e-8
+    assert found[1] == pytest.approx(row, abs=1e-8)
+
+
+@given(st.floats(-20.0, 20.0))
+def test_every_azimuth_comes_back(azimuth: float) -> None:
+    column = CYLINDER.column_of(azimuth)
+    assert -0.5 <= column < 3599.5
+    assert abs(wrap_rad(CYLINDER.azimuth_rad(column) - azimuth)) < 1e-9
+
+
+def test_left_is_left_and_up_is_up() -> None:
+    assert CYLINDER.column_of(0.0) == 1799.5
+    assert CYLINDER.column_of(0.1) < 1799.5
+    assert CYLINDER.row_of(0.1) < CYLINDER.row_of(0.0) == 170.0
+
+
+def test_both_sides_of_the_seam_are_neighbours() -> None:
+    left, right = CYLINDER.azimuth_rad([-0.5, 3599.5])
+    assert left - right == pytest.approx(2.0 * np.pi)
+    np.testing.assert_allclose(CYLINDER.wrap_column([3600.0, -1.0, 3599.5]), [0.0, 3599.0, -0.5])
+
+
+def test_height_over_distance_sets_the_row() -> None:
+    column, row = CYLINDER.project([3.0, 4.0, 1.0])
+    assert column == pytest.approx(1799.5 - np.arctan2(4.0, 3.0) * 3600 / (2 * np.pi))
+    assert row == pytest.approx(170.0 - 573.0 / 5.0)
+
+
+@given(st.floats(100.0, 1000.0), st.floats(-1.0, -0.05), st.floats(0.05, 1.0))
+def test_resolution_and_extent_as_asked(px_per_rad: float, low: float, high: float) -> None:
+    cylinder = Cylinder.with_resolution(px_per_rad, low, high)
+    assert cylinder.fx == cylinder.fy == pytest.approx(px_per_rad, rel=0.002)
+    assert cylinder.tangent(0) >= high - 1e-9
+    assert cylinder.tangent(cylinder.height - 1) <= low + 1e-9
+
+
+@pytest.mark.parametrize(('low', 'high'), [(-1e9, 5.0), (-np.inf, np.inf), (0.0, 1e300)])
+def test_rows_end_before_the_poles(low: float, high: float) -> None:
+    cylinder = Cylinder.with_resolution(500.0, low, high)
+    assert cylinder.width * cylinder.height < 7e6
+
+
+@pytest.mark.parametrize('px_per_rad', [1e4, 1e300, np.nan])
+def test_a_cylinder_too_large_to_hold_is_refused(px_per_rad: float) -> None:
+    with pytest.raises(LandmarkNavError, match='million pixels'):
+        Cylinder.with_resolution(px_per_rad, -0.5, 0.5)
+
+
+# An L: 6 x 4 m without its upper right 3 x 2 m.
+CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 2.0), (3.0, 2.0), (3.0, 4.0), (0.0, 4.0)]
+
+
+def outline(corners: list[tuple[float, float]]) -> tuple[Wall, ...]:
+    ends = corners[1:] + corners[:1]
+    return tuple(
+        Wall(str(k), start, end, 2.5)
+        for k, (start, end) in enumerate(zip(corners, ends, strict=True))
+    )
+
+
+ROOM = Room(outline(CORNERS))
+
+
+INSIDE = st.tuples(st.floats(0.01, 2.99), st.floats(0.01, 3.99)) | st.tuples(
+    st.floats(0.01, 5.99), st.floats(0.01, 1.99)
+)
+
+
+def test_normals_point_into_the_room() -> None:
+    np.testing.assert_allclose(ROOM.normals[:3], [[0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    assert ROOM.walls[0].length == 6.0
+
+
+@given(INSIDE, st.floats(-7.0, 7.0))
+def test_a_ray_from_inside_ends_on_the_wall_that_it_names(
+    origin: tuple[float, float], azimuth: float
+) -> None:
+    distance, wall = ROOM.raycast(origin, azimuth)
+    direction = np.array([np.cos(azimuth), np.sin(azimuth)])
+    hit = np.array(origin) + distance * direction
+    start, normal = np.array(ROOM.walls[wall].start), ROOM.normals[wall, :2]
+    assert abs((hit - start) @ normal) < 1e-6
+    assert ROOM.contains(origin + 0.999 * distance * direction)
+
+
+def test_the_first_of_several_walls_stops_the_ray() -> None:
+    distance, wall = ROOM.raycast([1.0, 3.0], [0.0, np.pi / 2, np.pi, -np.pi / 4])
+    np.testing.assert_allclose(distance, [2.0, 1.0, 1.0, 3.0 * np.sqrt(2.0)])
+    assert wall.tolist() == [3, 4, 5, 0]
+
+
+def test_a_ray_that_meets_nothing_reports_it() -> None:
+    distance, wall = ROOM.raycast([7.0, 1.0], 0.0)
+    assert np.isinf(distance)
+    assert wall == -1
+
+
+def test_one_origin_serves_many_rays_and_many_origins_one() -> None:
+    assert ROOM.raycast([1.0, 1.0], np.zeros((2, 3)))[0].shape == (2, 3)
+    distance, _ = ROOM.raycast([[1.0, 1.0], [2.0, 1.0]], [0.0, 0.0])
+    np.testing.assert_allclose(distance, [5.0, 4.0])
+
+
+def test_the_corner_hides_what_lies_behind() -> None:
+    on_walls = [[3.0, 3.0], [6.0, 1.0], [1.0, 0.0], [6.0, 1.99]]
+    assert ROOM.visible([1.0, 3.0], on_walls).tolist() == [True, False, True, False]
+    assert ROOM.visible([5.0, 1.0], on_walls).tolist() == [False, True, True, True]
+
+
+def test_contains_counts_the_notch_as_outside() -> None:
+    points = [[1.0, 1.0], [5.0, 1.0], [5.0, 3.0], [-0.1, 1.0], [1.0, 3.9], [1.0, 4.1]]
+    assert ROOM.contains(points).tolist() == [True, True, False, False, True, False]
+
+
+def test_nearest_wall_measures_to_the_segment_not_its_line() -> None:
+    # (5, 2.5) is 0.5 m above wall 2; the line of wall 1, x = 6, is 1 m away.
+    assert ROOM.nearest_wall([[5.0, 2.5], [0.2, 2.0], [3.0, 0.1]]).tolist() == [2, 5, 0]
+
+
+def test_a_room_shares_a_wall_with_itself_measured_again_and_none_with_another() -> None:
+    again = outline([(1.03 * x, 0.97 * y) for x, y in CORNERS])
+    assert ROOM.shares_wall(again, 0.3)
+    assert ROOM.shares_wall([again[4]], 0.3)
+    # Parallel walls from the same corner are not the same.
+    assert not ROOM.shares_wall(outline([(0.0, 0.0), (5.0, 0.0), (5.0, 3.2), (0.0, 3.2)]), 0.3)
+    assert not ROOM.shares_wall((), 0.3)
+
+
+def test_two_walls_are_no_room() -> None:
+    with pytest.raises(LandmarkNavError, match='room has 2 walls: a closed outline needs 3'):
+        Room(outline(CORNERS)[:2])
+
+
+def test_an_open_outline_names_the_wall_and_the_gap() -> None:
+    corners = outline(CORNERS)
+    moved = Wall('2', (6.0, 2.3), (3.0, 2.0), 2.5)
+    with pytest.raises(LandmarkNavError, match=r'open: wall 1 ends at \(6, 2\).*0\.3 m away'):
+        Room((*corners[:2], moved, *corners[3:]))
+
+
+def test_crossing_walls_are_named() -> None:
+    bow_tie = [(0.0, 0.0), (4.0, 3.0), (4.0, 0.0), (0.0, 3.0)]
+    with pytest.raises(LandmarkNavError, match='walls 0 and 2 cross'):
+        Room(outline(bow_tie))
+
+
+def test_walls_that_run_clockwise_are_refused() -> None:
+    with pytest.raises(LandmarkNavError, match=r'to the left.*swap start and end'):
+        Room(outline(CORNERS[::-1]))
+
+
+@pytest.mark.parametrize(
+    ('wall', 'message'),
+    [
+        (Wall('0', (0.0, float('nan')), (6.0, 0.0), 2.5), 'wall 0 has a coordinate'),
+        (Wall('0', (0.0, 0.0), (0.0, 0.0), 2.5), 'wall 0 has no length'),
+        (Wall('0', (0.0, 0.0), (6.0, 0.0), 0.0), 'no length or no height'),
+    ],
+)
+def test_a_wall_that_is_none_is_refused(wall: Wall, message: str) -> None:
+    with pytest.raises(LandmarkNavError, match=message):
+        Room((wall, *outline(CORNERS)[1:]))

@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
+from wall_views import candidate_at, greys_of
+
+from landmark_nav.geometry import se2
+from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
+from landmark_nav.learning.stereo.found_again import find_again
+from landmark_nav.learning.stereo.own_plane import Depths, depths_of, match_freely
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
+from landmark_nav.types import FloatArray, Panorama, Refusal
+
+ROOM = rectangle_room(6.0, 5.0)
+CONFIG = StereoConfig()
+# Not equally high: epipolar curves run up and down as well.
+CENTERS = (np.array([2.2, 2.0, 1.1]), np.array([3.0, 3.1, 1.2]))
+HEADINGS = (0.4, -2.0)
+SCENE = textured_room(ROOM, seed=2, feature_m=0.05)
+EAST = ROOM.normals[1]
+
+
+def views_of(*scenes: Scene) -> list[Panorama]:
+    rng = np.random.default_rng(0)
+    return [
+        draw_panorama(scene, center, heading, rng=rng)
+        for scene, center, heading in zip(scenes, CENTERS, HEADINGS, strict=True)
+    ]
+
+
+def patch_at(panorama: Panorama, point: FloatArray) -> WallPatch:
+    patch = hypothesize(candidate_at(panorama, point, 30), 0, panorama, ROOM, CONFIG)
+    assert isinstance(patch, WallPatch)
+    return patch
+
+
+def board(center: tuple[float, float, float], normal: FloatArray, seed: int) -> Board:
+    texture = smooth_texture(np.random.default_rng(seed), 0.7, 0.7, 0.04)
+    return Board(np.array(center), normal, 0.7, 0.7, texture)
+
+
+def freely(
+    panoramas: list[Panorama], point: FloatArray, depths: Depths | None = None
+) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
+    candidate = candidate_at(panoramas[0], point, 30)
+    return match_freely(candidate, 0, panoramas, greys_of(panoramas), CONFIG, depths)
+
+
+@pytest.mark.parametrize(
+    ('center', 'angle'), [((4.6, 2.6, 1.1), 0.0), ((4.1, 2.3, 1.3), 0.0), ((4.4, 2.9, 1.1), 0.4)]
+)
+def test_what_stands_before_a_wall_is_found_at_its_depth(
+    center: tuple[float, float, float], angle: float
+) -> None:
+    normal = np.append(se2.rotation(angle) @ EAST[:2], 0.0)
+    furnished = replace(SCENE, boards=(*SCENE.boards, board(center, normal, 8)))
+    panoramas = views_of(furnished, furnished)
+    greys = greys_of(panoramas)
+    patch = patch_at(panoramas[0], np.array(center))
+    assert isinstance(match_in(patch, 1, panoramas, greys, ROOM, CONFIG), Refusal)
+    candidates = [[candidate_at(panoramas[0], np.array(center), 30)], []]
+    found = find_again(panoramas, candidates, greys, ROOM, CONFIG)
+    assert found.walls == [-1]
+    (patch,) = found.patches
+    assert patch.position == pytest.approx(np.array(center), abs=0.03)
+    assert patch.normal @ normal > np.cos(0.25)
+    assert [s.panorama for s in found.measurements[0]] == [0, 1]
+    assert found.before_walls.walls == [1]
+
+
+@pytest.mark.parametrize('east_m', [5.3, 6.9])
+def test_a_wall_that_is_reported_too_near_or_too_far_is_found_where_it_is(east_m: float) -> None:
+    given = rectangle_room(east_m, 5.0)
+    panoramas = views_of(SCENE, SCENE)
+    greys = greys_of(panoramas)
+    points = [np.array([6.0, y, z]) for y in (1.6, 2.2, 2.8) for z in (1.0, 1.3)]
+    candidates = [[candidate_at(panoramas[0], point, 30) for point in points], []]
+    found = find_again(panoramas, candidates, greys, given, CONFIG)
+    own = [patch for patch in found.patches if not patch.on_wall]
+    assert len(own) >= 4
+    for patch in own:
+        assert patch.position[0] == pytest.approx(6.0, abs=0.04)
+        assert patch.wall == 1
+
+
+def test_features_around_a_patch_say_how_far_it_is() -> None:
+    center = np.array([4.4, 2.9, 1.1])
+    furnished = replace(SCENE, boards=(*SCENE.boards, board((4.4, 2.9, 1.1), EAST, 8)))
+    panoramas = views_of(furnished, furnished)
+    around = center + np.array([[0.0, y, z] for y in (-0.05, 0.05) for z in (-0.05, 0.05)])
+    depths = depths_of(around, panoramas[0])
+    found = freely(panoramas, center, depths)
+    assert not isinstance(found, Refusal)
+    assert found[0].position == pytest.approx(center, abs=0.03)
+    azimuth, tangent, distance = depths
+    # Nothing is there at another distance, and nothing is looked for where no feature is.
+    assert isinstance(freely(panoramas, center, (azimuth, tangent, 2.0 * distance)), Refusal)
+    assert isinstance(freely(panoramas, center, (azimuth + 1.0, tangent, distance)), Refusal)
+
+
+def test_a_hall_is_searched_too() -> None:
+    hall = textured_room(rectangle_room(17.0, 12.0), seed=2, feature_m=0.3)
+    panoramas = views_of(hall, hall)
+    found = freely(panoramas, np.array([17.0, 3.0, 1.2]))
+    assert isinstance(found, Refusal) or abs(found[0].position[0] - 17.0) < 1.0
+
+
+def test_what_hangs_on_a_wall_hangs_on_it() -> None:
+    panoramas = views_of(SCENE, SCENE)
+    points = ((6.0, 1.2, 1.1), (6.0, 2.4, 1.3), (3.6, 5.0, 1.2), (4.4, 5.0, 1.0))
+    candidates = [[candidate_at(panoramas[0], np.array(point), 30) for point in points], []]
+    found = find_again(panoramas, candidates, greys_of(panoramas), ROOM, CONFIG)
+    assert all(patch.on_wall for patch in found.patches)
+
+
+def test_what_is_gone_is_found_at_no_depth() -> None:
+    # A person who stood there at the first sweep alone.
+    furnished = replace(SCENE, boards=(*SCENE.boards, board((4.3, 2.5, 1.1), EAST, 8)))
+    panoramas = views_of(furnished, SCENE)
+    assert isinstance(freely(panoramas, np.array([4.3, 2.5, 1.1])), Refusal)
+
+
+def test_a_look_alike_does_not_lead_back() -> None:
+    # Two of a kind, and the one that was proposed is gone at the second sweep.
+    first, second = (
+        replace(board((5.99, 2.0 + 0.5 * k, 1.2), EAST, 9), width_m=0.5, height_m=0.5)
+        for k in (0, 1)
+    )
+    both = replace(SCENE, boards=(*SCENE.boards, first, second))
+    one = replace(SCENE, boards=(*SCENE.boards, second))
+    wide = replace(CONFIG, margin_m=0.5)
+    panoramas = views_of(both, one)
+    patch = patch_at(panoramas[0], first.center)
+    refused = match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, wide)
+    assert isinstance(refused, Refusal)
+    assert refused.reason == 'no way back'
+    panoramas = views_of(one, one)
+    patch = patch_at(panoramas[0], second.center)
+    assert isinstance(
+        match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, wide), PatchMeasurement
+    )

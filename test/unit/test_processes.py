@@ -1,0 +1,289 @@
+"""Threads, signals and processes end as they should."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+from threading import Event
+import time
+
+import pytest
+
+from landmark_nav.demo.supervisor import ProcessEndedError, Supervisor
+from landmark_nav.ros.executor import LatestOnlyWorker
+from landmark_nav.ros.latency import Latency
+from landmark_nav.ros.shutdown_guard import ShutdownGuard
+
+pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+
+
+def test_what_waits_makes_way_for_what_is_newer() -> None:
+    done: list[int] = []
+    go, began = Event(), Event()
+
+    def work(number: int) -> None:
+        began.set()
+        go.wait(5.0)
+        done.append(number)
+
+    worker = LatestOnlyWorker(work)
+    worker.take(0)
+    assert began.wait(5.0)
+    for number in range(1, 6):
+        worker.take(number)
+    go.set()
+    deadline = time.monotonic() + 5.0
+    while len(done) < 2 and time.monotonic() < deadline:
+        time.sleep(0.005)
+    assert done == [0, 5]
+    assert worker.dropped == 4
+
+
+def test_the_thread_ends_after_what_it_is_at() -> None:
+    done: list[int] = []
+    began = Event()
+
+    def work(number: int) -> None:
+        began.set()
+        time.sleep(0.2)
+        done.append(number)
+
+    worker = LatestOnlyWorker(work)
+    worker.take(0)
+    assert began.wait(5.0)
+    worker.take(1)
+    worker.close()
+    worker.take(2)
+    assert done == [0]
+    time.sleep(0.3)
+    assert done == [0]
+
+
+def test_ages_by_another_clock_are_none() -> None:
+    latency = Latency()
+    assert latency.values() == {}
+    latency.note(10**18)
+    assert latency.values() == {}
+    for age_ms in range(1, 101):
+        latency.note(age_ms * 10**6)
+    assert latency.values() == {'latency_median_ms': '50', 'latency_p95_ms': '95'}
+
+
+SIGNALS = [signal.SIGINT, signal.SIGTERM]
+
+
+def run(body: str) -> subprocess.CompletedProcess[str]:
+    """A process that sends itself the signals; SIGINT is ignored as in a shell's background."""
+    head = """
+        import os, signal, threading
+        from landmark_nav.ros.shutdown_guard import ShutdownGuard
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """
+    return subprocess.run(
+        [sys.executable, '-c', textwrap.dedent(head) + textwrap.dedent(body)],
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+
+
+@pytest.mark.parametrize('number', SIGNALS)
+def test_those_who_wait_are_asked_to_leave(number: signal.Signals) -> None:
+    done = run(f"""
+        asked = threading.Event()
+        with ShutdownGuard(asked.set, 20.0):
+            os.kill(os.getpid(), {int(number)})
+            asked.wait()
+            os.kill(os.getpid(), {int(number)})
+        print('left')
+    """)
+    assert (done.returncode, done.stdout, done.stderr) == (0, 'left\n', '')
+
+
+@pytest.mark.parametrize('number', SIGNALS)
+def test_who_does_not_leave_is_ended(number: signal.Signals) -> None:
+    # The signal comes in another thread, while the main one waits for good.
+    done = run(f"""
+        with ShutdownGuard(lambda: print('asked', flush=True), 0.2):
+            threading.Timer(0.1, os.kill, (os.getpid(), {int(number)})).start()
+            signal.pthread_sigmask(signal.SIG_BLOCK, {{ {int(number)} }})
+            threading.Event().wait()
+    """)
+    assert (done.returncode, done.stdout, done.stderr) == (0, 'asked\n', '')
+
+
+def test_who_was_asked_to_leave_without_a_signal_is_ended_too() -> None:
+    done = run("""
+        with ShutdownGuard(lambda: None, 0.2) as signals:
+            signals.expect_end()
+            threading.Event().wait()
+    """)
+    assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
+
+
+def test_who_holds_the_interpreter_is_ended() -> None:
+    done = run("""
+        import re
+        asked = threading.Event()
+        with ShutdownGuard(asked.set, 0.2):
+            os.kill(os.getpid(), signal.SIGTERM)
+            asked.wait()
+            re.match('(a|a)*c', 'a' * 60 + 'b')
+    """)
+    assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
+
+
+def test_afterwards_signals_are_what_they_were() -> None:
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    asked: list[int] = []
+    for _ in range(3):
+        with ShutdownGuard(lambda: asked.append(1), 0.0):
+            pass
+    assert {number: signal.getsignal(number) for number in SIGNALS} == before
+    if callable(before[signal.SIGINT]):
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert asked == []
+
+
+SLEEP = [*(sys.executable, '-S', '-c'), 'import time; print("up", flush=True); time.sleep(60)']
+
+
+STUBBORN = [
+    *(sys.executable, '-S', '-c'),
+    'import signal, time\n'
+    'signal.signal(signal.SIGTERM, signal.SIG_IGN)\n'
+    'print("up", flush=True)\n'
+    'time.sleep(60)',
+]
+
+
+FAILING = [
+    *(sys.executable, '-S', '-c'),
+    'print("first", flush=True); raise SystemExit("the wheel fell off")',
+]
+
+
+def wait_for(log: Path, word: str) -> None:
+    deadline = time.monotonic() + 10.0
+    while word not in log.read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def check_until_something_happens(supervisor: Supervisor) -> None:
+    for _ in range(500):
+        supervisor.check()
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path) -> Supervisor:
+    return Supervisor(tmp_path, os.environ, grace_s=0.5)
+
+
+def test_who_died_and_its_last_words(supervisor: Supervisor, tmp_path: Path) -> None:
+    with supervisor:
+        supervisor.start('sleeper', SLEEP)
+        supervisor.check()
+        supervisor.start('wheel', FAILING)
+        with pytest.raises(
+            ProcessEndedError, match=r'wheel ended with exit status 1: first \| the'
+        ):
+            check_until_something_happens(supervisor)
+        wait_for(tmp_path / 'sleeper.log', 'up')
+        assert supervisor.stop()['sleeper'] == -signal.SIGTERM
+
+
+def test_a_killed_one_is_recognized_by_its_signal(supervisor: Supervisor) -> None:
+    killer = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
+    with supervisor:
+        supervisor.start('short', [sys.executable, '-S', '-c', killer])
+        with pytest.raises(ProcessEndedError, match='signal SIGKILL: it printed nothing'):
+            check_until_something_happens(supervisor)
+
+
+def test_all_end_however_stubborn(supervisor: Supervisor, tmp_path: Path) -> None:
+    with supervisor:
+        supervisor.start('sleeper', SLEEP)
+        supervisor.start('stubborn', STUBBORN)
+        for name in ('sleeper', 'stubborn'):
+            wait_for(tmp_path / f'{name}.log', 'up')
+        statuses = supervisor.stop()
+    assert statuses == {'sleeper': -signal.SIGTERM, 'stubborn': -signal.SIGKILL}
+
+
+def test_leaving_the_block_ends_them(tmp_path: Path) -> None:
+    with Supervisor(tmp_path, os.environ) as supervisor:
+        supervisor.start(
+            'sleeper',
+            [*SLEEP[:-1], 'import os, time; print(os.getpid(), flush=True); time.sleep(60)'],
+        )
+        wait_for(tmp_path / 'sleeper.log', '\n')
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / 'sleeper.log').read_text().split()[0]), 0)
+
+
+def is_running(process_id: int) -> bool:
+    """A zombie that nobody asked for its status has no command line any more."""
+    try:
+        return bool(Path(f'/proc/{process_id}/cmdline').read_bytes())
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.mark.skipif(shutil.which('setpriv') is None, reason='no setpriv (util-linux)')
+def test_who_is_killed_leaves_nobody_behind(tmp_path: Path) -> None:
+    conductor = (
+        'import os, signal, sys, time\n'
+        'from pathlib import Path\n'
+        'from landmark_nav.demo.supervisor import Supervisor\n'
+        f'child = Supervisor(Path({str(tmp_path)!r}), os.environ).start("sleeper", {SLEEP!r})\n'
+        'print(child.pid, flush=True)\n'
+        f'while "up" not in Path({str(tmp_path / "sleeper.log")!r}).read_text():\n'
+        '    time.sleep(0.01)\n'
+        'os.kill(os.getpid(), signal.SIGKILL)\n'
+    )
+    killed = subprocess.run(
+        [sys.executable, '-c', conductor], capture_output=True, text=True, timeout=30
+    )
+    assert killed.returncode == -signal.SIGKILL
+    deadline = time.monotonic() + 10.0
+    while is_running(int(killed.stdout)):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+COMMAND = 'import landmark_nav.cli.main as m; seen = early(); m.main(["map", "--help"])'
+
+
+NODE = 'import landmark_nav.nodes; seen = early()'
+
+
+def after(start: str, **environment: str) -> list[str]:
+    """Threads that are allowed then, by each variable, and whether NumPy was there too early."""
+    names = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS')
+    inherited = {key: value for key, value in os.environ.items() if key not in names}
+    lines = ('import os, sys', 'def early(): return "numpy" in sys.modules', start)
+    reported = f'print(*(os.environ[n] for n in {names}), seen)'
+    done = subprocess.run(
+        [sys.executable, '-c', '\n'.join((*lines, reported))],
+        env={**inherited, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.splitlines()[-1].split()
+
+
+@pytest.mark.parametrize('start', [COMMAND, NODE])
+def test_one_thread_unless_set_otherwise(start: str) -> None:
+    if start is NODE:
+        pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+    assert after(start) == ['1', '1', 'False']
+    assert after(start, OPENBLAS_NUM_THREADS='2') == ['2', '1', 'False']
