@@ -80,17 +80,17 @@ def test_a_file_of_the_last_release_is_taken_with_warnings(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     text = (
-        'observation: {triplet: {views: several, hysteresis: 0.1}}\n'
+        'observation: {triplet: {max_range_m: 9.0, hysteresis: 0.1}}\n'
         'estimator: {tail_freedom: 4.0}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
     )
     robot = tmp_path / 'robot.yaml'
     robot.write_text(ROBOT.read_text() + 'odometry: {scale_sigma: 0.25}\n')
     config = load(tmp_path, text, robot=robot)
-    assert config.triplet.views == 'several'
+    assert config.triplet.max_range_m == 9.0
     assert config.triplet.hysteresis == PLAIN.triplet.hysteresis
     # The robot's file goes before what is moved there.
     assert (config.odometry.along_m_per_sqrt_m, config.odometry.scale_sigma) == (0.5, 0.25)
-    for named in ('ros__parameters', 'triplet.views', 'triplet.hysteresis', 'robot.yaml'):
+    for named in ('ros__parameters', 'triplet.max_range_m', 'triplet.hysteresis', 'robot.yaml'):
         assert named in caplog.text
     assert all(len(record.getMessage()) < 200 + len(str(tmp_path)) for record in caplog.records)
 
@@ -116,7 +116,7 @@ def test_facts_of_the_robot_still_come_from_where_they_were(
     [
         (for_all('fusion: 1'), "no parameter 'fusion'"),
         (for_all('capture: {fraems: 3}'), "no parameter 'capture.fraems': .* capture.frames"),
-        (for_all('triplet: {views: x}'), 'parameter views .* take one of'),
+        (for_all('command: {type: x}'), 'parameter type .* take one of'),
         (for_all('estimator: 3'), "no parameter 'estimator'"),
         (for_all('capture: {frames: soon}'), "frames is 'soon': take a whole number"),
         (for_all('capture: {frames: true}'), 'frames is True: take a whole number'),
