@@ -14,7 +14,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.furnishing import generate_scene, hang_tags, move_one_box
-from landmark_nav.simulation.lighting import irradiance
 from landmark_nav.simulation.people import WalkingPeople
 from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M, PainterOrder
 from landmark_nav.simulation.scene import Box, Lamp, Scene
