@@ -22,10 +22,12 @@ from landmark_nav.learning.calibration.combined import leant
 from landmark_nav.learning.facades import (
     FacadesConfig,
     find_facades,
-    located as place_matches,
     open_room,
     room_of,
     SeenPoints,
+)
+from landmark_nav.learning.facades import (
+    located as place_matches,
 )
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
@@ -50,15 +52,6 @@ from landmark_nav.learning.sweep_pipeline import (
 )
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain, PoseEstimate, Sweep
-
-__all__ = [
-    'RELATIVE_SIGMA',
-    'Located',
-    'UnmeasuredConfig',
-    'learn_located',
-    'locate',
-    'locate_sweeps',
-]
 
 _LOG = logging.getLogger(__name__)
 
@@ -121,6 +114,9 @@ def locate(
     """
     Find where panoramas were taken, and the walls around.
 
+    Raises `LandmarkNavError`: one panorama, panoramas that share too little or contradict what is
+    known, nothing that gives the scale, or no walls.
+
     Parameters
     ----------
     panoramas : sequence of Panorama
@@ -129,19 +125,10 @@ def locate(
         Poses of the base by each source that has them; the first one gives the frame.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame, metres.
-    config : UnmeasuredConfig
-        Parameters of the stages.
     log : StageLog, optional
         Where times go.
     before : RelativePoses, optional
         What was found before the panoramas were made again.
-
-    Raises
-    ------
-    LandmarkNavError
-        One panorama, panoramas that share too little or contradict what is known, nothing that
-        gives the scale, or no walls.
-
     """
     if len(panoramas) < 2:
         raise LandmarkNavError(
@@ -199,6 +186,8 @@ def locate_sweeps(
 
     Twice, as calibration takes the distance of the walls: sweeps are large, and read again.
 
+    Raises `LandmarkNavError`: as `locate`, and what makes no panorama.
+
     Parameters
     ----------
     sweeps : callable
@@ -208,16 +197,6 @@ def locate_sweeps(
         size alone give the scale.
     mount : PanTiltMount
         How the camera is mounted.
-    stages, config : PanoramaStages, UnmeasuredConfig
-        Parameters of the stages.
-    log : StageLog
-        Where times go.
-
-    Raises
-    ------
-    LandmarkNavError
-        As `locate`, and what makes no panorama.
-
     """
     panoramas, stamped = [], []
     for sweep in sweeps():

@@ -7,4 +7,13 @@ from landmark_nav.learning.facades.outline import open_room, room_of
 from landmark_nav.learning.facades.planes import Facade, find_facades
 from landmark_nav.learning.facades.points import located, seen_points, SeenPoints
 
-__all__ = ['Facade', 'FacadesConfig', 'SeenPoints', 'find_facades', 'located', 'open_room', 'room_of', 'seen_points']
+__all__ = [
+    'Facade',
+    'FacadesConfig',
+    'SeenPoints',
+    'find_facades',
+    'located',
+    'open_room',
+    'room_of',
+    'seen_points',
+]

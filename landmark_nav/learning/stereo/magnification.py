@@ -16,7 +16,6 @@ from landmark_nav.learning.stereo.wall_patch import texels_per_pixel, wall_textu
 from landmark_nav.matching import blur_to
 from landmark_nav.types import FloatArray, Panorama
 
-
 # Against noise of pixels (Gaussian sigma), and blur that a pixel stands for, as a share of it.
 _BLUR_PX = 0.8
 _BLUR_SHARE = 0.5

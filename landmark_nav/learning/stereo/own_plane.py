@@ -22,8 +22,6 @@ from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasur
 from landmark_nav.learning.stereo.wall_stereo import compare
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
-__all__ = ['Depths', 'depths_of', 'is_off_wall', 'match_freely']
-
 # Azimuths in the base frame, tangents and distances in plan (n,) of what a panorama shows.
 Depths = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -66,8 +64,6 @@ def match_freely(
 
     Parameters
     ----------
-    candidate : Candidate
-        As attention proposed it.
     source : int
         Of the panorama that it was proposed in.
     panoramas, greys : sequence
@@ -81,7 +77,6 @@ def match_freely(
     -------
     tuple of WallPatch and list of PatchMeasurement, or Refusal
         The patch on its own plane and where the panoramas show it, its own one first.
-
     """
     others = [j for j in range(len(panoramas)) if j != source]
     known = _known_depth(candidate, panoramas[source], depths)
@@ -139,7 +134,12 @@ def is_off_wall(
         distance = _distance(patch, seen, here, there, config)
         if distance is None:
             return False
-        slack = _SLACK_RAD * distance * reach / float(np.hypot(*(there.center_map - here.center_map)[:2]))
+        slack = (
+            _SLACK_RAD
+            * distance
+            * reach
+            / float(np.hypot(*(there.center_map - here.center_map)[:2]))
+        )
         off.append(abs(1.0 - distance / reach) * _normal_reach(patch, here) - slack)
     return min(off) > config.max_off_wall_m
 
@@ -152,9 +152,7 @@ class _Depth(NamedTuple):
     agreed: bool = False
 
 
-def _known_depth(
-    candidate: Candidate, panorama: Panorama, depths: Depths | None
-) -> _Depth | None:
+def _known_depth(candidate: Candidate, panorama: Panorama, depths: Depths | None) -> _Depth | None:
     """Distance that features about a candidate have; None if there are none."""
     if depths is None:
         return None

@@ -10,8 +10,6 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray
 
-__all__ = ['Ties']
-
 
 @dataclass(frozen=True, eq=False)
 class Ties:
@@ -29,4 +27,6 @@ class Ties:
         """Where a panorama shows them, (m, 2)."""
         shown = [s for group in self.measurements for s in group if s.panorama == panorama]
         azimuth, tangent = np.array([(s.azimuth_rad, s.tangent) for s in shown]).reshape(-1, 2).T
-        return np.stack([cylinder.column_of(azimuth) % cylinder.width, cylinder.row_of(tangent)], 1)
+        return np.stack(
+            [cylinder.column_of(azimuth) % cylinder.width, cylinder.row_of(tangent)], 1
+        )
