@@ -25,7 +25,7 @@ _OF_THE_ROBOT = {
     'command.speed_rad_s': 'pan_rate',
     'triplet.pan_acceleration_rad_s2': 'pan_acceleration',
 }
-# Section -> where its constants are, their names; nothing was ever gained by changing them.
+# Section -> where its constants are, and their names: they describe the method.
 _CONSTANTS = {
     '': (
         'nodes',
@@ -83,6 +83,8 @@ _CONSTANTS = {
         'bearing_sigma_rad min_sampling max_sampling min_range_m border_px margin_sigmas '
         'hysteresis views fix_window_s gather_s dwell_time_s look_s max_sigma_m',
     ),
+    # slip_m_per_rad, which has another unit, is in its place.
+    'odometry': ('localization/odometry', 'slip_sigma'),
     'look_around': ('localization/triplet', 'after_s dwell_time_s look_s'),
     'detection': (
         'localization/detection',
@@ -169,30 +171,35 @@ def settled(given: Mapping[str, Any], known: Collection[str]) -> Settled:
         elif bare in _OF_THE_ROBOT:
             moved[bare] = _OF_THE_ROBOT[bare]
             robot[moved[bare]] = value
+        elif last in constants.split():
+            gone.setdefault(where, []).append(bare)
         elif section == 'odometry':
             moved[bare] = bare
             robot.setdefault(section, {})[last] = value
-        elif last in constants.split():
-            gone.setdefault(where, []).append(bare)
         else:
             unknown[name] = resembling(name, known) if len(unknown) < _MOST_COMPARED else ''
-    return Settled(values, robot, tuple(_warnings(renamed, moved, gone)), unknown)
+    return Settled(values, robot, tuple(_warnings(renamed, moved, robot, gone)), unknown)
 
 
 def _warnings(
-    renamed: Mapping[str, str], moved: Mapping[str, str], gone: Mapping[str, list[str]]
+    renamed: Mapping[str, str],
+    moved: Mapping[str, str],
+    robot: Mapping[str, Any],
+    gone: Mapping[str, list[str]],
 ) -> Iterator[str]:
     for name, now in renamed.items():
         yield f'parameter {name} is now called {now}: its old name ends with the next release'
     for key in dict.fromkeys(key.partition('.')[0] for key in moved.values()):
         names = [name for name, to in moved.items() if to.partition('.')[0] == key]
+        value = robot[key]
+        line = f'section {key}' if isinstance(value, Mapping) else f'{key}: {value}'
         yield (
-            f'{_listed(names)} describes the robot: move it to {key} of robot.yaml, which goes '
-            'before it, until the next release'
+            f'{_listed(names)} describes the robot: write it into robot.yaml ({line}), which goes '
+            'before it; its name here ends with the next release'
         )
     for where, names in gone.items():
         yield (
-            f'{_listed(names)} is not used: no robot or room needed another value, so it is a '
+            f'{_listed(names)} is ignored: it describes the method, not robot or room, and is a '
             f'constant in landmark_nav/{where}'
         )
 

@@ -290,7 +290,7 @@ class Landmark:
     threshold : float
         Least normalized cross-correlation that counts as found.
     wall_id, saliency
-        Of the wall that carries it, of its candidate.
+        Of the wall that carries it (empty for one on a plane of its own), of its candidate.
     views : tuple of PatchView
         What other panoramas show of it; old maps do not hold it.
 

@@ -35,7 +35,7 @@ from landmark_nav.storage.atomic_io import check_new, check_writable, write_atom
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
-from landmark_nav.storage.setup_files import load_room, robot_document
+from landmark_nav.storage.setup_files import load_room, read_robot
 from landmark_nav.types import LandmarkMap, Panorama
 
 _LOG = logging.getLogger(__name__)
@@ -133,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
             name: None if np.isnan(one.rms_px).any() else one.rms_px.tolist()
             for name, one in (('before', before), ('after', after))
         }
-    save_calibration(found, args.out, robot_document(Path(args.robot), {}).get('odometry'))
+    save_calibration(found, args.out, read_robot(Path(args.robot), {}).get('odometry'))
     if args.json:
         write_atomically(args.json, json.dumps(report, indent=2) + '\n')
     if args.report:

@@ -45,7 +45,8 @@ _ODOMETRY = {
     'turn_scale_sigma': 0.04,
     'turn_loss_sigma_m_per_rad': 0.1,
     'bias_change_per_sqrt_m': 0.03,
-    'slip_sigma': 0.04,
+    # As motion capture has these wheels.
+    'slip_m_per_rad': 0.005,
     # Commands come at 70 Hz with pauses of a second; meanwhile the last one holds.
     'max_gap_s': 2.0,
 }

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from landmark_nav.errors import one_line
+
 Level = Literal['ok', 'warning', 'error']
 
 _ORDER: tuple[Level, ...] = ('ok', 'warning', 'error')
@@ -39,6 +41,11 @@ class Finding:
     advice: str = ''
     values: dict[str, Any] = field(default_factory=dict)
     when_read: bool = False
+
+    def __post_init__(self) -> None:
+        """Names in messages may hold anything."""
+        object.__setattr__(self, 'measured', one_line(self.measured))
+        object.__setattr__(self, 'advice', one_line(self.advice))
 
     def line(self) -> str:
         """All of it in one line."""

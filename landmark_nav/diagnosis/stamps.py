@@ -33,6 +33,8 @@ _OUT_OF_STEP_S = 0.5
 _STEADY = 0.8
 # Jitter of stamps that matters while a camera turns at 1 rad/s.
 _SHAKEN_S = 0.01
+# A drift that stamps show beyond these; fewer messages show nothing.
+_DRIFT_SIGMAS, _LEAST_MESSAGES = 5.0, 8
 # Of a normal distribution, 90 % lie within so many standard deviations.
 _NORMAL_90 = 1.645
 # What is more often than this out of order was sent so; stamps that come twice so often are
@@ -140,13 +142,18 @@ def _jitter(stream: Stream, what: str) -> list[Finding]:
 
 def by_arrival(stream: Stream) -> Stream:
     """Stamp a stream by its times of recording where its own stamps say less than these."""
-    if len(stream) < 2 or not stream.stamps_ns.any():
+    if len(stream) < _LEAST_MESSAGES or not (stream.stamps_ns.any() and np.ptp(stream.logged)):
         return stream
     same = np.mean(np.diff(stream.stamps_ns) == 0)
     if same < _REPEATED and not _jitter(stream, ''):
         return stream
-    lag_ns = np.median(stream.stamps_ns - stream.logged_ns).astype(np.int64)
-    return replace(stream, stamps_ns=stream.logged_ns + lag_ns)
+    (drift, offset_s), covariance = np.polyfit(
+        stream.logged, stream.seconds - stream.logged, 1, cov=True
+    )
+    if abs(drift) < _DRIFT_SIGMAS * np.sqrt(covariance[0, 0]):
+        drift, offset_s = 0.0, float(np.median(stream.seconds - stream.logged))
+    late_ns = np.round(1e9 * (drift * stream.logged + offset_s)).astype(np.int64)
+    return replace(stream, stamps_ns=stream.logged_ns + late_ns)
 
 
 def _order(name: str, stream: Stream, same: int, back: int, furthest_s: float) -> Finding:

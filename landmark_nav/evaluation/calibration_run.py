@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.se2 import relative
 from landmark_nav.localization.estimator import ImagePoints, JointFilter
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.localizer import (
@@ -16,6 +18,7 @@ from landmark_nav.localization.localizer import (
     LocalizationUpdate,
     Localizer,
 )
+from landmark_nav.localization.odometry.noise import left_variance, Motion
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.storage.bags import SensorEvent
 from landmark_nav.types import (
@@ -91,7 +94,8 @@ class CalibrationDrive:
     landmark_map : LandmarkMap
         What was looked for.
     slip_bound_rad : float
-        Sigma of the mean side slip of the wheels, as learned: pan zero is known no better.
+        Sigma of the direction of travel by the learned noise of the wheels, most of it side slip
+        in turns: pan zero is known no better.
 
     """
 
@@ -211,13 +215,24 @@ def calibrate_by_drive(
     # What is exact stays.
     level[lean, lean] = np.where(prior.sigmas[lean] > 0.0, _LEVEL_RAD**2, 0.0)
     found = replace(found, covariance=found.covariance + level)
-    wheels = localizer.odometry_noise
-    steps = [m.pose_odom_base[:2] for m in measured if isinstance(m, OdometrySample)]
-    way_m = float(np.hypot(*np.diff(np.array(steps).reshape(-1, 2), axis=0).T).sum())
-    slip = wheels.slip_sigma * np.sqrt(2.0 * wheels.slip_length_m / max(way_m, 1e-3))
     return CalibrationDrive(
-        begin, found, images, lost, landmark_map, float(slip), tuple(measured), config
-    )
+        begin, found, images, lost, landmark_map, _direction_bound(measured, localizer),
+        tuple(measured), config,
+    )  # fmt: skip
+
+
+def _direction_bound(
+    measured: Sequence[OdometrySample | tuple[ImagePoints, float]], localizer: Localizer
+) -> float:
+    """Sigma of the mean direction of travel, each way weighted by how it is known, radians."""
+    samples = [m for m in measured if isinstance(m, OdometrySample)]
+    known = 0.0
+    for before, after in pairwise(samples):
+        seconds = max(1e-9 * (after.stamp_ns - before.stamp_ns), 0.0)
+        motion = Motion(relative(before.pose_odom_base, after.pose_odom_base), seconds)
+        variance = left_variance(motion, localizer.odometry_noise)
+        known += float(motion.increment[0]) ** 2 / max(variance, 1e-12)
+    return float(known**-0.5) if known else float(np.pi)
 
 
 def broken_promises(drive: CalibrationDrive, given: Calibration) -> dict[str, tuple[float, float]]:

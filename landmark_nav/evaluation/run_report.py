@@ -98,7 +98,7 @@ def run_report(
             'along_m_per_sqrt_m': run.odometry_noise.along_m_per_sqrt_m,
             'turn_rad_per_sqrt_m': run.odometry_noise.turn_rad_per_sqrt_m,
             'turn_rad_per_sqrt_rad': run.odometry_noise.turn_rad_per_sqrt_rad,
-            'slip_sigma': run.odometry_noise.slip_sigma,
+            'slip_m_per_rad': run.odometry_noise.slip_m_per_rad,
         },
         'sighting_sigma': run.detection_sigma_factor,
         'found': {

@@ -113,8 +113,9 @@ class CameraModel:
                 'image: calibrate it, or give K at the size of the image'
             )
         sides = (self.cx + 0.5) / self.fx, (self.width - 0.5 - self.cx) / self.fx
-        if self.model != 'equidistant' and max(sides) > _MOST_TANGENT:
-            wide = math.degrees(sum(map(math.atan, sides)))
+        rims = (self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy
+        if self.model != 'equidistant' and max(*sides, *rims) > _MOST_TANGENT:
+            wide = math.degrees(max(sum(map(math.atan, ends)) for ends in (sides, rims)))
             raise LandmarkNavError(
                 f'{what} is {wide:.0f} deg wide: no lens is; K is of another image or in another '
                 'unit'

@@ -55,8 +55,9 @@ class ElectionConfig(Config):
         minimum=1e-4,
         maximum=1,
     )
-    # Greatest standard deviation of how far what hangs on no wall is, as a share of that.
-    max_range_share: float = 0.05
+    # Greatest standard deviation of how far what hangs on no wall is, as a share of that, where it
+    # is more than max_sigma_m.
+    max_range_share: float = 0.0
     # Greatest share of a patch that another may cover.
     max_overlap: float = 0.4
     max_count: int = parameter(150, 'most landmarks of a map', minimum=3, maximum=5000)
@@ -162,9 +163,9 @@ def _refuse(
             return Refusal('its views contradict each other', f'misfit {misfit:.0f}')
         reach = float(np.hypot(*ray))
         toward = np.append(ray / reach, 0.0)
-        share = float(np.sqrt(toward @ own @ toward)) / reach
-        if share > config.max_range_share:
-            return Refusal('too little parallax', f'{share * 100:.0f} % sigma of its distance')
+        along = float(np.sqrt(toward @ own @ toward))
+        if along > max(config.max_sigma_m, config.max_range_share * reach):
+            return Refusal('too little parallax', f'{along * 100:.1f} cm sigma of its distance')
         across = np.eye(3) - np.outer(toward, toward)
         own = across @ own @ across
     sigma = float(np.sqrt(np.linalg.eigvalsh(own)[-1]))

@@ -126,7 +126,10 @@ def learn_from_panoramas(
         np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for p in panoramas
     ]
     with log.measure('attention'):
-        matched = [ties and ties.pixels(k, p.cylinder) for k, p in enumerate(panoramas)]
+        matched = [
+            ties.pixels(k, p.cylinder) if ties is not None else None
+            for k, p in enumerate(panoramas)
+        ]
         attended = [
             attend(p, config.attention, at) for p, at in zip(panoramas, matched, strict=True)
         ]

@@ -23,11 +23,9 @@ from landmark_nav.learning.facades import (
     FacadesConfig,
     find_facades,
     open_room,
+    placed_matches,
     room_of,
     SeenPoints,
-)
-from landmark_nav.learning.facades import (
-    located as place_matches,
 )
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
@@ -73,6 +71,9 @@ class UnmeasuredConfig(Config):
     # As in the section adjustment, where no place was measured: what the azimuths of one panorama
     # err in common, residuals do not show.
     camera_weight: float = 100.0
+    # As in the section election, where no wall was measured: what is seen in one direction gives a
+    # bearing, however far it is.
+    max_range_share: float = 0.05
     sheets: SheetsConfig = field(default_factory=SheetsConfig)
     relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
     facades: FacadesConfig = field(default_factory=FacadesConfig)
@@ -150,7 +151,7 @@ def locate(
         poses = relative_poses(features, known, lever, config.relative_pose, sheets, before)
     with log.measure('facades'):
         sigma = config.relative_pose.direction_sigma_rad
-        matched = [place_matches(poses.states, p, lever, sigma) for p in poses.pairs]
+        matched = [placed_matches(poses.states, p, lever, sigma) for p in poses.pairs]
         eyes = np.array([center(state, lever) for state in poses.states])
         joined = SeenPoints.joined([points for points, _ in matched])
         facades = find_facades(joined, config.facades)
@@ -238,7 +239,8 @@ def learn_located(
         tilt_sigma_rad=unmeasured.relative_pose.tilt_sigma_rad,
         wave_sigma_rad=located.poses.wave_sigma_rad,
     )
-    config = replace(config, adjustment=adjustment)
+    election = replace(config.election, max_range_share=unmeasured.max_range_share)
+    config = replace(config, adjustment=adjustment, election=election)
     result = learn_from_panoramas(
         located.panoramas,
         located.room,

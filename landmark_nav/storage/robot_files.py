@@ -16,7 +16,7 @@ from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.storage.config_files import flat
 from landmark_nav.storage.reading import array_field, number_field
-from landmark_nav.storage.setup_files import load_robot, robot_document
+from landmark_nav.storage.setup_files import load_robot, read_robot
 from landmark_nav.types import FloatArray
 
 T = TypeVar('T')
@@ -51,7 +51,7 @@ def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) 
     unit.
     """
     path = Path(path)
-    mount, document = load_robot(path, former), robot_document(path, former or {})
+    mount, document = load_robot(path, former), read_robot(path, former or {})
     axis = document['pan_axis']
     sigmas: dict[str, float] = {}
     values: dict[str, float] = {}
@@ -81,7 +81,7 @@ def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None
 
     Raises `LandmarkNavError`: no such field, or a value out of its range.
     """
-    given = robot_document(Path(path), former or {}).get('odometry', {})
+    given = read_robot(Path(path), former or {}).get('odometry', {})
     if not isinstance(given, Mapping):
         raise LandmarkNavError(f'{path}: odometry is {shown(given)}, not a mapping')
     try:

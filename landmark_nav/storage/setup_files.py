@@ -165,7 +165,7 @@ def _check_on_wall(paper: Paper, room: Room, where: str) -> None:
         )
 
 
-def robot_document(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
+def read_robot(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
     """Content of `robot.yaml`; what it lacks of the robot, `former` parameters may give."""
     document = read_yaml_mapping(path)
     for key, value in former.items():
@@ -183,7 +183,7 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
     Raises `LandmarkNavError`: missing or malformed fields.
     """
     path = Path(path)
-    document = robot_document(path, former or {})
+    document = read_robot(path, former or {})
     try:
         check_spelling(document, _ROBOT_FIELDS, 'robot')
         axis = field(document, 'pan_axis', 'robot')

@@ -1,9 +1,9 @@
 """
 What each mechanism is worth: learn and drive with it and without, one line a mechanism.
 
-``python test/benchmarks/ablation.py ROOMS`` takes `bags/`, the study and MR.CLAM where they are, and the
-rooms of ``landmark-nav simulate`` in the folder ROOMS, which are made there if it has none.
-A mechanism is left out by one constant, or one function, that is put in its place.
+``python test/benchmarks/ablation.py ROOMS`` takes `bags/`, the study and MR.CLAM where they
+are, and the rooms of ``landmark-nav simulate`` in the folder ROOMS, which are made there if it has
+none. A mechanism is left out by one constant, or one function, that is put in its place.
 """
 
 from __future__ import annotations

@@ -621,7 +621,11 @@ REPORTED = {
         (), _SAME, 'joint names', 'pan_joint', robot=renamed('head_pan_joint')
     ),
     'rpy of 5 degrees as radians': StreamError(
-        (), _SAME, 'camera heading', '', robot=lambda m: replace(m, axis_rpy=(0.0, 0.0, 5.0))
+        (),
+        _SAME,
+        'camera heading',
+        'radians',
+        robot=lambda m: replace(m, axis_rpy=(0.0, 0.0, 5.0)),
     ),
     'truth +30 s': StreamError(
         (TRUTH,), _always(later(30.0)), 'ground_truth clock', '(30.0|29.9)'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from functools import cache
 import os
 from pathlib import Path
@@ -25,9 +26,11 @@ from rosbags.typesys import get_typestore, Stores
 import yaml
 
 from landmark_nav.configuration import load_configuration, READS
+from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
 from landmark_nav.storage.bags.folder import read_sweep_folder
 from landmark_nav.storage.bags.topics import TOPIC_TYPES
 from landmark_nav.storage.maps import load_map, save_map
@@ -204,6 +207,12 @@ def test_bags(kind: str, data: st.DataObject, scratch: Path) -> None:
     enter(lambda: read_all(path))
 
 
+def check_bag(path: Path) -> None:
+    """What `landmark-nav check`, `learn` and `evaluate` begin with."""
+    found = diagnose(Bag(path, lambda _: None), PanTiltMount(), None, QUICK)
+    assert all(finding.line().isprintable() for finding in found.findings), found
+
+
 @FUZZ
 @given(data=st.data())
 def test_bags_of_hostile_messages(data: st.DataObject, scratch: Path) -> None:
@@ -218,3 +227,52 @@ def test_bags_of_hostile_messages(data: st.DataObject, scratch: Path) -> None:
         connection = bag.add_connection(f'/{topic}', TOPIC_TYPES[topic], typestore=store)
         bag.write(connection, 10 * corpus.SECOND_NS, data.draw(changed_bytes(raw)))
     enter(lambda: read_all(path))
+
+
+@FUZZ
+@given(data=st.data())
+def test_checks_of_hostile_drives(data: st.DataObject, scratch: Path) -> None:
+    path = scratch / 'bag'
+    shutil.rmtree(path, ignore_errors=True)
+    messages, store = dict(robot_messages()), default_typestore()
+    hostile = data.draw(st.sampled_from(BAG_TOPICS))
+    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        for topic in BAG_TOPICS:
+            kind, message = TOPIC_TYPES[topic], messages[topic]
+            connection = bag.add_connection(f'/{topic}', kind, typestore=store)
+            valid = store.serialize_cdr(message, kind)
+            for stamp in range(10 * corpus.SECOND_NS, 14 * corpus.SECOND_NS, corpus.SECOND_NS):
+                raw = valid
+                if topic == hostile and data.draw(st.booleans()):
+                    raw = store.serialize_cdr(data.draw(changed_message(kind, message)), kind)
+                bag.write(connection, stamp, raw)
+    enter(lambda: check_bag(path))
+    enter(lambda: list(sensor_events(Bag(path, lambda _: None), PanTiltMount())))
+
+
+SWEEP_TOPICS = ('sweep/image/compressed', 'sweep/camera_info', 'sweep/trajectory', 'sweep/pose')
+
+
+@FUZZ
+@given(data=st.data())
+def test_hostile_sweeps(data: st.DataObject, scratch: Path) -> None:
+    path = scratch / 'bag'
+    shutil.rmtree(path, ignore_errors=True)
+    messages, store = robot_messages(), default_typestore()
+    hostile = data.draw(st.sampled_from(SWEEP_TOPICS))
+    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        for topic in SWEEP_TOPICS:
+            kind, message = TOPIC_TYPES[topic], messages[topic]
+            connection = bag.add_connection(f'/{topic}', kind, typestore=store)
+            for k in range(12):
+                stamp = 10 * corpus.SECOND_NS + k * corpus.SECOND_NS // 10
+                if 'trajectory' in topic and k:
+                    break
+                if topic == hostile and data.draw(st.booleans()):
+                    sent = data.draw(changed_message(kind, message))
+                else:
+                    sent = deepcopy(message)
+                    sent.header.stamp.sec, sent.header.stamp.nanosec = divmod(stamp, 10**9)
+                bag.write(connection, stamp, store.serialize_cdr(sent, kind))
+    enter(lambda: check_bag(path))
+    enter(lambda: list(read_sweeps(Bag(path, lambda _: None), PanTiltMount())))

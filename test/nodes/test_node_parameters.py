@@ -119,14 +119,14 @@ def test_former_names_are_taken_or_go_to_the_robot_or_are_ignored(
     context: Context, capfd: pytest.CaptureFixture[str]
 ) -> None:
     given = {'command_type': 'JointState', 'joint_delay_s': 0.02, 'capture.pan_min_rad': -1.0}
-    given |= {'odometry.slip_sigma': 0.1, 'period_s': 0.2, 'look_around.after_s': 1.0}
+    given |= {'odometry.scale_sigma': 0.1, 'period_s': 0.2, 'look_around.after_s': 1.0}
     overrides = [Parameter(name, value=value) for name, value in given.items()]
     node = ConfiguredNode(
         Configuration(), READS['room_simulator'], context=context, parameter_overrides=overrides
     )
     assert node.config.command.type == 'JointState'
     assert node.config.look_around == Configuration().look_around
-    odometry = {'slip_sigma': 0.1}
+    odometry = {'scale_sigma': 0.1}
     assert node.robot == {'joint_delay': 0.02, 'pan_min': -1.0, 'odometry': odometry}
     reported = capfd.readouterr().err
     assert all(name in reported for name in given)

@@ -23,6 +23,7 @@ from landmark_nav.localization.odometry.noise import (
     Motion,
     OdometryNoiseConfig,
     sensed_variances,
+    slip_variance,
 )
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate
 
@@ -93,10 +94,7 @@ def simulated(
     shared = noise * learned.shared_loadings @ rng.normal(size=2)
     own = noise * map_sigma_m * rng.normal(size=shape)
     scale, drift, turn_scale = noise * wheels.bias_sigmas * rng.normal(size=3)
-    slip, floor_roll = (
-        wheels.slip_sigma * rng.normal(),
-        config.floor_tilt_sigma_rad * rng.normal(size=2),
-    )
+    slip, floor_roll = 0.0, config.floor_tilt_sigma_rad * rng.normal(size=2)
     pose = np.array([1.5, 1.0, 0.0])
     start = pose + noise * START_SIGMA * rng.normal(size=3)
     drive = Drive(learned, prior, true, PoseEstimate(0, start, np.diag(START_SIGMA**2)))
@@ -114,7 +112,7 @@ def simulated(
             kept = np.exp(-way_m / length_m)
             return kept * value + sigma * np.sqrt(1 - kept**2) * rng.normal(size=np.shape(value))
 
-        slip = walked(slip, noise * wheels.slip_sigma, wheels.slip_length_m)
+        slip = walked(slip, noise * np.sqrt(slip_variance(step, wheels)), wheels.slip_length_m)
         floor_roll = walked(
             floor_roll, noise * config.floor_tilt_sigma_rad, config.floor_tilt_length_m
         )

@@ -30,7 +30,7 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.learning.adjustment import AdjustmentConfig, CALIBRATED
+from landmark_nav.learning.adjustment import adjust, AdjustmentConfig, CALIBRATED
 from landmark_nav.learning.adjustment.problem import Problem, wall_stretches
 from landmark_nav.learning.least_squares import (
     checked_covariance,
@@ -39,6 +39,8 @@ from landmark_nav.learning.least_squares import (
     root_of,
     solve_positive,
 )
+from landmark_nav.learning.stereo.ties import Ties
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray
 
 
@@ -430,3 +432,85 @@ def test_a_valley_is_followed_down_where_whole_steps_overshoot() -> None:
     # Undamped, arctan runs off from here.
     state, cost, _ = levenberg_marquardt(flat, np.array([3.0]))
     assert abs(state[0]) < 0.1
+
+
+def test_what_hangs_on_no_wall_is_where_its_bearings_meet() -> None:
+    rng = np.random.default_rng(31)
+    errors, covariances = [], []
+    for _ in range(40):
+        # All that is known of the walls is wrong for these.
+        world = world_of(rng, 20)
+        points = world.points + 0.6 * ROOM.normals[world.walls]
+        prior = given_poses(world, rng)
+        views = panoramas_at(prior)
+        free = replace(world, points=points)
+        found = adjust(
+            measurements_of(free, rng), [-1] * 20, points + 0.05, views, places_of(views), ROOM,
+            CONFIG, ROOM.normals[world.walls],
+        )  # fmt: skip
+        errors.append(found.positions - points)
+        covariances.append(total_covariance(found))
+    mean = np.mean([nees(e, c).mean() for e, c in zip(errors, covariances, strict=True)])
+    assert 0.6 < mean / 3.0 < 1.4
+
+
+def test_ties_join_panoramas_and_are_no_landmarks() -> None:
+    rng = np.random.default_rng(32)
+    world = world_of(rng, 5)
+    prior = given_poses(world, rng)
+    views = panoramas_at(prior)
+    many = world_of(rng, 150)
+    ties = Ties(many.points, measurements_of(many, rng))
+    measurements = measurements_of(world, rng)
+    start, places = world.points, places_of(views)
+    alone = adjust(measurements, world.walls, start, views, places, ROOM, CONFIG)
+    joined = adjust(measurements, world.walls, start, views, places, ROOM, CONFIG, ties=ties)
+    assert len(joined.positions) == len(joined.own_covariance) == len(joined.chi_square) == 5
+
+    def spread(found: FloatArray) -> float:
+        return float(np.trace(found, axis1=1, axis2=2).sum())
+
+    assert spread(joined.pose_covariance) < spread(alone.pose_covariance)
+
+
+def test_sweeps_that_lean_otherwise_are_found_to() -> None:
+    rng = np.random.default_rng(33)
+    world = world_of(rng, 80, flat=True)
+    lean = np.array([[0.006, -0.004], [-0.006, 0.004]])
+    measurements = measurements_of(world, rng)
+    for group in measurements:
+        for k, seen in enumerate(group):
+            roll, pitch = lean[seen.panorama]
+            tangent, azimuth = seen.tangent, seen.azimuth_rad
+            group[k] = replace(
+                seen,
+                azimuth_rad=azimuth + tangent * (roll * np.cos(azimuth) + pitch * np.sin(azimuth)),
+                tangent=tangent
+                + (1.0 + tangent**2) * (pitch * np.cos(azimuth) - roll * np.sin(azimuth)),
+            )
+
+    def error(tilt_sigma_rad: float) -> float:
+        config = replace(CONFIG, tilt_sigma_rad=tilt_sigma_rad)
+        found = solve(world, measurements, world.poses, config)
+        return float(np.sqrt(np.mean((found.positions - world.points) ** 2)))
+
+    assert error(0.01) < 0.5 * error(0.0)
+
+
+def test_tilt_and_waves_have_the_right_slopes() -> None:
+    rng = np.random.default_rng(34)
+    world = world_of(rng, 8)
+    stretch = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    views = panoramas_at(world.poses)
+    measurements: list[list[PatchMeasurement]] = measurements_of(world, None)
+    problem = Problem(
+        measurements, world.walls, stretch, views, places_of(views), ROOM,
+        tilt_sigma_rad=0.01, wave_sigma_rad=1e-3,
+    )  # fmt: skip
+    at = problem.linearize(world.points, problem.prior)
+    for k in range(len(problem.prior) - 20, len(problem.prior)):
+        step = np.zeros(len(problem.prior))
+        step[k] = 1e-5
+        moved = problem.linearize(world.points, problem.prior + step)
+        slope = (at.seen - moved.seen) / 1e-5
+        np.testing.assert_allclose(slope, at.by_shared[..., k], atol=1e-6)

@@ -10,6 +10,7 @@ import pytest
 
 from landmark_nav.batch.jobs import read_runs, Run
 from landmark_nav.batch.results import compare
+from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError
 
 RUN = """
@@ -50,6 +51,16 @@ def test_a_grid_over_folders_shares_what_it_does_not_change(recordings: Path) ->
         assert evaluate.after == (learn.key,)
         assert f'@{learn.key}/out' in evaluate.arguments
         assert evaluate.arguments[0].endswith('drive')
+
+
+def test_parameters_of_a_grid_are_those_that_a_command_reads(recordings: Path) -> None:
+    robot, path = recordings / 'bare.yaml', recordings / 'config.yaml'
+    robot.write_text('pan_axis: {xyz: [0, 0, 1]}')
+    found = set()
+    for run in runs_of(recordings, RUN):
+        path.write_text(run.stages[-1].config)
+        found.add(load_configuration(path, robot, 'odometry_fusion').estimator.learning_sigma)
+    assert found == {0.5, 1.0}
 
 
 def test_another_content_of_a_file_is_another_stage(recordings: Path) -> None:

@@ -81,15 +81,15 @@ def test_a_file_of_the_last_release_is_taken_with_warnings(
 ) -> None:
     text = (
         'observation: {triplet: {max_range_m: 9.0, hysteresis: 0.1}}\n'
-        'estimator: {tail_freedom: 4.0}\nodometry: {along_m_per_sqrt_m: 0.5, slip_sigma: 0.5}\n'
+        'estimator: {tail_freedom: 4.0}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
     )
     robot = tmp_path / 'robot.yaml'
-    robot.write_text(ROBOT.read_text() + 'odometry: {slip_sigma: 0.25}\n')
+    robot.write_text(ROBOT.read_text() + 'odometry: {scale_sigma: 0.25}\n')
     config = load(tmp_path, text, robot=robot)
     assert config.triplet.max_range_m == 9.0
     assert config.triplet.hysteresis == PLAIN.triplet.hysteresis
     # The robot's file goes before what is moved there.
-    assert (config.odometry.along_m_per_sqrt_m, config.odometry.slip_sigma) == (0.5, 0.25)
+    assert (config.odometry.along_m_per_sqrt_m, config.odometry.scale_sigma) == (0.5, 0.25)
     for named in ('ros__parameters', 'triplet.max_range_m', 'triplet.hysteresis', 'robot.yaml'):
         assert named in caplog.text
     assert all(len(record.getMessage()) < 200 + len(str(tmp_path)) for record in caplog.records)

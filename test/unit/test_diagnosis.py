@@ -37,6 +37,7 @@ from landmark_nav.diagnosis.parts import (
     staying_values,
 )
 from landmark_nav.diagnosis.sources import two_sources
+from landmark_nav.diagnosis.stamps import by_arrival
 from landmark_nav.diagnosis.streams import Stream, unwrapped
 from landmark_nav.diagnosis.units import nearness_of_room
 from landmark_nav.errors import LandmarkNavError
@@ -389,3 +390,15 @@ def test_damaged_messages_are_counted(tmp_path: Path) -> None:
     found = diagnose(bag, load_robot(BAGS / 'robot.yaml'))
     assert 'reading' in [finding.name for finding in found.warnings]
     assert not found.errors
+
+
+@pytest.mark.parametrize('rate', [1.0, 0.5])
+def test_rounded_stamps_give_way_to_times_of_recording(rate: float) -> None:
+    logged = np.arange(0.0, 30.0, 0.2)
+    true = 100.0 + rate * logged
+    rounded = np.floor(true / 0.5) * 0.5
+    to_ns = [np.round(1e9 * times).astype(np.int64) for times in (rounded, logged)]
+    given = Stream('images', 'images', *to_ns, np.empty((len(logged), 0)))
+    mended = by_arrival(given)
+    assert np.std(mended.seconds - true) < 0.05
+    assert by_arrival(replace(given, stamps_ns=to_ns[1])).stamps_ns is to_ns[1]

@@ -164,6 +164,39 @@ def test_what_is_badly_reconstructed_is_refused(
     assert detail in outcome.detail
 
 
+@pytest.mark.parametrize(
+    ('sigma_m', 'share', 'refused'),
+    [
+        ((0.01, 0.01, 0.005), 0.0, None),
+        ((0.12, 0.01, 0.005), 0.0, 'too little parallax'),
+        ((0.12, 0.01, 0.005), 0.05, None),
+        ((0.01, 0.05, 0.005), 0.05, 'place too uncertain'),
+    ],
+)
+def test_on_a_plane_of_its_own_a_patch_needs_a_bearing_only(
+    panoramas: list[Panorama],
+    sigma_m: tuple[float, float, float],
+    share: float,
+    refused: str | None,
+) -> None:
+    patch = replace(patch_at((6.0, 2.0, 1.2)), on_wall=False)
+    # Across and along the view that it was proposed in.
+    away = patch.position - CENTERS[0]
+    turn = np.eye(3)
+    turn[:2, :2] = se2.rotation(float(np.arctan2(away[1], away[0])))
+    own = turn @ np.diag(sigma_m) ** 2 @ turn.T
+    found = perfect([patch], own_covariance=own[None], off_wall_m=np.array([0.5]))
+    (outcome,) = elect_from(
+        panoramas, [patch], found, ElectionConfig(max_range_share=share), free=found
+    )
+    if refused:
+        assert isinstance(outcome, Refusal)
+        assert outcome.reason == refused
+    else:
+        assert isinstance(outcome, Landmark)
+        assert outcome.wall_id == ''
+
+
 def test_what_all_landmarks_share_refuses_none(panoramas: list[Panorama]) -> None:
     patches = [patch_at((6.0, 2.4, 1.2))]
     shared = np.eye(3)[None] * 0.04

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.facades import FacadesConfig, find_facades, room_of, SeenPoints
+from landmark_nav.learning.facades import (
+    FacadesConfig,
+    find_facades,
+    open_room,
+    room_of,
+    SeenPoints,
+)
 from landmark_nav.types import FloatArray
 
 CONFIG = FacadesConfig()
@@ -110,3 +116,15 @@ def test_too_few_walls_are_no_room() -> None:
     facades = find_facades(seen(one), CONFIG)
     with pytest.raises(LandmarkNavError, match='make no'):
         room_of(facades, EYES, CONFIG, 'map')
+
+
+@pytest.mark.parametrize('count', [0, 1, 200])
+def test_without_facades_a_room_goes_around_what_is_seen(count: int) -> None:
+    rng = np.random.default_rng(8)
+    xyz = np.column_stack([rng.uniform(-2, 8, (count, 2)), rng.uniform(0.2, 2.2, count)])
+    room = open_room(seen(xyz), EYES, CONFIG, 'map')
+    assert room.contains(EYES[:, :2]).all()
+    around = EYES[:, :2] + np.array([[0.5, 0.0], [-0.5, 0.0]])[:, None]
+    assert room.contains(around).all()
+    assert count == 0 or np.mean(room.contains(xyz[:, :2])) > 0.8
+    assert all(wall.sigma_m for wall in room.walls)

@@ -194,7 +194,7 @@ def silent_odometry():
         floor_m_per_sqrt_s=0.0,
         floor_rad_per_sqrt_s=0.0,
         estimate_odometry_bias=False,
-        slip_sigma=0.0,
+        slip_m_per_rad=0.0,
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ import yaml
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.storage.robot_files import load_calibration, save_calibration
+from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.storage.robot_files import load_calibration, load_odometry, save_calibration
 from landmark_nav.storage.setup_files import load_robot
 
 MOUNT = PanTiltMount((0.1, 0.02, 1.2), (0.01, -0.02, 0.3), (0.03, -0.01, 0.02), 0.04, 3e-4)
@@ -47,6 +50,28 @@ def test_sigmas_are_one_number_or_one_an_axis(tmp_path: Path) -> None:
     assert [found[f'axis_{k}'][1] for k in 'xyz'] == [0.005] * 3
     assert [found[f'axis_{k}'][1] for k in ('roll', 'pitch', 'yaw')] == [0.0, 0.01, 0.02]
     assert found['joint_delay'] == (0.04, 0.0)
+
+
+def test_noise_of_the_wheels_is_of_the_robot_and_survives_its_file(tmp_path: Path) -> None:
+    plain = OdometryNoiseConfig()
+    document = {'pan_axis': {'xyz': [0, 0, 1]}, 'odometry': {'along_m_per_sqrt_m': 0.02}}
+    path = written(tmp_path, document)
+    assert load_odometry(path, plain) == replace(plain, along_m_per_sqrt_m=0.02)
+    noise = {'along_m_per_sqrt_m': 0.03, 'max_gap_s': 2}
+    save_calibration(Calibration.of_mount(MOUNT), tmp_path / 'robot.yaml', noise)
+    assert load_odometry(tmp_path / 'robot.yaml', plain).max_gap_s == 2.0
+    former = {'odometry': {'along_m_per_sqrt_m': 0.5, 'max_speed_m_s': 1.0}}
+    found = load_odometry(tmp_path / 'robot.yaml', plain, former)
+    assert (found.along_m_per_sqrt_m, found.max_speed_m_s) == (0.03, 1.0)
+
+
+@pytest.mark.parametrize(
+    'odometry', [3, {'along': 0.1}, {'max_gap_s': 'x'}, {'along_m_per_sqrt_m': -1}]
+)
+def test_noise_that_cannot_be_is_named(tmp_path: Path, odometry: Any) -> None:
+    path = written(tmp_path, {'pan_axis': {'xyz': [0, 0, 1]}, 'odometry': odometry})
+    with pytest.raises(LandmarkNavError, match=rf'{path.name}: odometry'):
+        load_odometry(path, OdometryNoiseConfig())
 
 
 def test_survives_its_file(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from landmark_nav.localization.odometry.noise import (
     Motion,
     motion_variances,
     OdometryNoiseConfig,
+    slip_variance,
     twist_motion,
 )
 from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
@@ -51,6 +52,16 @@ def test_variances_add_up_over_parts() -> None:
         motion_variances(straight, CONFIG), 4.0 * motion_variances(part, CONFIG)
     )
     assert np.all(motion_variances(Motion(np.zeros(3), 1.0), CONFIG) > 0.0)
+
+
+@given(st.floats(-1.0, -0.01), st.floats(0.01, 3.0))
+def test_wheels_slip_aside_in_turns_only(forward: float, turn: float) -> None:
+    variance = slip_variance(Motion(np.array([forward, 0.0, turn]), 1.0), CONFIG)
+    assert 0.0 <= variance <= 1.0
+    assert slip_variance(Motion(np.array([forward, 0.0, 0.0]), 1.0), CONFIG) == 0.0
+    # Steps of any length slip alike.
+    half = slip_variance(Motion(np.array([0.5 * forward, 0.0, 0.5 * turn]), 0.5), CONFIG)
+    assert half == pytest.approx(variance, abs=1e-9)
 
 
 class TestTrack:

@@ -130,7 +130,6 @@ def test_tilt_of_a_sweep_is_found() -> None:
     result = relative_poses(seen, [odometry(POSES[:2])], LEVER, CONFIG)
     assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.3
     tilted = result.states[1, 4:] - result.states[0, 4:]
-    print(tilted - tilt[1])
     assert np.abs(tilted - tilt[1]).max() < 0.004
     assert tilted @ tilt[1] > 0.5 * tilt[1] @ tilt[1]
 

@@ -200,3 +200,24 @@ class TestRefusal:
         found = select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, strict)
         assert isinstance(found, Refusal)
         assert 'accurate enough' in found.reason
+
+
+def test_a_landmark_learned_through_a_wall_is_seen_through_it_again() -> None:
+    """As through a door or a mirror; a wall that it was not seen through hides it."""
+    plain = random_map(1)
+    middle = np.array([WIDTH / 2.0, DEPTH / 2.0, 1.1])
+    beyond = replace(
+        plain.landmarks[0],
+        position=np.array([WIDTH + 1.0, DEPTH / 2.0, 1.2]),
+        normal=np.array([-1.0, 0.0, 0.0]),
+        viewpoint=middle,
+        wall_id='',
+    )
+    landmarks = replace(plain, landmarks=(beyond,))
+    near = middle + np.array([0.4, 0.2, 0.0])
+    (seen,) = landmark_visibilities(near, landmarks, CONFIG)
+    assert seen == LandmarkVisibility.USABLE
+    inside = replace(beyond, viewpoint=np.array([WIDTH + 0.1, DEPTH / 2.0, 1.1]))
+    wide = replace(CONFIG, min_sampling=0.01, max_sampling=100.0)
+    (hidden,) = landmark_visibilities(near, replace(plain, landmarks=(inside,)), wide)
+    assert hidden == LandmarkVisibility.HIDDEN

@@ -9,7 +9,12 @@ from landmark_nav.parameters import Config
 
 @dataclass(frozen=True)
 class AdjustmentConfig(Config):
-    """What is expected before there are measurements, which refine it."""
+    """
+    What is expected before there are measurements, which refine it.
+
+    Stretches of wall and robust weights were compared (docs/decisions.md, stereo, adjustment,
+    election); the others are chosen by hand, and residuals refine them.
+    """
 
     # What a panorama adds to each azimuth.
     azimuth_sigma_rad: float = 1.5e-4

@@ -255,7 +255,7 @@ class Problem:
         return np.concatenate([self._by_turns(), waves], -1)
 
     def _by_turns(self) -> FloatArray:
-        """Derivatives (k, 2, 2) of azimuths and tangents by small turns about x and y of the base."""
+        """Derivatives (k, 2, 2) of azimuths and tangents by turns about x and y of the base."""
         azimuth, tangent = self._seen.T
         cos, sin, square = np.cos(azimuth), np.sin(azimuth), 1.0 + tangent**2
         by_azimuth = np.stack([tangent * cos, tangent * sin], 1)

@@ -88,10 +88,14 @@ def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame
     least = float(np.hypot(*(eyes[:, :2] - middle).T).max()) + _OPEN_M
     ends = 2.0 * np.pi * np.arange(_OPEN_WALLS) / _OPEN_WALLS
     toward = np.stack([np.cos(ends), np.sin(ends)], 1)
-    # A corner is as far out as the outermost that is seen about its direction.
-    reach = np.where(seen @ toward.T > 0.8 * np.hypot(*seen.T)[:, None], seen @ toward.T, 0.0)
-    far = np.maximum(np.quantile(reach, _OPEN_SHARE, axis=0), least) + _BEYOND_M
-    corners = [(middle + f * t, -1) for f, t in zip(far, toward, strict=True)]
+    reach = np.hypot(*seen.T)
+    corners = []
+    for direction in toward:
+        # A corner is as far out as the outermost that is seen about its direction.
+        about = seen @ direction >= np.cos(2.0 * np.pi / _OPEN_WALLS) * reach
+        far = np.quantile(reach[about], _OPEN_SHARE) if about.any() else 0.0
+        far = max(float(far), least) / np.cos(np.pi / _OPEN_WALLS) + _BEYOND_M
+        corners.append((middle + far * direction, -1))
     return _closed(corners, config.wall_height_m, config, frame_id)
 
 

@@ -64,10 +64,10 @@ def seen_points(
         Standard deviation of a direction.
 
     """
-    return SeenPoints.joined([located(states, p, lever, sigma_rad)[0] for p in pairs])
+    return SeenPoints.joined([placed_matches(states, p, lever, sigma_rad)[0] for p in pairs])
 
 
-def located(
+def placed_matches(
     states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
 ) -> tuple[SeenPoints, RayPairs]:
     """Points of matches between two views, arguments as above; matches that have a depth."""

@@ -32,7 +32,11 @@ _LEAST_FOR_MEDIAN = 3
 
 @dataclass(frozen=True)
 class PanoramaConfig(Config):
-    """How frames become a panorama."""
+    """
+    How frames become a panorama.
+
+    Kinds of `blend` were compared (docs/decisions.md, sweeps and panoramas).
+    """
 
     # Mean weighs frames alike (the paper), feather takes the frames that look straight at a place
     # (sharp), median the middle of all; fewer than three frames are feathered.

@@ -112,7 +112,6 @@ def relative_poses(
     before : RelativePoses, optional
         What was found of the same sweeps with other panoramas, which were then levelled by it.
     """
-    count = len(features)
     if before is None:
         start, pairs = _found(features, known, lever, config, sheets)
     else:

@@ -9,7 +9,12 @@ from landmark_nav.parameters import Config, parameter
 
 @dataclass(frozen=True)
 class StereoConfig(Config):
-    """What counts as the same patch seen from two places."""
+    """
+    What counts as the same patch seen from two places.
+
+    With `max_displaced_px` none of 1,343 landmarks was false in rooms 31 to 36 and 45 to 49, 6 of
+    1,346 without. Resolution, blur: docs/decisions.md. The others are chosen by hand.
+    """
 
     # Least normalized cross-correlation between two views.
     min_score: float = 0.75

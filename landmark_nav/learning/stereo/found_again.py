@@ -69,8 +69,11 @@ def find_again(
     for i, panorama in enumerate(panoramas):
         features = None if ties is None else depths_of(ties.seen_by(i), panorama)
         for n, candidate in enumerate(candidates[i]):
-            again = _on_wall(candidate, i, panoramas, greys, room, config)
-            if isinstance(again, Refusal) or is_off_wall(*again, panoramas, config):
+            behind = hypothesize(candidate, i, panorama, room, config)
+            again = _on_wall(behind, panoramas, greys, room, config)
+            # Where walls were measured, their corners are no planes.
+            flat = ties is not None or isinstance(behind, WallPatch)
+            if flat and (isinstance(again, Refusal) or is_off_wall(*again, panoramas, config)):
                 own = match_freely(candidate, i, panoramas, greys, config, features)
                 again = again if isinstance(own, Refusal) else own
             if isinstance(again, Refusal):
@@ -79,8 +82,8 @@ def find_again(
             patch, measurements = again
             if not patch.on_wall:
                 azimuth = float(panorama.cylinder.azimuth_rad(candidate.column))
-                _, behind = room.raycast(panorama.center_map[:2], azimuth + panorama.heading_rad)
-                patch = replace(patch, wall=int(behind))
+                _, wall = room.raycast(panorama.center_map[:2], azimuth + panorama.heading_rad)
+                patch = replace(patch, wall=int(wall))
             found.outcomes[i].append(Refusal('not elected'))
             found.patches.append(patch)
             found.measurements.append(measurements)
@@ -89,20 +92,18 @@ def find_again(
 
 
 def _on_wall(
-    candidate: Candidate,
-    source: int,
+    patch: WallPatch | Refusal,
     panoramas: Sequence[Panorama],
     greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
 ) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
     """Find a candidate on the wall behind it."""
-    patch = hypothesize(candidate, source, panoramas[source], room, config)
     if isinstance(patch, Refusal):
         return patch
-    others = [j for j in range(len(panoramas)) if j != source]
+    others = [j for j in range(len(panoramas)) if j != patch.source]
     matches = [match_in(patch, j, panoramas, greys, room, config) for j in others]
     seen = [match for match in matches if isinstance(match, PatchMeasurement)]
     if not seen:
         return next(match for match in matches if isinstance(match, Refusal))
-    return patch, [own_measurement(patch, panoramas[source]), *seen]
+    return patch, [own_measurement(patch, panoramas[patch.source]), *seen]

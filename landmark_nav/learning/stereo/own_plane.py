@@ -263,7 +263,7 @@ def _turned(
     here, there = panoramas[source], panoramas[other]
     distance, near_m, _ = at
     best: tuple[float, float, float, WallPatch] | None = None
-    turns = _TURNS
+    turns: tuple[float, ...] = _TURNS
     for finer in (*_FINER, None):
         for turn in turns:
             patch = _patch(candidate, source, distance, turn, here, there)
@@ -313,7 +313,7 @@ def _near(
     point = there.center_map + ray * _normal_reach(patch, there) / float(-ray @ patch.normal)
     nearer, sigma = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
     missed = abs(nearer - np.log(_normal_reach(patch, here) / _normal_reach(patch, there)))
-    if np.isfinite(sigma) and missed > _MAX_SIZE + _SIZE_SIGMAS * sigma:
+    if missed > _MAX_SIZE + _SIZE_SIGMAS * sigma:
         return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
     return found
 

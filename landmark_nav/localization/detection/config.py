@@ -9,7 +9,12 @@ from landmark_nav.parameters import Config
 
 @dataclass(frozen=True)
 class DetectionConfig(Config):
-    """How landmarks are searched and what counts as found."""
+    """
+    How landmarks are searched and what counts as found.
+
+    `target_count` and `appearance` were compared (docs/decisions.md, detection); the others are
+    chosen by hand.
+    """
 
     # Least width and height of a template, pixels.
     min_size_px: int = 14

@@ -9,7 +9,11 @@ from landmark_nav.parameters import Config, parameter
 
 @dataclass(frozen=True)
 class EstimatorConfig(Config):
-    """What varies by how much; the odometry's noise is in `OdometryNoiseConfig`."""
+    """
+    What varies by how much; the odometry's noise is in `OdometryNoiseConfig`.
+
+    What was chosen on which drives: docs/estimator.md, measured. The others are chosen by hand.
+    """
 
     floor_tilt_sigma_rad: float = parameter(
         0.001,

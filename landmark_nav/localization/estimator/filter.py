@@ -55,6 +55,7 @@ from landmark_nav.localization.odometry.noise import (
     Motion,
     OdometryNoiseConfig,
     sensed_variances,
+    slip_variance,
 )
 from landmark_nav.types import Expectation, FloatArray, LandmarkMap, PoseEstimate
 
@@ -184,7 +185,7 @@ class JointFilter:
         variances[FLOOR_TILT:SCALE] = floor_tilt**2
         variances[SCALE:SLIP] = wheels.bias_sigmas**2
         variances[SLIP], variances[TURN_LOSS] = (
-            wheels.slip_sigma**2,
+            wheels.slip_m_per_rad**2,
             wheels.turn_loss_sigma_m_per_rad**2,
         )
         mean, covariance = np.zeros(self._fixed), np.diag(variances)
@@ -197,7 +198,7 @@ class JointFilter:
             covariance[CALIBRATION:STATES, STATES:] = shared
             covariance[STATES:, CALIBRATION:STATES] = shared.T
         by_noise = np.zeros((NOISES, STATES, STATES))
-        by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_sigma**2
+        by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_m_per_rad**2
         by_noise[FLOOR, [FLOOR_TILT, FLOOR_TILT + 1], [FLOOR_TILT, FLOOR_TILT + 1]] = floor_tilt**2
         none = np.empty(0, dtype=np.intp)
         scales = NoiseScales.unknown(self._config.learning_sigma)
@@ -354,7 +355,7 @@ class JointFilter:
         sensed = factors[:SLIP_NOISE, None] * sensed_variances(motion, wheels)
         added[:SLIP_NOISE, :3, :3] = (by_motion * sensed[:, None]) @ by_motion.T
         added[SLIP_NOISE, SLIP, SLIP] = (
-            factors[SLIP_NOISE] * wheels.slip_sigma**2 * (1.0 - slips**2)
+            factors[SLIP_NOISE] * slip_variance(motion, wheels) * (1.0 - slips**2)
         )
         floor = factors[FLOOR] * config.floor_tilt_sigma_rad**2 * (1.0 - floor_tilts**2)
         added[FLOOR, [FLOOR_TILT, FLOOR_TILT + 1], [FLOOR_TILT, FLOOR_TILT + 1]] = floor

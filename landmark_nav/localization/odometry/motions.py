@@ -12,6 +12,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.se2 import compose, compose_jacobians, rotation
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
+    left_variance,
     motion_variances,
     OdometryNoiseConfig,
 )
@@ -77,11 +78,10 @@ def _between(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Increment (3,), its derivative by the biases (3, 4) and its covariance (3, 3)."""
     poses, steps, variances = [np.zeros(3)], [], []
-    slip = 2.0 * config.slip_length_m * config.slip_sigma**2
     for begin, end in pairwise(times_ns.tolist()):
         motion = track.motion(begin, end)
         variance = motion_variances(motion, config)
-        variance[1] += slip * abs(float(motion.increment[0]))
+        variance[1] = left_variance(motion, config)
         steps.append(motion.increment)
         variances.append(variance)
         poses.append(compose(poses[-1], motion.increment))

@@ -9,7 +9,11 @@ from landmark_nav.parameters import Config, parameter
 
 @dataclass(frozen=True)
 class RelocalizationConfig(Config):
-    """How the pose is found without a prior, and when it is accepted."""
+    """
+    How the pose is found without a prior, and when it is accepted.
+
+    Chosen by hand; what was compared: docs/decisions.md, localization.
+    """
 
     when_lost: bool = parameter(
         True, 'look for the place without being asked, when it is not known any more'

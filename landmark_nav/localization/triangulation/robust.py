@@ -36,7 +36,11 @@ _DANGER_MARGIN = 0.075
 
 @dataclass(frozen=True)
 class TriangulationConfig(Config):
-    """When a fix is accepted."""
+    """
+    When a fix is accepted.
+
+    Chosen by hand: a fix is for people and for starts, the estimator does without.
+    """
 
     # Chi-square level up to which bearings count as meeting.
     fit_probability: float = 0.999

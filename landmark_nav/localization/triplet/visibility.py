@@ -18,14 +18,18 @@ from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 @dataclass(frozen=True)
 class TripletConfig(Config):
-    """Which landmarks count as visible, and how a triplet is rated."""
+    """
+    Which landmarks count as visible, and how a triplet is rated.
+
+    Kinds of choice were compared (docs/decisions.md, where to look); numbers are chosen by hand.
+    """
 
     # Expected measurement sigma of a bearing, rad.
     bearing_sigma_rad: float = 4e-4
     # Least sampling of a patch relative to its reference view.
     min_sampling: float = 0.5
-    # Livatino and Madsen allow 2; an image that is blurred as the patch is shows it from nearer.
-    # Greatest sampling relative to the reference view.
+    # Greatest sampling relative to the reference view: Livatino and Madsen allow 2; an image that
+    # is blurred as the patch is shows it from nearer.
     max_sampling: float = 4.0
     # Least distance, m.
     min_range_m: float = 0.5

@@ -1,0 +1,66 @@
+"""Learning and localization in a room that no simulator of ours drew."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from landmark_nav.cli.main import main
+
+MOUNT = 'xyz: [0.08, 0.0, 1.1]\n  rpy: [0.0, 0.0, 0.0]'
+
+
+@pytest.fixture(scope='module')
+def study(shared_data: Path) -> Path:
+    return shared_data / 'study'
+
+
+@pytest.fixture(scope='module')
+def learned(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp('study') / 'map'
+    setup = ['--room', str(study / 'room.yaml'), '--robot', str(study / 'robot.yaml')]
+    assert main(['learn', str(study / 'learn'), *setup, '--out', str(out)]) == 0
+    return out
+
+
+def driven(study: Path, learned: Path, folder: Path, mount: str, more: str = '') -> Any:
+    """Figures of the drive with another mount in robot.yaml."""
+    given = (study / 'robot.yaml').read_text()
+    assert MOUNT in given
+    robot, figures = folder / 'robot.yaml', folder / 'evaluate.json'
+    robot.write_text(given.replace(MOUNT, mount) + more)
+    start = json.loads((study / 'start.json').read_text())['pose']
+    arguments = ['evaluate', str(study / 'drive'), '--map', str(learned), '--robot', str(robot)]
+    arguments += ['--start', *map(str, start), '--json', str(figures)]
+    assert main(arguments) == 0
+    report = json.loads(figures.read_text())
+    assert report['frames'] == 184
+    assert report['availability'] >= 0.95
+    assert report['integrity']['undetected_wrong'] == 0
+    return report
+
+
+def test_a_mount_that_is_known(study: Path, learned: Path, tmp_path: Path) -> None:
+    exact = f'{MOUNT}\n  xyz_sigma: 0.0001\n  rpy_sigma: 0.0001'
+    others = 'optical_center_offset_sigma: 0.0001\ncamera_roll_sigma: 0.0001\n'
+    report = driven(study, learned, tmp_path, exact, others)
+    assert report['fused']['position_rmse_m'] <= 0.01
+    assert report['fused']['heading_rmse_deg'] <= 0.15
+
+
+@pytest.mark.parametrize('off_rad', [0.0, 0.0122])
+def test_a_drive_shows_the_pan_zero_of_a_mount_without_sigmas(
+    study: Path, learned: Path, tmp_path: Path, off_rad: float
+) -> None:
+    # Reached: 0.15 and 0.14 degrees over all of the drive, the first images included.
+    mount = MOUNT.replace('rpy: [0.0, 0.0, 0.0]', f'rpy: [0.0, 0.0, {off_rad}]')
+    report = driven(study, learned, tmp_path, mount)
+    assert report['fused']['heading_rmse_deg'] <= 0.2
+    assert report['fused']['position_rmse_m'] <= 0.015
+    yaw = report['calibration']['axis_yaw']
+    assert yaw['observed']
+    assert abs(yaw['value']) <= 3.0 * yaw['sigma'] <= np.radians(0.6)
