@@ -26,8 +26,6 @@ from landmark_nav.storage.config_files import read_parameters
 from landmark_nav.storage.robot_files import load_odometry
 from landmark_nav.storage.setup_files import load_robot
 
-__all__ = ['READS', 'Configuration', 'PanCommandConfig', 'load_configuration', 'with_robot']
-
 _LOG = logging.getLogger(__name__)
 
 _WHERE = ': docs/reference/parameters.md lists all'
@@ -116,6 +114,9 @@ def load_configuration(
     """
     Read parameters as nodes do; what the file does not name keeps its default.
 
+    Raises `LandmarkNavError`: no YAML, a parameter that does not exist, or a value that it may not
+    take.
+
     Parameters
     ----------
     path : path-like, optional
@@ -124,12 +125,6 @@ def load_configuration(
         `robot.yaml`, for the noise of the wheels and the pan unit.
     *nodes : str
         Whose parameters count.
-
-    Raises
-    ------
-    LandmarkNavError
-        No YAML, a parameter that does not exist, or a value that it may not take.
-
     """
     config = replace(Configuration(), robot_file=str(robot_file))
     if path:
@@ -151,11 +146,7 @@ def with_robot(config: Configuration) -> Configuration:
     """
     Return it with what its robot file says of pan unit and wheels.
 
-    Raises
-    ------
-    LandmarkNavError
-        The file can not be read, or says what can not be.
-
+    Raises `LandmarkNavError`: the file can not be read, or says what can not be.
     """
     path, former = config.robot_file, config.former_robot
     mount = load_robot(path, former)

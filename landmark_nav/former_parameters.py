@@ -12,8 +12,6 @@ from typing import Any
 
 from landmark_nav.parameters import resembling
 
-__all__ = ['Settled', 'settled']
-
 # Name -> that of now.
 _RENAMED = {'command_type': 'command.type'}
 # Name -> key of `robot.yaml`. Those of the section odometry are in its section there.

@@ -17,17 +17,6 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError, shown
 
-__all__ = [
-    'OF_ROBOT',
-    'Config',
-    'changed',
-    'leaves',
-    'parameter',
-    'resembling',
-    'unit_hint',
-    'unit_of',
-]
-
 T = TypeVar('T')
 
 # Metadata of a field whose dataclass `robot.yaml` gives: it holds no parameters.
@@ -81,11 +70,8 @@ class Config:
         """
         Check every field.
 
-        Raises
-        ------
-        LandmarkNavError
-            A value is not a number, outside its range, or none of its choices.
-
+        Raises `LandmarkNavError`: a value is not a number, outside its range, or none of its
+        choices.
         """
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
@@ -123,11 +109,7 @@ def changed(config: T, values: Mapping[str, Any]) -> T:
     """
     Return a copy with other values of parameters, by their names.
 
-    Raises
-    ------
-    LandmarkNavError
-        No such parameter, or a value that it may not take.
-
+    Raises `LandmarkNavError`: no such parameter, or a value that it may not take.
     """
     known = {name: value for name, _, value in leaves(config)}
     changes: dict[str, Any] = {}

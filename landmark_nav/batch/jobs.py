@@ -13,8 +13,6 @@ from typing import Any
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.storage.reading import check_spelling, list_field, name_field, read_yaml_mapping
 
-__all__ = ['COMMANDS', 'Run', 'Stage', 'read_runs']
-
 # Commands in the order of a run, and what each reads of those before, if the file names nothing:
 # option -> (command, place in its folder), the nearest first.
 COMMANDS: dict[str, dict[str, tuple[tuple[str, str], ...]]] = {
@@ -84,18 +82,14 @@ def read_runs(path: Path, version: str) -> list[Run]:
     """
     Read a file of runs.
 
+    Raises `LandmarkNavError`: the file does not say what to run.
+
     Parameters
     ----------
     path : Path
         YAML with `runs`, a list of mappings (docs/batch.md), and `grid`.
     version : str
         Of the package: results of another one are not taken.
-
-    Raises
-    ------
-    LandmarkNavError
-        The file does not say what to run.
-
     """
     document = read_yaml_mapping(path)
     check_spelling(document, ('runs', 'grid'), str(path))

@@ -33,8 +33,6 @@ from landmark_nav.types import (
     PoseEstimate,
 )
 
-__all__ = ['localization_comparisons']
-
 _BEARING_SIGMA_RAD = 1e-3
 # A second of a drive: the triplet is chosen twice in it.
 _UPDATES = 15

@@ -38,8 +38,6 @@ from landmark_nav.storage.robot_files import load_calibration, save_calibration
 from landmark_nav.storage.setup_files import load_room, read_robot
 from landmark_nav.types import LandmarkMap, Panorama
 
-__all__ = ['add_arguments', 'run']
-
 _LOG = logging.getLogger(__name__)
 
 # Fewer panoramas make no map.

@@ -29,8 +29,6 @@ from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
 from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.types import OdometrySample
 
-__all__ = ['add_arguments', 'run']
-
 # Odometry is the velocity that was commanded. Turns that the log has for 0.04 to 0.4 s last for
 # 0.21 s each, long ones nearly as they should; bases that are to drive and to turn at once drive
 # slower, by 0.05 to 0.1 m a radian. Found by trial on robots 1 to 3 of set 6, so that NEES is 3 in

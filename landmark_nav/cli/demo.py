@@ -32,8 +32,6 @@ from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame, Panorama
 
-__all__ = ['add_arguments', 'run']
-
 # What a demo leaves, or left once; a folder with other things in it is not touched.
 _OWN = (
     *('room.yaml', 'robot.yaml', 'logs', 'map', 'sweeps', 'recording', 'demo.json'),

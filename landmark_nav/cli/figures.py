@@ -41,8 +41,6 @@ from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, Sweep
 
-__all__ = ['add_arguments', 'run']
-
 _NAMES = {
     3: 'figure_3_panoramas.png',
     4: 'figure_4_attention.png',

@@ -60,11 +60,7 @@ class FiguresWorld:
         """
         Furnish a room, `room` if it is given.
 
-        Raises
-        ------
-        LandmarkNavError
-            No two places there see all papers.
-
+        Raises `LandmarkNavError`: no two places there see all papers.
         """
         scene = generate_scene(seed, room)
         places = choose_sweep_places(scene)

@@ -54,11 +54,7 @@ def check_scale(bag: Bag, sheets: SheetsConfig) -> None:
     """
     Check that something gives the scale of a map that is learned without a plan.
 
-    Raises
-    ------
-    LandmarkNavError
-        Nothing does.
-
+    Raises `LandmarkNavError`: nothing does.
     """
     posed = bag.find('sweep/pose') or bag.find('odom')
     if not (posed or sheets.has_papers or sheets.has_markers):
@@ -74,11 +70,8 @@ def known_places(
     """
     Poses of sweeps by each source of a bag that has them, as of `sweep_places.known_places`.
 
-    Raises
-    ------
-    LandmarkNavError
-        One does not say where each was taken, or the robot moved in one of them.
-
+    Raises `LandmarkNavError`: one does not say where each was taken, or the robot moved in one of
+    them.
     """
     spans = [(sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns) for sweep in sweeps]
     given = [sweep.pose_map_base for sweep in sweeps]

@@ -6,8 +6,6 @@ import argparse
 from collections.abc import Callable
 from math import inf
 
-__all__ = ['within']
-
 
 def within(
     kind: type[int] | type[float], least: float, most: float = inf

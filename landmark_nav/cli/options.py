@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import re
 
-__all__ = ['add_config', 'add_namespace', 'add_overwrite']
-
 
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
     """Declare ``--overwrite``: without it, what ``--out`` names is not replaced."""

@@ -28,8 +28,6 @@ from landmark_nav.storage.bags import read_sweep_folder, read_sweeps
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import Sweep
 
-__all__ = ['add_arguments', 'run']
-
 _LOG = logging.getLogger(__name__)
 
 # Share of the turn that a crop may leave out unmentioned: the rims of a partial one.

@@ -20,8 +20,6 @@ from landmark_nav.planning.prediction import CAP_M
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.setup_files import load_robot, load_room
 
-__all__ = ['add_arguments', 'run']
-
 _SCHEMA = 1
 
 

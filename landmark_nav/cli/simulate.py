@@ -45,8 +45,6 @@ from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
-__all__ = ['add_arguments', 'run']
-
 _FILES = ('start.json', 'room.yaml', 'robot.yaml', 'scene.json', 'learn', 'drive')
 
 _LEARN_START_NS = 1_000_000_000_000

@@ -19,8 +19,6 @@ from landmark_nav.errors import UsageError
 from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.setup_files import load_room
 
-__all__ = ['add_arguments', 'run']
-
 _POLL_S = 0.1
 
 

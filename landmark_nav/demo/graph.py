@@ -10,8 +10,6 @@ import sys
 
 from landmark_nav.storage.config_files import shipped_config
 
-__all__ = ['node_command', 'node_commands', 'node_environment']
-
 _ALL = 'all_nodes'
 
 

@@ -19,8 +19,6 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import Detections, PoseEstimate, Refusal
 
-__all__ = ['RECORDED_TOPICS', 'SWEEP_TOPICS', 'recorded_run']
-
 RECORDED_TOPICS = (
     'camera/image_raw/compressed',
     'camera/camera_info',
@@ -62,11 +60,7 @@ def recorded_run(bag: Bag) -> Replay:
     The fused pose at an image is the one that was published around its stamp: before anything
     of that image could have gone into it.
 
-    Raises
-    ------
-    LandmarkNavError
-        Topics are missing, or nothing was fused.
-
+    Raises `LandmarkNavError`: topics are missing, or nothing was fused.
     """
     images = _read(bag, 'camera/image_raw/compressed', lambda m: decode.stamp_ns(m.header))
     fused = {e.stamp_ns: e for e in _read(bag, 'odometry/fused', decode.pose_estimate)}

@@ -17,8 +17,6 @@ from landmark_nav.evaluation.run_report import (
 )
 from landmark_nav.types import LandmarkMap
 
-__all__ = ['Check', 'figures', 'judge']
-
 _MIN_LANDMARKS = 20
 _MIN_WALLS = 3
 _MAX_RMSE_M = 0.03

@@ -13,15 +13,6 @@ from landmark_nav.diagnosis.motion import Estimate, Linear, Motion
 from landmark_nav.diagnosis.units import nearness_of_room, unit_of
 from landmark_nav.geometry.walls import Room
 
-__all__ = [
-    'CORRECTED_S',
-    'HEADING_ERROR_RAD',
-    'camera_finding',
-    'cause_findings',
-    'clock_finding',
-    'motion_findings',
-]
-
 # Delays up to this are corrected: over it, what joints did is not known well enough.
 CORRECTED_S = 0.3
 # Scales that are off by more cannot be localized with.

@@ -27,16 +27,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-__all__ = [
-    'CameraError',
-    'CameraSetup',
-    'Corners',
-    'Matches',
-    'camera_error',
-    'corners',
-    'matched',
-]
-
 # Corners are looked for in images of this width, and so many.
 _WIDTH, _MOST_CORNERS = 320, 400
 # Matches farther from the homography of most, pixels, are mistaken or very near.

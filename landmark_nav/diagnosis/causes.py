@@ -27,8 +27,6 @@ from landmark_nav.diagnosis.motion import (
     Track,
 )
 
-__all__ = ['IMAGES', 'JOINTS', 'MOUNT', 'ODOMETRY', 'Cause', 'Verdict', 'late_odometry', 'verdict']
-
 # Likelihoods this near are alike, and this far above none a fault is one.
 _ALIKE, _CERTAIN = 5.0, 12.0
 # Scales that are tried: reversed, geared, degrees, ticks, none.

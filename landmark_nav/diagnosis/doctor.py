@@ -13,8 +13,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.bags import Bag
 
-__all__ = ['QUICK', 'diagnose']
-
 # So many images are decoded at the start of `learn` and `evaluate`.
 QUICK = 60
 _IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
@@ -27,22 +25,16 @@ def diagnose(
     """
     Check the streams of a bag of a drive, or of sweeps.
 
+    Raises `LandmarkNavError`: the bag cannot be read at all.
+
     Parameters
     ----------
-    bag : Bag
-        What was recorded.
     mount : PanTiltMount
         Names of the joints, and where the camera sits.
     room : Room, optional
         Its size shows the unit of the odometry better.
     most_images : int
         So many images are decoded at most; more, where these show a fault.
-
-    Raises
-    ------
-    LandmarkNavError
-        The bag cannot be read at all.
-
     """
     # Whoever reads it then says what cannot be used.
     described: dict[str, None] = {}

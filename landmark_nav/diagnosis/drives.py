@@ -50,8 +50,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 
-__all__ = ['THOROUGH', 'DriveChecks']
-
 # So many images are decoded where fewer show a fault.
 THOROUGH = 600
 # Fewer pairs of images show no motion.

@@ -27,8 +27,6 @@ from landmark_nav.storage.bags import Bag, BagMessage
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import JointSample
 
-__all__ = ['Looks', 'camera_error_of', 'look']
-
 # Images are compared in runs of so many, spread over the recording.
 _RUN = 12
 # Pairs of images in which points are tracked.
@@ -90,8 +88,6 @@ def look(
 
     Parameters
     ----------
-    bag : Bag
-        Where they are.
     topic : str
         Their topic in the bag.
     infos : tuple of str
@@ -100,7 +96,6 @@ def look(
         How the camera is mounted; with a lens, that one is taken, and no points are tracked.
     most_images : int
         So many are decoded at most.
-
     """
     chosen = _chosen(bag.counts[topic], most_images)
     stamps: list[int] = []

@@ -13,17 +13,6 @@ from landmark_nav.diagnosis.looks import Looks
 from landmark_nav.diagnosis.motion import fit, Motion, NOISE_RAD, Track
 from landmark_nav.diagnosis.streams import Stream
 
-__all__ = [
-    'blank_images',
-    'coarse_values',
-    'held_values',
-    'jumping_values',
-    'limited_values',
-    'repeated_images',
-    'staying_values',
-    'strange_images',
-]
-
 # Texture of a strip per pixel, where evened contrast is 1: less is a wall, much less is nothing.
 _BLANK = 0.02
 # A share of the images that is worth a word.

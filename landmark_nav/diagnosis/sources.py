@@ -10,8 +10,6 @@ import numpy.typing as npt
 from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.streams import Stream
 
-__all__ = ['Source', 'two_sources']
-
 # No robot and no joint is faster, and none measures better.
 _FASTEST_RAD_S, _FASTEST_M_S = 6.0, 5.0
 _TOLERANCE_RAD, _TOLERANCE_M = 0.06, 0.05

@@ -12,16 +12,6 @@ from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Clock
 from landmark_nav.diagnosis.streams import Stream
 
-__all__ = [
-    'LogClock',
-    'by_arrival',
-    'check_stamps',
-    'clock_hints',
-    'in_step',
-    'log_clock',
-    'longest_part',
-]
-
 
 class _Need(NamedTuple):
     """Least rate, Hz, and longest gap, s, that localization takes without loss."""

@@ -23,8 +23,6 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.reader import naming
 
-__all__ = ['SweepChecks']
-
 # Fewer pairs of images show no motion.
 _LEAST_PAIRS = 12
 # Scale of focal length or pan that calibration finds in a sweep; angles of as many radians.

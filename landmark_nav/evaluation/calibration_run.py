@@ -146,17 +146,15 @@ def calibrate_by_drive(
     """
     Estimate the calibration over a drive.
 
+    Raises `LandmarkNavError`: no image or odometry, no pose found, or a drive that does not fit
+    the map.
+
     Parameters
     ----------
     events : iterable of SensorEvent
         What was sensed; ground truth is not used.
     start : PoseEstimate, optional
         Pose at the start; without it the robot finds its own pose.
-
-    Raises
-    ------
-    LandmarkNavError
-        No image or odometry, no pose found, or a drive that does not fit the map.
     """
     localizer = Localizer(landmark_map, prior, config)
     measured: list[OdometrySample | tuple[ImagePoints, float]] = []

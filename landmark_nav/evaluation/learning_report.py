@@ -17,8 +17,6 @@ from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import Landmark, Panorama, Refusal
 
-__all__ = ['learning_report', 'quality_report']
-
 SCHEMA = 1
 
 
@@ -43,11 +41,6 @@ def learning_report(
         How many frames each sweep had.
     truth : PoseTrack
         Ground truth of ``base_link``, for the errors alone; may be empty.
-    log : StageLog
-        Times and memory.
-    seconds : float
-        Of all, reading included.
-
     """
     outcomes = [outcome for group in result.outcomes for outcome in group]
     refused = Counter(o.reason for o in outcomes if isinstance(o, Refusal))

@@ -224,11 +224,7 @@ def align(poses: FloatArray, truth: FloatArray, scaled: bool) -> Alignment:
     """
     Align poses (n, 3) with the truth (n, 3), by their positions.
 
-    Raises
-    ------
-    LandmarkNavError
-        Too few of both, or all in one place.
-
+    Raises `LandmarkNavError`: too few of both, or all in one place.
     """
     known = np.isfinite(poses).all(1) & np.isfinite(truth).all(1)
     own, true = poses[known, :2], truth[known, :2]

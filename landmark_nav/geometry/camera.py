@@ -20,9 +20,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, rot_y, rot_z, rotation_rpy
 
-__all__ = ['MAX_PX_PER_RAD', 'CameraModel', 'PanTiltMount']
-
-
 # How many distortion coefficients each ROS distortion model carries. OpenCV distinguishes its
 # polynomials apart by that number alone: drivers write all of them under the names of the first
 # two.
@@ -56,6 +53,9 @@ class CameraModel:
     """
     A calibrated camera.
 
+    Raises `LandmarkNavError`: unknown model, wrong number of coefficients, values that are not a
+    camera, or a lens that folds back within most of the image.
+
     Parameters
     ----------
     width, height : int
@@ -68,13 +68,6 @@ class CameraModel:
         Coefficients in the order of ROS and OpenCV (with those of thin prisms); empty means none.
     full_size : (int, int), optional
         Width and height of the image that this one was reduced from.
-
-    Raises
-    ------
-    LandmarkNavError
-        Unknown model, wrong number of coefficients, values that are not a camera, or a lens that
-        folds back within most of the image.
-
     """
 
     width: int
@@ -402,6 +395,8 @@ class PanTiltMount:
     """
     Where the turning camera sits on the robot.
 
+    Raises `LandmarkNavError`: the least pan is not less than the largest.
+
     Parameters
     ----------
     axis_xyz : tuple of float
@@ -419,12 +414,6 @@ class PanTiltMount:
         Limits of the pan joint.
     pan_rate_rad_s, pan_acceleration_rad_s2 : float
         How fast it turns, by which moves are timed and views are chosen.
-
-    Raises
-    ------
-    LandmarkNavError
-        The least pan is not less than the largest.
-
     """
 
     axis_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)

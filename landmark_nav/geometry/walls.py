@@ -12,9 +12,6 @@ import numpy.typing as npt
 from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['Paper', 'Room', 'Wall']
-
-
 # A point on a wall is seen past that wall: what hangs on it may be so far off, and the wall by so
 # many of its standard deviations.
 _SLACK_M, _SLACK_SIGMAS = 0.08, 3.0
@@ -66,11 +63,8 @@ class Room:
     """
     Walls and reference papers in the map frame.
 
-    Raises
-    ------
-    LandmarkNavError
-        No walls, a wall without length, an open outline or walls that cross.
-
+    Raises `LandmarkNavError`: no walls, a wall without length, an open outline or walls that
+    cross.
     """
 
     walls: tuple[Wall, ...]

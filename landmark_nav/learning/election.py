@@ -21,8 +21,6 @@ from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, wall_textu
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
 
-__all__ = ['ElectionConfig', 'elect']
-
 # Greatest misfit of two measurements and a wall, squared; more views may add to it.
 _MAX_CHI_SQUARE = 13.8
 # Cosine between the normals of patches that may cover each other.

@@ -39,7 +39,6 @@ from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again, Found
 from landmark_nav.learning.stereo.ties import Ties
-from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
     Candidate,
@@ -49,14 +48,6 @@ from landmark_nav.types import (
     Panorama,
     Refusal,
 )
-
-__all__ = [
-    'LearningConfig',
-    'LearningResult',
-    'PanoramaStages',
-    'learn_from_panoramas',
-    'panorama_from_sweep',
-]
 
 _LOG = logging.getLogger(__name__)
 
@@ -114,14 +105,13 @@ def learn_from_panoramas(
     """
     Learn landmarks from two panoramas or more.
 
+    Raises `LandmarkNavError`: one panorama only, all from one place, walls that don't fit, or no
+    landmark at all.
+
     Parameters
     ----------
     panoramas : sequence of Panorama
         From v places.
-    room : Room
-        Walls, given or found.
-    config : LearningConfig
-        Parameters of the stages.
     log : StageLog, optional
         Where times go.
     places : ndarray, shape (4 v, 4 v), optional
@@ -129,12 +119,6 @@ def learn_from_panoramas(
         measured from papers, or each for itself.
     ties : Ties, optional
         Features that panoramas share.
-
-    Raises
-    ------
-    LandmarkNavError
-        One panorama only, all from one place, walls that don't fit, or no landmark at all.
-
     """
     _check(panoramas)
     log = log or StageLog()

@@ -51,15 +51,6 @@ from landmark_nav.learning.sweep_pipeline import (
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain, PoseEstimate, Sweep
 
-__all__ = [
-    'RELATIVE_SIGMA',
-    'Located',
-    'UnmeasuredConfig',
-    'learn_located',
-    'locate',
-    'locate_sweeps',
-]
-
 _LOG = logging.getLogger(__name__)
 
 # How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
@@ -124,6 +115,9 @@ def locate(
     """
     Find where panoramas were taken, and the walls around.
 
+    Raises `LandmarkNavError`: one panorama, panoramas that share too little or contradict what is
+    known, nothing that gives the scale, or no walls.
+
     Parameters
     ----------
     panoramas : sequence of Panorama
@@ -132,19 +126,10 @@ def locate(
         Poses of the base by each source that has them; the first one gives the frame.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame, metres.
-    config : UnmeasuredConfig
-        Parameters of the stages.
     log : StageLog, optional
         Where times go.
     before : RelativePoses, optional
         What was found before the panoramas were made again.
-
-    Raises
-    ------
-    LandmarkNavError
-        One panorama, panoramas that share too little or contradict what is known, nothing that
-        gives the scale, or no walls.
-
     """
     if len(panoramas) < 2:
         raise LandmarkNavError(
@@ -202,6 +187,8 @@ def locate_sweeps(
 
     Twice, as calibration takes the distance of the walls: sweeps are large, and read again.
 
+    Raises `LandmarkNavError`: as `locate`, and what makes no panorama.
+
     Parameters
     ----------
     sweeps : callable
@@ -211,16 +198,6 @@ def locate_sweeps(
         size alone give the scale.
     mount : PanTiltMount
         How the camera is mounted.
-    stages, config : PanoramaStages, UnmeasuredConfig
-        Parameters of the stages.
-    log : StageLog
-        Where times go.
-
-    Raises
-    ------
-    LandmarkNavError
-        As `locate`, and what makes no panorama.
-
     """
     panoramas, stamped = [], []
     for sweep in sweeps():

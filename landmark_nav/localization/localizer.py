@@ -35,8 +35,6 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['STATUS', 'LocalizationConfig', 'LocalizationUpdate', 'Localizer']
-
 # States as the rest of the package calls them.
 STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
 
@@ -100,13 +98,10 @@ class Localizer:
 
     Parameters
     ----------
-    landmark_map : LandmarkMap
-        What to look for.
     calibration : Calibration
         Prior of mount, lens and clocks.
     config : LocalizationConfig
         Of detection, odometry, relocalization and the estimator.
-
     """
 
     def __init__(

@@ -10,8 +10,6 @@ from landmark_nav.nodes.triangulation_localizer import TriangulationLocalizerNod
 from landmark_nav.nodes.triplet_selector import TripletSelectorNode
 from landmark_nav.ros.run import run_nodes
 
-__all__ = ['main']
-
 _NODES = (
     SweepCaptureNode,
     PanoramaSynthesizerNode,

@@ -20,8 +20,6 @@ from landmark_nav.ros.topics import RELIABLE, TOPICS
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.topics import relative_name
 
-__all__ = ['BagPlayerNode', 'main']
-
 _CLOCK_PERIOD_NS = 10_000_000
 _LAST_WORDS_S = 2.0
 # Time for subscribers to find the topics before the first message: discovery of DDS takes a second

@@ -10,18 +10,13 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.parameters import declare, settle
 from landmark_nav.storage.robot_files import load_calibration
 
-__all__ = ['calibration_of', 'configured']
-
 
 def configured(node: LandmarkNode, name: str) -> Configuration:
     """
     Declare the parameters that the executable `name` reads, and return their values.
 
-    Raises
-    ------
-    LandmarkNavError
-        A value that a parameter may not take; a robot file that can not be read.
-
+    Raises `LandmarkNavError`: a value that a parameter may not take; a robot file that can not be
+    read.
     """
     former_robot = settle(node, Configuration())
     config = replace(declare(node, Configuration(), READS[name]), former_robot=former_robot)
@@ -32,11 +27,7 @@ def calibration_of(node: LandmarkNode, config: Configuration) -> Calibration:
     """
     Read the calibration of the robot file, which the node needs.
 
-    Raises
-    ------
-    LandmarkNavError
-        None is given, or it can not be read.
-
+    Raises `LandmarkNavError`: none is given, or it can not be read.
     """
     path = node.required('robot_file', config.robot_file)
     return load_calibration(path, config.former_robot)

@@ -23,8 +23,6 @@ from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import LandmarkMap, Panorama
 
-__all__ = ['LandmarkLearnerNode', 'main']
-
 _NOT_SAVED = 'not saved yet: call save_map'
 # Walls that were measured again are nearer to where they were.
 _SAME_WALL_M = 0.3

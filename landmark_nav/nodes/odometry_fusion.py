@@ -37,8 +37,6 @@ from landmark_nav.types import (
     Refusal,
 )
 
-__all__ = ['OdometryFusionNode', 'main']
-
 # A joint delay that is open matters to a camera that turns so far: where it looked may be reported
 # long after its image. So long that is waited for.
 _PAN_RANGE_RAD, _PATIENCE_S = 0.1, 0.4

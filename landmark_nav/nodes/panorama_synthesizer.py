@@ -26,8 +26,6 @@ from landmark_nav.ros.run import run_node
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama, Sweep
 
-__all__ = ['PanoramaSynthesizerNode', 'main']
-
 
 class PanoramaSynthesizerNode(LandmarkNode):
     """

@@ -28,8 +28,6 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
-__all__ = ['PlaceSearch']
-
 # Ten seconds at 50 Hz: what may come between two images that are looked at.
 _BACKLOG = 500
 _PAUSE_S = 0.005
@@ -62,17 +60,12 @@ class PlaceSearch:
 
     Parameters
     ----------
-    node : LandmarkNode
-        Whose service it is.
-    map_frame : str
-        Frame of the place.
     fused : callable
         Gives the newest fused pose, None where that is farther from a time than so many seconds.
     odometry : OdometryNoiseConfig
         How far the odometry is to be trusted.
     looking : LookingConfig
         How landmarks are looked for where they are to be expected.
-
     """
 
     def __init__(

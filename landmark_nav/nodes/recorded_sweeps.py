@@ -17,8 +17,6 @@ from landmark_nav.messages import decode
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import ImageArray, JointSample, PoseEstimate, Sweep
 
-__all__ = ['RecordedSweep', 'SweepInbox']
-
 # Frames of the longest sweep, and their bytes; older ones belong to a sweep that was given up.
 _MAX_FRAMES, _MAX_BYTES = 1440, 2**30
 # Frames that arrive after their trajectory are waited for so long, chosen by hand.
@@ -65,18 +63,14 @@ class RecordedSweep:
         """
         Decode it.
 
+        Raises `LandmarkNavError`: no frame is left.
+
         Parameters
         ----------
         depth : BitDepth
             Of the stream of images.
         drop : callable
             Is called with topic and reason where an image can not be used.
-
-        Raises
-        ------
-        LandmarkNavError
-            No frame is left.
-
         """
         views: dict[int, tuple[ImageArray, CameraModel, int]] = {}
         for stamp, (image, info) in self.frames.items():
@@ -99,15 +93,10 @@ class SweepInbox:
 
     Parameters
     ----------
-    node : LandmarkNode
-        Who listens.
-    mount : PanTiltMount
-        Names of the joints.
     frame_id : str
         Frame that ``sweep/pose`` must be in.
     on_sweep : callable
         Is given each sweep, in a callback group of its own: frames go on arriving meanwhile.
-
     """
 
     def __init__(

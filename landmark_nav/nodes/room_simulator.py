@@ -27,8 +27,6 @@ from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
-__all__ = ['RoomSimulatorNode', 'main']
-
 _STEP_S = 1.0 / 60.0
 # Odometry comes at half the rate of the joint states.
 _STEPS_PER_ODOMETRY = 2

@@ -21,8 +21,6 @@ from landmark_nav.ros.pan_command import PanCommander
 from landmark_nav.ros.run import run_node
 from landmark_nav.types import JointSample
 
-__all__ = ['SweepCaptureNode', 'main']
-
 _POLL_S = 0.1
 
 

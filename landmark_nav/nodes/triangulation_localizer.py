@@ -34,9 +34,6 @@ from landmark_nav.types import (
     Triplet,
 )
 
-__all__ = ['TriangulationLocalizerNode', 'main']
-
-
 # Ten seconds at 50 Hz: what may come between two images that are looked at.
 _BACKLOG = 500
 # Ages beyond that come of two clocks, such as a bag's and today's.

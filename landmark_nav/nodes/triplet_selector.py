@@ -26,8 +26,6 @@ from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import RELIABLE
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
-__all__ = ['TripletSelectorNode', 'main']
-
 # A fused pose that nothing followed for so long gives no more where to look.
 _SILENCE_S = 1.0
 # Time between two choices, chosen by hand: a turn of half a radian takes as long.

@@ -20,8 +20,6 @@ from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import OdometrySample, PlaceChain, PoseEstimate, Sweep
 
-__all__ = ['UnmeasuredLearner']
-
 # Odometry is compounded in steps of 50 ms. So many are kept: 1.8 hours from sweep to sweep.
 _STEP_NS, _MOST_SAMPLES = 45_000_000, 2**17
 # A stamp that is earlier by more is of a clock that was set back.
@@ -36,13 +34,8 @@ class UnmeasuredLearner:
 
     Parameters
     ----------
-    node : LandmarkNode
-        Who listens.
     given : Calibration
         Of ``robot.yaml``.
-    config : Configuration
-        Parameters of the stages.
-
     """
 
     def __init__(self, node: LandmarkNode, given: Calibration, config: Configuration) -> None:
@@ -64,11 +57,7 @@ class UnmeasuredLearner:
         """
         Learn from the sweeps that are kept.
 
-        Raises
-        ------
-        LandmarkNavError
-            Nothing gives the scale, and as the stages.
-
+        Raises `LandmarkNavError`: nothing gives the scale, and as the stages.
         """
         recorded = [self._sweeps[stamp] for stamp in sorted(self._sweeps)]
 

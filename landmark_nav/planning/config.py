@@ -13,8 +13,6 @@ from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.parameters import Config
 
-__all__ = ['PlanConfig']
-
 
 @dataclass(frozen=True)
 class PlanConfig(Config):

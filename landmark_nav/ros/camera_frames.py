@@ -18,8 +18,6 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.storage.bags.timelines import JointHistory
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, Refusal
 
-__all__ = ['CameraFrames']
-
 # Joint states of so long are kept, and of those that come faster one in each such step.
 _HISTORY_NS, _STEP_NS = 3 * 10**9, 5_000_000
 # Joint states older by this are not late: the clock was set back.
@@ -30,17 +28,7 @@ _POLL_S = 0.005
 
 
 class CameraFrames:
-    """
-    Listens to ``joint_states`` and ``camera/camera_info`` and completes images by them.
-
-    Parameters
-    ----------
-    node : LandmarkNode
-        Whose subscriptions they are.
-    mount : PanTiltMount
-        Names of the joints.
-
-    """
+    """Listens to ``joint_states`` and ``camera/camera_info`` and completes images by them."""
 
     def __init__(self, node: LandmarkNode, mount: PanTiltMount) -> None:
         self._node = node
@@ -97,11 +85,7 @@ class CameraFrames:
         Waits, up to `seconds`, for joint states of its stamp, or of `late_s` after it if those are
         late, and until `also` holds for it.
 
-        Raises
-        ------
-        LandmarkNavError
-            No calibration of its size, or no joint states near its stamp.
-
+        Raises `LandmarkNavError`: no calibration of its size, or no joint states near its stamp.
         """
         stamp = decode.stamp_ns(message.header)
         # Meanwhile what belongs to it arrives.

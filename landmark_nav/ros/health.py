@@ -13,8 +13,6 @@ from rclpy.node import Node
 from landmark_nav.ros.clocks import steady_clock
 from landmark_nav.ros.topics import TOPICS
 
-__all__ = ['Health', 'Level', 'publish_health']
-
 
 class Level(Enum):
     """How well a node does its work."""

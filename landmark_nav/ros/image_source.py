@@ -9,8 +9,6 @@ from rclpy.subscription import Subscription
 
 from landmark_nav.ros.node import LandmarkNode
 
-__all__ = ['ImageSource', 'image_topics']
-
 
 def image_topics(topic: str, transport: str) -> list[str]:
     """Topics that bring the images of `topic`; either does with the transport ``auto``."""

@@ -7,8 +7,6 @@ import logging
 
 from rclpy.node import Node
 
-__all__ = ['forward_logs']
-
 
 class _Forwarder(logging.Handler):
     def __init__(self, nodes: Sequence[Node]) -> None:

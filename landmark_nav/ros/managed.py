@@ -17,8 +17,6 @@ from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.parameters import declare
 
-__all__ = ['ManagedNode']
-
 _KINDS = ('publisher', 'subscription', 'service', 'client', 'timer')
 
 

@@ -34,9 +34,6 @@ from landmark_nav.ros.renamed_topics import (
 )
 from landmark_nav.ros.topics import TOPICS, with_depth
 
-__all__ = ['LandmarkNode']
-
-
 # Parameters that name files end so.
 _FILES = ('_file', '_folder', 'bag')
 # What every node of rclpy publishes.

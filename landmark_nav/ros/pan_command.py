@@ -17,8 +17,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import RELIABLE
 
-__all__ = ['PanCommander', 'listen_for_pan']
-
 _TOPIC = 'pan_tilt/command'
 _CLASSES: dict[str, Any] = {
     'JointTrajectory': JointTrajectory,
@@ -35,15 +33,10 @@ class PanCommander:
 
     Parameters
     ----------
-    node : LandmarkNode
-        Who commands.
     mount : PanTiltMount
         Names of the joints, rate of the pan.
-    kind : str
-        Message type.
     with_tilt : bool
         Whether the tilt joint is commanded too, to stay level.
-
     """
 
     def __init__(

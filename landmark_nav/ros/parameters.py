@@ -16,8 +16,6 @@ from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.former_parameters import settled
 from landmark_nav.parameters import changed, leaves, unit_hint, unit_of
 
-__all__ = ['declare', 'settle']
-
 T = TypeVar('T')
 
 _LARGEST_INTEGER = 2**63 - 1
@@ -65,20 +63,13 @@ def declare(node: Node, config: T, names: Collection[str]) -> T:
     Values come from the node's parameter file or the command line; parameters without one keep
     their defaults. Those that are declared already keep their values.
 
+    Raises `LandmarkNavError`: a value has the wrong type, is out of range, or does not agree with
+    the others.
+
     Parameters
     ----------
-    node : Node
-        Whose parameters they are.
-    config : dataclass instance
-        Parameters with their defaults.
     names : collection of str
         Parameters and sections that the node reads.
-
-    Raises
-    ------
-    LandmarkNavError
-        A value has the wrong type, is out of range, or does not agree with the others.
-
     """
     return changed(
         config,

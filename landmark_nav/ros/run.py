@@ -17,8 +17,6 @@ from landmark_nav.ros.logs import forward_logs
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.shutdown_guard import ShutdownGuard
 
-__all__ = ['run_node', 'run_nodes']
-
 # A stage such as learning takes seconds and can't be interrupted; what it writes appears whole or
 # not at all, so the process may end in the midst of it.
 _GRACE_S = 2.0

@@ -12,8 +12,6 @@ from landmark_nav.parameters import Config
 from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.types import ImageArray
 
-__all__ = ['CameraEffects', 'CameraEffectsConfig']
-
 
 @dataclass(frozen=True)
 class CameraEffectsConfig(Config):
@@ -41,14 +39,9 @@ class CameraEffects:
 
     Parameters
     ----------
-    camera : CameraModel
-        Size and principal point.
-    config : CameraEffectsConfig
-        How much of what.
     rng : numpy.random.Generator
         Noise. It is cut out of one large field at random places, which is much quicker than
         drawing it anew and differs from frame to frame all the same.
-
     """
 
     def __init__(

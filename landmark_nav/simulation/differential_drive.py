@@ -12,8 +12,6 @@ from landmark_nav.geometry.se2 import compose
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
 
-__all__ = ['DifferentialDrive', 'DriveConfig']
-
 
 @dataclass(frozen=True)
 class DriveConfig(Config):
@@ -45,15 +43,10 @@ class DifferentialDrive:
 
     Parameters
     ----------
-    config : DriveConfig
-        Limits and errors.
     pose_map_base : ndarray, shape (3,)
         Where it stands.
     free : callable
         Whether the base may stand at a place (2,); it stops before one where it may not.
-    rng : numpy.random.Generator
-        Errors.
-
     """
 
     def __init__(

@@ -309,6 +309,8 @@ def generate_scene(seed: int, room: Room | None = None) -> Scene:
     """
     Furnish a room.
 
+    Raises `LandmarkNavError`: the given room is too small or too winding for that.
+
     Parameters
     ----------
     seed : int
@@ -320,12 +322,6 @@ def generate_scene(seed: int, room: Room | None = None) -> Scene:
     -------
     Scene
         With the specialised target and places from where it and all papers are seen well.
-
-    Raises
-    ------
-    LandmarkNavError
-        The given room is too small or too winding for that.
-
     """
     best: Scene | None = None
     most = -1

@@ -9,9 +9,6 @@ import numpy as np
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
 
-__all__ = ['PanTiltConfig', 'PanTiltUnit']
-
-
 # The spring is integrated in steps no longer than this.
 _SPRING_STEP_S = 1.0 / 400.0
 

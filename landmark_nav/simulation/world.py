@@ -17,8 +17,6 @@ from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import CameraFrame, FloatArray, JointSample, OdometrySample
 
-__all__ = ['DEFAULT_CAMERA', 'DEFAULT_MOUNT', 'RobotWorld', 'WorldConfig']
-
 # Physics runs at this rate, whatever the steps that are asked for.
 _RATE_HZ = 60
 _SECOND_NS = 1_000_000_000
@@ -52,17 +50,8 @@ class RobotWorld:
         Where the robot starts.
     seed : int
         Noise of wheels and sensor, and what people do.
-    camera : CameraModel
-        Its lens.
-    mount : PanTiltMount
-        Where the camera sits.
-    config : WorldConfig
-        Everything else.
-    start_ns : int
-        Time at the start.
     renderer : Renderer, optional
         Of another world with the same scene and camera: saves drawing its textures again.
-
     """
 
     def __init__(

@@ -11,8 +11,6 @@ from typing import Any
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.storage.reading import read_yaml_mapping
 
-__all__ = ['flat', 'read_parameters', 'shipped_config']
-
 _LOG = logging.getLogger(__name__)
 
 _SECTION = 'ros__parameters'
@@ -21,6 +19,8 @@ _SECTION = 'ros__parameters'
 def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
     """
     Read what a parameter file gives some nodes.
+
+    Raises `LandmarkNavError`: no such YAML.
 
     Parameters
     ----------
@@ -34,12 +34,6 @@ def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
     -------
     dict
         Values by name; the last one of those that are there several times.
-
-    Raises
-    ------
-    LandmarkNavError
-        No such YAML.
-
     """
     path = Path(path)
     document = read_yaml_mapping(path)

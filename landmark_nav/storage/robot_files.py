@@ -19,8 +19,6 @@ from landmark_nav.storage.reading import array_field, number_field
 from landmark_nav.storage.setup_files import load_robot, read_robot
 from landmark_nav.types import FloatArray
 
-__all__ = ['load_calibration', 'load_odometry', 'save_calibration']
-
 T = TypeVar('T')
 
 # Field with standard deviations -> the quantities that they are of; one number holds for all.
@@ -49,11 +47,8 @@ def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) 
     A standard deviation that is absent is that of a person with a tape and a spirit level; 0 says
     that a value is exact. `former` is as for `load_robot`.
 
-    Raises
-    ------
-    LandmarkNavError
-        Missing or malformed fields; sigmas that are negative or in another unit.
-
+    Raises `LandmarkNavError`: missing or malformed fields; sigmas that are negative or in another
+    unit.
     """
     path = Path(path)
     mount, document = load_robot(path, former), read_robot(path, former or {})
@@ -84,11 +79,7 @@ def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None
 
     `former` is as for `load_robot`.
 
-    Raises
-    ------
-    LandmarkNavError
-        No such field, or a value out of its range.
-
+    Raises `LandmarkNavError`: no such field, or a value out of its range.
     """
     given = read_robot(Path(path), former or {}).get('odometry', {})
     if not isinstance(given, Mapping):

@@ -24,17 +24,6 @@ from landmark_nav.storage.reading import (
     read_yaml_mapping,
 )
 
-__all__ = [
-    'load_camera',
-    'load_robot',
-    'load_room',
-    'read_robot',
-    'room_text',
-    'wall_entry',
-    'wall_of',
-    'walls_field',
-]
-
 # Walls and papers are measured to a few centimetres, with the papers perhaps on a frame; what is
 # farther off its wall was not measured but mistaken.
 _MAX_OFF_WALL_M = 0.1
@@ -78,11 +67,8 @@ def load_room(path: Path | str) -> Room:
     """
     Read the walls and the papers of the reference area.
 
-    Raises
-    ------
-    LandmarkNavError
-        Missing or malformed fields; walls that are open or cross; papers that hang on no wall.
-
+    Raises `LandmarkNavError`: missing or malformed fields; walls that are open or cross; papers
+    that hang on no wall.
     """
     path = Path(path)
     document = read_yaml_mapping(path)
@@ -194,11 +180,7 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
 
     `former` are fields that parameters of the last release gave; the file goes before them.
 
-    Raises
-    ------
-    LandmarkNavError
-        Missing or malformed fields.
-
+    Raises `LandmarkNavError`: missing or malformed fields.
     """
     path = Path(path)
     document = read_robot(path, former or {})
@@ -254,11 +236,8 @@ def load_camera(path: Path | str) -> CameraModel:
     """
     Read a camera's calibration as ROS keeps it (camera_calibration, camera_info_manager).
 
-    Raises
-    ------
-    LandmarkNavError
-        Missing or malformed fields, or a distortion model that is not supported.
-
+    Raises `LandmarkNavError`: missing or malformed fields, or a distortion model that is not
+    supported.
     """
     path = Path(path)
     document = read_yaml_mapping(path)

@@ -11,8 +11,6 @@ from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.types import Landmark, LandmarkMap
 
-__all__ = ['problems_of_map']
-
 # A patch may hang this far in front of the wall's plane, or lie this far behind it, metres.
 _OFF_WALL_M = 0.1
 _MAX_TURN_RAD = np.radians(5.0)

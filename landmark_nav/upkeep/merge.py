@@ -19,8 +19,6 @@ from landmark_nav.upkeep.comparison import (
 )
 from landmark_nav.upkeep.frames import brought_together
 
-__all__ = ['merge_maps']
-
 _SAME_WALL_M = 1e-3
 # A patch of an aligned map hangs so far from a wall at most, and is turned by 5 degrees.
 _ON_WALL_M, _SAME_NORMAL = 0.1, np.cos(np.radians(5.0))
@@ -41,12 +39,8 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
     factors of one load nothing in the other. A map with a frame of its own is aligned first; its
     landmarks then are on the walls of the older map.
 
-    Raises
-    ------
-    LandmarkNavError
-        Other frames or walls, a panorama that both were learned from, maps that can't be aligned
-        or contradict each other.
-
+    Raises `LandmarkNavError`: other frames or walls, a panorama that both were learned from, maps
+    that can't be aligned or contradict each other.
     """
     _check_sweeps(older, newer)
     newer, alignment = brought_together(older, newer)

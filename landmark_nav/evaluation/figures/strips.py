@@ -61,13 +61,10 @@ def widest(panorama: Panorama, candidates: Iterable[Candidate], width: int, apar
 
     Parameters
     ----------
-    panorama : Panorama
-        Where.
     candidates : iterable of Candidate
         What is to be seen.
     width, apart : int
         Columns of the strip, and how many there are between those that are tried.
-
     """
     turn = panorama.mask.shape[1]
     chosen = list(candidates)

@@ -35,15 +35,6 @@ from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.storage.reading import read_image
 from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, Refusal
 
-__all__ = [
-    'Page',
-    'calibration_page',
-    'drawn_panoramas',
-    'drive_page',
-    'learning_page',
-    'panoramas',
-]
-
 # More moments than a minute of video are thinned.
 _MOST_MOMENTS = 2000
 # Lines of the plan hold so many points at most.
@@ -92,9 +83,6 @@ def drive_page(
         As `landmark_nav.evaluation.run_report` makes it, with ``spells``.
     calibration : Calibration
         By which landmarks are projected into the images.
-    strip : FrameStrip
-        Images of the drive.
-
     """
     chosen = _moments(run)
     drive = _drive(run, chosen, landmarks, calibration, strip, smoothed)

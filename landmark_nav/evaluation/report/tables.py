@@ -7,19 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    'ESTIMATES',
-    'STATUS',
-    'calibration_tables',
-    'calibration_verdict',
-    'cell',
-    'drive_tables',
-    'drive_verdict',
-    'learning_tables',
-    'learning_verdict',
-    'nees_range',
-]
-
 ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 # States of localization as the glossary calls them.
 STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}

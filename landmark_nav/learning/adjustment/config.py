@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from landmark_nav.parameters import Config
 
-__all__ = ['AdjustmentConfig', 'WallFitConfig']
-
 
 @dataclass(frozen=True)
 class AdjustmentConfig(Config):

@@ -25,8 +25,6 @@ from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['CALIBRATED', 'Linearized', 'NormalEquations', 'Problem', 'wall_stretches']
-
 # x, y, z, heading of each panorama; after all of them, how far things hang off each wall, then
 # how much farther they do on each stretch of one; then what panoramas show of the calibration.
 _POSE = 4

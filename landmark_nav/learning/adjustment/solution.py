@@ -23,8 +23,6 @@ from landmark_nav.learning.stereo.ties import Ties
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
-__all__ = ['Adjustment', 'adjust']
-
 _MAX_ITERATIONS = 15
 # What moves by less is at rest; no landmark goes farther in one step, metres.
 _CONVERGED, _LONGEST_M = 1e-7, 1.0
@@ -122,8 +120,6 @@ def adjust(
         Joint covariance of these, as `reference_area.joint_covariance` gives it.
     room : Room
         The walls; what hangs on them lies near them, not on them.
-    config : AdjustmentConfig
-        Standard deviations to expect.
     normals : ndarray, shape (n, 3), optional
         Of the landmarks; those on walls have that of their wall.
     ties : Ties, optional

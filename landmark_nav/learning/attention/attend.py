@@ -16,8 +16,6 @@ from landmark_nav.learning.attention.maps import attention_maps
 from landmark_nav.learning.attention.selection import refusal, select
 from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
 
-__all__ = ['Attention', 'attend']
-
 # Patches about features are so far apart, as a share of their size.
 _APART = 0.5
 # A patch keeps this far from uncovered pixels, whose neighbours are blurred by interpolation.
@@ -51,11 +49,7 @@ def attend(
     Where less stands out than `candidates`, features at pixels `matched` (n, 2), which another
     panorama shows as well, are proposed, too.
 
-    Raises
-    ------
-    LandmarkNavError
-        The panorama is smaller than a patch.
-
+    Raises `LandmarkNavError`: the panorama is smaller than a patch.
     """
     height, width = panorama.mask.shape
     if min(height, width // 2) <= config.size_max_px:

@@ -8,8 +8,6 @@ from typing import Any
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import Config, parameter
 
-__all__ = ['FEATURES', 'AttentionConfig']
-
 FEATURES = (
     'intensity',
     'edges',
@@ -70,11 +68,7 @@ class AttentionConfig(Config):
         """
         Let one of `FEATURES` alone attract attention.
 
-        Raises
-        ------
-        LandmarkNavError
-            Unknown feature.
-
+        Raises `LandmarkNavError`: unknown feature.
         """
         if feature not in FEATURES:
             raise LandmarkNavError(

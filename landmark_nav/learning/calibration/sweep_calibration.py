@@ -34,15 +34,6 @@ from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import FloatArray, Sweep
 
-__all__ = [
-    'SIGNIFICANT',
-    'CalibrationConfig',
-    'SweepCalibration',
-    'calibrate_sweep',
-    'fit_significant',
-    'moved_px',
-]
-
 _FOCAL, _DISTORTION, _SCALE, _TILT, _ROLL, _FORWARD, _LEFT = range(len(COMMON))
 
 # Fewer matches than this for each link of the chain say nothing.
@@ -99,8 +90,6 @@ def calibrate_sweep(
 
     Parameters
     ----------
-    sweep : Sweep
-        As it was taken.
     mount : PanTiltMount
         As ``robot.yaml`` has it.
     config : CalibrationConfig
@@ -116,7 +105,6 @@ def calibrate_sweep(
     -------
     SweepCalibration
         The sweep unchanged where too little is seen in two frames.
-
     """
     if overlaps is None:
         overlaps = track_overlaps(sweep, mount) if len(sweep.frames) > 2 else Overlaps.none()
@@ -169,15 +157,10 @@ def fit_significant(
 
     Parameters
     ----------
-    problem : OverlapProblem
-        Matches.
     free : sequence of int
         Terms to begin with, of `COMMON`.
     frame_sigma : sequence of float, shape (3,)
         How far pan, tilt and roll of a single frame stray, radians.
-    camera : CameraModel
-        As it is given.
-
     """
     free = sorted(free)
     shift_px = _shift_px(camera)

@@ -10,8 +10,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray
 
-__all__ = ['CaptureConfig']
-
 
 @dataclass(frozen=True)
 class CaptureConfig(Config):

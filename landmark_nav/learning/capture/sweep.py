@@ -30,8 +30,6 @@ from landmark_nav.learning.capture.frames import (
 from landmark_nav.learning.capture.joints import JointTrack, PanReach, Place
 from landmark_nav.types import JointSample, OdometrySample
 
-__all__ = ['SweepCapture']
-
 FrameT = TypeVar('FrameT')
 
 _LOG = logging.getLogger(__name__)
@@ -50,8 +48,6 @@ class SweepCapture(Generic[FrameT]):
 
     Parameters
     ----------
-    config : CaptureConfig
-        Angles and tolerances.
     inspect : callable
         Measures a frame; raises `LandmarkNavError` for one that can't be used.
     now_ns : int
@@ -65,7 +61,6 @@ class SweepCapture(Generic[FrameT]):
         Where the joint gets.
     place : Place
         Whether the robot stands.
-
     """
 
     def __init__(
@@ -193,11 +188,7 @@ class SweepCapture(Generic[FrameT]):
         Time counts by the robot's own stamps too, as long as there are any: a simulator on a busy
         machine may be slow. Silence counts by the caller's clock alone.
 
-        Raises
-        ------
-        LandmarkNavError
-            With what was waited for and what was measured.
-
+        Raises `LandmarkNavError`: with what was waited for and what was measured.
         """
         limit_ns = self._config.step_timeout_s * 1e9
         last, step = self._track.last, self._step

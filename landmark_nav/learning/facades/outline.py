@@ -20,8 +20,6 @@ from landmark_nav.learning.facades.planes import Facade
 from landmark_nav.learning.facades.points import SeenPoints
 from landmark_nav.types import FloatArray
 
-__all__ = ['open_room', 'room_of']
-
 _RAYS = 1440
 # A room without facades has so many walls, so far beyond the viewpoints at least, metres; this
 # share of what is seen is inside.
@@ -43,6 +41,8 @@ def room_of(
     """
     Make a room of facades.
 
+    Raises `LandmarkNavError`: they do not surround the sweeps, not even with what joins them.
+
     Parameters
     ----------
     facades : sequence of Facade
@@ -53,12 +53,6 @@ def room_of(
         How high and how certain walls are.
     frame_id : str
         Frame of the map.
-
-    Raises
-    ------
-    LandmarkNavError
-        They do not surround the sweeps, not even with what joins them.
-
     """
     tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
     middle = eyes[:, :2].mean(0)

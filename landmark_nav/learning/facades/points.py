@@ -11,8 +11,6 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
 from landmark_nav.types import FloatArray
 
-__all__ = ['SeenPoints', 'placed_matches', 'seen_points']
-
 # Depth that is less certain says nothing of a facade, m; what is seen in two directions that
 # differ by less has no depth, rad.
 _MAX_SIGMA_M, _LEAST_PARALLAX = 0.15, 0.035

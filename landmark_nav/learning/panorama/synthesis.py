@@ -21,8 +21,6 @@ from landmark_nav.learning.panorama.projection import (
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, ImageArray, Sweep
 
-__all__ = ['BLENDS', 'CylinderImage', 'PanoramaConfig', 'synthesize_cylinder']
-
 # Blends, and up to which neighbour to both sides each frame is used by them: a place is then shown
 # by eight frames, the paper has seven, or by four.
 _NEIGHBOURS = {'mean': 4, 'median': 4, 'feather': 2}
@@ -75,8 +73,6 @@ def synthesize_cylinder(
         Frames with their joint angles.
     mount : PanTiltMount
         Where the optical centre turns.
-    config : PanoramaConfig
-        Blending and resolution.
     range_m : callable, optional
         Horizontal distance of what is seen at azimuths (n,) in the base frame. It matters only
         if the optical centre lies off the axis: each frame then sees the room from elsewhere.

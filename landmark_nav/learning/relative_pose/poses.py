@@ -44,8 +44,6 @@ from landmark_nav.learning.relative_pose.two_views import (
 from landmark_nav.learning.sheets.papers import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
-__all__ = ['RelativePoses', 'relative_poses']
-
 # Each sweep is compared with so many of those nearest to it, if that is known.
 _NEIGHBOURS = 4
 # Matches that a turn alone explains, as a share of those that a way does, where there is no way.
@@ -98,6 +96,9 @@ def relative_poses(
     """
     Find the poses of sweeps from what their panoramas show, and the scale from all that gives it.
 
+    Raises `LandmarkNavError`: panoramas that share too little, no way between them, nothing that
+    gives the scale, or sources that contradict panoramas or each other.
+
     Parameters
     ----------
     features : sequence of Features
@@ -106,19 +107,10 @@ def relative_poses(
         Poses of the base that are known before, by each source; the first one gives the frame.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame, metres.
-    config : RelativePoseConfig
-        What counts.
     sheets : sequence of sequence of SheetView
         What may be a sheet of a known size, of each sweep.
     before : RelativePoses, optional
         What was found of the same sweeps with other panoramas, which were then levelled by it.
-
-    Raises
-    ------
-    LandmarkNavError
-        Panoramas that share too little, no way between them, nothing that gives the scale, or
-        sources that contradict panoramas or each other.
-
     """
     if before is None:
         start, pairs = _found(features, known, lever, config, sheets)

@@ -8,8 +8,6 @@ from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.parameters import Config, parameter
 
-__all__ = ['SheetsConfig']
-
 # Dictionaries of markers as OpenCV names them.
 _DICTIONARIES = (
     *(f'DICT_{n}X{n}_{count}' for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),

@@ -16,8 +16,6 @@ from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasur
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
-__all__ = ['Found', 'find_again']
-
 
 @dataclass(frozen=True, eq=False)
 class Found:

@@ -22,8 +22,6 @@ from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasur
 from landmark_nav.learning.stereo.wall_stereo import compare
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
-__all__ = ['Depths', 'depths_of', 'is_off_wall', 'match_freely']
-
 # Azimuths in the base frame, tangents and distances in plan (n,) of what a panorama shows.
 Depths = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -66,8 +64,6 @@ def match_freely(
 
     Parameters
     ----------
-    candidate : Candidate
-        As attention proposed it.
     source : int
         Of the panorama that it was proposed in.
     panoramas, greys : sequence
@@ -81,7 +77,6 @@ def match_freely(
     -------
     tuple of WallPatch and list of PatchMeasurement, or Refusal
         The patch on its own plane and where the panoramas show it, its own one first.
-
     """
     others = [j for j in range(len(panoramas)) if j != source]
     known = _known_depth(candidate, panoramas[source], depths)

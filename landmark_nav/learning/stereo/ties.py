@@ -10,8 +10,6 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray
 
-__all__ = ['Ties']
-
 
 @dataclass(frozen=True, eq=False)
 class Ties:

@@ -15,15 +15,6 @@ from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.types import Candidate, FloatArray, Panorama
 
-__all__ = [
-    'PatchMeasurement',
-    'WallPatch',
-    'covered_rows',
-    'own_measurement',
-    'texels_per_pixel',
-    'wall_texture',
-]
-
 
 @dataclass(frozen=True, eq=False)
 class WallPatch:
@@ -82,8 +73,6 @@ def wall_texture(
 
     Parameters
     ----------
-    panorama : Panorama
-        The view.
     grey : ndarray, shape (height, width)
         Its image in grey, float32.
     position, normal : ndarray, shape (3,)
@@ -97,7 +86,6 @@ def wall_texture(
     -------
     ndarray of float32, shape `shape`, or None
         None where the panorama does not cover it.
-
     """
     columns, rows = _pixels(panorama, position, normal, shape, texel_m)
     if rows.min() < 1.0 or rows.max() > grey.shape[0] - 2.0:

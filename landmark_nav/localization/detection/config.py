@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from landmark_nav.parameters import Config
 
-__all__ = ['DetectionConfig']
-
 
 @dataclass(frozen=True)
 class DetectionConfig(Config):

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from landmark_nav.parameters import Config, parameter
 
-__all__ = ['EstimatorConfig']
-
 
 @dataclass(frozen=True)
 class EstimatorConfig(Config):

@@ -23,8 +23,6 @@ from landmark_nav.localization.estimator.filter import Update
 from landmark_nav.localization.estimator.recognition import found_log_ratios, MISSED
 from landmark_nav.types import FloatArray, PoseEstimate
 
-__all__ = ['Integrity', 'ProtectionLevel', 'Status', 'protection_level']
-
 # One detection, and all misses of an image, count at most this much: they have causes in common.
 _MOST, _MOST_MISSED = 2.0, 2.0
 # Bounds of the sum and of what one image adds; the sum below which a pose is lost, and what one

@@ -22,13 +22,10 @@ from landmark_nav.localization.triangulation.model import (
     danger_distance,
     Solution,
     solve,
-    triangulate_three,
     w_statistics,
 )
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
-
-__all__ = ['Fix', 'TriangulationConfig', 'triangulate', 'triangulate_three']
 
 # Chi-square level of the distance from the prior.
 _START_PROBABILITY = 0.9999
@@ -101,6 +98,9 @@ def triangulate(
     landmarks. An outlier is the bearing with the largest w-statistic (Baarda, A Testing Procedure
     for Use in Geodetic Networks, 1968) while the chi-square test fails and four others remain.
 
+    Raises `LandmarkNavError`: arrays that do not match, values that are not finite, variances that
+    are not positive.
+
     Parameters
     ----------
     positions : array_like, shape (n, 2)
@@ -113,12 +113,6 @@ def triangulate(
         Prior of the pan axis: tried as a start, and the fix must be plausible beside it.
     config : TriangulationConfig, optional
         Limits.
-
-    Raises
-    ------
-    LandmarkNavError
-        Arrays that do not match, values that are not finite, variances that are not positive.
-
     """
     config = config or TriangulationConfig()
     position, bearing, variance, map_cov = _checked(positions, bearings, variances, map_covariance)

@@ -9,8 +9,6 @@ import numpy as np
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import PoseEstimate
 
-__all__ = ['LookAround', 'LookAroundConfig', 'is_known', 'views_around']
-
 # What two views that follow each other share, of their width.
 _OVERLAP = 0.25
 # A joint that is so near has arrived.
@@ -87,11 +85,6 @@ class LookAround:
         ----------
         now_s : float
             Time by a clock that is never set.
-        pan_rad : float
-            Measured pan.
-        fov_rad : float
-            Width of the view.
-
         """
         if self._since_s is None:
             self._since_s = now_s

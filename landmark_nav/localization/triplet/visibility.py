@@ -15,15 +15,6 @@ from landmark_nav.localization.triplet.ranking import LandmarkVisibility
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
-__all__ = [
-    'TripletConfig',
-    'axis_position',
-    'fully_in_view',
-    'landmark_visibilities',
-    'observable',
-    'visible_landmarks',
-]
-
 
 @dataclass(frozen=True)
 class TripletConfig(Config):
