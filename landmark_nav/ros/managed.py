@@ -88,7 +88,9 @@ class ManagedNode(LifecycleNodeMixin, Node):
         except Exception as error:
             self._failure = error
             self._take_down()
-            self.get_logger().error(one_line(f'not configured: {error}'))
+            if self.executor is not None:
+                # Else the node is just made, and whoever makes it hears of this.
+                self.get_logger().error(one_line(f'not configured: {error}'))
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.util import find_spec
 import json
 from pathlib import Path
@@ -204,7 +205,8 @@ class FeatureLocator:
         if len(seen) < MIN_INLIERS:
             return None
         camera = frame.camera
-        done, turn, shift, inliers = cv2.solvePnPRansac(
+        fit = partial(
+            cv2.solvePnPRansac,
             self._points[known],
             pixels[seen],
             camera.matrix,
@@ -212,8 +214,12 @@ class FeatureLocator:
             iterationsCount=300,
             reprojectionError=REPROJECTION_PX,
             confidence=0.999,
-            flags=cv2.SOLVEPNP_SQPNP,
         )
+        try:
+            done, turn, shift, inliers = fit(flags=cv2.SOLVEPNP_SQPNP)
+        except cv2.error:
+            # OpenCV 5 asserts that drawn points are not degenerate.
+            done, turn, shift, inliers = fit(flags=cv2.SOLVEPNP_EPNP)
         if not done or inliers is None or len(inliers) < MIN_INLIERS:
             return None
         used = inliers[:, 0]
