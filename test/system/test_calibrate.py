@@ -83,6 +83,16 @@ def test_the_report_states_what_was_shown(
     assert (folder / 'report.html').stat().st_size > 30_000
 
 
+def test_sweeps_alone_show_the_camera_and_not_the_lever(
+    calibrated: tuple[Path, Calibration, Calibration], tmp_path: Path
+) -> None:
+    given, out = str(calibrated[0] / 'given.yaml'), tmp_path / 'robot.yaml'
+    assert main(['calibrate', LEARN, '--room', ROOM, '--robot', given, '--out', str(out)]) == 0
+    found = load_calibration(out)
+    assert found['axis_x'][1] == pytest.approx(0.02)
+    assert found['camera_roll'][1] < 0.002
+
+
 def reported(capsys: pytest.CaptureFixture[str], out: Path, *args: str) -> str:
     """What an error says, in one line; nothing was written."""
     status = main(['calibrate', *args, '--robot', str(BAGS / 'robot.yaml'), '--out', str(out)])

@@ -170,6 +170,17 @@ def test_unknown_cameras_and_encodings_are_refused_by_name(
     assert not (tmp_path / 'map').exists()
 
 
+def test_papers_given_on_the_opposite_wall_are_refused(study, tmp_path, capsys):
+    room = yaml.safe_load(Path(study.room).read_text())
+    for paper in room['reference_area']['papers']:
+        paper['center'][1] -= 5.3
+    path = tmp_path / 'room.yaml'
+    path.write_text(yaml.safe_dump(room))
+    bag = study.folder / 'learn'
+    refused(capsys, learn(bag, study, tmp_path / 'map', str(path)), 'papers', 'opposite wall')
+    assert not (tmp_path / 'map').exists()
+
+
 def test_rooms_that_are_open_or_cross_are_refused(study, tmp_path, capsys):
     path = tmp_path / 'room.yaml'
     for walls, words in (

@@ -10,7 +10,7 @@ import pytest
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.localization.estimator import ImagePoints, Integrity, JointFilter, Status
+from landmark_nav.localization.estimator import filter, ImagePoints, Integrity, JointFilter, Status
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
@@ -98,3 +98,13 @@ def test_an_image_without_what_should_be_seen_degrades_at_once() -> None:
     for missed, status in ((0, Status.OK), (0, Status.OK), (8, Status.DEGRADED), (0, Status.OK)):
         integrity.add(0, None if missed else update, missed)
         assert integrity.status(good)[0] is status
+
+
+def test_errors_of_landmarks_are_bounded_in_number_and_stay_consistent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(filter, '_MOST_LANDMARKS', 10)
+    runs = [driven(simulated(seed, seconds=10.0)) for seed in range(4)]
+    assert max(len(run.filter.snapshot.landmarks) for run in runs) <= 10
+    assert all(np.mean(run.nees < 31.8) == 1.0 for run in runs)
+    assert max(np.hypot(*run.errors[-1, :2]) for run in runs) < 0.02

@@ -14,6 +14,7 @@ from landmark_nav.matching import (
     match_templates,
     Query,
 )
+from landmark_nav.matching.alignment import align
 from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.types import FloatArray, ImageArray, Refusal
 
@@ -163,6 +164,14 @@ def test_another_texture_is_refused() -> None:
     assert isinstance(found, Refusal)
     assert found.reason == 'low correlation'
     assert '<' in found.detail
+
+
+def test_the_negative_of_a_patch_aligns_with_nothing() -> None:
+    template = Texture(5).sample(32, 28, 12.0, 12.0)
+    search = Texture(5).sample(56, 52)
+    of_both = align([search, 255.0 - search], [template] * 2, [(12.0, 12.0)] * 2, [(0.0, 0.0)] * 2)
+    assert of_both.place == [0]
+    np.testing.assert_allclose(of_both.xy[0], [27.5, 25.5], atol=1e-3)
 
 
 @pytest.mark.parametrize('x0', [-0.4, 30.0])
