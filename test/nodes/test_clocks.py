@@ -52,8 +52,8 @@ def test_no_timer_runs_by_the_time_of_the_system(
 def test_choices_keep_to_the_time_of_a_bag_and_diagnostics_do_not(
     made: Callable[..., LandmarkNode],
 ) -> None:
-    selector = made(TripletSelectorNode, use_sim_time=True, period_s=0.25)
-    assert periods(selector, ClockType.ROS_TIME) == pytest.approx([0.1, 0.25])
+    selector = made(TripletSelectorNode, use_sim_time=True)
+    assert len(periods(selector, ClockType.ROS_TIME)) == 2
     assert periods(selector, ClockType.STEADY_TIME) == pytest.approx([1.0])
 
 
