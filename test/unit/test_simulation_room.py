@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 import json
 
+import cv2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.simulation.furnishing import generate_scene, move_one_box
+from landmark_nav.simulation.furnishing import generate_scene, hang_tags, move_one_box
 from landmark_nav.simulation.people import WalkingPeople
 from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M, PainterOrder
 from landmark_nav.simulation.scene import Box, Lamp, Scene
@@ -274,3 +275,29 @@ def test_walls_that_meet_at_other_angles_are_measured_too() -> None:
     np.testing.assert_allclose(measured.normals, room.normals, atol=1e-9)
     for a, b in zip(measured.walls, (*measured.walls[1:], measured.walls[0]), strict=True):
         assert a.end == pytest.approx(b.start, abs=1e-9)
+
+
+@pytest.mark.parametrize('number', [0, 7, 300])
+def test_a_tag_is_read_as_its_number(number):
+    drawn = cv2.copyMakeBorder(draw_item('tag', number, (120, 120)), 40, 40, 40, 40, 0, None, 90)
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    _, found, _ = cv2.aruco.ArucoDetector(family).detectMarkers(drawn)
+    assert found.ravel().tolist() == [number]
+
+
+@pytest.mark.parametrize('seed', [12, 13])
+def test_tags_hang_where_nothing_else_does(seed):
+    scene = generate_scene(seed)
+    items = hang_tags(scene, 1.0)
+    tags = items[len(scene.items) :]
+    assert items[: len(scene.items)] == scene.items
+    assert [tag.seed for tag in tags] == list(range(len(tags)))
+    assert len(tags) > 5
+    for tag in tags:
+        for other in items:
+            if other is not tag and other.wall == tag.wall:
+                apart = abs(tag.along_m - other.along_m), abs(tag.center_z_m - other.center_z_m)
+                sizes = tag.width_m + other.width_m, tag.height_m + other.height_m
+                assert any(a >= 0.5 * s for a, s in zip(apart, sizes, strict=True))
+        for paper in scene.room.papers:
+            assert np.linalg.norm(tag.center(scene.room) - paper.center) > 0.5 * tag.width_m
