@@ -10,8 +10,7 @@ import shutil
 
 from landmark_nav.cli.evaluate import error_table
 from landmark_nav.cli.learn import located_sweeps
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.options import add_number, add_overwrite, within
 from landmark_nav.configuration import load_configuration
 from landmark_nav.demo.graph import node_commands, node_environment
 from landmark_nav.demo.recorded_run import recorded_run
@@ -49,13 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
     add_overwrite(parser)
-    parser.add_argument(
-        '--seed',
-        type=within(int, 0, 2**63 - 1),
-        default=1,
-        metavar='N',
-        help='of the room (default 1)',
-    )
+    add_number(parser, '--seed', within(int, 0, 2**63 - 1), 1, 'N', 'of the room')
     parser.add_argument(
         '--unmeasured',
         action='store_true',
