@@ -13,10 +13,9 @@ from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.options import add_number, add_overwrite, within
 from landmark_nav.configuration import load_configuration
 from landmark_nav.demo.graph import node_commands, node_environment
-from landmark_nav.demo.recorded_run import recorded_run
+from landmark_nav.demo.recorded_run import Check, figures, judge, recorded_run
 from landmark_nav.demo.scenario import Narrator, prepare_room, run_scenario
 from landmark_nav.demo.supervisor import Interruption, Supervisor
-from landmark_nav.demo.verdict import Check, figures, judge
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult

@@ -26,6 +26,7 @@ from landmark_nav.configuration import load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
+from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.report import (
     check_report,
@@ -49,7 +50,6 @@ from landmark_nav.evaluation.smoothed_run import (
     smoothed_report,
     write_tum_files,
 )
-from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 from landmark_nav.storage.bags import sensor_events

@@ -25,7 +25,7 @@ from landmark_nav.evaluation.figures.attention_figures import draw_attention, dr
 from landmark_nav.evaluation.figures.learned_figure import draw_learned
 from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
 from landmark_nav.evaluation.figures.sweep_figure import draw_sweeps
-from landmark_nav.evaluation.true_places import true_places, truth_of_bag
+from landmark_nav.evaluation.learning_report import true_places, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.attention import AttentionConfig, FEATURES

@@ -30,9 +30,12 @@ from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
-from landmark_nav.evaluation.learning_report import learning_report
+from landmark_nav.evaluation.learning_report import (
+    check_truth_frame,
+    learning_report,
+    truth_of_bag,
+)
 from landmark_nav.evaluation.report import check_report, learning_page, write_report
-from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult

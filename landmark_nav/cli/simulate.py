@@ -23,7 +23,7 @@ from landmark_nav.simulation.furnishing import (
     generate_scene,
     hang_tags,
 )
-from landmark_nav.simulation.pan_control import PanControl
+from landmark_nav.simulation.pan_tilt_unit import PanControl
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
 from landmark_nav.simulation.recording import (
     drive_messages,

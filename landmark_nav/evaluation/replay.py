@@ -12,7 +12,7 @@ import numpy.typing as npt
 from landmark_nav.arrays import IntArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig

@@ -8,7 +8,7 @@ import itertools
 import cv2
 import numpy as np
 
-from landmark_nav.geometry.paper_colors import NAMED_HUES_DEG, paper_bgr
+from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
 from landmark_nav.simulation.textures import (
     Color,
     draw_photo,

@@ -31,7 +31,7 @@ SEEDS = (8301, 8302, 8303)
 BEST = 1e9
 
 _LEARN, _FIND = 'landmark_nav.learning.', 'landmark_nav.localization.'
-_ATTENTION, _ELECT = f'{_LEARN}attention.config:AttentionConfig.', f'{_LEARN}election:'
+_ATTENTION, _ELECT = f'{_LEARN}attention.maps:AttentionConfig.', f'{_LEARN}election:'
 _WALL = f'{_LEARN}stereo.wall_stereo:'
 _ADJUST = f'{_LEARN}adjustment.config:AdjustmentConfig.'
 

@@ -16,8 +16,7 @@ from matplotlib.patheffects import withStroke
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.paper_colors import paper_bgr
-from landmark_nav.geometry.walls import Paper, Wall
+from landmark_nav.geometry.walls import Paper, paper_bgr, Wall
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.paper_colors import paper_bgr
+from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.types import FloatArray
 

@@ -23,8 +23,8 @@ from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
-from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutlines
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.refusals import MountError
 from landmark_nav.learning.reference_area.search import (
     find_places,
