@@ -175,7 +175,6 @@ def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMo
     -------
     ndarray, shape (n, 2)
         In the order of the map.
-
     """
     truth = np.zeros((len(result.map.landmarks), 2))
     for pose, panorama, candidates, outcomes in zip(

@@ -38,7 +38,6 @@ class PoseTrack:
         Strictly increasing.
     poses : ndarray, shape (n, 3)
         x [m], y [m], heading [rad].
-
     """
 
     stamps_ns: IntArray
@@ -83,7 +82,6 @@ class PoseTrack:
         -------
         ndarray, shape (m, 3)
             NaN before the first and after the last pose.
-
         """
         stamps = np.atleast_1d(np.asarray(stamps_ns, dtype=np.int64))
         found = np.full((len(stamps), 3), np.nan)
@@ -142,7 +140,6 @@ def pose_errors(poses: npt.ArrayLike, truth: npt.ArrayLike) -> FloatArray:
     -------
     ndarray, shape (n, 3)
         NaN where either is.
-
     """
     errors = np.asarray(poses, dtype=np.float64) - np.asarray(truth, dtype=np.float64)
     errors[:, 2] = wrap_rad(errors[:, 2])
@@ -198,7 +195,6 @@ def consistency(
     -------
     Consistency or None
         None without a single known error.
-
     """
     known = np.all(np.isfinite(errors), axis=1)
     if not np.any(known):
@@ -270,7 +266,6 @@ def crlb_ratio(errors: FloatArray, bound: FloatArray) -> float | None:
         NaN where unknown.
     bound : ndarray, shape (n, 3, 3)
         Least covariance of x, y, heading that any estimator can have.
-
     """
     known = np.all(np.isfinite(errors), axis=1) & np.all(np.isfinite(bound), axis=(1, 2))
     if not np.any(known):
@@ -290,7 +285,6 @@ def result_hash(stamps_ns: npt.NDArray[np.int64], fused: FloatArray, fixes: Floa
         Stamps of the images.
     fused, fixes : ndarray, shape (n, 3)
         Fused and triangulated poses; NaN where there is none.
-
     """
     digest = hashlib.sha256(np.ascontiguousarray(stamps_ns, dtype='<i8').tobytes())
     for poses in (fused, fixes):

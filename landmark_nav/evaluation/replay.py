@@ -52,7 +52,6 @@ def shifts_by_odometry(
     -------
     ndarray of int, shape (m,)
         0 where no clock was set back.
-
     """
     stamps = np.asarray(stamps_ns, dtype=np.int64)
     clock = np.asarray(odometry_ns, dtype=np.int64)
@@ -105,7 +104,6 @@ class Replay:
         The odometry as it came, by time.
     calibration : Calibration or None
         As estimated by the end; None of a recording of the nodes.
-
     """
 
     start: PoseEstimate

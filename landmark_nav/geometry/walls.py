@@ -165,7 +165,6 @@ class Room:
             Metres; inf where no wall is hit.
         wall : ndarray of int, shape (...)
             Index of the wall, -1 where none is hit.
-
         """
         azimuth = np.asarray(azimuth_rad, dtype=np.float64)
         distance = self._wall_hits(origin_xy, np.cos(azimuth), np.sin(azimuth))

@@ -73,7 +73,6 @@ def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) ->
     int
         Exit status: 0 after a signal or the end of a node, 1 if one could not be made or ended
         with a failure, 2 for wrong usage.
-
     """
     name = Path(sys.argv[0]).stem
     asked: Future[None] = Future()

@@ -197,7 +197,6 @@ class Renderer:
         -------
         ndarray of uint8, shape (height, width, 3)
             BGR, without vignetting and noise.
-
         """
         solids = [*self._solids, *people]
         surfaces = self._ground + [s for solid in solids for s in solid.surfaces]

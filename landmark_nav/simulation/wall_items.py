@@ -38,7 +38,6 @@ def draw_item(kind: str, seed: int, shape: tuple[int, int]) -> ImageArray:
     Returns
     -------
     ndarray of uint8, shape (rows, columns, 3)
-
     """
     twice = 2 * shape[0], 2 * shape[1]
     large = (

@@ -32,7 +32,6 @@ class Attention:
         Strongest first.
     refused : tuple of (Candidate, Refusal)
         Attended as well, but a neighbouring place could be mistaken for them.
-
     """
 
     candidates: tuple[Candidate, ...]

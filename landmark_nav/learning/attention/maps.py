@@ -43,7 +43,6 @@ class AttentionConfig(Config):
 
     The weights are in proportion to what each feature proposes, alone, that is found again more
     often than chance, in simulated rooms kept for tuning (docs/decisions.md).
-
     """
 
     # Weight of bright areas.
@@ -211,7 +210,6 @@ def line_symmetry_map(intensity: Float32Array, contrast: float) -> Float32Array:
         Full resolution.
     contrast : float
         Contrast below which there is nothing to compare, in the units of `intensity`.
-
     """
     half = halve(intensity)
     reach, rise = _HALF_WIDTH_PX // 2, _HALF_HEIGHT_PX // 2
@@ -256,7 +254,6 @@ class EdgeGradients:
         Slopes to the right and downwards and their norm.
     strong : float
         Magnitude of a strong edge of this image; 1 where there is no edge.
-
     """
 
     dx: Float32Array
@@ -353,7 +350,6 @@ def conspicuity_map(
         In pixels of `feature`.
     side : int
         Columns at either end that are there twice, and count once.
-
     """
     turn = slice(side, feature.shape[1] - side)
     center = cv2.GaussianBlur(feature, (0, 0), center_sigma)

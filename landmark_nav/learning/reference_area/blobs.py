@@ -98,7 +98,6 @@ class ColorSearch:
     ----------
     view : CylinderImage
         The sweep as a cylinder in the base frame.
-
     """
 
     def __init__(self, view: CylinderImage) -> None:

@@ -160,7 +160,6 @@ def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperVi
         Its papers' colours are used, not their locations.
     eye_height_m : float
         Height of the optical centre, see `optical_height`.
-
     """
     colors = {paper.color for paper in room.papers}
     found = color_blobs(view, colors)
