@@ -19,7 +19,7 @@ BIN = .venv/bin
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-offline test-nodes lint bench rooms variety landmarks alternatives cameras triangulation unmeasured \
+.PHONY: install demo test test-offline test-nodes lint bench ablation rooms variety landmarks alternatives cameras triangulation unmeasured \
 	latency papers bad-sweeps degraded faults calibration fuzz docs docs-images test-oldest test-colcon clean
 
 install: .venv/installed
@@ -53,6 +53,10 @@ test-nodes: install test-offline
 
 bench: install
 	$(BIN)/landmark-nav bench
+
+# What each mechanism is worth: some hours; ROWS="--only 'way back' median" for a few of them.
+ablation: install
+	$(BIN)/python test/benchmarks ablation ablation $(ROWS)
 
 # Rooms that nothing was tuned on, one line a room.
 SEEDS ?= 901 902 903 904 905

@@ -141,7 +141,6 @@ class Settled:
         About former names, a line each.
     unknown : dict
         Name -> question which one was meant, '' if none is like it.
-
     """
 
     values: dict[str, Any]

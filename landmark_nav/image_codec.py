@@ -104,7 +104,6 @@ def encode_image(
     ------
     ValueError
         OpenCV can not write this shape or type so.
-
     """
     done, data = cv2.imencode(suffix, image, list(options))
     if not done:

@@ -25,7 +25,6 @@ def end_at_once(status: int | None = None) -> None:
     ----------
     status : int, optional
         Exit status; by default that of shells, 128 + the number of the signal.
-
     """
 
     def end(number: int, _frame: FrameType | None) -> None:

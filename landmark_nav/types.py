@@ -95,7 +95,6 @@ class Expectation(PoseEstimate):
         Its standard deviations count, not its correlations.
     tilt_sigma_rad : float
         How well it is known how high the camera looks: of base, axis and camera together.
-
     """
 
     calibration: Calibration
@@ -228,7 +227,6 @@ class Panorama:
         Values of the calibration that the image was made with.
     by_calibration : ndarray, shape (4, 15), optional
         Derivative of x, y, z, heading by the calibration; papers locate the camera itself: 0.
-
     """
 
     stamp_ns: int
@@ -293,7 +291,6 @@ class Landmark:
         Of the wall that carries it (empty for one on a plane of its own), of its candidate.
     views : tuple of PatchView
         What other panoramas show of it; old maps do not hold it.
-
     """
 
     id: int

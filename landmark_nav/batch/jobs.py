@@ -59,7 +59,6 @@ class Stage:
         Keys of the stages whose results it reads.
     key : str
         Of all that its result depends on: command, arguments, content of files, `after`.
-
     """
 
     command: str

@@ -116,7 +116,6 @@ class Change:
         Mean of after less before and its 95 % interval (Student's t over pairs).
     worse : bool
         The whole interval is on the worse side.
-
     """
 
     name: str

@@ -34,7 +34,6 @@ class Outcome:
         Time of its process.
     memory_mb : float
         Most memory that it held.
-
     """
 
     reason: str = ''
@@ -76,7 +75,6 @@ def run_all(
     ------
     (Run, Outcome)
         As runs end: the sum of their stages, or the first that failed.
-
     """
     # Slow to import; its functions have no types.
     distributed: Any = import_module('distributed')

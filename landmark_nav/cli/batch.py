@@ -20,7 +20,7 @@ from landmark_nav.batch.results import (
 )
 from landmark_nav.batch.work import run_all, stage_arguments
 from landmark_nav.cli.lines import progress
-from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 

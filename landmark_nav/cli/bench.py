@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import chain
 import json
-from pathlib import Path
 import platform
 from statistics import median
 import time
@@ -19,7 +18,7 @@ from landmark_nav.cli.bench_learning import learning_comparisons
 from landmark_nav.cli.bench_localization import localization_comparisons
 from landmark_nav.cli.bench_world import Comparison, World
 from landmark_nav.cli.lines import progress
-from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_json, add_number, within
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 
 
@@ -60,20 +59,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'Time every stage on simulated data, and beside it, in the same run and on '
         'the same data, a reference. The ratio of the two can be compared between machines.'
     )
-    parser.add_argument('--json', type=Path, metavar='F', help='write the times to F')
-    parser.add_argument(
-        '--seed',
-        type=within(int, 0, 2**63 - 1),
-        default=0,
-        metavar='N',
-        help='of the simulated data (default 0)',
-    )
-    parser.add_argument(
+    add_json(parser, 'the times')
+    add_number(parser, '--seed', within(int, 0, 2**63 - 1), 0, 'N', 'of the simulated data')
+    add_number(
+        parser,
         '--repeats',
-        type=within(int, 1, 1000),
-        default=7,
-        metavar='N',
-        help='how often, of which the median is taken (default 7)',
+        within(int, 1, 1000),
+        7,
+        'N',
+        'how often, of which the median is taken',
     )
 
 

@@ -12,11 +12,17 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
-from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.learn import panoramas_of_bag
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add_config, add_overwrite
+from landmark_nav.cli.options import (
+    add_config,
+    add_json,
+    add_overwrite,
+    add_report,
+    add_topic_argument,
+    open_bag,
+)
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
@@ -74,13 +80,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_config(parser)
     add_overwrite(parser)
-    parser.add_argument('--json', metavar='F', type=Path, help='write the table to F')
-    parser.add_argument(
-        '--report',
-        metavar='F.html',
-        type=Path,
-        help='write a page with the table and the residuals before and after to F.html',
-    )
+    add_json(parser, 'the table')
+    add_report(parser, 'with the table and the residuals before and after')
     parser.set_defaults(replaces='robot')
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_namespace
+from landmark_nav.cli.options import add_namespace, add_number, within
 from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.ros import require_ros
 
@@ -26,12 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = 'Call a service of the nodes, and print its answer.'
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument('service', choices=_SERVICES, metavar='SERVICE', help='see below')
-    parser.add_argument(
-        '--timeout',
-        type=within(float, 0.1, 86400),
-        default=300.0,
-        metavar='S',
-        help='how long the answer may take (default 300)',
+    add_number(
+        parser, '--timeout', within(float, 0.1, 86400), 300.0, 'S', 'how long the answer may take'
     )
     add_namespace(parser)
     parser.epilog = 'services:\n' + '\n'.join(

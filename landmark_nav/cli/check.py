@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 import json
-from pathlib import Path
 
-from landmark_nav.cli.bags import add_topic_argument, open_bag
+from landmark_nav.cli.options import add_json, add_topic_argument, open_bag
 from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, table, worst
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -30,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--room', metavar='F', help='room.yaml: walls and papers')
     parser.add_argument('--robot', metavar='F', help='robot.yaml: how the camera is mounted')
     parser.add_argument('--map', metavar='MAP', help='map folder: its walls, if no room is given')
-    parser.add_argument('--json', metavar='F', type=Path, help='write what was found to F')
+    add_json(parser, 'what was found')
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,10 +13,9 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.cli.lines import evaluate_line, progress, wrapped
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.options import add_overwrite, within
 from landmark_nav.errors import LandmarkNavError, UsageError
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.odometry.commanded import command_delay_s, integrate_commands
 from landmark_nav.messages import encode

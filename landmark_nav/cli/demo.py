@@ -10,14 +10,12 @@ import shutil
 
 from landmark_nav.cli.evaluate import error_table
 from landmark_nav.cli.learn import located_sweeps
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.options import add_number, add_overwrite, within
 from landmark_nav.configuration import load_configuration
 from landmark_nav.demo.graph import node_commands, node_environment
-from landmark_nav.demo.recorded_run import recorded_run
+from landmark_nav.demo.recorded_run import Check, figures, judge, recorded_run
 from landmark_nav.demo.scenario import Narrator, prepare_room, run_scenario
 from landmark_nav.demo.supervisor import Interruption, Supervisor
-from landmark_nav.demo.verdict import Check, figures, judge
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
@@ -49,13 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
     add_overwrite(parser)
-    parser.add_argument(
-        '--seed',
-        type=within(int, 0, 2**63 - 1),
-        default=1,
-        metavar='N',
-        help='of the room (default 1)',
-    )
+    add_number(parser, '--seed', within(int, 0, 2**63 - 1), 1, 'N', 'of the room')
     parser.add_argument(
         '--unmeasured',
         action='store_true',

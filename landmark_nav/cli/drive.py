@@ -12,8 +12,7 @@ import termios
 import time
 import tty
 
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_namespace
+from landmark_nav.cli.options import add_namespace, add_number, within
 from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import require_ros
@@ -66,12 +65,8 @@ class Keys:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what the command takes."""
     parser.description = f'Drive by keys of the terminal, on the topic cmd_vel. {_HELP}.'
-    parser.add_argument(
-        '--speed', type=within(float, 0.01, 2), default=0.2, metavar='V', help='m/s (default 0.2)'
-    )
-    parser.add_argument(
-        '--turn', type=within(float, 0.01, 4), default=0.5, metavar='W', help='rad/s (default 0.5)'
-    )
+    add_number(parser, '--speed', within(float, 0.01, 2), 0.2, 'V', 'm/s')
+    add_number(parser, '--turn', within(float, 0.01, 4), 0.5, 'W', 'rad/s')
     add_namespace(parser)
 
 

@@ -11,15 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_config
+from landmark_nav.cli.options import (
+    add_config,
+    add_json,
+    add_report,
+    add_robot,
+    add_topic_argument,
+    open_bag,
+    within,
+)
 from landmark_nav.configuration import load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
+from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.report import (
     check_report,
@@ -43,7 +50,6 @@ from landmark_nav.evaluation.smoothed_run import (
     smoothed_report,
     write_tum_files,
 )
-from landmark_nav.evaluation.true_places import check_truth_frame
 from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 from landmark_nav.storage.bags import sensor_events
@@ -154,9 +160,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', metavar='BAG', help='bag of a drive')
     add_topic_argument(parser)
     parser.add_argument('--map', required=True, metavar='MAP', help='map folder, of learn')
-    parser.add_argument(
-        '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
-    )
+    add_robot(parser)
     parser.add_argument(
         '--start',
         nargs=3,
@@ -179,9 +183,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='also smooth over the whole drive: the best line that its measurements allow',
     )
-    parser.add_argument(
-        '--json', metavar='F', type=Path, help='write errors, availability and times to F'
-    )
+    add_json(parser, 'errors, availability and times')
     parser.add_argument(
         '--tum',
         metavar='DIR',
@@ -189,12 +191,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='write truth.tum, fused.tum, triangulation.tum, odometry.tum and, with --smooth, '
         'smoothed.tum to DIR, for evo and the like',
     )
-    parser.add_argument(
-        '--report',
-        metavar='F.html',
-        type=Path,
-        help='write a page that plays the drive to F.html',
-    )
+    add_report(parser, 'that plays the drive')
     parser.add_argument(
         '--video', metavar='F.mp4', type=Path, help='write the drive as a video to F.mp4'
     )

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.figures_world import FiguresWorld
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_number, add_topic_argument, open_bag, within
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures.area_figure import (
@@ -26,7 +25,7 @@ from landmark_nav.evaluation.figures.attention_figures import draw_attention, dr
 from landmark_nav.evaluation.figures.learned_figure import draw_learned
 from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
 from landmark_nav.evaluation.figures.sweep_figure import draw_sweeps
-from landmark_nav.evaluation.true_places import true_places, truth_of_bag
+from landmark_nav.evaluation.learning_report import true_places, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.attention import AttentionConfig, FEATURES
@@ -71,13 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--map', metavar='MAP', help='a map of your own for Figure 6, which needs nothing else'
     )
-    parser.add_argument(
-        '--seed',
-        type=within(int, 0, 2**63 - 1),
-        default=7,
-        metavar='N',
-        help='of the simulated room (default 7)',
-    )
+    add_number(parser, '--seed', within(int, 0, 2**63 - 1), 7, 'N', 'of the simulated room')
     parser.add_argument(
         '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N',
         help='which figures, 3 to 8 (default: all that the data allow)',

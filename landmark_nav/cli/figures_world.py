@@ -48,7 +48,6 @@ class FiguresWorld:
     ----------
     poses : ndarray, shape (2, 3)
         Of the base at the two sweeps.
-
     """
 
     scene: Scene

@@ -15,17 +15,27 @@ import time
 from typing import Any
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add_config, add_overwrite
+from landmark_nav.cli.options import (
+    add_config,
+    add_json,
+    add_overwrite,
+    add_report,
+    add_robot,
+    add_topic_argument,
+    open_bag,
+)
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
-from landmark_nav.evaluation.learning_report import learning_report
+from landmark_nav.evaluation.learning_report import (
+    check_truth_frame,
+    learning_report,
+    truth_of_bag,
+)
 from landmark_nav.evaluation.report import check_report, learning_page, write_report
-from landmark_nav.evaluation.true_places import check_truth_frame, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
@@ -121,9 +131,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--walls-out', metavar='F', type=Path, help='write the walls that were found as room.yaml'
     )
-    parser.add_argument(
-        '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
-    )
+    add_robot(parser)
     parser.add_argument(
         '--out', required=True, metavar='MAP', type=Path, help='map folder to write'
     )
@@ -141,15 +149,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_overwrite(parser)
     add_config(parser)
-    parser.add_argument(
-        '--json', metavar='F', type=Path, help='write counts, errors and times to F'
-    )
-    parser.add_argument(
-        '--report',
-        metavar='F.html',
-        type=Path,
-        help='write a page with the map, the panoramas and all candidates to F.html',
-    )
+    add_json(parser, 'counts, errors and times')
+    add_report(parser, 'with the map, the panoramas and all candidates')
 
 
 def run(args: argparse.Namespace) -> int:

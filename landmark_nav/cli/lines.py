@@ -61,7 +61,6 @@ def progress(iterable: Iterable[T], description: str, total: int | None = None) 
     ------
     object
         Each item.
-
     """
     if not logging.getLogger().isEnabledFor(logging.WARNING):
         yield from iterable

@@ -119,7 +119,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         Exit status: 0 done, 1 the data does not allow it, 2 wrong usage; 130 after SIGINT,
         143 after SIGTERM.
-
     """
     keep_to_one_thread()
     # A name that the terminal's encoding lacks is no reason to end.

@@ -1,9 +1,46 @@
-"""Options that several commands take."""
+"""Options that several commands take, and the bag that they read."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from math import inf
+from pathlib import Path
 import re
+
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags.topics import TOPIC_TYPES
+
+
+def add_number(
+    parser: argparse.ArgumentParser,
+    name: str,
+    kind: Callable[[str], float],
+    default: float,
+    metavar: str,
+    text: str,
+) -> None:
+    """Declare an option that is a number, such as of `within`."""
+    text = f'{text} (default {default:g})'
+    parser.add_argument(name, type=kind, default=default, metavar=metavar, help=text)
+
+
+def add_robot(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--robot``, which must be given."""
+    parser.add_argument(
+        '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
+    )
+
+
+def add_json(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare ``--json``, the file for the figures of a command."""
+    parser.add_argument('--json', metavar='F', type=Path, help=f'write {what} to F')
+
+
+def add_report(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare ``--report``, the page of a command."""
+    text = f'write a page {what} to F.html'
+    parser.add_argument('--report', metavar='F.html', type=Path, help=text)
 
 
 def add_overwrite(parser: argparse.ArgumentParser) -> None:
@@ -39,3 +76,48 @@ def _namespace(text: str) -> str:
     if name and not re.fullmatch(r'[A-Za-z_]\w*(/[A-Za-z_]\w*)*', name, re.ASCII):
         raise argparse.ArgumentTypeError(f'{text} is no namespace of ROS, such as robot1')
     return name
+
+
+def within(
+    kind: type[int] | type[float], least: float, most: float = inf
+) -> Callable[[str], float]:
+    """Argument type: a number from `least` to `most`; any other is wrong usage."""
+
+    def number(text: str) -> float:
+        value = kind(text)
+        if not least <= value <= most or value == inf:
+            what = f'{least:g} or more' if most == inf else f'from {least:g} to {most:g}'
+            raise argparse.ArgumentTypeError(f'{text} is not {what}')
+        return value
+
+    return number
+
+
+def add_topic_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--topic``, of every command that reads a bag."""
+    parser.add_argument(
+        '--topic',
+        action='append',
+        default=[],
+        type=_renamed,
+        metavar='NAME=TOPIC',
+        help='topic of the bag that is called otherwise than here, such as '
+        'camera/image_raw=/cam0/image; repeatable. joint_states=/tf:FRAME takes the pan from the '
+        'transform of FRAME. Names that only have a namespace are found without it',
+    )
+
+
+def open_bag(path: Path | str, args: argparse.Namespace) -> Bag:
+    """Open a bag with the topics that ``--topic`` gives."""
+    return Bag(path, topics=dict(args.topic))
+
+
+def _renamed(text: str) -> tuple[str, str]:
+    name, given, topic = text.partition('=')
+    name = name.strip('/')
+    if not given or not topic or name not in TOPIC_TYPES:
+        raise argparse.ArgumentTypeError(
+            f'{text!r} is not NAME=TOPIC with a NAME such as camera/image_raw, '
+            'camera/camera_info, joint_states, odom'
+        )
+    return name, topic

@@ -9,10 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from landmark_nav.cli.bags import add_topic_argument, open_bag
 from landmark_nav.cli.lines import wrapped
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.options import add_overwrite, add_topic_argument, open_bag, within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import unseen_arcs

@@ -10,8 +10,7 @@ import numpy as np
 import yaml
 
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.options import add_overwrite, add_robot, within
 from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig
@@ -35,9 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--room', required=True, metavar='F', help='room.yaml, measured or of learn --walls-out'
     )
-    parser.add_argument(
-        '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
-    )
+    add_robot(parser)
     parser.add_argument(
         '--positions',
         required=True,

@@ -8,8 +8,7 @@ import os
 import signal
 import sys
 
-from landmark_nav.cli.bags import add_topic_argument
-from landmark_nav.cli.numbers import within
+from landmark_nav.cli.options import add_number, add_topic_argument, within
 from landmark_nav.ros import require_ros
 from landmark_nav.signals import ENDING
 
@@ -22,10 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('bag', metavar='BAG', help='bag to play')
     add_topic_argument(parser)
-    parser.add_argument(
-        '--rate', type=within(float, 0.01, 100), default=1.0, metavar='R',
-        help='speed relative to the recording, 0.01 to 100 (default 1)',
-    )  # fmt: skip
+    text = 'speed relative to the recording, 0.01 to 100'
+    add_number(parser, '--rate', within(float, 0.01, 100), 1.0, 'R', text)
     parser.add_argument(
         '--ros-args',
         nargs=argparse.REMAINDER,

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.lines import evaluate_line, progress
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.options import add_number, add_overwrite, within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
@@ -24,7 +23,7 @@ from landmark_nav.simulation.furnishing import (
     generate_scene,
     hang_tags,
 )
-from landmark_nav.simulation.pan_control import PanControl
+from landmark_nav.simulation.pan_tilt_unit import PanControl
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
 from landmark_nav.simulation.recording import (
     drive_messages,
@@ -78,75 +77,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='calibration of its camera, a YAML file as camera_calibration writes it; without it '
         'one of 512 x 512 pixels',
     )
-    parser.add_argument(
-        '--seed',
-        type=within(int, 0, 2**63 - 1),
-        default=1,
-        metavar='N',
-        help='of all that is drawn at random (default 1)',
-    )
-    parser.add_argument(
-        '--sweeps',
-        type=within(int, 1, 1000),
-        default=2,
-        metavar='N',
-        help='how many sweeps (default 2)',
-    )
-    parser.add_argument(
-        '--frames',
-        type=within(int, 8, 10_000),
-        default=72,
-        metavar='N',
-        help='frames of each sweep (default 72)',
-    )
-    parser.add_argument(
-        '--drive-seconds',
-        type=within(float, 0.5, 1e5),
-        default=40.0,
-        metavar='S',
-        help='length of the drive in seconds (default 40)',
-    )
-    parser.add_argument(
-        '--camera-rate',
-        type=_camera_rate,
-        default=5.0,
-        metavar='HZ',
-        help='images a second in the drive, a whole part of 20 (default 5)',
-    )
-    parser.add_argument(
-        '--speed',
-        type=within(float, 0.05, 10),
-        default=0.35,
-        metavar='M/S',
-        help='of the robot in the drive (default 0.35)',
-    )
-    parser.add_argument(
-        '--jpeg-quality',
-        type=within(int, 1, 100),
-        default=90,
-        metavar='Q',
-        help='of the images, 1 to 100 (default 90)',
-    )
-    parser.add_argument(
-        '--people',
-        type=within(int, 0, 50),
-        default=0,
-        metavar='N',
-        help='who walk about (default 0)',
-    )
+    for name, kind, default, metavar, text in (
+        ('--seed', within(int, 0, 2**63 - 1), 1, 'N', 'of all that is drawn at random'),
+        ('--sweeps', within(int, 1, 1000), 2, 'N', 'how many sweeps'),
+        ('--frames', within(int, 8, 10_000), 72, 'N', 'frames of each sweep'),
+        ('--drive-seconds', within(float, 0.5, 1e5), 40.0, 'S', 'length of the drive in seconds'),
+        (
+            '--camera-rate',
+            _camera_rate,
+            5.0,
+            'HZ',
+            'images a second in the drive, a whole part of 20',
+        ),
+        ('--speed', within(float, 0.05, 10), 0.35, 'M/S', 'of the robot in the drive'),
+        ('--jpeg-quality', within(int, 1, 100), 90, 'Q', 'of the images, 1 to 100'),
+        ('--people', within(int, 0, 50), 0, 'N', 'who walk about'),
+    ):
+        add_number(parser, name, kind, default, metavar, text)
     parser.add_argument(
         '--light-change',
         action='store_true',
         help='dim one lamp and move one piece of furniture between sweeps and drive',
     )
-    parser.add_argument(
-        '--exchange',
-        type=within(float, 0, 1),
-        default=0.0,
-        metavar='SHARE',
-        help='share of the posters on the walls, 0 to 1, that are replaced by others between '
-        'sweeps and drive (default 0)',
+    text = (
+        'share of the posters on the walls, 0 to 1, that are replaced by others between sweeps '
+        'and drive'
     )
+    add_number(parser, '--exchange', within(float, 0, 1), 0.0, 'SHARE', text)
     parser.add_argument(
         '--tags',
         type=within(float, 0.3, 10),

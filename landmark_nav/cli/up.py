@@ -9,8 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 import time
 
-from landmark_nav.cli.numbers import within
-from landmark_nav.cli.options import add_config, add_namespace
+from landmark_nav.cli.options import add_config, add_namespace, add_number, within
 from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.demo.graph import node_commands
 from landmark_nav.demo.scenario import prepare_room
@@ -44,13 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='start a simulated robot too; without --robot and --room in a room of its own',
     )
-    parser.add_argument(
-        '--seed',
-        type=within(int, 0, 2**63 - 1),
-        default=1,
-        metavar='N',
-        help='draws the simulated room (default 1)',
-    )
+    add_number(parser, '--seed', within(int, 0, 2**63 - 1), 1, 'N', 'draws the simulated room')
     parser.add_argument(
         '--image-transport',
         choices=('auto', 'raw', 'compressed'),

@@ -1,23 +1,33 @@
-"""A recording of the nodes as a run that can be measured and drawn like an offline one."""
+"""A recording of the nodes as a run, measured and drawn like an offline one; its verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.evaluation.run_report import (
+    aligned,
+    aligned_report,
+    integrity_report,
+    pose_report,
+    run_errors,
+    RunErrors,
+    spells,
+)
 from landmark_nav.geometry import se2
 from landmark_nav.localization.estimator.integrity import ProtectionLevel
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.types import Detections, PoseEstimate, Refusal
+from landmark_nav.types import Detections, LandmarkMap, PoseEstimate, Refusal
 
 RECORDED_TOPICS = (
     'camera/image_raw/compressed',
@@ -133,3 +143,75 @@ def _or_refusal(fix: PoseEstimate | None) -> PoseEstimate | Refusal:
 def _nothing(stamp_ns: int) -> Detections:
     none = np.empty(0)
     return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))
+
+
+_MIN_LANDMARKS = 20
+_MIN_WALLS = 3
+_MAX_RMSE_M = 0.03
+_MAX_RMSE_DEG = 0.4
+_MIN_AVAILABILITY = 0.95
+# Of the scale of a map that is learned without a plan.
+_MOST_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was asked for, what was measured, and whether that is enough."""
+
+    passed: bool
+    text: str
+
+
+def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay, RunErrors]:
+    """
+    Figures of the drive, by the keys of ``landmark-nav evaluate --json``; the run, its errors.
+
+    A map of its own frame has them after alignment; the run is then in the metre of the map.
+    """
+    walls = len({landmark.wall_id for landmark in landmarks.landmarks})
+    of_run: dict[str, Any] = {'spells': spells(run), 'walls': walls}
+    if not landmarks.has_own_frame:
+        errors = run_errors(run)
+        of_run['integrity'] = integrity_report(run, errors)
+        return pose_report(run, errors, landmarks) | of_run, run, errors
+    rigid, (run, errors, alignment) = aligned(run, scaled=False)[1], aligned(run, scaled=True)
+    in_frame = aligned_report(rigid, errors, alignment)
+    scale_sigma = {'scale_sigma': float(landmarks.provenance['scale_sigma'])}
+    return pose_report(run, errors, landmarks) | of_run | in_frame | scale_sigma, run, errors
+
+
+def judge(measured: dict[str, Any]) -> list[Check]:
+    """Hold the figures against what the demo must reach."""
+    fused = measured.get('fused_after_scale', measured['fused'])
+    odometry = measured['odometry']
+    meters, degrees = fused['position_rmse_m'], fused['heading_rmse_deg']
+    alone = odometry['position_rmse_m']
+    if meters is None or alone is None:
+        return [Check(False, 'no fused pose that could be compared with the truth')]
+    landmarks, walls = measured['landmarks'], measured['walls']
+    available = measured['availability']
+    checks = [
+        Check(
+            landmarks >= _MIN_LANDMARKS and walls >= _MIN_WALLS,
+            f'{landmarks} landmarks on {walls} walls (at least {_MIN_LANDMARKS} on {_MIN_WALLS})',
+        ),
+        Check(
+            meters <= _MAX_RMSE_M and degrees <= _MAX_RMSE_DEG,
+            f'fused RMSE {100 * meters:.2f} cm and {degrees:.2f} deg '
+            f'(at most {100 * _MAX_RMSE_M:g} cm and {_MAX_RMSE_DEG:g} deg)',
+        ),
+        Check(
+            available >= _MIN_AVAILABILITY,
+            f'availability {available:.3f} (at least {_MIN_AVAILABILITY:g})',
+        ),
+        Check(
+            meters < alone,
+            f'better than odometry alone, which is off by {100 * alone:.1f} cm',
+        ),
+    ]
+    if 'scale' in measured:
+        off, most = abs(measured['scale'] - 1.0), _MOST_SIGMAS * measured['scale_sigma']
+        checks.append(
+            Check(off <= most, f'scale off by {100 * off:.2f} % (at most {100 * most:.2f} %)')
+        )
+    return checks

@@ -45,7 +45,6 @@ class DemoRoom:
         room file that is the base at the first sweep.
     size_m : tuple of float
         Extent of the room.
-
     """
 
     seed: int

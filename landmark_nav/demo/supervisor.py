@@ -88,7 +88,6 @@ class Supervisor:
         ------
         ProcessEndedError
             One has ended; the message says which, how, and its last lines.
-
         """
         for child in self._children:
             status = child.process.poll()

@@ -118,7 +118,6 @@ class Matches:
         Index of the pair, ascending from 0.
     pans_rad, tilts_rad : ndarray, shape (pairs, 2)
         Joints at both images.
-
     """
 
     before_px: FloatArray

@@ -81,7 +81,6 @@ class Cause:
         Of the joint, where that is the fault.
     offset_s : float
         Offset of a clock that drifts; moment of a step.
-
     """
 
     stream: str
@@ -127,7 +126,6 @@ def verdict(
         Odometry summed up from its speeds.
     clocks : mapping of str to iterable of Clock
         Clocks of streams that stamps and times of recording suggest, to begin the search at.
-
     """
     none = _cause(IMAGES, 'none', motion, 0)
     found = [none]

@@ -32,7 +32,6 @@ class Finding:
         The same as `measured` for programs; the unit is in the name: ``offset_s``.
     when_read : bool
         Whether whoever reads the bag says it as well, message by message.
-
     """
 
     name: str

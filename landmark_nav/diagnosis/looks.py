@@ -58,7 +58,6 @@ class Looks:
         Of the images.
     points : dict
         Pixels (m, 2) of points in an image and in the next one, by the index of the first.
-
     """
 
     stream: Stream

@@ -127,7 +127,6 @@ class Motion:
         Whether the camera is given as upside down.
     pan_clock, odometry_clock : Clock
         Of these streams.
-
     """
 
     before_s: FloatArray

@@ -39,7 +39,6 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
         Positions [m] and angles [rad] in its columns.
     angles : tuple of int
         Which columns are angles.
-
     """
     # As they arrive: stamps may go back.
     order = np.argsort(stream.logged, kind='stable')

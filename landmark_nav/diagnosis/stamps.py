@@ -217,7 +217,6 @@ def clock_hints(images: Stream, others: Mapping[str, Stream]) -> dict[str, list[
     -------
     dict
         For each stream; for the images all of them, as it may be theirs that is off.
-
     """
     begin, by_images = float(images.seconds[0]), log_clock(images)
     extent = float(np.ptp(images.seconds))

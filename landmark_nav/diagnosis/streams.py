@@ -45,7 +45,6 @@ class Stream:
         Where the seconds of all streams of a bag begin: its first time of recording.
     unstamped : int
         Messages whose header has a stamp of 0; the time of recording stands for it.
-
     """
 
     name: str

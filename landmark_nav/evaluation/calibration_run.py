@@ -96,7 +96,6 @@ class CalibrationDrive:
     slip_bound_rad : float
         Sigma of the direction of travel by the learned noise of the wheels, most of it side slip
         in turns: pan zero is known no better.
-
     """
 
     start: PoseEstimate

@@ -1,13 +1,13 @@
 """
-How good a run was, and how good any can be: the posterior Cramer-Rao bound.
+Tracks of poses; how good a run was, and how good any can be (posterior Cramer-Rao bound).
 
 Errors are absolute in ``map``: never aligned, so that a map or a start that is off shows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 import hashlib
 from typing import NamedTuple
 
@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
+from landmark_nav.arrays import IntArray
 from landmark_nav.calibration import Calibration
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator import ImagePoints, JointFilter
 from landmark_nav.localization.estimator.factors import project
@@ -24,6 +25,86 @@ from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEstimate
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrack:
+    """
+    Planar poses at increasing times.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray of int, shape (n,)
+        Strictly increasing.
+    poses : ndarray, shape (n, 3)
+        x [m], y [m], heading [rad].
+    """
+
+    stamps_ns: IntArray
+    poses: FloatArray
+
+    @classmethod
+    def of(cls, stamped: Iterable[tuple[int, FloatArray]]) -> PoseTrack:
+        """Sort stamped poses (3,); of several with one stamp the last counts."""
+        by_stamp = dict(stamped)
+        stamps = sorted(by_stamp)
+        poses = [by_stamp[stamp] for stamp in stamps]
+        return cls(np.array(stamps, np.int64), np.array(poses, np.float64).reshape(-1, 3))
+
+    def __len__(self) -> int:
+        """Return how many poses there are."""
+        return len(self.stamps_ns)
+
+    def seen_from(self, pose: FloatArray, scale: float = 1.0) -> PoseTrack:
+        """The track in the frame of a pose (3,), its ways `scale` times as long."""
+        poses = se2.relative(pose, self.poses)
+        return PoseTrack(self.stamps_ns, poses * [scale, scale, 1.0])
+
+    def carry(self, known: PoseTrack) -> PoseTrack:
+        """Carry `known` poses on, each until the next one, as this track moves; NaN beyond it."""
+        inside = (self.stamps_ns > known.stamps_ns[0]) & (self.stamps_ns < known.stamps_ns[-1])
+        stamps = np.union1d(known.stamps_ns, self.stamps_ns[inside])
+        last = np.searchsorted(known.stamps_ns, stamps, 'right') - 1
+        moved = se2.relative(self.at(known.stamps_ns[last]), self.at(stamps))
+        moved[stamps == known.stamps_ns[last]] = 0.0
+        return PoseTrack(stamps, se2.compose(known.poses[last], moved))
+
+    def at(self, stamps_ns: npt.ArrayLike) -> FloatArray:
+        """
+        Interpolate at constant twist in SE(2).
+
+        Parameters
+        ----------
+        stamps_ns : array_like of int, shape (m,)
+            When.
+
+        Returns
+        -------
+        ndarray, shape (m, 3)
+            NaN before the first and after the last pose.
+        """
+        stamps = np.atleast_1d(np.asarray(stamps_ns, dtype=np.int64))
+        found = np.full((len(stamps), 3), np.nan)
+        if not len(self):
+            return found
+        inside = (stamps >= self.stamps_ns[0]) & (stamps <= self.stamps_ns[-1])
+        after = np.clip(np.searchsorted(self.stamps_ns, stamps[inside]), 1, max(1, len(self) - 1))
+        if len(self) == 1:
+            found[inside] = self.poses[0]
+            return found
+        before = after - 1
+        span = self.stamps_ns[after] - self.stamps_ns[before]
+        share = (stamps[inside] - self.stamps_ns[before]) / span
+        step = se2.relative(self.poses[before], self.poses[after])
+        # Exponential of a share of the logarithm: the chord shrinks and turns with the turn.
+        turn = step[:, 2]
+        ratio = share * np.sinc(share * turn / (2 * np.pi)) / np.sinc(turn / (2 * np.pi))
+        bend = se2.rotation((share - 1.0) * turn / 2.0)
+        chord = np.einsum('nij,nj->ni', bend, step[:, :2]) * ratio[:, None]
+        part = np.column_stack([chord, share * turn])
+        found[inside] = se2.compose(self.poses[before], part)
+        return found
+
 
 # Of the errors x, y and heading.
 _DEGREES_OF_FREEDOM = 3
@@ -59,7 +140,6 @@ def pose_errors(poses: npt.ArrayLike, truth: npt.ArrayLike) -> FloatArray:
     -------
     ndarray, shape (n, 3)
         NaN where either is.
-
     """
     errors = np.asarray(poses, dtype=np.float64) - np.asarray(truth, dtype=np.float64)
     errors[:, 2] = wrap_rad(errors[:, 2])
@@ -115,7 +195,6 @@ def consistency(
     -------
     Consistency or None
         None without a single known error.
-
     """
     known = np.all(np.isfinite(errors), axis=1)
     if not np.any(known):
@@ -187,7 +266,6 @@ def crlb_ratio(errors: FloatArray, bound: FloatArray) -> float | None:
         NaN where unknown.
     bound : ndarray, shape (n, 3, 3)
         Least covariance of x, y, heading that any estimator can have.
-
     """
     known = np.all(np.isfinite(errors), axis=1) & np.all(np.isfinite(bound), axis=(1, 2))
     if not np.any(known):
@@ -207,7 +285,6 @@ def result_hash(stamps_ns: npt.NDArray[np.int64], fused: FloatArray, fixes: Floa
         Stamps of the images.
     fused, fixes : ndarray, shape (n, 3)
         Fused and triangulated poses; NaN where there is none.
-
     """
     digest = hashlib.sha256(np.ascontiguousarray(stamps_ns, dtype='<i8').tobytes())
     for poses in (fused, fixes):

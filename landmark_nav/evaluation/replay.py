@@ -12,7 +12,7 @@ import numpy.typing as npt
 from landmark_nav.arrays import IntArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
@@ -52,7 +52,6 @@ def shifts_by_odometry(
     -------
     ndarray of int, shape (m,)
         0 where no clock was set back.
-
     """
     stamps = np.asarray(stamps_ns, dtype=np.int64)
     clock = np.asarray(odometry_ns, dtype=np.int64)
@@ -105,7 +104,6 @@ class Replay:
         The odometry as it came, by time.
     calibration : Calibration or None
         As estimated by the end; None of a recording of the nodes.
-
     """
 
     start: PoseEstimate

@@ -19,12 +19,12 @@ from landmark_nav.evaluation.metrics import (
     crlb_ratio,
     error_summary,
     pose_errors,
+    PoseTrack,
     posterior_bound,
     result_hash,
     undetected_failures,
 )
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.localization.estimator import ImagePoints, Update
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate

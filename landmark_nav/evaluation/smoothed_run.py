@@ -40,7 +40,6 @@ class Smoothed:
         ``base_link`` in map.
     covariances : ndarray, shape (n, 3, 3)
         Of x, y, heading, given all measurements.
-
     """
 
     stamps_ns: npt.NDArray[np.int64]
@@ -131,7 +130,6 @@ def write_tum_files(
     -------
     tuple of Path
         What was written.
-
     """
     stamps = run.stamps_ns
     tracks = {

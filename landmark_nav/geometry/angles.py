@@ -28,7 +28,6 @@ def wrap_rad(angle_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:
     Returns
     -------
     ndarray, shape (...)
-
     """
     angle = np.asarray(angle_rad, dtype=np.float64)
     return np.asarray(np.pi - np.mod(np.pi - angle, 2.0 * np.pi))
@@ -64,7 +63,6 @@ def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDA
     -------
     ndarray, shape (k,)
         The first as it was measured, the others whole turns off at most.
-
     """
     angles = np.array(angles_rad, dtype=np.float64)
     steps = np.diff(angles)

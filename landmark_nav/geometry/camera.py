@@ -490,7 +490,6 @@ class PanTiltMount:
             Optical frame -> base.
         translation : ndarray, shape (..., 3)
             Optical centre in base, metres.
-
         """
         turned = self._axis_rotation @ rot_z(pan_rad) @ rot_y(np.negative(tilt_rad))
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)

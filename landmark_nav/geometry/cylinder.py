@@ -39,7 +39,6 @@ class Cylinder:
         Column of azimuth 0 in the base frame.
     cy : float
         Row of the horizon.
-
     """
 
     width: int
@@ -129,7 +128,6 @@ def unseen_arcs(pan_rad: npt.ArrayLike, half_fov_rad: float) -> list[tuple[float
         Where frames look, in any order, on any turn.
     half_fov_rad : float
         How far each sees to both sides.
-
     """
     pan = np.unique(np.mod(np.asarray(pan_rad, dtype=np.float64), 2.0 * np.pi))
     if not len(pan):
@@ -154,7 +152,6 @@ def describe_coverage(
         How far each sees to both sides.
     missing_rad : array_like, shape (m,)
         Where frames were taken that are not there.
-
     """
     missing = [f'{np.degrees(pan):.0f}' for pan in np.asarray(missing_rad, dtype=np.float64)]
     arcs = [

@@ -47,7 +47,6 @@ def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     Returns
     -------
     right, down : ndarray, shape (..., 3)
-
     """
     n = np.asarray(normals, dtype=np.float64)
     right, down = np.zeros_like(n), np.zeros_like(n)
@@ -90,7 +89,6 @@ def rays_to_patch(
     Returns
     -------
     ndarray, shape (n, 3, 3)
-
     """
     right, down = patch_axes(normals)
     offset = np.asarray(positions, dtype=np.float64) - np.asarray(center_map, dtype=np.float64)
@@ -121,7 +119,6 @@ def relative_sampling(
     -------
     horizontal, vertical : ndarray, shape (..., n)
         1 is the sampling of the reference view; `horizontal` is negative from behind the wall.
-
     """
     point = np.asarray(points, dtype=np.float64)[:, :2]
     normal = np.asarray(normals, dtype=np.float64)[:, :2]
@@ -156,7 +153,6 @@ def observed_well(
     -------
     ndarray of bool, shape (..., n)
         False from behind the wall and on the wall itself.
-
     """
     horizontal, vertical = relative_sampling(points, normals, viewpoints, viewers)
     return np.asarray(

@@ -1,16 +1,18 @@
-"""The wall map: vertical rectangles, rays against them, and the papers that hang there."""
+"""The wall map: vertical rectangles, rays against them, papers there and their colours."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+import colorsys
 from dataclasses import dataclass
 from functools import cached_property
+import re
 
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray, IndexArray
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, shown
 
 # A point on a wall is seen past that wall: what hangs on it may be so far off, and the wall by so
 # many of its standard deviations.
@@ -163,7 +165,6 @@ class Room:
             Metres; inf where no wall is hit.
         wall : ndarray of int, shape (...)
             Index of the wall, -1 where none is hit.
-
         """
         azimuth = np.asarray(azimuth_rad, dtype=np.float64)
         distance = self._wall_hits(origin_xy, np.cos(azimuth), np.sin(azimuth))
@@ -226,3 +227,56 @@ class Room:
         t = np.clip(np.sum((points - self._starts) * side, -1) / length_sq, 0.0, 1.0)
         foot = self._starts + t[..., None] * side
         return np.asarray(np.linalg.norm(points - foot, axis=-1))
+
+
+NAMED_HUES_DEG = {
+    'red': 0,
+    'orange': 26,
+    'yellow': 56,
+    'lime': 85,
+    'green': 125,
+    'turquoise': 165,
+    'cyan': 185,
+    'blue': 230,
+    'violet': 270,
+    'magenta': 300,
+    'pink': 335,
+}
+
+# How vivid and bright a paper is that is only named.
+_NAMED_SATURATION, _NAMED_VALUE = 0.75, 0.75
+
+# With less than that, light of another colour would change the hue at will.
+_LEAST_SATURATION = 0.3
+
+_HSV = re.compile(r'hsv\(\s*([\d.]+)\s*,\s*([\d.]+)%?\s*,\s*([\d.]+)%?\s*\)')
+_HEX = re.compile(r'#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})')
+
+
+def paper_bgr(color: str) -> tuple[float, float, float]:
+    """
+    Blue, green and red of a paper, 0 to 255.
+
+    Raises `LandmarkNavError`: not a colour, or one without a hue.
+    """
+    text = color.strip().lower()
+    named, hsv, hexadecimal = NAMED_HUES_DEG.get(text), _HSV.fullmatch(text), _HEX.fullmatch(text)
+    if named is not None:
+        rgb = colorsys.hsv_to_rgb(named / 360.0, _NAMED_SATURATION, _NAMED_VALUE)
+    elif hsv:
+        h, s, v = (float(part) for part in hsv.groups())
+        rgb = colorsys.hsv_to_rgb(h % 360.0 / 360.0, min(s, 100.0) / 100.0, min(v, 100.0) / 100.0)
+    elif hexadecimal:
+        r, g, b = (int(part, 16) / 255.0 for part in hexadecimal.groups())
+        rgb = (r, g, b)
+    else:
+        raise LandmarkNavError(
+            f'paper colour {shown(color)} is not known: take one of {", ".join(NAMED_HUES_DEG)}, '
+            "'#rrggbb' in quotes, or hsv(degrees, percent, percent)"
+        )
+    if max(rgb) - min(rgb) < _LEAST_SATURATION * max(rgb) or max(rgb) < 0.1:
+        raise LandmarkNavError(
+            f'paper colour {shown(color)} is too grey or too dark to be recognised by its hue: '
+            'hang a more vivid paper'
+        )
+    return 255.0 * rgb[2], 255.0 * rgb[1], 255.0 * rgb[0]

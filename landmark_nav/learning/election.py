@@ -93,7 +93,6 @@ def elect(
     -------
     list of Landmark or Refusal
         In the order of `patches`; ids count from 1 in the order of merit.
-
     """
     outcomes: list[Landmark | Refusal] = [Refusal('not reached')] * len(patches)
     covariance = adjustment.own_covariance + np.einsum(

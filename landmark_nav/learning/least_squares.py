@@ -139,7 +139,6 @@ def levenberg_marquardt(
     cost : float
         Sum of squares.
     information : ndarray, shape (n, n)
-
     """
     damping = Damping()
     state, here = start, linearize(start)

@@ -30,7 +30,6 @@ class ExpectedPoses(Generic[_Pose]):
     ----------
     max_age_s : float
         How far in time a pose may be from where it is asked for.
-
     """
 
     def __init__(self, max_age_s: float) -> None:
@@ -85,7 +84,6 @@ class SpreadCorrection:
     ----------
     time_constant_s : float
         After which 63 % of a correction has been made; 0 makes all of it at once.
-
     """
 
     def __init__(self, time_constant_s: float) -> None:
@@ -113,7 +111,6 @@ class SpreadCorrection:
         -------
         ndarray, shape (3,)
             Pose of ``odom`` in ``map``.
-
         """
         shown = pose_map_base
         if self._last is not None and self._time_constant_s > 0.0 and stamp_ns >= self._last[0]:

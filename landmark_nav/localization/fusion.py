@@ -76,7 +76,6 @@ class Fusion:
         Landmarks with their joint covariance.
     calibration : Calibration
         Prior of mount, lens and clocks.
-
     """
 
     def __init__(
@@ -233,7 +232,6 @@ class Fusion:
             `robot.yaml` or, if there are points, the calibrated one had them.
         joints : JointSample or CameraFrame, optional
             Measured pan and tilt at the stamp.
-
         """
         found = found.chosen(np.isin(found.ids, self._map.ids))
         missed = self._map.indices(found.missed[np.isin(found.missed, self._map.ids)])

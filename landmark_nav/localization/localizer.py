@@ -73,7 +73,6 @@ class LocalizationUpdate:
         What the estimator was given.
     taken : Update or Refusal, optional
         What it made of that, or why it was not used.
-
     """
 
     stamp_ns: int
@@ -173,7 +172,6 @@ class Localizer:
         LocalizationUpdate or PoseEstimate or Refusal
             An update if a pose was known before; otherwise the pose that was found, or why none
             was.
-
         """
         expected = self._fusion.expectation(frame.stamp_ns)
         if expected is None:

@@ -167,7 +167,6 @@ class Observation:
         Whether the image was not searched at all.
     expected : mapping of int to Window
         Where landmarks were searched, by id.
-
     """
 
     detections: Detections

@@ -243,7 +243,6 @@ def align(
         Column and row of each template's upper left corner.
     search_blurs : sequence of tuple of float
         By what each search image was blurred before, Gaussian sigmas.
-
     """
     n = len(templates)
     sizes = [(template.shape[1] - 2, template.shape[0] - 2) for template in templates]

@@ -35,7 +35,6 @@ class Query(NamedTuple):
     search_blur : tuple of float
         By how much the search image was blurred already, across and down: Gaussian sigmas in
         pixels. Its noise is correlated as far.
-
     """
 
     search: Float32Array

@@ -31,7 +31,6 @@ class Layout:
     repeated : mapping of str to (str, int)
         Further fields whose length differs from message to message, a multiple of the number:
         their types. Those that are not there have no length.
-
     """
 
     topic: str

@@ -36,7 +36,6 @@ class RecordedSweep:
         Stamp -> message of the image, calibration.
     pose_map_base : PoseEstimate, optional
         Pose of the base, if ``sweep/pose`` gave it.
-
     """
 
     trajectory: tuple[JointSample, ...]

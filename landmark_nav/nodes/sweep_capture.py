@@ -13,9 +13,9 @@ from landmark_nav.learning.capture import describe_sweep
 from landmark_nav.messages import decode
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.sweep_runner import SweepOutput, SweepRunner
+from landmark_nav.ros.camera_frames import listen_for_joints
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.image_source import image_topics, ImageSource
-from landmark_nav.ros.joints import listen_for_joints
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import PanCommander
 from landmark_nav.ros.run import run_node

@@ -73,7 +73,6 @@ def best_places(
     -------
     ndarray of int, shape (count,)
         From left to right.
-
     """
     pairs = [np.array(pair, dtype=np.intp) for pair in combinations(seeds, 2)]
     chosen, _ = _best(cost, pairs, 'pairs', show)
@@ -102,7 +101,6 @@ def exchange(
     -------
     ndarray of int, shape (n,)
         From left to right: the order has no meaning, and so the same set reads the same.
-
     """
     chosen, least = start, cost(start)
     around = np.linalg.norm(xy[:, None] - xy[start], axis=-1).argmin(axis=1)
@@ -247,7 +245,6 @@ class Forecast:
         too few landmarks would be seen.
     cost_m : float
         Mean error over the floor, with the planner's cap.
-
     """
 
     poses_map_base: FloatArray

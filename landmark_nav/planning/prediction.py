@@ -72,7 +72,6 @@ def landmark_errors(
         Covariance of what a landmark's error has alone.
     loading : ndarray, shape (s, 2, m)
         The rest, as unit-variance factors that all have in common.
-
     """
     # Of azimuths by the landmark; by the panorama it is the opposite, by heading -1.
     turned = azimuth_rad + 0.5 * np.pi
@@ -131,7 +130,6 @@ def localization_sigma(
     ndarray, shape (c,)
         Root of the trace of the position's covariance, metres; inf where fewer than three are
         seen or they fix no place.
-
     """
     gx, gy = gradient[..., 0], gradient[..., 1]
     variance = gx * gx * own[:, 0, 0] + 2.0 * gx * gy * own[:, 0, 1] + gy * gy * own[:, 1, 1]
@@ -196,7 +194,6 @@ class Prediction:
         Of x and y of one there, as the map would state it.
     sigma_m : ndarray, shape (c,)
         Localization error at each floor cell, root of the trace; inf where it is not known.
-
     """
 
     landmarks: FloatArray

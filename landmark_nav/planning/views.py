@@ -106,7 +106,6 @@ class Views:
         obliquely to be matched.
     proposed : ndarray, shape (p, s)
         How many patches attention would propose there that can become landmarks.
-
     """
 
     pose_map_base: FloatArray
@@ -177,7 +176,6 @@ def look(
     Views
         Of the places that see enough papers, if there are any; the others can't be measured and
         are left out.
-
     """
     axis = mount.axis_pose_map(poses_map_base)[:, :2]
     eye = np.column_stack([axis, np.full(len(axis), eye_height(mount))])

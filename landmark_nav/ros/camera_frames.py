@@ -1,4 +1,4 @@
-"""Images with the calibration and the angles they were taken at."""
+"""Joint states; images with the calibration and the angles they were taken at."""
 
 from __future__ import annotations
 
@@ -9,14 +9,44 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.geometry.angles import unwrap_joint
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
-from landmark_nav.ros.joints import listen_for_joints
+from landmark_nav.ros.inputs import IrrelevantError
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.storage.bags.timelines import JointHistory
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, Refusal
+
+
+def listen_for_joints(
+    node: LandmarkNode,
+    mount: PanTiltMount,
+    on_sample: Callable[[JointSample], None],
+    on_tilt: Callable[[int, float], None],
+    *,
+    depth: int | None = None,
+) -> None:
+    """
+    Call back with pan and tilt; with stamp, ns, and tilt, rad, where the tilt comes by itself.
+
+    Diagnostics list which joints are named as long as that of the pan is not among them.
+    """
+    names = decode.JointNames(mount)
+
+    def take(message: Any) -> None:
+        if taken := names.add(message.name):
+            node.get_logger().info(f'joint_states: {taken}')
+        sample = decode.joint_sample(message, names.mount)
+        if sample is not None:
+            on_sample(sample)
+            return
+        if (tilt := decode.lone_tilt(message, names.mount)) is not None:
+            on_tilt(*tilt)
+        raise IrrelevantError(one_line(names.missing))
+
+    node.listen('joint_states', take, depth=depth)
+
 
 # Joint states of so long are kept, and of those that come faster one in each such step.
 _HISTORY_NS, _STEP_NS = 3 * 10**9, 5_000_000

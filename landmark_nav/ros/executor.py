@@ -35,7 +35,6 @@ class CallbackExecutor(Executor):
     ----------
     threads : int
         How many callbacks may run at once.
-
     """
 
     def __init__(self, threads: int) -> None:
@@ -89,7 +88,6 @@ class LatestOnlyWorker:
     ----------
     work : callable
         Called with each message, in the thread; it raises nothing.
-
     """
 
     def __init__(self, work: Callable[[Any], None]) -> None:

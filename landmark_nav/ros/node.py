@@ -61,7 +61,6 @@ class LandmarkNode(ManagedNode):
         What ``/diagnostics`` calls its work.
     **options
         Passed on to `rclpy.node.Node`, such as `context` or `parameter_overrides`.
-
     """
 
     def __init__(self, name: str, subcomponent: str, **options: Any) -> None:

@@ -36,7 +36,6 @@ def settle(node: Node, config: Any) -> Mapping[str, Any]:
     -------
     mapping
         Fields of `robot.yaml` that parameters of the last release gave.
-
     """
     overrides = getattr(node, '_parameter_overrides', {})  # rclpy has them nowhere else
     # What rclpy declares itself, or as topics are made, is not ours.

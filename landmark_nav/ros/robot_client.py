@@ -139,7 +139,6 @@ class RobotClient:
         How many triangulated poses came.
     panoramas : list of Panorama
         As they came.
-
     """
 
     def __init__(

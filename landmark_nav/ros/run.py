@@ -1,21 +1,51 @@
-"""`main` of the nodes: spin until SIGINT or SIGTERM, then end cleanly."""
+"""`main` of the nodes: spin until SIGINT or SIGTERM, log to ROS, end cleanly."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import logging
 from pathlib import Path
 import sys
 
 import rclpy
+from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.executor import CallbackExecutor
 from landmark_nav.ros.joining import join_ros
-from landmark_nav.ros.logs import forward_logs
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.shutdown_guard import ShutdownGuard
+
+
+class _Forwarder(logging.Handler):
+    def __init__(self, nodes: Sequence[Node]) -> None:
+        super().__init__()
+        self._loggers = {node.get_name(): node.get_logger() for node in nodes}
+        self._first = nodes[0].get_logger()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Log at the nearest ROS severity, as the node whose name ends that of the record."""
+        logger = self._loggers.get(record.name.rpartition('.')[2], self._first)
+        text = self.format(record)
+        if record.levelno >= logging.ERROR:
+            logger.error(text)
+        elif record.levelno >= logging.WARNING:
+            logger.warning(text)
+        elif record.levelno >= logging.INFO:
+            logger.info(text)
+        else:
+            logger.debug(text)
+
+
+def forward_logs(nodes: Sequence[Node]) -> None:
+    """Send what the package logs to the loggers of nodes, instead of where it went before."""
+    package = logging.getLogger('landmark_nav')
+    package.handlers = [_Forwarder(nodes)]
+    package.setLevel(logging.INFO)
+    package.propagate = False
+
 
 # A stage such as learning takes seconds and can't be interrupted; what it writes appears whole or
 # not at all, so the process may end in the midst of it.
@@ -43,7 +73,6 @@ def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) ->
     int
         Exit status: 0 after a signal or the end of a node, 1 if one could not be made or ended
         with a failure, 2 for wrong usage.
-
     """
     name = Path(sys.argv[0]).stem
     asked: Future[None] = Future()

@@ -44,7 +44,6 @@ class ExitTimer:
     ----------
     after_s : float
         How long after `start`.
-
     """
 
     def __init__(self, after_s: float) -> None:
@@ -83,7 +82,6 @@ class ShutdownGuard:
         Asks those in the context to leave it; called in that thread.
     grace_s : float
         The process ends with status 0 if the context is not left by then.
-
     """
 
     def __init__(self, on_signal: Callable[[], None], grace_s: float) -> None:

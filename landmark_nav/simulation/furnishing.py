@@ -68,7 +68,6 @@ def furnish(room: Room, rng: Generator, seed: int) -> Scene:
     -------
     Scene
         Nothing on a wall overlaps anything else there; furniture keeps clear of other furniture.
-
     """
     strips = [_Strip(wall, []) for wall in room.walls]
     for paper in room.papers:

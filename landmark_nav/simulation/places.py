@@ -50,7 +50,6 @@ def choose_sweep_places(scene: Scene) -> SweepPlaces | None:
     SweepPlaces or None
         The pair, 1.5 to 2.5 m apart, that shares most; None if no pair sees every paper and
         the target.
-
     """
     rng = np.random.default_rng([scene.seed, 10])
     places = rng.uniform(*scene.room.bounds, (_CANDIDATES * 4, 2))
@@ -126,7 +125,6 @@ def view_quality(
     -------
     ndarray, shape (n, m)
         0 where it is hidden, too far, too near or too slanted, up to 1 straight before it.
-
     """
     places = np.asarray(places_xy, dtype=np.float64).reshape(-1, 1, 2)
     ends = np.asarray(points, dtype=np.float64).reshape(1, -1, 3)
@@ -161,7 +159,6 @@ class PainterOrder:
     ----------
     footprints : sequence of ndarray, shape (k, 2)
         Convex, counter-clockwise; two points make a wall.
-
     """
 
     def __init__(self, footprints: Sequence[FloatArray]) -> None:
@@ -198,7 +195,6 @@ class PainterOrder:
         -------
         list of int
             `visible`, farthest first.
-
         """
         index = np.asarray(visible, dtype=np.intp)
         pairs = np.ix_(index, index)

@@ -10,7 +10,7 @@ import numpy as np
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.simulation.drive_path import PathFollower
-from landmark_nav.simulation.pan_control import PanControl
+from landmark_nav.simulation.pan_tilt_unit import PanControl
 from landmark_nav.simulation.world import RobotWorld
 from landmark_nav.types import CameraFrame, FloatArray, JointSample
 

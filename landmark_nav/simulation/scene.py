@@ -37,7 +37,6 @@ class WallItem:
         What it looks like; the number of a tag.
     before_m : float
         How far before the wall its face is: the depth of a frame.
-
     """
 
     kind: str
@@ -126,7 +125,6 @@ class Scene:
         Returns
         -------
         ndarray of bool, shape (...)
-
         """
         seen = self.room.visible(eye_xy, points_xy)
         eye = np.asarray(eye_xy, dtype=np.float64)

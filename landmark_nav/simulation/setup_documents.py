@@ -124,7 +124,6 @@ def as_measured(
         along their walls and up by one.
     mount : PanTiltMount
         Higher or lower by some millimetres.
-
     """
     off = rng.normal(0.0, _WALL_M, len(room.walls))
     ends = np.array([[wall.start, wall.end] for wall in room.walls])

@@ -8,8 +8,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from landmark_nav.geometry.paper_colors import paper_bgr
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Paper, paper_bgr, Room
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
 from landmark_nav.simulation.surfaces import Surface
 from landmark_nav.simulation.textures import plaster, random_color, wood

@@ -48,7 +48,6 @@ def irradiance(points: npt.ArrayLike, normal: npt.ArrayLike, lamps: Sequence[Lam
     -------
     ndarray, shape (..., 3)
         Factor on the albedo's blue, green and red; about 1 in a usual room.
-
     """
     at = np.asarray(points, dtype=np.float64)
     light = np.full(at.shape, _AMBIENT)
@@ -115,7 +114,6 @@ class Pyramid:
         at integers: ``c * scale[i, j] + offset[i, j]``.
     size_texels : (int, int)
         Columns and rows of the finest level.
-
     """
 
     atlas: ImageArray
@@ -168,7 +166,6 @@ class Surface:
         How many steps of foreshortening across its pyramid holds; 1 for none.
     lit : bool
         False for things that are shown as they are.
-
     """
 
     corner: FloatArray

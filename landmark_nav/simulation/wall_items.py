@@ -8,7 +8,7 @@ import itertools
 import cv2
 import numpy as np
 
-from landmark_nav.geometry.paper_colors import NAMED_HUES_DEG, paper_bgr
+from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
 from landmark_nav.simulation.textures import (
     Color,
     draw_photo,
@@ -38,7 +38,6 @@ def draw_item(kind: str, seed: int, shape: tuple[int, int]) -> ImageArray:
     Returns
     -------
     ndarray of uint8, shape (rows, columns, 3)
-
     """
     twice = 2 * shape[0], 2 * shape[1]
     large = (

@@ -9,11 +9,10 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.parameters import Config
-from landmark_nav.simulation.camera_effects import CameraEffects, CameraEffectsConfig
 from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.simulation.people import WalkingPeople
-from landmark_nav.simulation.renderer import Renderer
+from landmark_nav.simulation.renderer import CameraEffects, CameraEffectsConfig, Renderer
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import CameraFrame, FloatArray, JointSample, OdometrySample
 

@@ -53,7 +53,6 @@ class MrclamLog:
         Motion capture.
     unknown : int
         Readings that are no barcode of the list, left out.
-
     """
 
     landmark_map: LandmarkMap

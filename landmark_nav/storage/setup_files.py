@@ -11,8 +11,7 @@ import yaml
 
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.paper_colors import paper_bgr
-from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.geometry.walls import Paper, paper_bgr, Room, Wall
 from landmark_nav.storage.reading import (
     array_field,
     check_spelling,

@@ -29,7 +29,6 @@ def problems_of_map(landmarks: LandmarkMap) -> list[str]:
     -------
     list of str
         One line a problem, which names the landmark; empty where there is none.
-
     """
     problems = list(_problems_of_room(landmarks))
     walls = {wall.id: wall for wall in landmarks.walls}

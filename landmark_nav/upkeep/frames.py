@@ -56,7 +56,6 @@ class FrameAlignment:
         Of x, y, height, heading and the logarithm of the scale.
     support : int
         How many landmarks of a agree.
-
     """
 
     pose: FloatArray

@@ -1,8 +1,8 @@
 """
 What each mechanism is worth: learn and drive with it and without, one line a mechanism.
 
-``python test/benchmarks/ablation.py ROOMS`` takes `bags/`, the study and MR.CLAM where they
-are, and the rooms of ``landmark-nav simulate`` in the folder ROOMS, which are made there if it has
+``python test/benchmarks ablation ROOMS`` takes `bags/`, the study and MR.CLAM where they are, and
+the rooms of ``landmark-nav simulate`` in the folder ROOMS, which are made there if it has
 none. A mechanism is left out by one constant, or one function, that is put in its place.
 """
 
@@ -23,14 +23,16 @@ from typing import Any
 from as_a_user import command
 import numpy as np
 
+from landmark_nav.types import Refusal
+
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = ROOT.parent / 'shared' / 'data'
 SEEDS = (8301, 8302, 8303)
 BEST = 1e9
 
 _LEARN, _FIND = 'landmark_nav.learning.', 'landmark_nav.localization.'
-_ATTENTION, _ELECT = f'{_LEARN}attention.config:AttentionConfig.', f'{_LEARN}election:'
-_STEREO, _WALL = f'{_LEARN}stereo.config:StereoConfig.', f'{_LEARN}stereo.wall_stereo:'
+_ATTENTION, _ELECT = f'{_LEARN}attention.maps:AttentionConfig.', f'{_LEARN}election:'
+_WALL = f'{_LEARN}stereo.wall_stereo:'
 _ADJUST = f'{_LEARN}adjustment.config:AdjustmentConfig.'
 
 
@@ -40,11 +42,11 @@ def _nothing(*_: object, **__: object) -> None:
 
 # Name -> what is put in place of what: a constant, a field of a configuration, a function.
 LEARNING: dict[str, dict[str, Any]] = {
-    'depth from sizes': {f'{_WALL}log_nearer': lambda *_: (0.0, np.inf)},
+    'depth from sizes': {f'{_LEARN}stereo.own_plane:log_nearer': lambda *_: (0.0, np.inf)},
     'quarters of a patch': {f'{_WALL}displaced_quarter': lambda *_: 0.0},
     'way back': {f'{_WALL}_MAX_RETURN_PX': BEST},
-    'one peak (stereo)': {f'{_STEREO}max_second_ratio': 1.0},
-    'search off the walls': {f'{_LEARN}stereo.found_again:explain': _nothing},
+    'one peak (stereo)': {f'{_WALL}_MAX_SECOND_RATIO': 1.0},
+    'search off the walls': {f'{_LEARN}stereo.found_again:match_freely': lambda *_: Refusal('')},
     'exposures, vignetting': {
         f'{_LEARN}panorama.synthesis:PanoramaConfig.even_out': False,
     },
@@ -54,7 +56,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     },
     'refusal of what is ambiguous': {f'{_LEARN}attention.attend:refusal': _nothing},
     'contrast along the row': {
-        f'{_LEARN}attention.discriminability:_MOST_BEARING_SIGMA_PX': BEST,
+        f'{_LEARN}attention.selection:_MOST_BEARING_SIGMA_PX': BEST,
     },
     'point symmetry': {f'{_ATTENTION}weight_symmetry': 0.0},
     'radial symmetry': {f'{_ATTENTION}weight_radial_symmetry': 0.0},
@@ -100,10 +102,10 @@ DRIVING: dict[str, dict[str, Any]] = {
     'virtual views': {f'{_FIND}detection.config:DetectionConfig.appearance': 'patch'},
     'one peak (detection)': {f'{_FIND}detection.config:DetectionConfig.max_second_ratio': 1.0},
     'wrong heights': {f'{_FIND}detection.rows:_WRONG': BEST},
-    'blur of the image': {f'{_FIND}detection.blurred:_LOOKS': 1},
+    'blur of the image': {f'{_FIND}detection.correlation:_LOOKS': 1},
     'no measured blur': {
-        f'{_FIND}detection.blurred:_BLURRIEST_PX2': 0.0,
-        f'{_FIND}detection.blurred:_SHARPEST_PX2': 0.0,
+        f'{_FIND}detection.correlation:_BLURRIEST_PX2': 0.0,
+        f'{_FIND}detection.correlation:_SHARPEST_PX2': 0.0,
     },
     'what blur mixes in': {f'{_FIND}detection.correlation:_BLURRED_IN': 0.0},
     'choice by information': {
@@ -117,7 +119,7 @@ DRIVING: dict[str, dict[str, Any]] = {
         f'{_FIND}triplet.visibility:TripletConfig.max_sampling': 100.0,
     },
     'walls that hide': {f'{_FIND}triplet.visibility:_room': lambda walls: _Open()},
-    'jitter of odometry': {f'{_FIND}odometry.jitter:_SIGNIFICANT': BEST},
+    'jitter of odometry': {f'{_FIND}odometry.track:_SIGNIFICANT': BEST},
     'a given start is doubted': {f'{_FIND}fusion:_GIVEN_RIGHT': BEST},
     'unlikely mounts': {f'{_FIND}fusion:_MAY_STEP': {}},
 }
@@ -129,7 +131,7 @@ SEARCHING: dict[str, dict[str, Any]] = {
     'camera tilt (search)': {
         f'{_FIND}relocalization.config:RelocalizationConfig.tilt_sigma_rad': 0.0
     },
-    'roll of the camera': {f'{_FIND}relocalization.camera_tilt:_LEAST_SURE': BEST},
+    'roll of the camera': {f'{_FIND}relocalization.verification:_LEAST_SURE': BEST},
     'within a wide prior': {f'{_FIND}observer:is_prior_uncertain': lambda covariance: False},
 }
 

@@ -32,9 +32,9 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import replay
-from landmark_nav.evaluation.true_places import truth_of_bag
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room

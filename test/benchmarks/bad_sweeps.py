@@ -32,7 +32,7 @@ from landmark_truth import TrueWalls
 import numpy as np
 
 from landmark_nav.cli.main import main as landmark_nav
-from landmark_nav.evaluation.true_places import truth_of_bag
+from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.messages.factory import rosbag_factory

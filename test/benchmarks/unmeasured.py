@@ -22,7 +22,7 @@ from as_a_user import command
 import numpy as np
 import yaml
 
-from landmark_nav.evaluation.true_places import truth_of_bag
+from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.bags import Bag

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from landmark_nav.evaluation.true_places import truth_of_bag
+from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.geometry import se2
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import rosbag_factory

@@ -23,9 +23,9 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from landmark_nav.ros.camera_frames import listen_for_joints
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.joints import listen_for_joints
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import TOPICS
 

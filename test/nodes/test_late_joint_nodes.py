@@ -16,8 +16,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 import pytest
 
-from landmark_nav.evaluation.metrics import pose_errors
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.evaluation.metrics import pose_errors, PoseTrack
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.storage.setup_files import load_robot

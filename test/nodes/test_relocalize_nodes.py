@@ -10,8 +10,7 @@ from drive_faults import displaced_drive
 import numpy as np
 import pytest
 
-from landmark_nav.evaluation.metrics import pose_errors
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.evaluation.metrics import pose_errors, PoseTrack
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.calibration import NAMES
-from landmark_nav.evaluation.metrics import error_summary, pose_errors
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.evaluation.metrics import error_summary, pose_errors, PoseTrack
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.robot_files import load_calibration

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.demo.graph import node_environment
-from landmark_nav.evaluation.metrics import pose_errors
-from landmark_nav.evaluation.tracks import PoseTrack
+from landmark_nav.evaluation.metrics import pose_errors, PoseTrack
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.layouts import Layout

@@ -12,8 +12,8 @@ import pytest
 from unmeasured_bags import with_odometry
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.evaluation.metrics import pose_errors
-from landmark_nav.evaluation.true_places import truth_of_bag
 from landmark_nav.geometry import se2
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map

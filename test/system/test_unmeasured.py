@@ -11,7 +11,7 @@ import pytest
 from unmeasured_bags import with_odometry
 
 from landmark_nav.cli.main import main
-from landmark_nav.evaluation.true_places import truth_of_bag
+from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.geometry import se2
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.setup_files import load_room

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from landmark_nav.learning.attention.config import AttentionConfig
+from landmark_nav.learning.attention.maps import AttentionConfig
 from landmark_nav.learning.attention.selection import refusal
 from landmark_nav.types import Candidate
 

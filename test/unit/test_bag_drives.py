@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.true_places import check_truth_frame
+from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.messages import encode
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate

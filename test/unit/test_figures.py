@@ -16,9 +16,9 @@ from landmark_nav.evaluation.figures import (
     run_figures,
 )
 from landmark_nav.evaluation.figures.style import free_labels, places_of_numbers, rows_of_labels
+from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
-from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Wall
 from landmark_nav.localization.localizer import LocalizationUpdate

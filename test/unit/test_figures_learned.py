@@ -21,7 +21,7 @@ from landmark_nav.evaluation.figures.learned_figure import draw_learned
 from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction, ray_sigma_m
 from landmark_nav.evaluation.figures.strips import Strip, widest
 from landmark_nav.evaluation.figures.sweep_figure import draw_sweeps
-from landmark_nav.evaluation.true_places import true_places
+from landmark_nav.evaluation.learning_report import true_places
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Room, Wall

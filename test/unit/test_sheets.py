@@ -10,8 +10,8 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.paper_colors import paper_bgr
 from landmark_nav.geometry.se2 import rot_z
+from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.learning.relative_pose.epipolar import center
 from landmark_nav.learning.relative_pose.scale import PlaceSource, scale_sigma, SheetSource
 from landmark_nav.learning.relative_pose.sheet_tracks import (

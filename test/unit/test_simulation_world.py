@@ -14,7 +14,7 @@ from landmark_nav.messages import decode
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.pan_control import PanControl
+from landmark_nav.simulation.pan_tilt_unit import PanControl
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.recording import drive_messages, sweep_messages
 from landmark_nav.simulation.renderer import Renderer

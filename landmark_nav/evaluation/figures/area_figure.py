@@ -70,7 +70,6 @@ def draw_observation_areas(
     ----------
     tests : sequence of AreaTest
         From where the landmarks were found, if that was tried.
-
     """
     chosen = typical_landmarks(landmarks)
     tried = {test.landmark: test for test in tests}

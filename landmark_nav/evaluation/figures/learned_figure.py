@@ -43,7 +43,6 @@ def draw_learned(
         What was learned; its first panorama is shown.
     truth : ndarray, shape (n, 2), optional
         Where true rays meet the landmarks of the map, as far off their walls as those lie.
-
     """
     first, second = _strips(result)
     figure = new_figure(17.0, 7.2)

@@ -25,10 +25,10 @@ from landmark_nav.evaluation.figures.style import (
     SMOOTHED,
     TRUTH,
 )
+from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import RunErrors
 from landmark_nav.evaluation.smoothed_run import Smoothed
-from landmark_nav.evaluation.tracks import PoseTrack
 from landmark_nav.types import FloatArray, LandmarkMap
 
 

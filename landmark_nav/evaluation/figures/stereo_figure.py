@@ -47,7 +47,6 @@ def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
     ----------
     result : LearningResult
         Two panoramas or more, of which the first two are drawn, with their landmarks.
-
     """
     source, candidate, landmark = _example(result)
     views = result.panoramas[source], result.panoramas[1 - source]

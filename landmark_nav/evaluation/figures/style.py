@@ -16,8 +16,7 @@ from matplotlib.patheffects import withStroke
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.paper_colors import paper_bgr
-from landmark_nav.geometry.walls import Paper, Wall
+from landmark_nav.geometry.walls import Paper, paper_bgr, Wall
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray
 
@@ -170,7 +169,6 @@ def rows_of_labels(centers: npt.ArrayLike, widths: npt.ArrayLike) -> npt.NDArray
     ----------
     centers, widths : array_like, shape (n,)
         Of the labels along their row, in one unit.
-
     """
     middle, half = np.asarray(centers, float), 0.5 * np.asarray(widths, float)
     rows = np.zeros(len(middle), dtype=np.intp)
@@ -190,7 +188,6 @@ def free_labels(corners: npt.ArrayLike, sizes: npt.ArrayLike) -> npt.NDArray[np.
     ----------
     corners, sizes : array_like, shape (n, 2)
         Least x and y of each label, its width and height, in one unit.
-
     """
     low = np.asarray(corners, float).reshape(-1, 2)
     high = low + np.asarray(sizes, float).reshape(-1, 2)
@@ -215,7 +212,6 @@ def places_of_numbers(
         What is written.
     scale : float
         Metres of the room in an inch of the figure.
-
     """
     along = np.stack([-normals[:, 1], normals[:, 0]], -1)
     # Numbers are wider than high, whichever way the wall runs.

@@ -28,8 +28,7 @@ from landmark_nav.evaluation.report.tables import (
 )
 from landmark_nav.evaluation.run_report import RunErrors
 from landmark_nav.evaluation.smoothed_run import Smoothed
-from landmark_nav.geometry.paper_colors import paper_bgr
-from landmark_nav.geometry.walls import Paper
+from landmark_nav.geometry.walls import Paper, paper_bgr
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.storage.reading import read_image

@@ -71,7 +71,6 @@ class Adjustment:
         Values of `CALIBRATED`; none where a panorama does not say what it was made with.
     calibration_loading : ndarray, shape (c, m)
         How the factors of `shared_loading` move them.
-
     """
 
     positions: FloatArray

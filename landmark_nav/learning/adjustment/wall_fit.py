@@ -162,7 +162,6 @@ def wall_warnings(
     -------
     str
         Nothing where all is well.
-
     """
     if not residuals:
         return ''
@@ -306,7 +305,6 @@ def moved_walls(
     -------
     Room
         The same room if no wall moves farther than things hang off walls anyway.
-
     """
     index = np.asarray(walls, dtype=np.intp)
     fitted = [_fitted(wall, free, index == k, config) for k, wall in enumerate(room.walls)]

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from landmark_nav.learning.attention.attend import attend, Attention
-from landmark_nav.learning.attention.config import AttentionConfig, FEATURES
-from landmark_nav.learning.attention.maps import attention_maps, AttentionMaps
+from landmark_nav.learning.attention.maps import (
+    attention_maps,
+    AttentionConfig,
+    AttentionMaps,
+    FEATURES,
+)
 
 __all__ = [
     'FEATURES',

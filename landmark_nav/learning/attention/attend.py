@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.attention.config import AttentionConfig
-from landmark_nav.learning.attention.maps import attention_maps
+from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig
 from landmark_nav.learning.attention.selection import refusal, select
 from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
 
@@ -33,7 +32,6 @@ class Attention:
         Strongest first.
     refused : tuple of (Candidate, Refusal)
         Attended as well, but a neighbouring place could be mistaken for them.
-
     """
 
     candidates: tuple[Candidate, ...]

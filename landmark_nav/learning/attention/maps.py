@@ -13,15 +13,91 @@ Both work at half resolution: symmetry of a patch of some 30 px shows nothing be
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import Float32Array
-from landmark_nav.learning.attention.config import AttentionConfig
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import ImageArray
+
+FEATURES = (
+    'intensity',
+    'edges',
+    'vertical_edges',
+    'corners',
+    'symmetry',
+    'radial_symmetry',
+    'line_symmetry',
+)
+
+
+@dataclass(frozen=True)
+class AttentionConfig(Config):
+    """
+    What attracts attention, what size is cut out, and what is refused.
+
+    The weights are in proportion to what each feature proposes, alone, that is found again more
+    often than chance, in simulated rooms kept for tuning (docs/decisions.md).
+    """
+
+    # Weight of bright areas.
+    weight_intensity: float = 0.0
+    # Weight of Canny edges.
+    weight_edges: float = 0.25
+    # Weight of vertical edges, which fix a bearing.
+    weight_vertical_edges: float = 0.0
+    # Weight of corners.
+    weight_corners: float = 0.2
+    # Weight of symmetry about a point.
+    weight_symmetry: float = 0.25
+    # Weight of symmetry about a point that edges vote for.
+    weight_radial_symmetry: float = 0.2
+    # Weight of symmetry about vertical lines.
+    weight_line_symmetry: float = 0.1
+    # Least width and height of a patch, px.
+    size_min_px: int = 28
+    # Largest width and height of a patch, px.
+    size_max_px: int = 32
+    # Step between sizes, px.
+    size_step_px: int = 2
+    candidates: int = parameter(120, 'patches per panorama at most', minimum=1, maximum=10000)
+    # Stop where the response falls below this share of the first.
+    least_response: float = 0.1
+    # Patches per sector at most.
+    candidates_per_sector: int = 12
+    # How far to either side a patch may be mistaken.
+    neighborhood_columns_px: int = 60
+    # How far up and down a patch may be mistaken.
+    neighborhood_rows_px: int = 16
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each of `FEATURES`."""
+        return {name: float(getattr(self, f'weight_{name}')) for name in FEATURES}
+
+    def alone(self, feature: str) -> AttentionConfig:
+        """
+        Let one of `FEATURES` alone attract attention.
+
+        Raises `LandmarkNavError`: unknown feature.
+        """
+        if feature not in FEATURES:
+            raise LandmarkNavError(
+                f'attention knows no feature {feature!r}: take one of {", ".join(FEATURES)}'
+            )
+        weights: dict[str, Any] = {f'weight_{name}': float(name == feature) for name in FEATURES}
+        return replace(self, **weights)
+
+    @property
+    def sizes_px(self) -> tuple[int, ...]:
+        """Widths and heights to choose from, rising."""
+        return tuple(range(self.size_min_px, self.size_max_px + 1, self.size_step_px))
+
 
 # Scales of the ring that collects edges about a point, in px of the full image; it weighs most
 # at sqrt(2) times as much.
@@ -134,7 +210,6 @@ def line_symmetry_map(intensity: Float32Array, contrast: float) -> Float32Array:
         Full resolution.
     contrast : float
         Contrast below which there is nothing to compare, in the units of `intensity`.
-
     """
     half = halve(intensity)
     reach, rise = _HALF_WIDTH_PX // 2, _HALF_HEIGHT_PX // 2
@@ -179,7 +254,6 @@ class EdgeGradients:
         Slopes to the right and downwards and their norm.
     strong : float
         Magnitude of a strong edge of this image; 1 where there is no edge.
-
     """
 
     dx: Float32Array
@@ -276,7 +350,6 @@ def conspicuity_map(
         In pixels of `feature`.
     side : int
         Columns at either end that are there twice, and count once.
-
     """
     turn = slice(side, feature.shape[1] - side)
     center = cv2.GaussianBlur(feature, (0, 0), center_sigma)

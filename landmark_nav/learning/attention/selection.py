@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
-from landmark_nav.learning.attention.config import AttentionConfig
+from landmark_nav.learning.attention.maps import AttentionConfig
 from landmark_nav.types import Candidate, FloatArray, ImageArray, Refusal
 
 Examine = Callable[[Candidate], 'Refusal | None']

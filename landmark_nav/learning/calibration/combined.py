@@ -170,7 +170,6 @@ def levelled(
     mount : PanTiltMount
     terms : tuple of CalibrationTerm
         ``axis_roll`` and ``axis_pitch``; none where nothing was measured.
-
     """
     if np.linalg.eigvalsh(information)[0] < _LEAST_INFORMATION:
         return mount, ()

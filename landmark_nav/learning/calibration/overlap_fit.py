@@ -69,7 +69,6 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
         Frames whose angles are right to a few pixels.
     every_frame : bool
         Whether all frames are links of the chain, or just enough of them.
-
     """
     chain, closed = _chain(sweep, every_frame)
     cylinder = sweep_cylinder(sweep, mount)
@@ -257,7 +256,6 @@ class OverlapProblem:
             Which of `COMMON`.
         frame_sigma : sequence of float, shape (3,)
             How far pan, tilt and roll of a single frame stray, radians.
-
         """
         count, focal = len(self._angles), self._camera.fx
         size = len(COMMON) + 3 * count

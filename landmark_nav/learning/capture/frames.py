@@ -52,7 +52,6 @@ def look_at(image: ImageArray, camera: CameraModel, camera_roll_rad: float = 0.0
     Measure an image, BGR (height, width, 3) or grey (height, width), of a camera that is rolled.
 
     The gradient is Sobel's, as in Tenenbaum's measure of focus (Krotkov, IJCV 1, 1987).
-
     """
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     low, high = cv2.minMaxLoc(grey)[:2]

@@ -29,7 +29,6 @@ def begin_or_resume(
     sweep : SweepCapture
     note : str
         What became of the frames of before; nothing if there were none.
-
     """
     note = ''
     if before is not None and not before.done and before.kept:

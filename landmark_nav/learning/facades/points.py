@@ -62,7 +62,6 @@ def seen_points(
         Viewpoint in the base frame.
     sigma_rad : float
         Standard deviation of a direction.
-
     """
     return SeenPoints.joined([placed_matches(states, p, lever, sigma_rad)[0] for p in pairs])
 

@@ -7,7 +7,6 @@ from landmark_nav.learning.reference_area.common_errors import (
     joint_covariance,
     pose_errors,
 )
-from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.faults import (
     paper_faults,
     PaperFault,
@@ -23,6 +22,7 @@ from landmark_nav.learning.reference_area.location import (
     papers_fit,
     SweepPlace,
 )
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.refusals import MountError, WRONG_PRIOR, WrongMountError
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.paper_colors import paper_bgr
+from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.types import FloatArray
 
@@ -98,7 +98,6 @@ class ColorSearch:
     ----------
     view : CylinderImage
         The sweep as a cylinder in the base frame.
-
     """
 
     def __init__(self, view: CylinderImage) -> None:

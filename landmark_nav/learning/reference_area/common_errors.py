@@ -16,7 +16,7 @@ from scipy.linalg import block_diag, eigh, solve_triangular
 
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, root_of
-from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Panorama
 

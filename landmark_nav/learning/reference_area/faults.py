@@ -23,8 +23,8 @@ from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
-from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutlines
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.refusals import MountError
 from landmark_nav.learning.reference_area.search import (
     find_places,
@@ -160,7 +160,6 @@ def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperVi
         Its papers' colours are used, not their locations.
     eye_height_m : float
         Height of the optical centre, see `optical_height`.
-
     """
     colors = {paper.color for paper in room.papers}
     found = color_blobs(view, colors)

@@ -12,7 +12,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.reference_area.blobs import hue_direction
-from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
 from landmark_nav.learning.reference_area.model import (
     EDGE_SHARE,
@@ -20,6 +19,7 @@ from landmark_nav.learning.reference_area.model import (
     EDGES,
     GAMMA,
     PaperModel,
+    ReferenceAreaConfig,
     RISE,
     SHIFT,
     SIZE,

@@ -9,13 +9,36 @@ holds their share.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
+from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, Sweep
+
+
+@dataclass(frozen=True)
+class ReferenceAreaConfig(Config):
+    """
+    Standard deviations of what is given of papers, camera and joints.
+
+    Chosen by hand; what differs more is found and named.
+    """
+
+    # Standard deviation of how exactly a paper hangs, metres.
+    paper_sigma_m: float = 0.001
+    # Standard deviation of the camera's height, metres.
+    height_sigma_m: float = 0.005
+    # Standard deviation of the pan axis' tilt, radians.
+    horizon_sigma_rad: float = 0.003
+    # Standard deviation that all points of one edge share, pixels.
+    edge_sigma_px: float = 0.05
+    # Standard deviation of the size of papers, a share.
+    paper_size_sigma: float = 0.002
+
 
 # Right, left, top and bottom as seen along the wall.
 EDGES = 4

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
-from landmark_nav.learning.reference_area.config import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.fit import PaperFit
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.search import papers_in_view
 from landmark_nav.types import FloatArray, ImageArray
 

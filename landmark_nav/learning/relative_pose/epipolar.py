@@ -75,7 +75,6 @@ def misses(
         By the states of both views.
     before : ndarray of bool, shape (m,)
         Whether the rays meet before both viewpoints.
-
     """
     state, other = states[pairs.one], states[pairs.other]
     w, v = turned(state, pairs.rays), turned(other, pairs.other_rays)
@@ -142,7 +141,6 @@ def fit_poses(
     others : callable, optional
         Other measurements: misses (m,) in standard deviations at states (v, 6), and their
         derivatives (m, 6 v).
-
     """
     views = len(start)
     whiten = np.linalg.inv(root_of(prior_covariance))

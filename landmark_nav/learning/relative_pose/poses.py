@@ -74,7 +74,6 @@ class RelativePoses:
         Relative standard deviation of the scale by all of them.
     wave_sigma_rad : float
         By how much more than features are uncertain directions of panoramas err.
-
     """
 
     states: FloatArray

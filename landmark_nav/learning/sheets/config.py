@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from landmark_nav.errors import LandmarkNavError, shown
-from landmark_nav.geometry.paper_colors import paper_bgr
+from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.parameters import Config, parameter
 
 # Dictionaries of markers as OpenCV names them.

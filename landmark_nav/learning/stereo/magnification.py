@@ -53,7 +53,6 @@ def log_nearer(
     tuple of float
         Logarithm of how many times farther before the plane of what they show the first was
         taken, and its sigma: infinite where nothing shows it.
-
     """
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
     views = [
@@ -96,7 +95,6 @@ def log_magnification(
     -------
     tuple of float, or None
         None where the pattern does not show it.
-
     """
     height, width = template.shape
     right, down = (

@@ -57,7 +57,6 @@ def displaced_quarter(first: Float32Array, second: Float32Array) -> float:
     -------
     float
         Pixels of the views; of the quarter where it is most.
-
     """
     one, two = (cv2.GaussianBlur(view - view.mean(), (0, 0), _BLUR_PX) for view in (first, second))
     one *= np.sum(one * two) / np.sum(one * one)

@@ -72,7 +72,6 @@ def draw(
         Rays (x, y, 1) to metres on each patch.
     appearance : str
         One of `APPEARANCES`.
-
     """
     # Each step for all landmarks at once, which is quicker than landmark by landmark.
     shown = [
@@ -134,7 +133,6 @@ def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Te
         Where the camera is, in map.
     appearance : str
         One of `APPEARANCES`.
-
     """
     if appearance == 'patch' or not landmark.views:
         return [Texture(landmark.patch, 1.0)]

@@ -294,7 +294,6 @@ def detect_blurred(
     DetectionResult
     blur_px2 : ndarray, shape (2,)
         Blur that was found.
-
     """
     for _ in range(_LOOKS):
         result = detect_landmarks(frame, prior, landmark_map, mount, config, indices, blur_px2)

@@ -79,7 +79,6 @@ class RowModel(NamedTuple):
             Covariance of each point.
         shared : ndarray, shape (n, 3, F)
             Loadings of the part that they have in common.
-
         """
         by_point = np.column_stack([-self.by_pose[:, :2], self.by_height])[:, None]
         by_shared = (by_point @ shared)[:, 0]
@@ -104,7 +103,6 @@ class RowResiduals(NamedTuple):
         Of `off_px`, by anything but tilt and roll.
     points : ndarray, shape (n, 3)
         Where the landmarks are in map, metres.
-
     """
 
     off_px: FloatArray
@@ -158,7 +156,6 @@ def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.
     Returns
     -------
     ndarray of bool, shape (n,)
-
     """
     wrong = np.zeros(len(off_px), dtype=np.bool_)
     left = np.arange(len(off_px))

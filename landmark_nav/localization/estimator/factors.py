@@ -74,7 +74,6 @@ class ImagePoints:
     near : ndarray, shape (3,), optional
         Pose of the base that the image itself shows, where hardly any was known before: it is
         where the first linearization is, and no measurement.
-
     """
 
     stamp_ns: int
@@ -315,7 +314,6 @@ def moved(state: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray, Fl
         Its derivative.
     by_motion : ndarray, shape (3, 3)
         Derivative of the pose by the motion.
-
     """
     forward, left, turn = motion.increment.tolist()
     x, y, heading = state[:3].tolist()

@@ -124,7 +124,6 @@ class Update(NamedTuple):
         By how much the pose would change if that landmark were left out.
     without : ndarray, shape (m, 3, 3)
         What is added to the covariance of the pose then.
-
     """
 
     stamp_ns: int

@@ -26,7 +26,6 @@ def found_log_ratios(residual: FloatArray, covariance: FloatArray) -> FloatArray
         Measured minus expected.
     covariance : ndarray, shape (m, d, d)
         Of each residual.
-
     """
     squares = np.einsum(
         'mi,mi->m', residual, np.linalg.solve(covariance, residual[..., None])[..., 0]

@@ -38,7 +38,6 @@ def integrate_commands(
         Forward [m/s] and turning [rad/s] velocity, each until the next.
     delay_s : float
         From a command to its effect.
-
     """
     seconds = 1e-9 * np.diff(stamps_ns)
     turn = commands[:-1, 1] * seconds

@@ -39,7 +39,6 @@ class Motions:
         way lost in turns.
     covariance : ndarray, shape (m, 3, 3)
         What is random in it.
-
     """
 
     increment: FloatArray

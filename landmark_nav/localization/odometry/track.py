@@ -43,7 +43,6 @@ class Jitter:
     ----------
     variances : tuple of float
         Of a position on an axis [m^2] and of a heading [rad^2]; zero if too small to see.
-
     """
 
     def __init__(self) -> None:
@@ -139,7 +138,6 @@ class OdometryTrack:
         Refusal or None
             Why the sample was dropped; or, if `Distrusted`, why the motion until then was replaced
             by that of the last twist. None for one that only came twice.
-
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
         self._reports_speeds |= bool(sample.linear_m_s or sample.angular_rad_s)

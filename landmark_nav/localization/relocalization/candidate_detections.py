@@ -219,7 +219,6 @@ def find_candidate_detections(
     -------
     Detections
         In the base frame of the image's time; most of them are wrong.
-
     """
     strip, landmarks = Strip(frame, mount, _RESOLUTION), landmark_map.landmarks
     if prior is None:

@@ -51,7 +51,6 @@ def propose(detections: CandidateDetections, landmark_map: LandmarkMap) -> Hypot
     -------
     Hypotheses
         Distinct poses; may be empty.
-
     """
     votes = _Votes(detections, landmark_map)
     poses = votes.of_pairs()

@@ -85,7 +85,6 @@ def locate(
         The pose of the base at the last image with its evidence; or ``not unique`` if another
         place explains the images nearly as well, ``nothing recognised`` if none does, and ``too
         little seen`` if there is not enough evidence.
-
     """
     moved = [
         replace(
@@ -146,7 +145,6 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
         Different places, the one with most landmarks first.
     proposed : int
         How many poses were proposed, for the message.
-
     """
     if not places:
         return nothing_recognised(f'none of {proposed} places shows what is to be seen there')
@@ -240,7 +238,6 @@ def localize_within_prior(
     -------
     Verification or Refusal
         Pose of the base by this image alone, or why there is none.
-
     """
     prior = replace(prior, covariance=prior.covariance + np.diag(np.square(_LEAST_SIGMA)))
     detections = find_candidate_detections(frame, landmark_map, mount, prior, tilt_sigma_rad)

@@ -128,7 +128,6 @@ class Relocalizer:
         How far the odometry is to be trusted.
     looking : LookingConfig, optional
         How landmarks are looked for where they are to be expected.
-
     """
 
     def __init__(
@@ -176,7 +175,6 @@ class Relocalizer:
         PoseEstimate or Refusal
             Pose of the base at the image's stamp, or why it is not known yet. An image that
             shows nothing new is not searched: the last reason is repeated.
-
         """
         if not np.isfinite([frame.pan_rad, frame.tilt_rad]).all():
             return self._outcome

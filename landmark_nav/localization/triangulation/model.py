@@ -47,7 +47,6 @@ def bearing_residuals(
     -------
     ndarray, shape (..., n)
         About pi where a closed form met the bearing's opposite: the modulo-pi ambiguity.
-
     """
     pose = np.asarray(poses, dtype=np.float64)[..., None, :]
     delta = np.asarray(positions, dtype=np.float64) - pose[..., :2]
@@ -102,7 +101,6 @@ def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[flo
         From the circle or line, metres.
     relative : float
         The same over the circle's radius or the farthest landmark's range, the smaller of them.
-
     """
     delta = np.asarray(landmarks, dtype=np.float64) - np.asarray(point, dtype=np.float64)
     square = np.sum(delta * delta, -1)
@@ -165,7 +163,6 @@ def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> Floa
         x, y [m] and heading [rad]. On the circle through the landmarks nothing is determined: not
         finite there or, by rounding, anything (`danger_distance`). The equations hold for a
         landmark's opposite direction too: check `bearing_residuals` before use.
-
     """
     position = np.asarray(positions, dtype=np.float64)
     bearing = np.asarray(bearings, dtype=np.float64)

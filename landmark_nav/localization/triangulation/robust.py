@@ -65,7 +65,6 @@ class Fix:
         Which bearings the pose rests on.
     solution : Solution
         Of these bearings.
-
     """
 
     pose: FloatArray

@@ -67,7 +67,6 @@ class PanWindows:
         Where the camera looks now, if that is to count.
     config : TripletConfig
         The unit's speed.
-
     """
 
     place: IndexArray
@@ -98,7 +97,6 @@ class PanWindows:
             Least and greatest pan.
         pan_rad, config
             As above.
-
         """
         first, last = (round(limit / _TURN) for limit in limits_rad)
         turns = _TURN * np.arange(first - 1, last + 2)[:, None]
@@ -149,7 +147,6 @@ class CameraState:
         Tilt, positive upwards.
     limits_rad : tuple of float
         Least and greatest pan; the same twice for a camera that does not turn.
-
     """
 
     pan_rad: float | None = None
@@ -174,7 +171,6 @@ class PlanningScene:
         What counts as visible.
     camera_state : CameraState
         Where the camera looks and how far it turns.
-
     """
 
     prior: PoseEstimate

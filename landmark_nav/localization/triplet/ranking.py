@@ -106,7 +106,6 @@ class Ranking:
         That sees all three.
     score : ndarray, shape (m,)
         Variance by chance, times the time relative to that of a look; m^2.
-
     """
 
     chosen: Triplet | Refusal

@@ -68,7 +68,6 @@ def visible_landmarks(
     -------
     ndarray of int, shape (m,)
         Places in the map.
-
     """
     seen = observable(axis_position(prior.pose, mount), landmark_map, config)
     index = np.flatnonzero(seen)

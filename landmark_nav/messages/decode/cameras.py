@@ -78,7 +78,6 @@ class CameraInfo:
         ------
         tuple of float
             fx, fy, cx, cy in the pixels of that image.
-
         """
         fx, fy, cx, cy = self.intrinsics
         across, down = self.binning

@@ -31,7 +31,6 @@ class JointNames:
     ----------
     mount : PanTiltMount
         The same with the names that arrive.
-
     """
 
     def __init__(self, mount: PanTiltMount) -> None:

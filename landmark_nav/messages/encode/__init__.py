@@ -10,22 +10,20 @@ from landmark_nav.messages.encode.images import camera_info, compressed_image, i
 from landmark_nav.messages.encode.landmarks import landmark_map
 from landmark_nav.messages.encode.markers import landmark_markers, pose_markers, view_markers
 from landmark_nav.messages.encode.poses import (
+    camera_transform,
     detections,
     expectation,
     global_pose,
-    odometry,
-    pose,
-    pose_stamped,
-    triplet,
-)
-from landmark_nav.messages.encode.transforms import (
-    camera_transform,
     joint_state,
     joint_transforms,
+    odometry,
     planar_transform,
+    pose,
+    pose_stamped,
     sweep_trajectory,
     Transform,
     transforms,
+    triplet,
 )
 
 __all__ = [

@@ -56,7 +56,6 @@ def unpack(data: bytes, compression: str, size: int | None) -> bytes:
     ------
     ValueError
         It holds fewer bytes or more, or more than any recorder puts into one chunk.
-
     """
     limit = min(CHUNK_BYTES, max(_SMALL_BYTES, _RATIO * len(data)))
     if size is not None and size > limit:

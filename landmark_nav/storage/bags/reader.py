@@ -50,7 +50,6 @@ class BagMessage:
         Absolute topic and type, ``sensor_msgs/msg/Image``.
     stamp_ns : int
         When it was recorded.
-
     """
 
     def __init__(self, raw: RawMessage, reader: MessageReader, bag: Bag) -> None:
@@ -337,7 +336,6 @@ def wrong_stamps(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
     ----------
     stamps_ns : ndarray of int, shape (n, 2)
         Log time and stamp of each message of a topic.
-
     """
     if len(stamps_ns) < _AROUND:
         return {}

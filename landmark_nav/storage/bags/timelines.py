@@ -43,7 +43,6 @@ class JointHistory:
     tilts : iterable of (int, float)
         Stamps and tilts, rad, of a tilt joint that has a driver of its own: what the samples hold
         of the tilt does not count then. Before the first and after the last it stays.
-
     """
 
     def __init__(
@@ -142,7 +141,6 @@ class JointLog:
         When each was recorded, in that order.
     tilts : iterable of (int, (int, float))
         The same of tilts that are reported by themselves, see `JointHistory`.
-
     """
 
     def __init__(
