@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.arrays import Float32Array
-from landmark_nav.learning.stereo.likeness import displaced_quarter
+from landmark_nav.learning.stereo.wall_stereo import displaced_quarter
 
 
 def texture(seed: int) -> Float32Array:
