@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import cv2
-from landmark_nav.learning.stereo.wall_stereo import displaced_quarter
 import numpy as np
 import pytest
 
 from landmark_nav.arrays import Float32Array
+from landmark_nav.learning.stereo.wall_stereo import displaced_quarter
 
 
 def texture(seed: int) -> Float32Array:
