@@ -11,7 +11,7 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
 from landmark_nav.types import FloatArray
 
-__all__ = ['SeenPoints', 'placed_matches', 'seen_points']
+__all__ = ['SeenPoints', 'placed_matches']
 
 # Depth that is less certain says nothing of a facade, m; what is seen in two directions that
 # differ by less has no depth, rad.
@@ -48,31 +48,29 @@ class SeenPoints:
         return SeenPoints(self.positions[which], self.covariance[which], self.viewpoints[which])
 
 
-def seen_points(
-    states: FloatArray, pairs: Sequence[RayPairs], lever: FloatArray, sigma_rad: float
-) -> SeenPoints:
+def placed_matches(
+    states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
+) -> tuple[SeenPoints, RayPairs]:
     """
-    Intersect the rays of matches in plan.
+    Intersect the rays of matches between two views in plan.
 
     Parameters
     ----------
     states : ndarray, shape (v, 6)
         Of the sweeps, as `relative_poses` finds them.
-    pairs : sequence of RayPairs
+    pairs : RayPairs
         Matches that agree with them.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame.
     sigma_rad : float
         Standard deviation of a direction.
 
+    Returns
+    -------
+    SeenPoints, RayPairs
+        Those that have a depth, and their matches.
+
     """
-    return SeenPoints.joined([placed_matches(states, p, lever, sigma_rad)[0] for p in pairs])
-
-
-def placed_matches(
-    states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
-) -> tuple[SeenPoints, RayPairs]:
-    """Points of matches between two views, arguments as above; matches that have a depth."""
     here, there = (center(states[k], lever) for k in (pairs.one, pairs.other))
     w = turned(states[pairs.one], pairs.rays)
     v = turned(states[pairs.other], pairs.other_rays)
