@@ -168,7 +168,7 @@ def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay
 
     A map of its own frame has them after alignment; the run is then in the metre of the map.
     """
-    walls = len({landmark.wall_id for landmark in landmarks.landmarks})
+    walls = len({landmark.wall_id for landmark in landmarks.landmarks} - {''})
     of_run: dict[str, Any] = {'spells': spells(run), 'walls': walls}
     if not landmarks.has_own_frame:
         errors = run_errors(run)

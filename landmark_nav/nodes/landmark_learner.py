@@ -99,7 +99,7 @@ class LandmarkLearnerNode(LandmarkNode):
             panoramas = [self._panoramas[stamp] for stamp in sorted(self._panoramas)]
             result = learn_from_panoramas(panoramas, self._room, self._config)
         self._publish(result.map, on_disk=False)
-        walls = len({landmark.wall_id for landmark in result.map.landmarks})
+        walls = len({landmark.wall_id for landmark in result.map.landmarks} - {''})
         done = (
             f'{len(result.map.landmarks)} landmarks on {walls} walls out of '
             f'{len(result.panoramas)} panoramas in {time.monotonic() - start:.1f} s'

@@ -129,7 +129,8 @@ def _draw_area(
     axes.set_anchor('NE')
     axes.plot(*landmark.position[:2], 's', color=LANDMARK, markersize=8, zorder=6)
     axes.plot(*landmark.viewpoint[:2], '^', color=FUSED, markersize=10, zorder=6)
-    title = f'landmark {landmark.id} on wall {landmark.wall_id}'
+    wall = f'wall {landmark.wall_id}' if landmark.wall_id else 'no wall'
+    title = f'landmark {landmark.id} on {wall}'
     agree = (0, 0)
     if test is not None:
         axes.plot(*test.xy[test.found].T, 'o', color=LANDMARK, markersize=4, zorder=4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from landmark_nav.learning.facades.config import FacadesConfig
 from landmark_nav.learning.facades.outline import open_room, room_of
 from landmark_nav.learning.facades.planes import Facade, find_facades
-from landmark_nav.learning.facades.points import placed_matches, seen_points, SeenPoints
+from landmark_nav.learning.facades.points import placed_matches, SeenPoints
 
 __all__ = [
     'Facade',
@@ -15,5 +15,4 @@ __all__ = [
     'open_room',
     'placed_matches',
     'room_of',
-    'seen_points',
 ]

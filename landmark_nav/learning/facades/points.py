@@ -46,30 +46,23 @@ class SeenPoints:
         return SeenPoints(self.positions[which], self.covariance[which], self.viewpoints[which])
 
 
-def seen_points(
-    states: FloatArray, pairs: Sequence[RayPairs], lever: FloatArray, sigma_rad: float
-) -> SeenPoints:
+def placed_matches(
+    states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
+) -> tuple[SeenPoints, RayPairs]:
     """
-    Intersect the rays of matches in plan.
+    Intersect the rays of matches between two views in plan.
 
     Parameters
     ----------
     states : ndarray, shape (v, 6)
         Of the sweeps, as `relative_poses` finds them.
-    pairs : sequence of RayPairs
+    pairs : RayPairs
         Matches that agree with them.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame.
     sigma_rad : float
         Standard deviation of a direction.
     """
-    return SeenPoints.joined([placed_matches(states, p, lever, sigma_rad)[0] for p in pairs])
-
-
-def placed_matches(
-    states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
-) -> tuple[SeenPoints, RayPairs]:
-    """Points of matches between two views, arguments as above; matches that have a depth."""
     here, there = (center(states[k], lever) for k in (pairs.one, pairs.other))
     w = turned(states[pairs.one], pairs.rays)
     v = turned(states[pairs.other], pairs.other_rays)
