@@ -149,8 +149,8 @@ def hang_tags(scene: Scene, spacing_m: float) -> tuple[WallItem, ...]:
         for paper in scene.room.papers:
             away = np.append(np.subtract(paper.center[:2], wall.start), 0.0)
             if abs(away @ wall.normal) < _GAP_M:
-                along = float(away[:2] @ wall.along)
-                hung.append((along, paper.center[2], paper.width, paper.height))
+                along_m = float(away[:2] @ wall.along)
+                hung.append((along_m, paper.center[2], paper.width, paper.height))
         for along in np.arange(0.5 * spacing_m, wall.length, spacing_m):
             for z in _TAG_HEIGHTS_M:
                 if all(
