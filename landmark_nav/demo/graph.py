@@ -10,8 +10,6 @@ import sys
 
 from landmark_nav.storage.config_files import shipped_config
 
-_ALL = 'all_nodes'
-
 
 def node_command(
     name: str, namespace: str = '', parameter_file: Path | None = None, **parameters: object
@@ -60,7 +58,7 @@ def node_commands(
         'odometry_fusion': {'robot_file': robot},
     }
     if composed:
-        given = {_ALL: {k: v for one in given.values() for k, v in one.items()}}
+        given = {'all_nodes': {k: v for one in given.values() for k, v in one.items()}}
     if simulator is not None:
         given = {'room_simulator': {'robot_file': robot, **simulator}} | given
     return {
