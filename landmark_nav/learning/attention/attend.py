@@ -44,8 +44,8 @@ def attend(
     """
     Select candidates and say why others were refused.
 
-    Where less stands out than `candidates`, features at pixels `matched` (n, 2), which another
-    panorama shows as well, are proposed, too.
+    Features at pixels `matched` (n, 2), which another panorama shows as well, are proposed, too,
+    until there are `candidates` with such a feature.
 
     Raises `LandmarkNavError`: the panorama is smaller than a patch.
     """
@@ -83,8 +83,10 @@ def _about(
     size = config.size_max_px
     centers = [(c.column, c.row) for c in taken]
     found: list[Candidate] = []
+    away = np.abs(np.array(centers).reshape(-1, 1, 2) - pixels).max(-1)
+    wanted = config.candidates - int((away.min(-1, initial=np.inf) < _APART * size).sum())
     for column, row in np.floor(pixels) + 0.5 * (1 - size % 2):
-        if len(centers) >= config.candidates:
+        if len(found) >= wanted:
             break
         first = int(row - 0.5 * (size - 1))
         if first < 0 or first + size > height:
