@@ -228,13 +228,13 @@ def test_nearness_of_a_round_room() -> None:
 
 
 NAMED = {**REPORTED, **OTHERS, **FURTHER, **THIRD, **FOURTH}
-# What no test above recovers from motion alone; `make degraded` goes through all.
 SOME = (
-    *('odom +5 s, recorded so', 'odom in cm', 'zeros between joint_states', 'truth +30 s'),
-    *('pan and tilt exchanged', 'odom x and y exchanged', 'pan stays from half on'),
-    *('each second image repeated', 'images turned by 90 deg', 'images of two cameras'),
-    *('images black from half on', 'pan against the map', 'odom curves by 0.3 rad/m'),
-    'odom path turned by 90 deg',
+    *('odom +5 s, recorded so', 'odom clock 5 % fast', 'yaw reversed'),
+    *('odom in cm', 'zeros between joint_states', 'images 100 ms late', 'truth +30 s'),
+    *('pan and tilt exchanged', 'focal length 20 % long', 'odom x and y exchanged'),
+    *('pan stays from half on', 'each second image repeated', 'images turned by 90 deg'),
+    *('images of two cameras', 'images black from half on', 'pan against the map'),
+    *('odom curves by 0.3 rad/m', 'principal point off by 100 px', 'odom path turned by 90 deg'),
 )
 
 
