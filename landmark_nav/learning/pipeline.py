@@ -22,6 +22,7 @@ from landmark_nav.learning.adjustment import (
     Adjustment,
     AdjustmentConfig,
     CALIBRATED,
+    depth_from_scale,
     WallFitConfig,
 )
 from landmark_nav.learning.adjustment.wall_fit import (
@@ -262,6 +263,14 @@ def _adjusted(
     free = _adjust(found, panoramas, places, room, without_walls, ties)
     adjustment = _adjust(found, panoramas, places, room, config.adjustment, ties)
     residuals = wall_residuals(adjustment, walls, room, config.adjustment)
+    adjustment, free = depth_from_scale(
+        adjustment,
+        free,
+        found.measurements,
+        found.normals,
+        config.adjustment,
+        config.election.max_depth_sigma_m,
+    )
     return adjustment, free, residuals, hidden
 
 

@@ -23,6 +23,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import observed_well
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment import AdjustmentConfig
+from landmark_nav.learning.adjustment.depth_from_scale import INFORMATIVE
 from landmark_nav.learning.reference_area import joined
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
@@ -173,8 +174,9 @@ def _position_sigma(information: FloatArray, enough: npt.NDArray[np.bool_]) -> F
 # both views are resampled on the wall; where the fall lies beyond that is an assumption.
 _MATCH_PROBABILITY = 0.97
 _MATCH_HALF_RAD, _MATCH_SLOPE_RAD = 1.4, 0.12
-# Standard deviation of the place of a patch found again.
+# Standard deviations of a patch found again: of its place, and of how much larger it is shown.
 _MATCH_SIGMA_PX = 0.08
+_MATCH_SIGMA_SIZE = 3e-3
 # Share of the reconstructed patches that no stronger one covers.
 _KEPT_SHARE = 0.65
 # Greater localization errors count as this much.
@@ -294,7 +296,10 @@ class Predictor:
         parallax = np.abs(wrap_rad(azimuth[:, None] - azimuth))
         fall = (parallax - _MATCH_HALF_RAD) / _MATCH_SLOPE_RAD
         found = _MATCH_PROBABILITY / (1.0 + np.exp(np.clip(fall, -50.0, 50.0)))
-        found[parallax < config.stereo.min_parallax_rad] = 0.0
+        reach = views.range_m[places]
+        approach = np.maximum(reach[:, None], reach) / np.minimum(reach[:, None], reach)
+        in_line = parallax < config.stereo.min_parallax_rad
+        found[in_line & (approach < config.stereo.min_approach)] = 0.0
         found[self._depth_sigma(places, parallax) > config.election.max_depth_sigma_m] = 0.0
         found[~self._alike[places[:, None], places]] = 0.0
         itself = np.arange(len(places))
@@ -325,5 +330,11 @@ class Predictor:
         # Two bearings have the inverse information of their rays' directions.
         ray = reach[:, None] * cosine[None]
         square = (ray**2 + np.swapaxes(ray, 0, 1) ** 2) * self._variance
-        information = np.sin(parallax_rad) ** 2 / np.maximum(square, 1e-12)
+        # Sizes have it in line, too.
+        config = self._config
+        size_sigma = np.hypot(_MATCH_SIGMA_SIZE, config.adjustment.nearness_sigma)
+        nearness = 1.0 / np.maximum(reach * cosine, 1e-3)
+        by_size = (nearness[:, None] - nearness) / size_sigma
+        by_size[np.abs(by_size) * INFORMATIVE * config.election.max_depth_sigma_m < 1.0] = 0.0
+        information = np.sin(parallax_rad) ** 2 / np.maximum(square, 1e-12) + by_size**2
         return np.asarray(1.0 / np.sqrt(np.maximum(information, 1e-12)))

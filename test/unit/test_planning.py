@@ -13,6 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import (
@@ -25,6 +26,7 @@ from landmark_nav.planning.planner import (
     random_sets,
     spread,
 )
+from landmark_nav.planning.prediction import Predictor
 from landmark_nav.planning.views import (
     ahead_rad,
     eye_height,
@@ -156,6 +158,27 @@ class TestViews:
         expected = 90.0 * azimuth[well].sum() / (2.0 * np.pi)
         assert views.proposed[0].sum() == pytest.approx(expected)
         assert azimuth.sum() == pytest.approx(2.0 * np.pi, rel=1e-3)
+
+
+class TestPrediction:
+    def test_walls_straight_ahead_of_both_places_give_landmarks_if_sizes_give(self) -> None:
+        samples = sample_walls(ROOM, 0.05, 1000)
+        # Both see the papers in the south and look at the middle of the east wall in line.
+        poses = sweep_poses(np.array([[1.0, 2.0], [3.5, 2.0]]), ROOM)
+        poses[:, :2] -= look(poses, samples, ROOM, MOUNT, CONFIG).eye[:, :2] - poses[:, :2]
+        views = look(poses, samples, ROOM, MOUNT, CONFIG)
+        assert len(views) == 2
+        wall = samples.normal[:, 0] < -0.5
+        ahead = wall & (np.abs(samples.xy[:, 1] - 2.0) < 0.1)
+        expected = []
+        for nearness in (CONFIG.adjustment.nearness_sigma, 0.1):
+            config = replace(CONFIG, adjustment=AdjustmentConfig(nearness_sigma=nearness))
+            predictor = Predictor(views, samples, views.eye[:, :2], ROOM, config)
+            expected.append(predictor.predict(np.array([0, 1])).landmarks)
+        assert expected[0][ahead].min() > 0.0
+        assert not expected[1][ahead].any()
+        beside = wall & (np.abs(samples.xy[:, 1] - 3.0) < 0.1)
+        np.testing.assert_allclose(expected[0][beside], expected[1][beside], rtol=1e-6)
 
 
 class TestSearch:

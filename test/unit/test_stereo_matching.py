@@ -179,15 +179,21 @@ def test_too_little_parallax_is_refused(panoramas: list[Panorama]) -> None:
     assert seen.reason == 'too little parallax'
 
 
-def test_straight_ahead_what_hangs_above_the_camera_has_parallax(
+def test_straight_ahead_sizes_gives_and_what_hangs_above_the_camera_has_parallax(
     panoramas: list[Panorama],
 ) -> None:
     way = CENTERS[1] - CENTERS[0]
     ahead = CENTERS[0] + (6.0 - CENTERS[0][0]) / way[0] * way
-    _, seen = match_at(panoramas, np.add(ahead, [0.0, 0.0, 0.02]))
+    level = np.add(ahead, [0.0, 0.0, 0.02])
+    _, seen = match_at(panoramas, level)
+    assert isinstance(seen, PatchMeasurement)
+    nearer = np.log((6.0 - CENTERS[0][0]) / (6.0 - CENTERS[1][0]))
+    assert seen.log_nearer == pytest.approx(nearer, abs=5e-3)
+    blind = replace(CONFIG, min_approach=100.0)
+    _, seen = match_at(panoramas, level, blind)
     assert isinstance(seen, Refusal)
     assert seen.reason == 'too little parallax'
-    patch, seen = match_at(panoramas, np.add(ahead, [0.0, 0.0, 0.45]))
+    patch, seen = match_at(panoramas, np.add(ahead, [0.0, 0.0, 0.45]), blind)
     assert isinstance(seen, PatchMeasurement)
     truth = direction_to(panoramas[1], patch.position)
     assert [seen.azimuth_rad, seen.tangent] == pytest.approx(truth, abs=8e-4)

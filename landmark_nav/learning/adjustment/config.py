@@ -20,6 +20,8 @@ class AdjustmentConfig(Config):
     azimuth_sigma_rad: float = 1.5e-4
     # What a panorama adds to each tangent of elevation.
     tangent_sigma: float = 1e-3
+    # What two panoramas add to the ratio of their distances that sizes give.
+    nearness_sigma: float = 1.5e-3
     # How far the pan axis of each sweep leans otherwise than known; 0 does not estimate it.
     tilt_sigma_rad: float = 0.0
     # How far azimuths of one panorama err in common, in waves of a quarter turn and longer; 0 does

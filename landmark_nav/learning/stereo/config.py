@@ -18,10 +18,14 @@ class StereoConfig(Config):
 
     # Least normalized cross-correlation between two views.
     min_score: float = 0.75
+    # Greatest share of the peak that another place may reach.
+    max_second_ratio: float = 0.9
     # Greatest angle between a view and the normal.
     max_incidence_rad: float = 1.15
     # Least angle between two views of a landmark.
     min_parallax_rad: float = 0.04
+    # How many times nearer one of two views in line must be, for depth from scale.
+    min_approach: float = 1.25
     # How far behind the wall a match is searched.
     behind_wall_m: float = 0.15
     # How far before the wall a match is searched.

@@ -17,7 +17,6 @@ import numpy as np
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.stereo.config import StereoConfig
-from landmark_nav.learning.stereo.magnification import log_nearer
 from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
 from landmark_nav.learning.stereo.wall_stereo import compare
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
@@ -308,12 +307,9 @@ def _near(
     found = compare(patch, other, panoramas, greys, close)
     if isinstance(found, Refusal):
         return found
-    azimuth = found.azimuth_rad + there.heading_rad
-    ray = np.array([np.cos(azimuth), np.sin(azimuth), found.tangent])
-    point = there.center_map + ray * _normal_reach(patch, there) / float(-ray @ patch.normal)
-    nearer, sigma = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
-    missed = abs(nearer - np.log(_normal_reach(patch, here) / _normal_reach(patch, there)))
-    if missed > _MAX_SIZE + _SIZE_SIGMAS * sigma:
+    ratio = _normal_reach(patch, here) / _normal_reach(patch, there)
+    missed = abs(found.log_nearer - float(np.log(ratio)))
+    if missed > _MAX_SIZE + _SIZE_SIGMAS * found.sigma_log_nearer:
         return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
     return found
 

@@ -37,7 +37,12 @@ class WallPatch:
 
 @dataclass(frozen=True, eq=False)
 class PatchMeasurement:
-    """Where a panorama shows a patch: azimuth in its base frame, tangent, their sigmas."""
+    """
+    Where a panorama shows a patch: azimuth in its base frame, tangent, their sigmas.
+
+    How large it shows it gives how near it is: `log_nearer` is the logarithm of how many times
+    farther before the patch's plane the panorama was taken that proposed it.
+    """
 
     panorama: int
     azimuth_rad: float
@@ -45,6 +50,8 @@ class PatchMeasurement:
     sigma_azimuth_rad: float
     sigma_tangent: float
     score: float
+    log_nearer: float = 0.0
+    sigma_log_nearer: float = np.inf
 
 
 def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:

@@ -25,6 +25,7 @@ from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.config import StereoConfig
+from landmark_nav.learning.stereo.magnification import log_nearer
 from landmark_nav.learning.stereo.wall_patch import (
     covered_rows,
     PatchMeasurement,
@@ -82,9 +83,6 @@ def _quarters(image: Float32Array) -> FloatArray:
 # How far places may be wrong, in their sigmas, and where a search on the wall ends.
 _SIGMAS = 3.0
 _LARGEST_MARGIN_M = 0.5
-# Greatest share of the peak that another place may reach. On walls it gains nothing; far before
-# them, where the whole epipolar band is searched, it was not left out.
-_MAX_SECOND_RATIO = 0.9
 # What is not flat errs by this share of how far a quarter of it seems out of place.
 _RELIEF_SHARE = 0.5
 # How near to where it came from a match must lead back.
@@ -150,10 +148,13 @@ def match_in(
     to_there = there.center_map - patch.position
     if to_there @ patch.normal < np.cos(config.max_incidence_rad) * np.hypot(*to_there[:2]):
         return Refusal('too oblique from the other place')
-    # Straight ahead of both, what hangs higher or lower than the camera has parallax in height.
+    # Straight ahead of both, what hangs higher or lower than the camera has parallax in height,
+    # and all grows on the way to it.
     turn = float(np.linalg.norm(np.cross(to_here, to_there)))
     parallax = float(np.arctan2(turn, to_here @ to_there))
-    if parallax < config.min_parallax_rad:
+    reach, reach_there = float(np.linalg.norm(to_here)), float(np.linalg.norm(to_there))
+    approach = max(reach, reach_there) / min(reach, reach_there)
+    if parallax < config.min_parallax_rad and approach < config.min_approach:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
     return compare(patch, other, panoramas, greys, config)
 
@@ -186,7 +187,7 @@ def compare(
         blur_to(search, own, seen),
         template,
         min_score=config.min_score,
-        max_second_ratio=_MAX_SECOND_RATIO,
+        max_second_ratio=config.max_second_ratio,
     )
     if isinstance(match, Refusal):
         return match
@@ -202,7 +203,7 @@ def compare(
         blur_to(search, seen, own),
         found,
         min_score=0.9 * config.min_score,
-        max_second_ratio=_MAX_SECOND_RATIO,
+        max_second_ratio=config.max_second_ratio,
     )
     if isinstance(back, Refusal):
         return Refusal('no way back', str(back))
@@ -223,6 +224,7 @@ def compare(
         # What is not flat is matched by one part of it or another.
         relief = _RELIEF_SHARE * displaced * coarser * patch.texel_m / reach
         sigma = np.hypot(sigma, relief)
+    nearer = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -230,6 +232,7 @@ def compare(
         float(sigma[0]) * cosine,
         float(sigma[1]),
         match.score,
+        *nearer,
     )
 
 

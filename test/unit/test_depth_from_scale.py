@@ -1,0 +1,154 @@
+"""Patches in line with both panoramas, placed by how large these show them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hung_rooms import CONFIG, ROOM
+import numpy as np
+import pytest
+from scenes import Board, draw_panorama, Scene, smooth_texture
+from wall_views import candidate_at, greys_of
+
+from landmark_nav.learning.adjustment import Adjustment, depth_from_scale
+from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
+from landmark_nav.types import FloatArray, Refusal
+
+EAST = ROOM.normals[1]
+# Both look east along y = 2.5.
+POSES = np.array([[4.2, 2.5, 1.1, 0.0], [1.8, 2.5, 1.1, 0.0]])
+SIZE_SIGMA = 1.5e-3
+UNCERTAIN_SIGMA_M = 0.02
+STEREO = StereoConfig()
+
+
+def sizes_of(points: FloatArray, rng: np.random.Generator) -> list[list[PatchMeasurement]]:
+    groups = []
+    for point in points:
+        reach = (POSES[:, :3] - point) @ EAST
+        spread = np.hypot(SIZE_SIGMA, CONFIG.nearness_sigma)
+        reported = float(np.log(reach[0] / reach[1]) + rng.normal(0.0, spread))
+        groups.append(
+            [
+                PatchMeasurement(0, 0.0, 0.0, 0.0, 0.0, 1.0),
+                PatchMeasurement(1, 0.0, 0.0, 1e-4, 1e-4, 0.9, reported, SIZE_SIGMA),
+            ]
+        )
+    return groups
+
+
+def on_the_wall(points: FloatArray, depth_sigma: float) -> Adjustment:
+    """What the walls make of points: on them, and sure of it unless `depth_sigma` says more."""
+    n = len(points)
+    covariance = np.diag([depth_sigma, 1e-3, 1e-3]) ** 2
+    return Adjustment(
+        np.column_stack([np.full(n, 6.0), points[:, 1:]]),
+        np.tile(covariance, (n, 1, 1)),
+        np.tile(np.eye(3) * 1e-3, (n, 1, 1)),
+        POSES,
+        np.tile(np.eye(4) * 1e-6, (2, 1, 1)),
+        np.zeros(n),
+        np.ones(n),
+        np.ones(8),
+    )
+
+
+def placed(points: FloatArray, seed: int = 0) -> tuple[Adjustment, Adjustment]:
+    return depth_from_scale(
+        on_the_wall(points, 1e-3),
+        on_the_wall(points, 0.08),
+        sizes_of(points, np.random.default_rng(seed)),
+        np.tile(EAST, (len(points), 1)),
+        CONFIG,
+        UNCERTAIN_SIGMA_M,
+    )
+
+
+def before_wall(rng: np.random.Generator, count: int, before_m: FloatArray) -> FloatArray:
+    return np.column_stack([6.0 - before_m, np.full(count, 2.5), rng.uniform(0.9, 1.3, count)])
+
+
+def test_sizes_place_what_bearings_leave_uncertain_and_state_how_well() -> None:
+    rng = np.random.default_rng(1)
+    before = rng.normal(0.0, 0.026, 400)
+    found, free = placed(before_wall(rng, 400, before))
+    error = found.off_wall_m - before
+    own = found.own_covariance[:, 0, 0]
+    sigma = np.sqrt(own + np.sum(found.shared_loading[:, 0] ** 2, 1))
+    assert np.std(error) < 0.4 * np.std(before)
+    assert 0.85 < np.sqrt(np.mean((error / sigma) ** 2)) < 1.15
+    np.testing.assert_allclose(6.0 - found.positions[:, 0], found.off_wall_m, atol=1e-12)
+    # Measurements alone show as much, within what walls add.
+    assert np.sqrt(free.own_covariance[:, 0, 0]).max() < 0.012
+
+
+def test_what_stands_well_before_the_wall_does_not_fit_it() -> None:
+    for before in (0.12, 0.3, 0.5):
+        found, _ = placed(before_wall(np.random.default_rng(2), 50, np.full(50, before)))
+        assert found.chi_square.min() > 5.0
+        assert found.off_wall_m.min() > 0.06
+
+
+def test_sizes_that_miss_where_depths_are_known_count_for_less() -> None:
+    rng = np.random.default_rng(4)
+    points = before_wall(rng, 60, np.zeros(60))
+    known = np.arange(60) >= 20
+    adjustment, free = on_the_wall(points, 1e-3), on_the_wall(points, 0.08)
+    free.own_covariance[known] = on_the_wall(points[known], 2e-3).own_covariance
+    normals = np.tile(EAST, (60, 1))
+    _, right = depth_from_scale(
+        adjustment, free, sizes_of(points, rng), normals, CONFIG, UNCERTAIN_SIGMA_M
+    )
+    wrong = [
+        [own, replace(other, log_nearer=other.log_nearer + rng.normal(0.0, 0.01))]
+        for own, other in sizes_of(points, rng)
+    ]
+    _, inflated = depth_from_scale(adjustment, free, wrong, normals, CONFIG, UNCERTAIN_SIGMA_M)
+    worse = inflated.own_covariance[~known, 0, 0] / right.own_covariance[~known, 0, 0]
+    assert worse.min() > 4.0
+    np.testing.assert_array_equal(inflated.own_covariance[known], free.own_covariance[known])
+
+
+def test_without_sizes_nothing_changes() -> None:
+    points = before_wall(np.random.default_rng(5), 3, np.zeros(3))
+    adjustment, free = on_the_wall(points, 1e-3), on_the_wall(points, 0.08)
+    measurements = [
+        [own, replace(other, sigma_log_nearer=np.inf)]
+        for own, other in sizes_of(points, np.random.default_rng(0))
+    ]
+    found, still = depth_from_scale(
+        adjustment, free, measurements, np.tile(EAST, (3, 1)), CONFIG, UNCERTAIN_SIGMA_M
+    )
+    np.testing.assert_array_equal(found.positions, adjustment.positions)
+    np.testing.assert_array_equal(found.own_covariance, adjustment.own_covariance)
+    np.testing.assert_array_equal(still.own_covariance, free.own_covariance)
+
+
+@pytest.mark.parametrize('before_m', [0.0, 0.03, 0.08, 0.2])
+def test_stereo_gives_how_much_nearer_what_it_sees_in_line_is(before_m: float) -> None:
+    spot = np.array([6.0 - before_m, 2.5, 1.1])
+    rng = np.random.default_rng(11)
+    camera_image = Board(spot, EAST, 0.6, 0.6, smooth_texture(rng, 0.6, 0.6, 0.03))
+    panoramas = [
+        draw_panorama(Scene((camera_image,)), pose[:3], float(pose[3]), rng=rng) for pose in POSES
+    ]
+    greys = greys_of(panoramas)
+    normalized = []
+    for point in spot + [[0.0, y, z] for y in (-0.1, 0.0, 0.1) for z in (-0.1, 0.0, 0.1)]:
+        for source in (0, 1):
+            candidate = candidate_at(panoramas[source], point, 28 - 10 * source)
+            patch = hypothesize(candidate, source, panoramas[source], ROOM, STEREO)
+            assert isinstance(patch, WallPatch)
+            seen = match_in(patch, 1 - source, panoramas, greys, ROOM, STEREO)
+            if isinstance(seen, Refusal):
+                # Twenty centimetres do not look flat any more.
+                assert before_m > 0.1
+                continue
+            reach = (POSES[:, :3] - spot) @ EAST
+            truth = np.log(reach[source] / reach[1 - source])
+            spread = np.hypot(seen.sigma_log_nearer, CONFIG.nearness_sigma)
+            assert spread < 0.01
+            normalized.append((seen.log_nearer - truth) / spread)
+    assert before_m > 0.1 or len(normalized) == 18
+    assert np.sqrt(np.mean(np.square(normalized))) < 1.3
