@@ -35,6 +35,7 @@ camera_roll_sigma: 0.0001
 focal_scale_sigma: 0.0001
 joint_delay_sigma: 0.0001
 pan_sigma: 0.003
+odometry: {slip_m_per_rad: 0.005}
 """
 
 
