@@ -56,7 +56,7 @@ class TrueWalls:
         None if its wall does not show it within 6 cm: it stands before the wall, or is no texture
         of one place.
         """
-        wall, base, grey, before = self._walls[landmark.wall_id]
+        wall, base, grey, before = self._walls[landmark.wall_id or self._nearest(landmark)]
         texel = landmark.width_m / landmark.patch.shape[1]
         margin = round(_SEARCH_M / texel) + 2
         shape = (landmark.patch.shape[0] + 2 * margin, landmark.patch.shape[1] + 2 * margin)
@@ -90,6 +90,15 @@ class TrueWalls:
         )
         before_wall = (point[:2] - wall.start) @ wall.normal[:2]
         return np.asarray(point + (np.average(depths, weights=edges) - before_wall) * wall.normal)
+
+    def _nearest(self, landmark: Landmark) -> str:
+        """Wall that lies next to what hangs on none, of those that face as it does."""
+        facing = {
+            name: abs((landmark.position[:2] - wall.start) @ wall.normal[:2])
+            for name, (wall, *_) in self._walls.items()
+            if landmark.normal @ wall.normal > 0.5
+        }
+        return min(facing, key=lambda name: facing[name])
 
     def hidden(self, eye: FloatArray, points: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether furniture or walls stand between an eye (3,) and points (..., 3)."""
