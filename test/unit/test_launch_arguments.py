@@ -24,6 +24,11 @@ class Recorded:
     positional: tuple[Any, ...] = ()
     named: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def name(self) -> Any:
+        """As launch's own objects have it."""
+        return self.argument(0, 'name')
+
     def argument(self, position: int, name: str) -> Any:
         """What was given for one parameter, by its place or by its name."""
         given = self.positional[position : position + 1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 from hypothesis import given, settings
@@ -21,6 +22,7 @@ from landmark_nav.types import LandmarkMap, PoseEstimate
 class TestVisibility:
     def test_wall_between(self) -> None:
         behind = landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2)
+        behind = replace(behind, viewpoint=np.array([4.25, 2.2, 1.1]))
         prior = PoseEstimate(0, np.array([2.0, 2.0, 0.0]), PRIOR.covariance)
         view = (CAMERA, MOUNT, 0.0, 0.0, CONFIG)
         assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=ROOM), *view)) == 1
