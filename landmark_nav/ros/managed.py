@@ -113,6 +113,8 @@ class ManagedNode(LifecycleNodeMixin, Node):
         """Leave nobody behind who publishes."""
         self._close()
         super().destroy_node()
+        # Else it keeps the node in the graph until Python collects both.
+        self._state_machine.destroy_when_not_in_use()
 
     def _made(self) -> dict[str, list[Any]]:
         return {kind: list(getattr(self, f'{kind}s')) for kind in _KINDS}
