@@ -43,6 +43,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
         self._foundation: dict[str, list[Any]] = {}
         self._closing: list[Callable[[], None]] = []
         self._failure: Exception | None = None
+        self._destroyed = False
         Node.__init__(self, name, **options)
         # A manager is answered while callbacks are at work.
         LifecycleNodeMixin.__init__(self, callback_group=MutuallyExclusiveCallbackGroup())
@@ -57,7 +58,8 @@ class ManagedNode(LifecycleNodeMixin, Node):
     @property
     def state(self) -> str:
         """Label of its state."""
-        return str(self._state_machine.current_state[1])
+        # A machine that is destroyed ends the process of who asks it.
+        return 'finalized' if self._destroyed else str(self._state_machine.current_state[1])
 
     @property
     def is_active(self) -> bool:
@@ -112,6 +114,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
     def destroy_node(self) -> None:
         """Leave nobody behind who publishes."""
         self._close()
+        self._destroyed = True
         super().destroy_node()
         # Else it keeps the node in the graph until Python collects both.
         self._state_machine.destroy_when_not_in_use()

@@ -69,6 +69,16 @@ def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(
         assert node.asked == 1
 
 
+def test_a_destroyed_node_is_finalized_and_its_name_free(domain_id: int) -> None:
+    with counting(domain_id) as (node, _):
+        assert node.is_active
+    assert node.state == 'finalized'
+    with counting(domain_id) as (again, executor):
+        for _ in range(40):
+            executor.spin_once(timeout_sec=0.05)
+        assert again.get_node_names().count('counter') == 1
+
+
 def test_the_domain_is_that_of_the_environment(
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
