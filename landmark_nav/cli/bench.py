@@ -3,54 +3,97 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, combinations
 import json
 import platform
-from statistics import median
 import time
+from typing import Any
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares
 
-from landmark_nav.cli.bench_learning import learning_comparisons
-from landmark_nav.cli.bench_localization import localization_comparisons
-from landmark_nav.cli.bench_world import Comparison, World
+from landmark_nav.calibration import Calibration
 from landmark_nav.cli.lines import progress
 from landmark_nav.cli.options import add_json, add_number, within
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
+from landmark_nav.learning.attention import attend, AttentionConfig
+from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
+from landmark_nav.learning.capture.frames import look_at, relative_sharpness
+from landmark_nav.learning.election import elect, ElectionConfig
+from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
+from landmark_nav.learning.reference_area import (
+    joint_covariance,
+    locate_sweep,
+    ReferenceAreaConfig,
+)
+from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
+from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.fusion import Fusion
+from landmark_nav.localization.localizer import LocalizationConfig, Localizer
+from landmark_nav.localization.triangulation import triangulate, triangulate_three
+from landmark_nav.localization.triplet import (
+    CameraState,
+    rank_triplets,
+    TripletConfig,
+    visible_landmarks,
+)
+from landmark_nav.localization.triplet.search import mean_variance, pair_tables
+from landmark_nav.planning.config import PlanConfig
+from landmark_nav.planning.planner import forecast, plan_positions
+from landmark_nav.planning.views import free_floor
+from landmark_nav.simulation.furnishing import generate_scene
+from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
+from landmark_nav.types import (
+    CameraFrame,
+    Detections,
+    FloatArray,
+    Landmark,
+    LandmarkMap,
+    OdometrySample,
+    PoseEstimate,
+    Sweep,
+)
+
+CAMERA = CameraModel(
+    512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', (-0.12, 0.03, 0.0005, -0.0003, 0.0)
+)
+_MOUNT = PanTiltMount(axis_xyz=(0.08, 0.0, 1.1))
+_STEP_RAD = np.radians(5.0)
+_BEARING_SIGMA_RAD = 1e-3
+_COLUMNS, _ROWS = np.meshgrid(
+    np.arange(512, dtype=np.float32) + np.float32(0.3), np.arange(512, dtype=np.float32)
+)
+_HEADER = f'{"stage":<36}{"ms":>9}{"95 % ms":>9}{"ref ms":>9}{"ratio":>9}  reference'
 
 
 @dataclass(frozen=True)
-class Row:
+class _Comparison:
     """
-    Median seconds of a stage, and of the reference that does a comparable amount of work.
+    A stage and its reference; both do `count` pieces of work in a call.
 
-    `p95_s` is what 95 of 100 calls stay below, where a stage does not take the same time in each.
+    A stage that does not take the same time in each call is called `calls` times, each timed.
     """
 
     stage: str
-    ours_s: float
-    p95_s: float | None
-    reference: str
-    reference_s: float
-
-    @property
-    def ratio(self) -> float:
-        """How many times longer the stage takes than its reference."""
-        return self.ours_s / self.reference_s
-
-    def __str__(self) -> str:
-        """The row of the table."""
-        p95 = '' if self.p95_s is None else f'{1e3 * self.p95_s:.4g}'
-        return (
-            f'{self.stage:<36}{1e3 * self.ours_s:>9.4g}{p95:>9}'
-            f'{1e3 * self.reference_s:>9.4g}{self.ratio:>9.2f}  {self.reference}'
-        )
-
-
-_HEADER = f'{"stage":<36}{"ms":>9}{"95 % ms":>9}{"ref ms":>9}{"ratio":>9}  reference'
+    ours: Callable[[], object]
+    reference_name: str
+    reference: Callable[[], object]
+    count: int = 1
+    calls: int = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,24 +104,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_json(parser, 'the times')
     add_number(parser, '--seed', within(int, 0, 2**63 - 1), 0, 'N', 'of the simulated data')
-    add_number(
-        parser,
-        '--repeats',
-        within(int, 1, 1000),
-        7,
-        'N',
-        'how often, of which the median is taken',
-    )
+    text = 'how often, of which the median is taken'
+    add_number(parser, '--repeats', within(int, 1, 1000), 7, 'N', text)
 
 
 def run(args: argparse.Namespace) -> int:
     """Time, print and write."""
     check_writable(args.json)
     cv2.setNumThreads(1)
-    world = World(args.seed)
-    comparisons = chain(learning_comparisons(world), localization_comparisons(world))
-    rows = [_timed(comparison, args.repeats) for comparison in progress(comparisons, 'timing')]
-    print(_HEADER, *rows, sep='\n')
+    rows = [_timed(each, args.repeats) for each in progress(_comparisons(args.seed), 'timing')]
+    print(_HEADER)
+    for row in rows:
+        p95 = '' if row['p95_seconds'] is None else f'{1e3 * row["p95_seconds"]:.4g}'
+        print(
+            f'{row["stage"]:<36}{1e3 * row["seconds"]:>9.4g}{p95:>9}'
+            f'{1e3 * row["reference_seconds"]:>9.4g}{row["ratio"]:>9.2f}  {row["reference"]}'
+        )
     if args.json:
         document = {
             'schema': 1,
@@ -86,38 +127,326 @@ def run(args: argparse.Namespace) -> int:
             'python': platform.python_version(),
             'numpy': np.__version__,
             'opencv': cv2.__version__,
-            'stages': [
-                {
-                    'stage': row.stage,
-                    'seconds': row.ours_s,
-                    'p95_seconds': row.p95_s,
-                    'reference': row.reference,
-                    'reference_seconds': row.reference_s,
-                    'ratio': row.ratio,
-                }
-                for row in rows
-            ],
+            'stages': rows,
         }
         write_atomically(args.json, json.dumps(document, indent=2) + '\n')
     return 0
 
 
-def _timed(comparison: Comparison, repeats: int) -> Row:
+def _timed(comparison: _Comparison, repeats: int) -> dict[str, Any]:
     """Time the two in turn, so that what else the machine does meets both; warm unless once."""
     works = (comparison.ours, comparison.reference)
-    if repeats > 1:
-        for work in works:
-            work()
-    ours: list[float] = []
-    reference: list[float] = []
-    for _ in range(repeats):
-        for work, taken in zip(works, (ours, reference), strict=True):
-            taken += [_seconds(work) / comparison.count for _ in range(comparison.calls)]
-    p95 = float(np.percentile(ours, 95)) if comparison.calls > 1 else None
-    return Row(comparison.stage, median(ours), p95, comparison.reference_name, median(reference))
+    taken: tuple[list[float], list[float]] = ([], [])
+    for repeat in range(repeats if repeats == 1 else repeats + 1):
+        for work, seconds in zip(works, taken, strict=True):
+            for _ in range(comparison.calls):
+                start = time.perf_counter()
+                work()
+                seconds.append((time.perf_counter() - start) / comparison.count)
+            if repeat == 0 and repeats > 1:
+                seconds.clear()
+    ours, reference = (float(np.median(seconds)) for seconds in taken)
+    return {
+        'stage': comparison.stage,
+        'seconds': ours,
+        # What 95 of 100 calls stay below, where a stage does not take the same time in each.
+        'p95_seconds': float(np.percentile(taken[0], 95)) if comparison.calls > 1 else None,
+        'reference': comparison.reference_name,
+        'reference_seconds': reference,
+        'ratio': ours / reference,
+    }
 
 
-def _seconds(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
+def _estimate(pose: FloatArray, sigma_m: float) -> PoseEstimate:
+    return PoseEstimate(0, pose, np.diag([sigma_m, sigma_m, 0.5 * sigma_m]) ** 2)
+
+
+def _comparisons(seed: int) -> Iterator[_Comparison]:
+    """Simulation, learning, planning and localization in a room, stage by stage."""
+    scene = generate_scene(seed)
+    places = choose_sweep_places(scene)
+    if places is None:
+        raise LandmarkNavError(f'the room of seed {seed} has no two places: take another')
+    renderer = Renderer(scene, CAMERA)
+
+    def frame(pose: FloatArray, pan_rad: float) -> CameraFrame:
+        rotation, center = _MOUNT.camera_pose_map(pose, pan_rad)
+        return CameraFrame(0, renderer.render(rotation, center), CAMERA, pan_rad)
+
+    sweeps = [
+        Sweep(
+            0,
+            tuple(frame(pose, pan) for pan in _STEP_RAD * np.arange(72)),
+            _estimate(pose, 1e-3),
+        )
+        for pose in places.poses
+    ]
+    image = sweeps[0].frames[0].image
+    yield _Comparison(
+        'simulated image, 512 x 512',
+        partial(frame, places.poses[0], 0.0),
+        'cv2.remap of as many pixels',
+        lambda: cv2.remap(image, _COLUMNS, _ROWS, cv2.INTER_LINEAR),
+    )
+    yield from _of_sweep(sweeps[0])
+    room = scene.room
+    config, view = ReferenceAreaConfig(), synthesize_cylinder(sweeps[0], _MOUNT, PanoramaConfig())
+    unplaced = replace(sweeps[0], pose_map_base=None)
+    yield _Comparison(
+        'place of a sweep by its papers',
+        lambda: locate_sweep(unplaced, view, room, _MOUNT, config),
+        'its frames in HSV, a mask for each of three colours',
+        lambda: [
+            cv2.inRange(cv2.cvtColor(one.image, cv2.COLOR_BGR2HSV), (hue, 90, 40), (hue, 255, 255))
+            for one in unplaced.frames
+            for hue in (0, 60, 120)
+        ],
+    )
+    panoramas = [panorama_from_sweep(s, room, _MOUNT, PanoramaStages()) for s in sweeps]
+    greys = [np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), np.uint8) for p in panoramas]
+    yield _Comparison(
+        'attention in a panorama',
+        lambda: attend(panoramas[0], AttentionConfig()),
+        'SIFT key points of the same panorama',
+        lambda: cv2.SIFT.create().detect(greys[0]),
+    )
+    learned = learn_from_panoramas(panoramas, room, LearningConfig())
+    yield from _of_stereo(panoramas, learned.candidates, room)
+    plan = PlanConfig(spacing_m=0.5, random_sets=10)
+    floor = free_floor(room, plan.clearance_m, plan.spacing_m, 200)
+    yield _Comparison(
+        'plan of two places',
+        lambda: plan_positions(room, _MOUNT, 2, plan, np.random.default_rng(0)),
+        'forecast for two places that are given',
+        lambda: forecast([places.poses], floor, room, _MOUNT, plan),
+    )
+    prior = _estimate(np.array([*places.poses[:, :2].mean(axis=0), 0.3]), 0.03)
+
+    def expected(pan_rad: float) -> Any:
+        return visible_landmarks(prior, learned.map, CAMERA, _MOUNT, pan_rad, 0.0, TripletConfig())
+
+    best = max(4.0 * _STEP_RAD * np.arange(18), key=lambda pan: len(expected(float(pan))))
+    seen = frame(prior.pose, float(best))
+    yield from chain(
+        (_triplet('choice of the triplet', learned.map, prior, CameraState(0.0)),),
+        (_triplet_among(count) for count in (40, 200, 1000)),
+        _of_drive(learned.map, prior, seen, expected(seen.pan_rad)),
+    )
+
+
+def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
+    """Capture, panorama, photometry and calibration."""
+
+    def judge() -> None:
+        """Each image beside the four before it, as capture judges it."""
+        looks = [look_at(frame.image, frame.camera) for frame in sweep.frames[:24]]
+        for k, look in enumerate(looks):
+            for n in range(max(0, k - 4), k):
+                relative_sharpness(look, looks[n], (k - n) * _STEP_RAD)
+
+    yield _Comparison(
+        'judgement of an image in capture',
+        judge,
+        'cv2.Laplacian of the image alone',
+        lambda: [cv2.Laplacian(frame.image, cv2.CV_32F) for frame in sweep.frames[:24]],
+        count=24,
+    )
+    works: dict[str, Callable[[], object]] = {
+        f'panorama of 72 frames, {blend}': partial(
+            synthesize_cylinder, sweep, _MOUNT, PanoramaConfig(blend=blend)
+        )
+        for blend in ('median', 'feather', 'mean')
+    }
+    works['exposures and vignetting evened out'] = lambda: even_out(
+        sweep, measure_photometry(sweep, _MOUNT)
+    )
+    works['calibration out of a sweep'] = lambda: calibrate_sweep(
+        sweep, _MOUNT, CalibrationConfig()
+    )
+    for stage, work in works.items():
+        yield _Comparison(
+            stage,
+            work,
+            'bare cv2.remap of the same frames',
+            lambda: [cv2.remap(k.image, _COLUMNS, _ROWS, cv2.INTER_LINEAR) for k in sweep.frames],
+        )
+
+
+def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Comparison]:
+    """Stereo, adjustment and election of what attention proposes."""
+    config = StereoConfig()
+    images = [cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY) for view in panoramas]
+    greys = [image.astype(np.float32) for image in images]
+    proposed = [
+        [hypothesize(c, k, panoramas[k], room, config) for c in group]
+        for k, group in enumerate(candidates)
+    ]
+    hypotheses = [[p for p in group if isinstance(p, WallPatch)] for group in proposed]
+    small = greys[0][:40, :40]
+    yield _Comparison(
+        'stereo match of a candidate',
+        lambda: [match_in(p, 1, panoramas, greys, room, config) for p in hypotheses[0]],
+        'cv2.matchTemplate over the other panorama',
+        lambda: [cv2.matchTemplate(greys[1], small, cv2.TM_CCOEFF_NORMED) for _ in hypotheses[0]],
+        count=len(hypotheses[0]),
+    )
+    patches: list[WallPatch] = []
+    measurements: list[list[PatchMeasurement]] = []
+    for k, group in enumerate(hypotheses):
+        for patch in group:
+            found = match_in(patch, 1 - k, panoramas, greys, room, config)
+            if isinstance(found, PatchMeasurement):
+                patches.append(patch)
+                measurements.append([own_measurement(patch, panoramas[k]), found])
+    start = np.array([patch.position for patch in patches])
+    covariance = joint_covariance(panoramas, room, ReferenceAreaConfig())
+    walls = [patch.wall for patch in patches]
+    run = partial(
+        adjust, measurements, walls, start, panoramas, covariance, room, AdjustmentConfig()
+    )
+    adjustment = run()
+    # Two numbers a measurement and one a wall; three unknowns a landmark and four a panorama.
+    dense = np.random.default_rng(0).normal(size=(5 * len(patches), 3 * len(patches) + 8))
+    yield _Comparison(
+        'adjustment of landmarks and places',
+        run,
+        f'numpy.linalg.lstsq, dense, {dense.shape[0]} x {dense.shape[1]}, once',
+        lambda: np.linalg.lstsq(dense, dense[:, 0], rcond=None),
+    )
+    across, down = _COLUMNS[:30, :30], _ROWS[:30, :30]
+    yield _Comparison(
+        'election of a patch',
+        lambda: elect(
+            patches, measurements, adjustment, adjustment, panoramas, greys, room, ElectionConfig()
+        ),
+        'two cv2.remap of 30 x 30 px',
+        lambda: [
+            cv2.remap(greys[0], across, down, cv2.INTER_LINEAR) for _ in range(2 * len(patches))
+        ],
+        count=len(patches),
+    )
+
+
+def _triplet(
+    name: str, landmark_map: LandmarkMap, prior: PoseEstimate, camera_state: CameraState
+) -> _Comparison:
+    count = len(landmark_map.landmarks)
+    few = np.array(list(combinations(range(min(count, 40)), 3)))
+    tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
+    config = TripletConfig()
+    return _Comparison(
+        name,
+        lambda: rank_triplets(prior, landmark_map, CAMERA, _MOUNT, config, camera_state),
+        f'variances of {len(few)} triplets, all at once',
+        lambda: mean_variance(tables, few),
+    )
+
+
+def _triplet_among(count: int) -> _Comparison:
+    """Choice among `count` landmarks around a room, from all triplets that fit a view."""
+    rng = np.random.default_rng(count)
+    along, wall = rng.uniform(0.05, 0.95, count), rng.integers(4, size=count)
+    corners = np.array([[0.0, 0.0], [7.0, 0.0], [7.0, 4.5], [0.0, 4.5]])
+    starts = corners[wall]
+    ways = np.roll(corners, -1, axis=0)[wall] - starts
+    landmarks = [
+        Landmark(
+            id=k,
+            position=np.array([*(starts[k] + along[k] * ways[k]), rng.uniform(0.8, 1.5)]),
+            covariance=np.diag([0.006, 0.006, 0.01]) ** 2,
+            shared_loading=np.vstack([0.004 * np.eye(2), np.zeros((1, 2))]),
+            normal=np.array([-ways[k, 1], ways[k, 0], 0.0]) / np.linalg.norm(ways[k]),
+            width_m=0.25,
+            height_m=0.2,
+            patch=np.zeros((20, 25), np.uint8),
+            viewpoint=np.array([3.5, 2.25, 1.1]),
+            threshold=0.7,
+        )
+        for k in range(count)
+    ]
+    prior = PoseEstimate(0, np.array([3.2, 2.0, 0.4]), np.diag([0.01, 0.01, 0.005]) ** 2)
+    return _triplet(f'triplet among {count}', LandmarkMap(tuple(landmarks)), prior,
+                    CameraState(pan_rad=0.5))  # fmt: skip
+
+
+def _of_drive(
+    learned: LandmarkMap, prior: PoseEstimate, seen: CameraFrame, expected: Any
+) -> Iterator[_Comparison]:
+    """Detection, triangulation, fusion, and all of them in one update."""
+    # As images are decoded, from bags and topics alike.
+    grey = np.asarray(cv2.cvtColor(seen.image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    patches = [cv2.resize(learned.landmarks[k].patch, (32, 32)) for k in expected]
+    yield _Comparison(
+        'detection of a landmark',
+        lambda: detect_landmarks(seen, prior, learned, _MOUNT, DetectionConfig(), expected),
+        'cv2.matchTemplate over the whole image',
+        lambda: [cv2.matchTemplate(grey, patch, cv2.TM_CCOEFF_NORMED) for patch in patches],
+        count=max(len(expected), 1),
+    )
+    positions = learned.positions[:, :2]
+    # At the pan axis.
+    bearings = se2.bearings(_MOUNT.axis_pose_map(prior.pose), positions)
+    variances = np.full(len(positions), _BEARING_SIGMA_RAD**2)
+
+    def residuals(pose: FloatArray) -> FloatArray:
+        return wrap_rad(bearings[:8] - se2.bearings(pose, positions[:8])) / _BEARING_SIGMA_RAD
+
+    yield _Comparison(
+        'triangulation of 8 bearings',
+        lambda: triangulate(positions[:8], bearings[:8], variances[:8]),
+        'scipy.optimize.least_squares from near by',
+        lambda: least_squares(residuals, se2.compose(prior.pose, [0.1, -0.1, 0.05])),
+    )
+    rng, count = np.random.default_rng(0), 10_000
+    chosen = np.array([rng.choice(len(bearings), 3, replace=False) for _ in range(count)])
+    square = rng.normal(size=(count, 3, 3))
+    yield _Comparison(
+        'triangulation of three, closed form',
+        lambda: triangulate_three(positions[chosen], bearings[chosen]),
+        'numpy.linalg.solve of as many 3 x 3',
+        lambda: np.linalg.solve(square, bearings[chosen][..., None]),
+        count=count,
+    )
+    calibration = Calibration.of_mount(_MOUNT)
+    samples = [
+        OdometrySample(50_000_000 * k, np.array([0.0, 0.0, 1e-6 * k]), 0.0, 0.0) for k in range(21)
+    ]
+
+    def fuse() -> None:
+        """20 odometry samples and 5 images of three landmarks."""
+        fusion = Fusion(learned, calibration)
+        fusion.add_odometry(samples[0])
+        fusion.initialize(prior)
+        for k, sample in enumerate(samples[1:], 1):
+            fusion.add_odometry(sample)
+            if k % 4 == 0:
+                found = (learned.ids[:3], bearings[:3], variances[:3], np.ones(3))
+                fusion.add_detections(Detections(sample.stamp_ns, *found, np.zeros((3, 2))))
+
+    transition = np.eye(20) + 1e-3
+    yield _Comparison(
+        'fusion, a second of a drive',
+        fuse,
+        'covariances of an EKF with 20 states, 35 steps',
+        lambda: [transition @ transition @ transition.T for _ in range(35)],
+    )
+    config = LocalizationConfig(detection=DetectionConfig(max_count=3))
+    localizer = Localizer(learned, calibration, config)
+    localizer.add_odometry(OdometrySample(0, np.zeros(3)))
+    localizer.initialize(prior)
+    stamps = iter(range(66_000_000, 10**15, 66_000_000))
+    sift = cv2.SIFT.create()
+
+    def update() -> None:
+        stamp_ns = next(stamps)
+        localizer.add_odometry(OdometrySample(stamp_ns, np.zeros(3)))
+        localizer.add_frame(replace(seen, image=grey, stamp_ns=stamp_ns))
+
+    # A second of a drive: the triplet is chosen twice in it.
+    yield _Comparison(
+        'one update, three patches',
+        update,
+        'SIFT of the image alone (OpenCV)',
+        lambda: sift.detectAndCompute(grey, None),
+        calls=15,
+    )

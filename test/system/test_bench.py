@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from landmark_nav.cli import bench_localization, bench_world
+from landmark_nav.cli import bench
 from landmark_nav.cli.main import main
 from landmark_nav.geometry.camera import CameraModel
 
@@ -16,8 +16,7 @@ SMALL = CameraModel(256, 256, 220.0, 220.0, 127.5, 127.5)
 def test_bench_times_every_stage_beside_a_reference(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (bench_world, bench_localization):
-        monkeypatch.setattr(module, 'CAMERA', SMALL)
+    monkeypatch.setattr(bench, 'CAMERA', SMALL)
     figures = tmp_path / 'bench.json'
     assert main(['bench', '--repeats', '1', '--json', str(figures)]) == 0
     document = json.loads(figures.read_text(encoding='utf-8'))
