@@ -190,8 +190,9 @@ def test_nothing_half_written_is_left(tmp_path):
         interrupted()
     assert list(tmp_path.iterdir()) == []
     (tmp_path / 'bag').mkdir()
-    with pytest.raises(LandmarkNavError, match='exists already'):
-        BagWriter(tmp_path / 'bag')
+    (tmp_path / 'bag' / 'metadata.yaml').touch()
+    with pytest.raises(LandmarkNavError, match='there already'), BagWriter(tmp_path / 'bag'):
+        pass
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-import shutil
 from types import TracebackType
 from typing import Any
 
@@ -19,10 +16,12 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.factory import default_typestore
+from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags.topics import MAP_TOPICS
 
+# What a bag's folder holds, for `atomic_folder`.
+_OWN = ('metadata.yaml', '*.mcap')
 # `ros2 bag play` latches these again: it publishes each topic as it was offered.
 _LATCHED_TOPICS = {f'/{topic}' for topic in (*MAP_TOPICS, 'tf_static')}
 _NEVER = QosTime(9223372036, 854775807)
@@ -43,10 +42,8 @@ class BagWriter:
     """
     Writes a rosbag2 folder: ``metadata.yaml`` and MCAP, ``ros2msg`` schemas, ``cdr``.
 
-    A context manager. The bag appears at `path` when the context ends without an exception;
-    until then it grows in a hidden folder beside it.
-
-    Raises `LandmarkNavError`: something is there already.
+    A context manager over what `atomic_folder` does: the bag appears at `path` when the context
+    ends without an exception.
 
     Parameters
     ----------
@@ -55,23 +52,18 @@ class BagWriter:
     """
 
     def __init__(self, path: Path | str, overwrite: bool = False) -> None:
-        """Refuse a place that is taken."""
         self.path = Path(path)
-        replaced = overwrite and (self.path / 'metadata.yaml').is_file()
-        if self.path.exists() and not replaced:
-            raise LandmarkNavError(f'{self.path}: exists already: remove it or take another name')
-        self._growing = self.path.with_name(f'.{self.path.name}.part')
+        self._folder = atomic_folder(self.path, _OWN, overwrite)
         self._store = default_typestore()
         self._connections: dict[str, Any] = {}
 
     def __enter__(self) -> BagWriter:
-        """Start the file."""
-        with self._named():
-            shutil.rmtree(self._growing, ignore_errors=True)
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            # Version 9 of the metadata is what rosbag2 writes since Jazzy.
-            self._writer = Writer(self._growing, version=9, storage_plugin=StoragePlugin.MCAP)
-            self._writer.open()
+        """Start the file; `LandmarkNavError` where something is there already."""
+        # A folder of the bag's name within: the file is called after it.
+        self._growing = self._folder.__enter__() / self.path.name
+        # Version 9 of the metadata is what rosbag2 writes since Jazzy.
+        self._writer = Writer(self._growing, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
         return self
 
     def __exit__(
@@ -82,23 +74,14 @@ class BagWriter:
     ) -> None:
         """Put the bag in its place, or remove what was begun."""
         try:
-            with self._named():
-                self._writer.__exit__(kind, error, trace)
-                if kind is None:
-                    self._name_after_bag()
-                    if self.path.exists():
-                        shutil.rmtree(self.path)
-                    self._growing.rename(self.path)
-        finally:
-            shutil.rmtree(self._growing, ignore_errors=True)
-
-    @contextmanager
-    def _named(self) -> Iterator[None]:
-        """Say which bag could not be written."""
-        try:
-            yield
-        except OSError as error:
-            raise LandmarkNavError(f'{self.path}: cannot be written: {why(error)}') from error
+            self._writer.__exit__(kind, error, trace)
+            for file in self._growing.iterdir() if kind is None else ():
+                file.rename(self._growing.parent / file.name)
+            if kind is None:
+                self._growing.rmdir()
+        except OSError as failed:
+            kind, error, trace = type(failed), failed, failed.__traceback__
+        self._folder.__exit__(kind, error, trace)
 
     def write(self, topic: str, message: Any, stamp_ns: int) -> None:
         """
@@ -134,14 +117,4 @@ class BagWriter:
                 typestore=self._store,
                 offered_qos_profiles=[_LATCHED] if topic in _LATCHED_TOPICS else [],
             )
-        with self._named():
-            self._writer.write(self._connections[topic], stamp_ns, data)
-
-    def _name_after_bag(self) -> None:
-        """Call the file after the bag, not after the folder that it grew in."""
-        grown = next(self._growing.glob('*.mcap'))
-        name = f'{self.path.name}.mcap'
-        grown.rename(self._growing / name)
-        metadata = self._growing / 'metadata.yaml'
-        text = metadata.read_text(encoding='utf-8')
-        metadata.write_text(text.replace(grown.name, name), encoding='utf-8')
+        self._writer.write(self._connections[topic], stamp_ns, data)
