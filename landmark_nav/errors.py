@@ -1,7 +1,8 @@
-"""The package's root error, and the one line that a user reads of it."""
+"""The package's root error, the one line that a user reads of it, and the release it is of."""
 
 from __future__ import annotations
 
+from importlib.metadata import PackageNotFoundError, version
 import reprlib
 
 # A line for a user, and what a path or a value in it keeps at least.
@@ -30,6 +31,14 @@ class LandmarkNavError(Exception):
 
 class UsageError(LandmarkNavError):
     """An argument of the command line that can not be: exit status 2, as of argparse."""
+
+
+def release() -> str:
+    """Version of the package that is installed, for reports."""
+    try:
+        return version('landmark_nav')
+    except PackageNotFoundError:
+        return 'not installed'
 
 
 def why(error: Exception) -> str:

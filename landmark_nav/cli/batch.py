@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 import re
 
@@ -21,7 +20,7 @@ from landmark_nav.batch.results import (
 from landmark_nav.batch.work import run_all, stage_arguments
 from landmark_nav.cli.lines import progress
 from landmark_nav.cli.options import within
-from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.errors import LandmarkNavError, release, UsageError
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 
 
@@ -57,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run all; one that fails does not end the others."""
-    runs = read_runs(args.jobs, _version())
+    runs = read_runs(args.jobs, release())
     for one in runs:
         _check_options(one, args.jobs)
     before = read_table(args.against) if args.against else None
@@ -109,10 +108,3 @@ def _change_line(change: Change) -> str:
         f'{change.name}: {change.before:.4g} before, {change.after:.4g} now, change '
         f'{change.low:+.3g} to {change.high:+.3g} ({change.runs} runs, 95 %){verdict}'
     )
-
-
-def _version() -> str:
-    try:
-        return version('landmark_nav')
-    except PackageNotFoundError:
-        return ''

@@ -6,7 +6,6 @@ import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
-from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 import json
 import logging
@@ -28,7 +27,7 @@ from landmark_nav.cli.options import (
 )
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
-from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.errors import LandmarkNavError, release, UsageError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import (
     check_truth_frame,
@@ -317,15 +316,11 @@ def _draw(result: LearningResult, room: Room, folder: Path) -> None:
 
 
 def _provenance(args: argparse.Namespace) -> dict[str, str]:
-    try:
-        release = version('landmark_nav')
-    except PackageNotFoundError:
-        release = 'not installed'
     return {
         'learned_from': Path(args.bag).name,
         'room': Path(args.room).name if args.room else 'none: walls found',
         'robot': Path(args.robot).name,
-        'landmark_nav': release,
+        'landmark_nav': release(),
     }
 
 

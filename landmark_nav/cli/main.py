@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 import difflib
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
 import logging
 import os
@@ -23,7 +22,7 @@ import sys
 from typing import Any, NoReturn
 import warnings
 
-from landmark_nav.errors import LandmarkNavError, one_line, shown, UsageError, why
+from landmark_nav.errors import LandmarkNavError, one_line, release, shown, UsageError, why
 from landmark_nav.signals import interrupting
 from landmark_nav.threads import keep_to_one_thread
 
@@ -169,7 +168,7 @@ def _run(name: str, arguments: list[str]) -> int:
         'rest does not. Exit status: 0 done, 1 the data does not allow it (the message says why), '
         '2 wrong usage.',
     )
-    parser.add_argument('--version', action='version', version=f'landmark-nav {_version()}')
+    parser.add_argument('--version', action='version', version=f'landmark-nav {release()}')
     _add_verbosity(parser, 0)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     command, asked = None, parser
@@ -269,13 +268,6 @@ class _OneLine(logging.Formatter):
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
         return one_line(super().formatMessage(record))
-
-
-def _version() -> str:
-    try:
-        return version('landmark_nav')
-    except PackageNotFoundError:
-        return '(not installed)'
 
 
 def _missing(error: ModuleNotFoundError) -> str:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from datetime import datetime
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 import json
 from pathlib import Path
 
 from jinja2 import Environment, Template
 
-from landmark_nav.errors import UsageError
+from landmark_nav.errors import release, UsageError
 from landmark_nav.evaluation.report.collect import Page
 from landmark_nav.storage.atomic_io import write_atomically
 
@@ -33,10 +32,6 @@ def write_report(path: Path, page: Page) -> None:
 
 def page_html(page: Page) -> str:
     """Return the page; what it shows is text to the browser, wherever it came from."""
-    try:
-        release = version('landmark_nav')
-    except PackageNotFoundError:
-        release = 'not installed'
     now = datetime.now().astimezone().strftime('%Y-%m-%d %H:%M %z')
     # In a script nothing but `<` could end it.
     data = json.dumps(page['data'], separators=(',', ':'), allow_nan=False)
@@ -45,7 +40,7 @@ def page_html(page: Page) -> str:
         data=data.replace('<', '\\u003c'),
         css=_resource('page.css'),
         js=_resource('page.js'),
-        made={'date': now, 'landmark_nav': release},
+        made={'date': now, 'landmark_nav': release()},
     )
 
 
