@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.figures_world import FiguresWorld
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add_number, add_topic_argument, open_bag, within
@@ -27,18 +26,32 @@ from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
 from landmark_nav.evaluation.figures.sweep_figure import draw_sweeps
 from landmark_nav.evaluation.learning_report import true_places, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.se2 import bearings
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.attention import AttentionConfig, FEATURES
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep
 from landmark_nav.learning.unmeasured import learn_located
-from landmark_nav.simulation.world import DEFAULT_MOUNT
+from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.simulation.furnishing import another_day, generate_scene
+from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.renderer import Renderer
+from landmark_nav.simulation.scene import Scene
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.atomic_io import check_writable
-from landmark_nav.storage.bags import Bag, read_sweeps
+from landmark_nav.storage.bags import read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import FloatArray, LandmarkMap, Panorama, Sweep
+from landmark_nav.types import (
+    CameraFrame,
+    FloatArray,
+    Landmark,
+    LandmarkMap,
+    Panorama,
+    PoseEstimate,
+    Sweep,
+)
 
 _NAMES = {
     3: 'figure_3_panoramas.png',
@@ -51,6 +64,13 @@ _NAMES = {
 # Figures that need landmarks, and figures of one panorama.
 _LEARNED = {5, 6, 8}
 _OF_ONE = {4, 7}
+# Frames of a simulated sweep; places from which a landmark is looked for, and what is found there.
+_FRAMES = 72
+_GRID_M, _CLEARANCE_M, _RIGHT_PX = 0.45, 0.25, 1.0
+# Of what a robot knows of its pose while it looks.
+_PRIOR = np.diag([0.03, 0.03, np.radians(0.5)]) ** 2
+# Narrow images, which hold a patch and its surroundings, are drawn sooner.
+_NARROW_PX = 160
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -130,86 +150,81 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
         return _Data(Room(given.walls), (), (), None, given)
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
     room = load_room(args.room) if args.room else None
+    most = None if wanted - _OF_ONE else 1
     if args.bag:
-        return _recorded(open_bag(args.bag, args), room, mount, wanted, attention, given)
-    return _simulated(FiguresWorld.furnish(args.seed, mount, room), wanted, attention)
-
-
-def _recorded(
-    bag: Bag,
-    room: Room | None,
-    mount: PanTiltMount,
-    wanted: set[int],
-    attention: AttentionConfig,
-    given: LandmarkMap | None,
-) -> _Data:
-    found = read_sweeps(bag, mount)
-    sweeps = tuple(progress(found if wanted - _OF_ONE else islice(found, 1), 'sweeps'))
-    truth = truth_of_bag(bag)
-    if room is not None:
-        data = _learned(sweeps, room, mount, wanted, attention)
-    else:
-        data = _unmeasured(bag, sweeps, mount, wanted, attention)
-        if not bag.find('sweep/pose'):
+        bag = open_bag(args.bag, args)
+        sweeps = tuple(progress(islice(read_sweeps(bag, mount), most), 'sweeps'))
+        if not sweeps:
+            raise LandmarkNavError('the bag has no sweep: record one with capture_sweep')
+        truth = truth_of_bag(bag)
+        if room is None and not bag.find('sweep/pose'):
             truth = truth.seen_from(truth.at([sweeps[0].stamp_ns])[0])
-    poses = truth.at([sweep.stamp_ns for sweep in sweeps])
-    if data.learned is not None and np.all(np.isfinite(poses)):
-        data = replace(data, truth=true_places(data.learned, poses, mount))
-    return data if given is None else replace(data, landmarks=given)
-
-
-def _simulated(world: FiguresWorld, wanted: set[int], attention: AttentionConfig) -> _Data:
-    room = world.scene.room
-    count = len(world.poses) if wanted - _OF_ONE else 1
-    sweeps = tuple(world.sweep(k) for k in progress(range(count), 'sweeps'))
-    data = _learned(sweeps, room, world.mount, wanted, attention)
-    learned = data.learned
-    if learned is None:
-        return data
-    data = replace(data, truth=true_places(learned, world.poses, world.mount))
-    if 6 in wanted:
-        chosen = typical_landmarks(learned.map)
-        tests = [world.look_for(k, world.scene.seed) for k in progress(chosen, 'areas')]
-        data = replace(data, tests=tuple(tests))
+        poses = truth.at([sweep.stamp_ns for sweep in sweeps])
+    else:
+        scene = generate_scene(args.seed, room)
+        if (places := choose_sweep_places(scene)) is None:
+            raise LandmarkNavError('the room has no two places that see all papers')
+        room, poses = scene.room, places.poses[:most]
+        sweeps = tuple(_sweep(scene, mount, pose) for pose in progress(poses, 'sweeps'))
+    config = replace(Configuration(), attention=attention)
+    learned = None
+    if room is None:
+        located, _ = located_sweeps(bag, mount, config, StageLog())
+        room, panoramas = located.room, located.panoramas
+        if wanted & _LEARNED:
+            learned = learn_located(located, config, config.unmeasured)
+    else:
+        panoramas = tuple(
+            panorama_from_sweep(sweep, room, mount, config)
+            for sweep in progress(sweeps, 'panoramas')
+        )
+        if wanted & _LEARNED:
+            learned = learn_from_panoramas(panoramas, room, config)
+    data = _Data(room, sweeps, panoramas, learned, given or (learned.map if learned else None))
+    if learned is not None and np.all(np.isfinite(poses)):
+        data = replace(data, truth=true_places(learned, poses, mount))
+    if learned is not None and not args.bag and 6 in wanted:
+        chosen = progress(typical_landmarks(learned.map), 'areas')
+        data = replace(data, tests=tuple(_look_for(k, scene, mount) for k in chosen))
     return data
 
 
-def _learned(
-    sweeps: tuple[Sweep, ...],
-    room: Room,
-    mount: PanTiltMount,
-    wanted: set[int],
-    attention: AttentionConfig,
-) -> _Data:
-    """Panoramas, and landmarks if a figure needs them."""
-    if not sweeps:
-        raise LandmarkNavError('the bag has no sweep: record one with capture_sweep')
-    stages = PanoramaStages()
-    panoramas = tuple(
-        panorama_from_sweep(sweep, room, mount, stages) for sweep in progress(sweeps, 'panoramas')
+def _sweep(scene: Scene, mount: PanTiltMount, pose: FloatArray) -> Sweep:
+    """Turn the camera once around at a place."""
+    world = RobotWorld(scene, pose, scene.seed, mount=mount)
+    pans = -np.pi + 2.0 * np.pi * np.arange(_FRAMES) / _FRAMES
+    frames = tuple(world.frame_at(pose, float(pan)) for pan in pans)
+    return Sweep(frames[0].stamp_ns, frames)
+
+
+def _look_for(landmark: Landmark, scene: Scene, mount: PanTiltMount) -> AreaTest:
+    """Look for a landmark from all over the floor on another day."""
+    rng = np.random.default_rng([scene.seed, 70])
+    later = another_day(scene, rng)
+    camera = replace(
+        DEFAULT_CAMERA, width=_NARROW_PX, cx=DEFAULT_CAMERA.cx - (512 - _NARROW_PX) / 2
     )
-    learned = None
-    if wanted & _LEARNED:
-        config = replace(LearningConfig(), attention=attention)
-        learned = learn_from_panoramas(panoramas, room, config)
-    return _Data(room, sweeps, panoramas, learned, learned.map if learned else None)
-
-
-def _unmeasured(
-    bag: Bag,
-    sweeps: tuple[Sweep, ...],
-    mount: PanTiltMount,
-    wanted: set[int],
-    attention: AttentionConfig,
-) -> _Data:
-    """As `_learned`, where walls and poses are found."""
-    config = replace(Configuration(), attention=attention)
-    located, _ = located_sweeps(bag, mount, config, StageLog())
-    learned = None
-    if wanted & _LEARNED:
-        learned = learn_located(located, config, config.unmeasured)
-    landmarks = learned.map if learned else None
-    return _Data(located.room, sweeps, located.panoramas, learned, landmarks)
+    renderer = Renderer(later, camera)
+    low, high = later.room.bounds[0] + _CLEARANCE_M, later.room.bounds[1] - _CLEARANCE_M
+    x, y = (np.arange(a, b, _GRID_M) for a, b in zip(low, high, strict=True))
+    xy = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    xy = xy[later.room.contains(xy)]
+    xy = xy[later.distance_to_obstacles(xy) > _CLEARANCE_M]
+    xy = xy[later.sees(xy, landmark.position[:2], mount.axis_xyz[2])]
+    found = []
+    for place in xy:
+        pose = np.append(place, rng.uniform(-np.pi, np.pi))
+        pan = float(bearings(pose, landmark.position[:2]))
+        rotation, center = mount.camera_pose_map(pose, pan)
+        noise = rng.normal(0.0, 2.0, (camera.height, camera.width, 1))
+        image = np.clip(renderer.render(rotation, center) + noise, 0, 255).astype(np.uint8)
+        seen = detect_landmarks(
+            CameraFrame(0, image, camera, pan), PoseEstimate(0, pose, _PRIOR),
+            LandmarkMap((landmark,)), mount, DetectionConfig(), np.array([0]),
+        ).detections  # fmt: skip
+        expected = camera.project((landmark.position - center) @ rotation)
+        found.append(bool(len(seen)) and abs(seen.uv_px[0, 0] - expected[0]) < _RIGHT_PX)
+    return AreaTest(landmark.id, xy, np.array(found, dtype=np.bool_))
 
 
 def _draw(

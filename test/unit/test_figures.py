@@ -15,7 +15,7 @@ from landmark_nav.evaluation.figures import (
     draw_trajectory,
     run_figures,
 )
-from landmark_nav.evaluation.figures.style import free_labels, places_of_numbers, rows_of_labels
+from landmark_nav.evaluation.figures.style import free_labels
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
@@ -78,20 +78,6 @@ def test_map_shows_its_landmarks(tmp_path):
     assert share_of(tmp_path / 'map.png', (0xC0, 0x20, 0x80)) > 0.0
 
 
-def test_numbers_of_neighbours_do_not_lie_on_each_other():
-    along = np.cumsum(np.random.default_rng(0).uniform(0.06, 0.3, 12))
-    positions = np.column_stack([along, np.zeros(12)])
-    normals = np.tile([0.0, 1.0], (12, 1))
-    # Numbers of two digits, and a metre of the room in an inch of the figure.
-    places, has_room = places_of_numbers(positions, normals, np.arange(10, 22), 1.0)
-    assert np.all(places[:, 1] < 0.0)
-    apart = np.abs(places[:, None] - places[None])
-    clear = (apart[..., 0] > 0.16) | (apart[..., 1] > 0.09) | np.eye(12, dtype=bool)
-    assert clear.all()
-    assert 0 < has_room.sum() < 12
-    assert places[has_room, 1].min() > places[~has_room, 1].max()
-
-
 def test_labels_that_are_kept_do_not_overlap_and_those_left_out_lie_on_one_kept():
     rng = np.random.default_rng(2)
     corners, sizes = rng.uniform(0.0, 10.0, (60, 2)), rng.uniform(0.5, 1.5, (60, 2))
@@ -101,17 +87,6 @@ def test_labels_that_are_kept_do_not_overlap_and_those_left_out_lie_on_one_kept(
     assert 1 < kept.sum() < 60
     assert np.array_equal(meet[kept][:, kept], np.eye(kept.sum(), dtype=bool))
     assert meet[~kept][:, kept].any(axis=1).all()
-
-
-def test_a_row_holds_labels_that_do_not_touch_and_no_row_is_wasted():
-    rng = np.random.default_rng(1)
-    centers, widths = rng.uniform(0.0, 8.0, 30), rng.uniform(0.2, 1.0, 30)
-    rows = rows_of_labels(centers, widths)
-    low, high = centers - widths / 2.0, centers + widths / 2.0
-    meet = (low[:, None] < high) & (low < high[:, None])
-    assert not np.any(meet & (rows[:, None] == rows) & ~np.eye(30, dtype=bool))
-    # As many rows as labels lie above some place.
-    assert rows.max() + 1 == max(np.sum((low <= place) & (place < high)) for place in low)
 
 
 @pytest.mark.parametrize('column', [100.0, 1.0, 399.0])

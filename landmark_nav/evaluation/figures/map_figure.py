@@ -16,13 +16,13 @@ from landmark_nav.evaluation.figures.style import (
     add_ellipse,
     draw_papers,
     draw_walls,
+    free_labels,
     FUSED,
     keep_in_view,
     LANDMARK,
     legend_beside,
     metres_per_inch,
     new_figure,
-    places_of_numbers,
     plain,
     save,
 )
@@ -33,6 +33,8 @@ from landmark_nav.types import LandmarkMap, PoseEstimate
 _MAGNIFIED = 10.0
 _NORMAL_M = 0.18
 _MARGIN_M = 0.4
+# Inches from a wall to the middle of a number, that a digit of 7 points takes, and a number.
+_WALL_IN, _DIGIT_IN, _ROW_IN = 0.16, 0.08, 0.105
 
 
 def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -> None:
@@ -99,11 +101,11 @@ def number_landmarks(
     if not len(which):
         return
     scale = metres_per_inch(figure, axes)
-    ids = landmarks.ids[which]
-    places, has_room = places_of_numbers(
-        landmarks.positions[which, :2], landmarks.normals[which, :2], ids, scale
-    )
-    places, ids = places[has_room], ids[has_room]
+    ids, normals = landmarks.ids[which], landmarks.normals[which, :2]
+    places = landmarks.positions[which, :2] - scale * _WALL_IN * normals
+    sizes = scale * np.stack([_DIGIT_IN * np.char.str_len(ids.astype(str)), 0 * ids + _ROW_IN], 1)
+    free = free_labels(places - 0.5 * sizes, sizes)
+    places, ids = places[free], ids[free]
     keep_in_view(axes, places, 0.15 * scale)
     for number, (x, y) in zip(ids, places, strict=True):
         text = axes.text(

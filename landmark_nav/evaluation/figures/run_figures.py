@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
 import numpy as np
@@ -29,7 +30,12 @@ from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import RunErrors
 from landmark_nav.evaluation.smoothed_run import Smoothed
+from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.types import FloatArray, LandmarkMap
+
+# Share of the images whose bands are shown whole.
+_SHOWN_SHARE = 98.0
+_AXES = (('ahead [cm]', 100.0), ('left [cm]', 100.0), ('heading [deg]', 180.0 / np.pi))
 
 
 def draw_trajectory(
@@ -82,30 +88,16 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
     figure = new_figure(10.0, 7.6)
     rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 3.0, 3.0, 1.0])
     seconds = 1e-9 * (run.stamps_ns - run.begin_ns).astype(np.float64)
-    turned = body_frame(run)
-    fused = np.einsum('nij,nj->ni', turned, errors.fused)
-    covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
-    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    fixes = np.einsum('nij,nj->ni', turned, errors.triangulation)
-    units = ((100.0, 'ahead [cm]'), (100.0, 'to the left [cm]'), (180.0 / np.pi, 'heading [deg]'))
-    for k, (factor, label) in enumerate(units):
-        axes: Axes = rows[k]
-        band = 3.0 * factor * sigmas[:, k]
+    by_axis = errors_by_axis(run, errors.fused, errors.triangulation)
+    for axes, one in zip(rows[:3], by_axis, strict=True):
         axes.fill_between(
-            seconds, -band, band, color=FUSED, alpha=0.18, linewidth=0, label='±3 sigma'
+            seconds, -one.band, one.band, color=FUSED, alpha=0.18, linewidth=0, label='±3 sigma'
         )
-        axes.plot(
-            seconds, factor * fixes[:, k], '.', color=FIX, markersize=3, label='triangulated'
-        )
-        axes.plot(seconds, factor * fused[:, k], color=FUSED, linewidth=1.3, label='fused')
+        axes.plot(seconds, one.fixes, '.', color=FIX, markersize=3, label='triangulated')
+        axes.plot(seconds, one.fused, color=FUSED, linewidth=1.3, label='fused')
         axes.axhline(0.0, color=TRUTH, linewidth=0.6)
-        # A robot that is lost may be anywhere, and a start be given to decimetres: such bands run
-        # off the axes.
-        widest = np.percentile(band[~run.lost], 98.0) if not run.lost.all() else np.nan
-        shown = np.append(np.abs(factor * fused[:, k]), widest)
-        limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
-        axes.set_ylim(-limit, limit)
-        beyond = int(np.sum(np.abs(factor * fixes[:, k]) > limit))
+        axes.set_ylim(-one.limit, one.limit)
+        beyond = int(np.sum(np.abs(one.fixes) > one.limit))
         if beyond:
             axes.annotate(
                 f'{beyond} triangulated beyond',
@@ -116,7 +108,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
                 fontsize=8,
                 bbox={'facecolor': 'white', 'alpha': 0.8, 'linewidth': 0, 'pad': 1},
             )
-        axes.set_ylabel(label)
+        axes.set_ylabel(one.label)
         plain(axes)
     _strip(rows[3], run, seconds)
     rows[3].set_xlabel('time [s]')
@@ -145,12 +137,34 @@ def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
     plain(axes)
 
 
-def body_frame(run: Replay) -> FloatArray:
-    """Rotations (n, 3, 3) of errors in map into along, across and heading."""
-    heading = run.fused[:, 2]
-    turned = np.zeros((len(heading), 3, 3))
-    turned[:, 0, 0] = turned[:, 1, 1] = np.cos(heading)
-    turned[:, 0, 1] = np.sin(heading)
-    turned[:, 1, 0] = -np.sin(heading)
-    turned[:, 2, 2] = 1.0
-    return turned
+class AxisErrors(NamedTuple):
+    """
+    Errors (n,) ahead, to the left or in heading, in centimetres or degrees.
+
+    `band` are three sigmas; of what is beyond `limit` little is to be seen.
+    """
+
+    label: str
+    factor: float
+    fused: FloatArray
+    fixes: FloatArray
+    band: FloatArray
+    limit: float
+
+
+def errors_by_axis(run: Replay, fused: FloatArray, fixes: FloatArray) -> list[AxisErrors]:
+    """Turn errors in map (n, 3) into the frame of the robot."""
+    turned = rot_z(-run.fused[:, 2])
+    covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
+    bands = 3.0 * np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    fused, fixes = (np.einsum('nij,nj->ni', turned, errors) for errors in (fused, fixes))
+    found = []
+    for k, (label, factor) in enumerate(_AXES):
+        band, off = factor * bands[:, k], factor * fused[:, k]
+        # A robot that is lost may be anywhere, and a start be given to decimetres: such bands run
+        # off the axes.
+        widest = np.percentile(band[~run.lost], _SHOWN_SHARE) if not run.lost.all() else np.nan
+        shown = np.append(np.abs(off), widest)
+        limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
+        found.append(AxisErrors(label, factor, off, factor * fixes[:, k], band, limit))
+    return found

@@ -151,35 +151,6 @@ def add_ellipse(
     axes.add_patch(ellipse)
 
 
-# Inches that a digit of 7 points takes, the gap between two numbers and between the first and the
-# wall, and a row of them.
-_DIGIT_IN = 0.065
-_GAP_IN = 0.04
-_WALL_IN = 0.09
-_ROW_IN = 0.105
-# Rows farther from the wall no longer show which landmark a number belongs to.
-_MOST_ROWS = 2
-
-
-def rows_of_labels(centers: npt.ArrayLike, widths: npt.ArrayLike) -> npt.NDArray[np.intp]:
-    """
-    Row (n,) of each label: the first one where there is still room for it.
-
-    Parameters
-    ----------
-    centers, widths : array_like, shape (n,)
-        Of the labels along their row, in one unit.
-    """
-    middle, half = np.asarray(centers, float), 0.5 * np.asarray(widths, float)
-    rows = np.zeros(len(middle), dtype=np.intp)
-    ends: list[float] = []
-    for k in np.argsort(middle - half):
-        free = (row for row, end in enumerate(ends) if end <= middle[k] - half[k])
-        rows[k] = next(free, len(ends))
-        ends[rows[k] : rows[k] + 1] = [float(middle[k] + half[k])]
-    return rows
-
-
 def free_labels(corners: npt.ArrayLike, sizes: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """
     Which labels (n,) lie on none of those before that are kept.
@@ -196,38 +167,6 @@ def free_labels(corners: npt.ArrayLike, sizes: npt.ArrayLike) -> npt.NDArray[np.
         meets = np.all((low[k] < high[kept]) & (low[kept] < high[k]), axis=1)
         kept[k] = not meets.any()
     return kept
-
-
-def places_of_numbers(
-    positions: FloatArray, normals: FloatArray, numbers: npt.NDArray[np.int64], scale: float
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """
-    Places (n, 2) of numbers of 7 points outside the walls, in rows; which (n,) have room there.
-
-    Parameters
-    ----------
-    positions, normals : ndarray, shape (n, 2)
-        What is numbered, on the walls, and where the room lies.
-    numbers : ndarray, shape (n,)
-        What is written.
-    scale : float
-        Metres of the room in an inch of the figure.
-    """
-    along = np.stack([-normals[:, 1], normals[:, 0]], -1)
-    # Numbers are wider than high, whichever way the wall runs.
-    written = np.array([_DIGIT_IN * len(str(number)) + _GAP_IN for number in numbers])
-    size = scale * np.stack([written, np.full(len(numbers), _ROW_IN)], -1)
-    width, depth = (np.sum(np.abs(way) * size, axis=1) for way in (along, normals))
-    places, has_room = np.empty_like(positions), np.zeros(len(positions), dtype=np.bool_)
-    for normal in np.unique(np.round(normals, 1), axis=0):
-        wall = np.flatnonzero(np.all(np.round(normals, 1) == normal, axis=1))
-        on_wall = np.sum(positions[wall] * along[wall], axis=1)
-        rows = rows_of_labels(on_wall, width[wall])
-        has_room[wall] = rows < _MOST_ROWS
-        away = 0.5 + rows
-        away = scale * _WALL_IN + away * depth[wall].max()
-        places[wall] = positions[wall] - away[:, None] * normals[wall]
-    return places, has_room
 
 
 def metres_per_inch(figure: Figure, axes: Axes) -> float:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.calibration_run import Residuals
-from landmark_nav.evaluation.figures.run_figures import body_frame, driven
+from landmark_nav.evaluation.figures.run_figures import driven, errors_by_axis
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.report.frames import FrameStrip, jpeg
@@ -40,8 +40,6 @@ _MOST_MOMENTS = 2000
 _MOST_POINTS = 2000
 _PATCH_PX, _PANORAMA_PX, _QUALITY = 96, 2400, 75
 _MOST_PANORAMAS = 8
-# Bands of a start given to decimetres, or of a robot that is lost, run off the axes.
-_SHOWN_SHARE = 98.0
 # Residuals beyond this quantile run off the axes; outliers of less weight are left out.
 _REACH, _LEAST_WEIGHT = 0.99, 0.1
 
@@ -333,34 +331,23 @@ def _charts(run: Replay, errors: RunErrors, chosen: npt.NDArray[np.intp]) -> lis
 
     Without ground truth triangulated poses are compared with the fused ones.
     """
-    turned, known = body_frame(run), len(run.truth) > 0
-    fused = np.einsum('nij,nj->ni', turned, errors.fused)
+    known = len(run.truth) > 0
     off = errors.triangulation if known else pose_errors(run.fixes, run.fused)
-    fixes = np.einsum('nij,nj->ni', turned, off)
-    covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
-    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     levels = np.array([(np.nan,) * 2 if u.level is None else tuple(u.level) for u in run.updates])
     seconds = _numbers(1e-9 * (run.stamps_ns[chosen] - run.begin_ns), 3)
     charts = []
-    for k, (name, unit, factor) in enumerate(
-        (('ahead', 'cm', 100.0), ('left', 'cm', 100.0), ('heading', 'deg', 180.0 / np.pi))
-    ):
-        band, level = 3.0 * factor * sigmas[:, k], factor * levels[:, max(k - 1, 0)]
-        sure = ~run.lost
-        widest = np.percentile(band[sure], _SHOWN_SHARE) if sure.any() else np.nan
-        shown = np.append(np.abs(factor * fused[:, k]), widest)
-        limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
+    for k, one in enumerate(errors_by_axis(run, errors.fused, off)):
         series = [
-            ('±3 sigma', 'band', 'fused', band),
-            ('protection level', 'level', 'level', level),
+            ('±3 sigma', 'band', 'fused', one.band),
+            ('protection level', 'level', 'level', one.factor * levels[:, max(k - 1, 0)]),
             ('triangulated' if known else 'triangulated minus fused', 'dots', 'fix',
-             factor * fixes[:, k]),
-            ('fused', 'line', 'fused', factor * fused[:, k]),
+             one.fixes),
+            ('fused', 'line', 'fused', one.fused),
         ]  # fmt: skip
         charts.append(
             {
-                'label': f'{name} [{unit}]',
-                'limit': round(limit, 4),
+                'label': one.label,
+                'limit': round(one.limit, 4),
                 't': seconds,
                 'series': [
                     {'name': name, 'kind': kind, 'color': color, 'y': _numbers(y[chosen], 4)}
