@@ -14,8 +14,8 @@ from landmark_nav.cli.options import add_overwrite, add_robot, within
 from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.planner import Forecast, Plan, plan_positions
-from landmark_nav.planning.prediction import CAP_M
+from landmark_nav.planning.planner import Plan, plan_positions
+from landmark_nav.planning.prediction import CAP_M, Forecast
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.setup_files import load_robot, load_room
 
@@ -130,7 +130,7 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
             for pose, deviation in zip(best.poses_map_base, sigma, strict=True)
         ],
         'predicted': {
-            'landmarks': round(best.landmarks),
+            'landmarks': round(float(best.landmarks.sum())),
             'landmark_sigma_m': _short(best.landmark_sigma_m),
             'localization': {
                 'mean_m': _short(best.cost_m),
@@ -157,8 +157,9 @@ def _summary(plan: Plan) -> str:
     ]
     covered = float(np.isfinite(best.sigma_m).mean())
     lines += [
-        f'predicted: {best.landmarks:.0f} landmarks within {1e3 * best.landmark_sigma_m:.1f} mm; '
-        f'localization error {1e3 * best.quantile_m(0.5):.1f} mm median, '
+        f'predicted: {best.landmarks.sum():.0f} landmarks within '
+        f'{1e3 * best.landmark_sigma_m:.1f} mm; localization error '
+        f'{1e3 * best.quantile_m(0.5):.1f} mm median, '
         f'{1e3 * best.quantile_m(0.95):.1f} mm or less on 95 % of the floor, {covered:.0%} of it '
         'covered',
         f'mean over the floor: {1e3 * best.cost_m:.2f} mm',

@@ -26,7 +26,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area import LEAST_PAPERS
 from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.prediction import Predictor
+from landmark_nav.planning.prediction import Forecast, Predictor
 from landmark_nav.planning.views import (
     ahead_rad,
     free_floor,
@@ -226,41 +226,6 @@ _SHARES = (0.25, 0.2, 0.15, 0.1, 0.07)
 
 
 @dataclass(frozen=True, eq=False)
-class Forecast:
-    """
-    What panoramas at given places would be worth.
-
-    Parameters
-    ----------
-    poses_map_base : ndarray, shape (n, 3)
-        Where the robot stands.
-    pose_covariance : ndarray, shape (n, 3, 3)
-        Of the pan axis' x, y and heading as papers or panoramas give them.
-    landmarks : float
-        How many are to be expected.
-    landmark_sigma_m : float
-        Root of the mean squared distance of a landmark from its true place, in plan.
-    floor_xy, sigma_m : ndarray, shape (c, 2), (c,)
-        Cells of the free floor, and the localization error there, root of the trace; inf where
-        too few landmarks would be seen.
-    cost_m : float
-        Mean error over the floor, with the planner's cap.
-    """
-
-    poses_map_base: FloatArray
-    pose_covariance: FloatArray
-    landmarks: float
-    landmark_sigma_m: float
-    floor_xy: FloatArray
-    sigma_m: FloatArray
-    cost_m: float
-
-    def quantile_m(self, share: float) -> float:
-        """Localization error that `share` of the floor does not exceed."""
-        return float(np.quantile(self.sigma_m, share, method='inverted_cdf'))
-
-
-@dataclass(frozen=True, eq=False)
 class Plan:
     """
     Proposed places and what they are compared with.
@@ -339,7 +304,7 @@ def plan_positions(
     # What it is compared with may be better: it was found on coarser floor.
     rivals = [f for f in forecasts if len(f.poses_map_base) == count]
     best = min(rivals, key=lambda f: f.cost_m)
-    if not np.isfinite(best.cost_m) or not best.landmarks:
+    if not np.isfinite(best.cost_m) or not best.landmarks.sum():
         raise LandmarkNavError(
             f'no {count} places see the same walls well enough to learn landmarks: '
             'check the walls in room.yaml'
@@ -388,22 +353,10 @@ def forecast(
         )
     predictor = Predictor(views, samples, cells, room, config)
     ends = np.cumsum([len(places) for places in sets])
-    forecasts = []
-    for places, end in zip(sets, ends, strict=True):
-        index = np.arange(end - len(places), end)
-        prediction = predictor.predict(index)
-        forecasts.append(
-            Forecast(
-                places,
-                views.covariance[index],
-                float(prediction.landmarks.sum()),
-                prediction.landmark_sigma_m,
-                cells,
-                prediction.sigma_m,
-                prediction.cost_m,
-            )
-        )
-    return forecasts
+    return [
+        predictor.predict(np.arange(end - len(places), end))
+        for places, end in zip(sets, ends, strict=True)
+    ]
 
 
 def _refined(

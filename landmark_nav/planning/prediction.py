@@ -184,22 +184,30 @@ CAP_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class Forecast:
     """
-    What is to be expected of one set of places.
+    What panoramas at given places would be worth.
 
     Parameters
     ----------
+    poses_map_base : ndarray, shape (n, 3)
+        Where the robot stands.
+    pose_covariance : ndarray, shape (n, 3, 3)
+        Of the pan axis' x, y and heading as papers or panoramas give them.
     landmarks : ndarray, shape (s,)
         How many landmarks, for each wall sample.
     covariance : ndarray, shape (s, 2, 2)
         Of x and y of one there, as the map would state it.
-    sigma_m : ndarray, shape (c,)
-        Localization error at each floor cell, root of the trace; inf where it is not known.
+    floor_xy, sigma_m : ndarray, shape (c, 2), (c,)
+        Cells of the free floor, and the localization error there, root of the trace; inf where
+        it is not known.
     """
 
+    poses_map_base: FloatArray
+    pose_covariance: FloatArray
     landmarks: FloatArray
     covariance: FloatArray
+    floor_xy: FloatArray
     sigma_m: FloatArray
 
     @property
@@ -214,6 +222,10 @@ class Prediction:
     def cost_m(self) -> float:
         """Mean localization error over the floor, each counted as `CAP_M` at most."""
         return float(np.mean(np.minimum(self.sigma_m, CAP_M)))
+
+    def quantile_m(self, share: float) -> float:
+        """Localization error that `share` of the floor does not exceed."""
+        return float(np.quantile(self.sigma_m, share, method='inverted_cdf'))
 
 
 class Predictor:
@@ -240,6 +252,7 @@ class Predictor:
     ) -> None:
         """Work out what does not depend on the set."""
         self._views, self._samples, self._config = views, samples, config
+        self._cells = cells
         self._gradient = bearing_gradients(cells, samples.xy)
         reach = np.linalg.norm(samples.xy - cells[:, None], axis=-1)
         triplet = config.triplet
@@ -263,7 +276,7 @@ class Predictor:
             common = np.minimum(share / np.maximum(views.share[p], 1e-6), 1.0)
             self._observed[p] = np.where(seen & well, common, 0.0)
 
-    def predict(self, places: npt.NDArray[np.intp]) -> Prediction:
+    def predict(self, places: npt.NDArray[np.intp]) -> Forecast:
         """Predict for a set of places (n,), n >= 2."""
         by_source, sighted = self._expected(places)
         config, views = self._config, self._views
@@ -283,7 +296,14 @@ class Predictor:
         seen = np.einsum('ncs,ns->cs', self._observed[places], by_source)
         bearing_sigma = config.triplet.bearing_sigma_rad
         sigma = localization_sigma(self._gradient, seen, own, loading, bearing_sigma)
-        return Prediction(by_source.sum(axis=0), covariance, sigma)
+        return Forecast(
+            views.pose_map_base[places],
+            views.covariance[places],
+            by_source.sum(axis=0),
+            covariance,
+            self._cells,
+            sigma,
+        )
 
     def cost_m(self, places: npt.NDArray[np.intp]) -> float:
         """Mean capped localization error of a set of places."""

@@ -43,8 +43,8 @@ from landmark_nav.localization.triplet.visibility import (
     observable,
 )
 from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.planner import Forecast, forecast, plan_positions
-from landmark_nav.planning.prediction import CAP_M
+from landmark_nav.planning.planner import forecast, plan_positions
+from landmark_nav.planning.prediction import CAP_M, Forecast
 from landmark_nav.planning.views import free_floor
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.scene import Scene
@@ -133,7 +133,7 @@ def compare(
     # As the planner counts them: what is far off is no farther than that.
     predicted, fixes = np.minimum(expected.sigma_m, CAP_M), np.minimum(fixes, CAP_M)
     return {
-        'n_pred': expected.landmarks,
+        'n_pred': float(expected.landmarks.sum()),
         'n': len(error),
         'lm_pred': 1e3 * expected.landmark_sigma_m,
         'lm_map': 1e3 * float(claimed),

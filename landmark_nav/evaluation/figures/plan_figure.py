@@ -20,7 +20,8 @@ from landmark_nav.evaluation.figures.style import (
     save,
 )
 from landmark_nav.geometry.walls import Room
-from landmark_nav.planning.planner import Forecast, Plan
+from landmark_nav.planning.planner import Plan
+from landmark_nav.planning.prediction import Forecast
 from landmark_nav.types import FloatArray
 
 _MARGIN_M = 0.35
@@ -48,7 +49,7 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     handles.append(Line2D([], [], linestyle='', label=f'median of random places: {_cost(middle)}'))
     axes.set_title(
         f'Expected localization error, {len(plan.best.poses_map_base)} panoramas, '
-        f'{plan.best.landmarks:.0f} landmarks',
+        f'{plan.best.landmarks.sum():.0f} landmarks',
         pad=15 * len(handles) + 12,  # above the legend
     )
     for side in ('top', 'right', 'left', 'bottom'):
