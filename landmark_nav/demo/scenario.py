@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Collection
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 import sys
 import time
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +22,10 @@ from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import DEFAULT_MOUNT
-from landmark_nav.types import FloatArray, OdometrySample, Panorama, PoseEstimate
+from landmark_nav.types import FloatArray, PoseEstimate
+
+if TYPE_CHECKING:  # it needs ROS
+    from landmark_nav.ros.robot_client import RobotClient
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,53 +150,8 @@ _SPEED_M_S = 0.3
 _CONTROL_NS = 50_000_000
 
 
-class NodeStatus(Protocol):
-    """What a node says of itself."""
-
-    @property
-    def lost(self) -> bool:
-        """Whether it cannot do its work."""
-
-    @property
-    def reason(self) -> str:
-        """Why, or what it is doing."""
-
-    @property
-    def values(self) -> Mapping[str, str]:
-        """Figures."""
-
-
-class Robot(Protocol):
-    """What the story needs of the robot and its nodes (`landmark_nav.ros.robot_client`)."""
-
-    odometry: OdometrySample | None
-    fused: PoseEstimate | None
-    fixes: int
-    panoramas: list[Panorama]
-
-    def status_of(self, node: str) -> NodeStatus:
-        """Last report of a node."""
-
-    def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
-        """Let time pass until something holds."""
-
-    def call(self, service: str, timeout_s: float, meanwhile: Callable[[], None] = ...) -> str:
-        """Call a service and return what it says."""
-
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Set the speeds."""
-
-    def start_at(self, estimate: PoseEstimate) -> None:
-        """Give the fusion the pose of the robot."""
-
-    def recording(
-        self, path: Path, topics: Sequence[str], mount: PanTiltMount | None = None
-    ) -> AbstractContextManager[None]:
-        """Record topics while in the block; given the mount, the robot's transforms as well."""
-
-
 def run_scenario(
-    robot: Robot, room: DemoRoom, nodes: Collection[str], folder: Path, narrator: Narrator
+    robot: RobotClient, room: DemoRoom, nodes: Collection[str], folder: Path, narrator: Narrator
 ) -> None:
     """
     Conduct the robot from knowing nothing to a recorded drive.
@@ -243,7 +201,7 @@ def run_scenario(
     )
 
 
-def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
+def _sweep(robot: RobotClient, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
     """Take a sweep and wait for its panorama; pose of the base, zero without papers."""
     narrator.title(f'Taking the {which} sweep: service capture_sweep')
     narrator.print_line(
@@ -279,7 +237,7 @@ def _sweep(robot: Robot, room: DemoRoom, narrator: Narrator, which: str) -> Pose
 
 
 def _follow(
-    robot: Robot, path: FloatArray, pose: Callable[[], FloatArray], narrator: Narrator
+    robot: RobotClient, path: FloatArray, pose: Callable[[], FloatArray], narrator: Narrator
 ) -> None:
     """Drive along a path with feedback of `pose`, until its end."""
     follower = PathFollower(path, _SPEED_M_S)
@@ -305,11 +263,11 @@ def _follow(
     narrator.print_line(f'at the end of {way_m:.1f} m, by its own account at ({x:.2f}, {y:.2f}) m')
 
 
-def _odometry(robot: Robot) -> FloatArray:
+def _odometry(robot: RobotClient) -> FloatArray:
     assert robot.odometry is not None
     return robot.odometry.pose_odom_base
 
 
-def _fused(robot: Robot) -> FloatArray:
+def _fused(robot: RobotClient) -> FloatArray:
     assert robot.fused is not None
     return robot.fused.pose

@@ -49,7 +49,7 @@ BELOW = {
     'signals': set[str](),
     'ros': {*FILES, 'former_parameters'},
     'nodes': {*STAGES, *FILES, 'configuration', 'simulation', *RUN},
-    'demo': {*STAGES, *FILES, 'simulation', 'evaluation'},
+    'demo': {*STAGES, *FILES, 'simulation', 'evaluation', 'ros'},
     'batch': FILES,
     'cli': {
         *STAGES,
