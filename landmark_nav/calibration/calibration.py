@@ -278,9 +278,11 @@ def scaled(camera: CameraModel, scale: float) -> CameraModel:
     return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, distortion=distortion)
 
 
+# Unit -> factor and unit for people.
+SHOWN_IN = {'m': (1e3, 'mm'), 'rad': (180.0 / np.pi, 'deg'), 's': (1e3, 'ms'), '1': (100.0, '%')}
+
+
 def shown(value: float, sigma: float, unit: str) -> str:
     """A difference with its sigma, for people."""
-    factor, name = {'m': (1e3, 'mm'), 'rad': (180.0 / np.pi, 'deg'), 's': (1e3, 'ms')}.get(
-        unit, (100.0, '%')
-    )
+    factor, name = SHOWN_IN[unit]
     return f'{factor * value:+.2f} +- {factor * sigma:.2f} {name}'

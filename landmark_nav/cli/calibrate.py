@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
+from landmark_nav.calibration import Calibration, NAMES, shown, SHOWN_IN, UNITS
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.learn import panoramas_of_bag
 from landmark_nav.cli.lines import progress, wrapped
@@ -238,9 +238,7 @@ def _summary(report: dict[str, Any], out: Path) -> str:
         f'{"":16}{"prior":>12}{"found":>12}{"sigma":>10}     {"prior sigmas off":>16}',
     ]
     for name, row in report['calibration'].items():
-        factor, unit = {'m': (1e3, 'mm'), 'rad': (180.0 / np.pi, 'deg'), 's': (1e3, 'ms')}.get(
-            row['unit'], (1e2, '%')
-        )
+        factor, unit = SHOWN_IN[row['unit']]
         off = row['difference_sigmas']
         lines.append(
             f'{name:16}{factor * row["prior"]:12.3f}{factor * row["value"]:12.3f}'

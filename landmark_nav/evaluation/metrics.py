@@ -328,20 +328,6 @@ def posterior_bound(
     ndarray, shape (n, 3, 3)
         NaN where the truth is not known, and everywhere where it moves as nothing does.
     """
-    try:
-        return _bound(truth, images, landmark_map, calibration, config, start)
-    except np.linalg.LinAlgError:
-        return np.full((len(images), 3, 3), np.nan)
-
-
-def _bound(
-    truth: PoseTrack,
-    images: Sequence[ImagePoints],
-    landmark_map: LandmarkMap,
-    calibration: Calibration,
-    config: LocalizationConfig,
-    start: PoseEstimate,
-) -> FloatArray:
     bound = np.full((len(images), 3, 3), np.nan)
     begin = max(start.stamp_ns, int(truth.stamps_ns[0])) if len(truth) else 0
     poses = truth.at([begin, *(seen.stamp_ns for seen in images)])
@@ -353,15 +339,20 @@ def _bound(
     ideal = JointFilter(landmark_map, calibration, start, noise, config.odometry)
     track = OdometryTrack(config.odometry)
     moved = int(np.searchsorted(truth.stamps_ns, begin))
-    for k, (seen, pose) in enumerate(zip(images, poses[1:], strict=True)):
-        if np.isnan(pose).any() or seen.stamp_ns < begin:
-            continue
-        while moved < len(truth) and truth.stamps_ns[moved] <= seen.stamp_ns:
-            track.add(OdometrySample(int(truth.stamps_ns[moved]), truth.poses[moved]))
-            moved += 1
-        track.add(OdometrySample(seen.stamp_ns, pose))
-        move_to(seen.stamp_ns, ideal, track)
-        points = project(ideal.snapshot.mean, landmark_map.positions[seen.columns], seen).points
-        ideal.observe(replace(seen, points=points, near=None))
-        bound[k] = ideal.estimate.covariance
+    try:
+        for k, (seen, pose) in enumerate(zip(images, poses[1:], strict=True)):
+            if np.isnan(pose).any() or seen.stamp_ns < begin:
+                continue
+            while moved < len(truth) and truth.stamps_ns[moved] <= seen.stamp_ns:
+                track.add(OdometrySample(int(truth.stamps_ns[moved]), truth.poses[moved]))
+                moved += 1
+            track.add(OdometrySample(seen.stamp_ns, pose))
+            move_to(seen.stamp_ns, ideal, track)
+            points = project(
+                ideal.snapshot.mean, landmark_map.positions[seen.columns], seen
+            ).points
+            ideal.observe(replace(seen, points=points, near=None))
+            bound[k] = ideal.estimate.covariance
+    except np.linalg.LinAlgError:
+        bound[:] = np.nan
     return bound

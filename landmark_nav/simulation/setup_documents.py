@@ -12,7 +12,7 @@ import yaml
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.simulation.scene import Scene
-from landmark_nav.storage.setup_files import wall_entry
+from landmark_nav.storage.setup_files import room_text
 from landmark_nav.types import FloatArray
 
 # How well the maker of a simulated robot knows where its camera sits: 1 mm, 0.1 degrees.
@@ -21,24 +21,9 @@ _SIGMA_M, _SIGMA_RAD = 0.001, 0.00175
 
 def room_document(room: Room) -> str:
     """Text of ``room.yaml``: walls and papers."""
-    document = {
-        'frame_id': room.frame_id,
-        'walls': [wall_entry(wall) for wall in room.walls],
-        'reference_area': {
-            'papers': [
-                {
-                    'color': paper.color,
-                    'center': list(paper.center),
-                    'width': paper.width,
-                    'height': paper.height,
-                }
-                for paper in room.papers
-            ]
-        },
-    }
-    return _yaml(
-        'metres, in the map frame; the inside of the room lies to the left of start -> end',
-        document,
+    return (
+        '# metres, in the map frame; the inside of the room lies to the left of start -> end\n'
+        + room_text(room)
     )
 
 
@@ -62,11 +47,11 @@ def robot_document(mount: PanTiltMount) -> str:
         document['camera_roll'] = float(mount.camera_roll_rad)
     if mount.pan_sigma_rad != PanTiltMount.pan_sigma_rad:
         document['pan_sigma'] = float(mount.pan_sigma_rad)
-    return _yaml(
-        'pose of the pan axis in base_link at pan 0 (the camera then looks along +x), and of the\n'
-        '# optical centre from the axis, in metres and radians; sigmas: what the maker of a\n'
-        '# simulated robot knows',
-        document,
+    return (
+        '# pose of the pan axis in base_link at pan 0 (the camera then looks along +x), and of '
+        'the\n# optical centre from the axis, in metres and radians; sigmas: what the maker of a\n'
+        '# simulated robot knows\n'
+        + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
     )
 
 
@@ -94,11 +79,6 @@ def scene_document(scene: Scene) -> str:
         for item in scene.items
     ]
     return json.dumps({'seed': scene.seed, 'items': items}, indent=1) + '\n'
-
-
-def _yaml(comment: str, document: dict[str, Any]) -> str:
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-    return f'# {comment}\n{text}'
 
 
 # Standard deviations, metres: of a tape through a room, of a ruler along a wall, of the height of

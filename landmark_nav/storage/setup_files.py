@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -132,8 +133,14 @@ def wall_entry(wall: Wall) -> dict[str, Any]:
 
 
 def room_text(room: Room) -> str:
-    """`room.yaml` of the walls of a room."""
-    document = {'frame_id': room.frame_id, 'walls': [wall_entry(wall) for wall in room.walls]}
+    """`room.yaml` of a room."""
+    document: dict[str, Any] = {
+        'frame_id': room.frame_id,
+        'walls': [wall_entry(wall) for wall in room.walls],
+    }
+    if room.papers:
+        hung = [{**asdict(paper), 'center': list(paper.center)} for paper in room.papers]
+        document['reference_area'] = {'papers': hung}
     return yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
 
 

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import SHOWN_IN
+
 ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 # States of localization as the glossary calls them.
 STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}
@@ -234,9 +236,7 @@ def _calibration_table(table: Mapping[str, Mapping[str, Any]]) -> Table:
     """The mount, lens and clocks as given and as estimated, in the units of people."""
     rows = []
     for name, row in table.items():
-        factor, unit = {'m': (1e3, 'mm'), 'rad': (180.0 / np.pi, 'deg'), 's': (1e3, 'ms')}.get(
-            row['unit'], (1e2, '%')
-        )
+        factor, unit = SHOWN_IN[row['unit']]
         values = (f'{factor * row[key]:.3f}' for key in ('prior', 'value', 'sigma'))
         rows.append(_row(name, *values, unit, 'yes' if row['observed'] else 'no'))
     head = ('quantity', 'prior', 'estimate', 'sigma', 'unit', 'observed')
