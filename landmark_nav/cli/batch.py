@@ -19,7 +19,7 @@ from landmark_nav.batch.results import (
 )
 from landmark_nav.batch.work import run_all, stage_arguments
 from landmark_nav.cli.lines import progress
-from landmark_nav.cli.options import within
+from landmark_nav.cli.options import add, within
 from landmark_nav.errors import LandmarkNavError, release, UsageError
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 
@@ -32,9 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'table.parquet and index.html. What an earlier call has done in DIR is not repeated.'
     )
     parser.add_argument('jobs', metavar='JOBS.yaml', type=Path, help='the runs: docs/batch.md')
-    parser.add_argument(
-        '--out', metavar='DIR', type=Path, default=Path('batch'), help='results (default batch)'
-    )
+    add(parser, '--out', default=Path('batch'), help='results (default batch)')
     parser.add_argument(
         '--scheduler',
         metavar='ADDRESS',

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.lines import progress
-from landmark_nav.cli.options import add_json, add_number, within
+from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -102,7 +102,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'Time every stage on simulated data, and beside it, in the same run and on '
         'the same data, a reference. The ratio of the two can be compared between machines.'
     )
-    add_json(parser, 'the times')
+    add(parser, '--json', help='write the times to F')
     add_number(parser, '--seed', within(int, 0, 2**63 - 1), 0, 'N', 'of the simulated data')
     text = 'how often, of which the median is taken'
     add_number(parser, '--repeats', within(int, 1, 1000), 7, 'N', text)

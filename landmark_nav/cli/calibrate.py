@@ -15,14 +15,7 @@ from landmark_nav.calibration import Calibration, NAMES, shown, SHOWN_IN, UNITS
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.learn import panoramas_of_bag
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import (
-    add_config,
-    add_json,
-    add_overwrite,
-    add_report,
-    add_topic_argument,
-    open_bag,
-)
+from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
@@ -69,19 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'bags to learn one from. Sweeps are used first, in the order of the bags.'
     )
     parser.add_argument('bags', metavar='BAG', nargs='+', help='bag with sweeps or a drive')
-    add_topic_argument(parser)
-    parser.add_argument(
-        '--robot', required=True, metavar='F', help='robot.yaml: what is known before'
-    )
-    parser.add_argument('--room', metavar='F', help='room.yaml: walls and papers')
-    parser.add_argument('--map', metavar='MAP', help='map folder, of learn')
-    parser.add_argument(
-        '--out', required=True, metavar='F', type=Path, help='robot.yaml to write; may be --robot'
-    )
-    add_config(parser)
-    add_overwrite(parser)
-    add_json(parser, 'the table')
-    add_report(parser, 'with the table and the residuals before and after')
+    add(parser, '--topic', '--room', '--map', '--config', '--overwrite')
+    add(parser, '--robot', required=True, help='robot.yaml: what is known before')
+    add(parser, '--out', required=True, metavar='F', help='robot.yaml to write; may be --robot')
+    add(parser, '--json', help='write the table to F')
+    text = 'write a page with the table and the residuals before and after to F.html'
+    add(parser, '--report', help=text)
     parser.set_defaults(replaces='robot')
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 
-from landmark_nav.cli.options import add_namespace, add_number, within
+from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.ros import require_ros
 
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_number(
         parser, '--timeout', within(float, 0.1, 86400), 300.0, 'S', 'how long the answer may take'
     )
-    add_namespace(parser)
+    add(parser, '--namespace')
     parser.epilog = 'services:\n' + '\n'.join(
         f'  {name:16} {does}' for name, does in _SERVICES.items()
     )

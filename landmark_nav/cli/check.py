@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 import json
 
-from landmark_nav.cli.options import add_json, add_topic_argument, open_bag
+from landmark_nav.cli.options import add, open_bag
 from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, table, worst
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -24,12 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'and delays of pan and odometry against how the images themselves turn. Exit status: 0 '
         'without errors, 1 with.'
     )
-    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file')
-    add_topic_argument(parser)
-    parser.add_argument('--room', metavar='F', help='room.yaml: walls and papers')
-    parser.add_argument('--robot', metavar='F', help='robot.yaml: how the camera is mounted')
-    parser.add_argument('--map', metavar='MAP', help='map folder: its walls, if no room is given')
-    add_json(parser, 'what was found')
+    add(parser, 'bag', '--topic', '--room', '--robot')
+    add(parser, '--map', help='map folder: its walls, if no room is given')
+    add(parser, '--json', help='write what was found to F')
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.cli.lines import evaluate_line, progress, wrapped
-from landmark_nav.cli.options import add_overwrite, within
+from landmark_nav.cli.options import add, within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.geometry.camera import PanTiltMount
@@ -86,8 +86,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mrclam.add_argument(
         '--robot', required=True, type=int, choices=range(1, 6), metavar='N', help='1 to 5'
     )
-    mrclam.add_argument('--out', required=True, type=Path, metavar='BAG', help='bag to write')
-    add_overwrite(mrclam)
+    add(mrclam, '--out', required=True, metavar='BAG', help='bag to write')
+    add(mrclam, '--overwrite')
     mrclam.add_argument(
         '--bearing-sigma',
         type=within(float, 1e-6, 90.0),

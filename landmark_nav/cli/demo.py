@@ -10,7 +10,7 @@ import shutil
 
 from landmark_nav.cli.evaluate import error_table
 from landmark_nav.cli.learn import located_sweeps
-from landmark_nav.cli.options import add_number, add_overwrite, within
+from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.configuration import load_configuration
 from landmark_nav.demo.graph import node_commands, node_environment
 from landmark_nav.demo.recorded_run import Check, figures, judge, recorded_run
@@ -45,8 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'sweeps, learn its landmarks by a service call and drive; record, measure and draw '
         'that. Exit status 0 only if the map and the error are as they should be.'
     )
-    parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
-    add_overwrite(parser)
+    add(parser, '--out', required=True)
+    add(parser, '--overwrite')
     add_number(parser, '--seed', within(int, 0, 2**63 - 1), 1, 'N', 'of the room')
     parser.add_argument(
         '--unmeasured',

@@ -12,7 +12,7 @@ import termios
 import time
 import tty
 
-from landmark_nav.cli.options import add_namespace, add_number, within
+from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import require_ros
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f'Drive by keys of the terminal, on the topic cmd_vel. {_HELP}.'
     add_number(parser, '--speed', within(float, 0.01, 2), 0.2, 'V', 'm/s')
     add_number(parser, '--turn', within(float, 0.01, 4), 0.5, 'W', 'rad/s')
-    add_namespace(parser)
+    add(parser, '--namespace')
 
 
 def run(args: argparse.Namespace) -> int:

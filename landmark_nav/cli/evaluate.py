@@ -13,15 +13,7 @@ import numpy as np
 
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import (
-    add_config,
-    add_json,
-    add_report,
-    add_robot,
-    add_topic_argument,
-    open_bag,
-    within,
-)
+from landmark_nav.cli.options import add, open_bag, within
 from landmark_nav.configuration import load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
@@ -157,10 +149,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'with ground_truth/odom at the stamps of the images, and write what --json, --tum, '
         '--report, --video and --out ask for.'
     )
-    parser.add_argument('bag', metavar='BAG', help='bag of a drive')
-    add_topic_argument(parser)
-    parser.add_argument('--map', required=True, metavar='MAP', help='map folder, of learn')
-    add_robot(parser)
+    add(parser, 'bag', help='bag of a drive')
+    add(parser, '--topic', '--config')
+    add(parser, '--map', '--robot', required=True)
     parser.add_argument(
         '--start',
         nargs=3,
@@ -177,13 +168,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='how sure the start is: sigma of x and y in m, of the heading in rad '
         '(default 0.05 0.035)',
     )
-    add_config(parser)
     parser.add_argument(
         '--smooth',
         action='store_true',
         help='also smooth over the whole drive: the best line that its measurements allow',
     )
-    add_json(parser, 'errors, availability and times')
+    add(parser, '--json', help='write errors, availability and times to F')
     parser.add_argument(
         '--tum',
         metavar='DIR',
@@ -191,16 +181,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='write truth.tum, fused.tum, triangulation.tum, odometry.tum and, with --smooth, '
         'smoothed.tum to DIR, for evo and the like',
     )
-    add_report(parser, 'that plays the drive')
+    add(parser, '--report', help='write a page that plays the drive to F.html')
     parser.add_argument(
         '--video', metavar='F.mp4', type=Path, help='write the drive as a video to F.mp4'
     )
-    parser.add_argument(
-        '--out',
-        metavar='DIR',
-        type=Path,
-        help='folder for trajectory.png and errors.png (default: they are not drawn)',
-    )
+    text = 'folder for trajectory.png and errors.png (default: they are not drawn)'
+    add(parser, '--out', help=text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add_number, add_topic_argument, open_bag, within
+from landmark_nav.cli.options import add, add_number, open_bag, within
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures.area_figure import (
@@ -80,16 +80,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'attention step by step, stereo, observation areas, each feature alone, all together. '
         'Without --bag, two sweeps are simulated in a furnished room.'
     )
-    parser.add_argument('--out', required=True, type=Path, metavar='DIR', help='folder to write')
+    add(parser, '--out', required=True)
+    add(parser, '--topic', '--robot')
     parser.add_argument('--bag', metavar='BAG', help='bag of sweeps of your own; needs --robot')
-    add_topic_argument(parser)
-    parser.add_argument(
-        '--room', metavar='F', help='room.yaml: walls and papers (default: as learn finds them)'
-    )
-    parser.add_argument('--robot', metavar='F', help='robot.yaml: how the camera is mounted')
-    parser.add_argument(
-        '--map', metavar='MAP', help='a map of your own for Figure 6, which needs nothing else'
-    )
+    add(parser, '--room', help='room.yaml: walls and papers (default: as learn finds them)')
+    add(parser, '--map', help='a map of your own for Figure 6, which needs nothing else')
     add_number(parser, '--seed', within(int, 0, 2**63 - 1), 7, 'N', 'of the simulated room')
     parser.add_argument(
         '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N',

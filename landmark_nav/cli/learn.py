@@ -16,15 +16,7 @@ from typing import Any
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.check import refuse_errors
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import (
-    add_config,
-    add_json,
-    add_overwrite,
-    add_report,
-    add_robot,
-    add_topic_argument,
-    open_bag,
-)
+from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, release, UsageError
@@ -119,21 +111,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'the landmarks that two of them or more agree on. The map folder also gets '
         'panorama_K.png with candidates and elected landmarks, and map.png.'
     )
-    parser.add_argument('bag', metavar='BAG', help='bag with sweeps')
-    add_topic_argument(parser)
-    parser.add_argument(
+    add(parser, 'bag', help='bag with sweeps')
+    add(parser, '--topic', '--overwrite', '--config')
+    add(parser, '--robot', required=True)
+    add(
+        parser,
         '--room',
-        metavar='F',
         help='room.yaml: walls and papers (default: walls are found, the scale is that of '
         'sweep/pose, odom, papers and markers, the frame that of the first sweep)',
     )
     parser.add_argument(
         '--walls-out', metavar='F', type=Path, help='write the walls that were found as room.yaml'
     )
-    add_robot(parser)
-    parser.add_argument(
-        '--out', required=True, metavar='MAP', type=Path, help='map folder to write'
-    )
+    add(parser, '--out', required=True, metavar='MAP', help='map folder to write')
     parser.add_argument(
         '--paper-size', nargs=2, type=float, metavar=('W', 'H'),
         help='coloured papers of this size hang upright somewhere: they give the scale (without '
@@ -146,10 +136,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--marker-dictionary', metavar='NAME', help='their dictionary (default: DICT_4X4_50)'
     )
-    add_overwrite(parser)
-    add_config(parser)
-    add_json(parser, 'counts, errors and times')
-    add_report(parser, 'with the map, the panoramas and all candidates')
+    add(parser, '--json', help='write counts, errors and times to F')
+    text = 'write a page with the map, the panoramas and all candidates to F.html'
+    add(parser, '--report', help=text)
 
 
 def run(args: argparse.Namespace) -> int:

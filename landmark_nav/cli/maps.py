@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.options import add_overwrite
+from landmark_nav.cli.options import add
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.maps import load_map, MAP_DATA, save_map, SCHEMA_VERSION, write_map
@@ -54,13 +54,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     merge.add_argument('a', metavar='OLDER', help='map folder, the older one')
     merge.add_argument('b', metavar='NEWER', help='map folder, the newer one')
     merge.add_argument('--out', required=True, metavar='MAP', help='map folder to write')
-    add_overwrite(merge)
+    add(merge, '--overwrite')
     migrate = action(
         'migrate', _migrate, "Write a map of an older format in today's: nothing else changes."
     )
     migrate.add_argument('map', metavar='MAP', help='map folder')
     migrate.add_argument('--out', metavar='MAP', help='map folder to write (default: the same)')
-    add_overwrite(migrate)
+    add(migrate, '--overwrite')
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from math import inf
 from pathlib import Path
 import re
+from typing import Any
 
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.topics import TOPIC_TYPES
@@ -25,50 +26,10 @@ def add_number(
     parser.add_argument(name, type=kind, default=default, metavar=metavar, help=text)
 
 
-def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--robot``, which must be given."""
-    parser.add_argument(
-        '--robot', required=True, metavar='F', help='robot.yaml: how the camera is mounted'
-    )
-
-
-def add_json(parser: argparse.ArgumentParser, what: str) -> None:
-    """Declare ``--json``, the file for the figures of a command."""
-    parser.add_argument('--json', metavar='F', type=Path, help=f'write {what} to F')
-
-
-def add_report(parser: argparse.ArgumentParser, what: str) -> None:
-    """Declare ``--report``, the page of a command."""
-    text = f'write a page {what} to F.html'
-    parser.add_argument('--report', metavar='F.html', type=Path, help=text)
-
-
-def add_overwrite(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--overwrite``: without it, what ``--out`` names is not replaced."""
-    parser.add_argument(
-        '--overwrite', action='store_true', help='replace what --out names, if it is there'
-    )
-
-
-def add_config(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--config``, a file that the nodes take as ``--params-file``."""
-    parser.add_argument(
-        '--config',
-        metavar='F',
-        help='parameters that differ from the defaults, as for --params-file of the nodes: '
-        "config/landmark_nav.yaml (what describes the robot is in the robot's file)",
-    )
-
-
-def add_namespace(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--namespace``, that of the nodes."""
-    parser.add_argument(
-        '--namespace',
-        type=_namespace,
-        default='',
-        metavar='NS',
-        help='of the nodes (default none)',
-    )
+def add(parser: argparse.ArgumentParser, *names: str, **special: Any) -> None:
+    """Declare arguments that several commands take; `special` is what differs in this one."""
+    for name in names:
+        parser.add_argument(name, **{**_COMMON[name], **special})
 
 
 def _namespace(text: str) -> str:
@@ -93,20 +54,6 @@ def within(
     return number
 
 
-def add_topic_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--topic``, of every command that reads a bag."""
-    parser.add_argument(
-        '--topic',
-        action='append',
-        default=[],
-        type=_renamed,
-        metavar='NAME=TOPIC',
-        help='topic of the bag that is called otherwise than here, such as '
-        'camera/image_raw=/cam0/image; repeatable. joint_states=/tf:FRAME takes the pan from the '
-        'transform of FRAME. Names that only have a namespace are found without it',
-    )
-
-
 def open_bag(path: Path | str, args: argparse.Namespace) -> Bag:
     """Open a bag with the topics that ``--topic`` gives."""
     return Bag(path, topics=dict(args.topic))
@@ -121,3 +68,35 @@ def _renamed(text: str) -> tuple[str, str]:
             'camera/camera_info, joint_states, odom'
         )
     return name, topic
+
+
+_COMMON: dict[str, dict[str, Any]] = {
+    'bag': {'metavar': 'BAG', 'help': 'rosbag2 folder or .mcap file'},
+    '--topic': {
+        'action': 'append',
+        'default': [],
+        'type': _renamed,
+        'metavar': 'NAME=TOPIC',
+        'help': 'topic of the bag that is called otherwise than here, such as '
+        'camera/image_raw=/cam0/image; repeatable. joint_states=/tf:FRAME takes the pan from the '
+        'transform of FRAME. Names that only have a namespace are found without it',
+    },
+    '--robot': {'metavar': 'F', 'help': 'robot.yaml: how the camera is mounted'},
+    '--room': {'metavar': 'F', 'help': 'room.yaml: walls and papers'},
+    '--map': {'metavar': 'MAP', 'help': 'map folder, of learn'},
+    '--out': {'metavar': 'DIR', 'type': Path, 'help': 'folder to write'},
+    '--overwrite': {'action': 'store_true', 'help': 'replace what --out names, if it is there'},
+    '--config': {
+        'metavar': 'F',
+        'help': 'parameters that differ from the defaults, as for --params-file of the nodes: '
+        "config/landmark_nav.yaml (what describes the robot is in the robot's file)",
+    },
+    '--json': {'metavar': 'F', 'type': Path, 'help': 'write the figures to F'},
+    '--report': {'metavar': 'F.html', 'type': Path, 'help': 'write a page to F.html'},
+    '--namespace': {
+        'type': _namespace,
+        'default': '',
+        'metavar': 'NS',
+        'help': 'of the nodes (default none)',
+    },
+}

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from landmark_nav.cli.lines import wrapped
-from landmark_nav.cli.options import add_overwrite, add_topic_argument, open_bag, within
+from landmark_nav.cli.options import add, open_bag, within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import unseen_arcs
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='bag of sweeps, or folder of images with frames.csv '
         '(file,pan_rad,focal_px,width,height)',
     )
-    add_topic_argument(parser)
+    add(parser, '--topic', '--overwrite')
     parser.add_argument(
         '--sweep',
         type=within(int, 1),
@@ -53,13 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='K',
         help='which sweep of the bag, from 1 on',
     )
-    parser.add_argument('--out', required=True, metavar='F.png', type=Path, help='PNG to write')
-    add_overwrite(parser)
-    parser.add_argument(
-        '--robot',
-        metavar='F',
-        help='robot.yaml: how the camera is mounted (default: level, centred)',
-    )
+    add(parser, '--out', required=True, metavar='F.png', help='PNG to write')
+    add(parser, '--robot', help='robot.yaml: how the camera is mounted (default: level, centred)')
     parser.add_argument(
         '--blend',
         choices=BLENDS,

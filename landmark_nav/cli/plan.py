@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
 from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add_overwrite, add_robot, within
+from landmark_nav.cli.options import add, within
 from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
 from landmark_nav.planning.config import PlanConfig
@@ -31,10 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'this error smallest. A PNG of the same name shows the expected accuracy. Furniture is '
         'not in the wall map: take the nearest free place.'
     )
-    parser.add_argument(
-        '--room', required=True, metavar='F', help='room.yaml, measured or of learn --walls-out'
-    )
-    add_robot(parser)
+    add(parser, '--room', required=True, help='room.yaml, measured or of learn --walls-out')
+    add(parser, '--robot', required=True)
     parser.add_argument(
         '--positions',
         required=True,
@@ -42,10 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar='N',
         help='how many places, 2 or more',
     )
-    parser.add_argument(
-        '--out', required=True, type=Path, metavar='PLAN', help='plan.yaml to write'
-    )
-    add_overwrite(parser)
+    add(parser, '--out', required=True, metavar='PLAN', help='plan.yaml to write')
+    add(parser, '--overwrite')
     parser.add_argument(
         '--focal', type=within(float, 50, 20000), default=default.focal_px, metavar='PX',
         help=f'focal length of the camera in pixels (default {default.focal_px:g})',

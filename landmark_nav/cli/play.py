@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 
-from landmark_nav.cli.options import add_number, add_topic_argument, within
+from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.ros import require_ros
 from landmark_nav.signals import ENDING
 
@@ -19,8 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'Publish the messages of a bag under the names they were recorded with, and '
         '/clock. Ends with the bag.'
     )
-    parser.add_argument('bag', metavar='BAG', help='bag to play')
-    add_topic_argument(parser)
+    add(parser, 'bag', '--topic')
     text = 'speed relative to the recording, 0.01 to 100'
     add_number(parser, '--rate', within(float, 0.01, 100), 1.0, 'R', text)
     parser.add_argument(

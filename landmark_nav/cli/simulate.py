@@ -6,14 +6,13 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 import shlex
 from typing import Any
 
 import numpy as np
 
 from landmark_nav.cli.lines import evaluate_line, progress
-from landmark_nav.cli.options import add_number, add_overwrite, within
+from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
@@ -63,14 +62,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'it, and write what it would have recorded: DIR/learn, DIR/drive, DIR/room.yaml, '
         'DIR/robot.yaml, DIR/start.json, and DIR/scene.json with what really hangs where.'
     )
-    parser.add_argument('--out', required=True, metavar='DIR', type=Path, help='folder to write')
-    add_overwrite(parser)
-    parser.add_argument(
-        '--room', metavar='F', help='room.yaml to furnish (default: a room is drawn, too)'
-    )
-    parser.add_argument(
-        '--robot', metavar='F', help='robot.yaml: how the camera is mounted (default: 1.1 m up)'
-    )
+    add(parser, '--out', required=True)
+    add(parser, '--overwrite')
+    add(parser, '--room', help='room.yaml to furnish (default: a room is drawn, too)')
+    add(parser, '--robot', help='robot.yaml: how the camera is mounted (default: 1.1 m up)')
     parser.add_argument(
         '--camera',
         metavar='F',

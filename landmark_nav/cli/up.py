@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 import time
 
-from landmark_nav.cli.options import add_config, add_namespace, add_number, within
+from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.demo.graph import node_commands
 from landmark_nav.demo.scenario import prepare_room
@@ -27,17 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'Start all nodes that learn and localize, print what they log, and end them together at '
         'Ctrl-C. If one of them ends, all do. They are in the ROS domain of ROS_DOMAIN_ID.'
     )
-    parser.add_argument('--robot', type=Path, metavar='F', help='robot.yaml')
-    parser.add_argument(
-        '--room', type=Path, metavar='F', help='room.yaml (default: walls and poses are found)'
-    )
-    parser.add_argument(
-        '--map',
-        type=Path,
-        default=Path('map'),
-        metavar='DIR',
-        help='folder that save_map writes; a map in it is loaded at once (default map)',
-    )
+    add(parser, '--robot', type=Path)
+    add(parser, '--room', type=Path, help='room.yaml (default: walls and poses are found)')
+    text = 'folder that save_map writes; a map in it is loaded at once (default map)'
+    add(parser, '--map', type=Path, default=Path('map'), metavar='DIR', help=text)
     parser.add_argument(
         '--sim',
         action='store_true',
@@ -54,8 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='run all nodes in one process: less memory, but learning holds up localization',
     )
-    add_config(parser)
-    add_namespace(parser)
+    add(parser, '--config', '--namespace')
 
 
 def run(args: argparse.Namespace) -> int:
