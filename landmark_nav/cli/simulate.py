@@ -38,7 +38,7 @@ from landmark_nav.simulation.setup_documents import (
     scene_document,
     start_document,
 )
-from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
@@ -128,9 +128,7 @@ def run(args: argparse.Namespace) -> int:
     if args.exchange:
         other = np.random.default_rng([args.seed, 31])
         later = replace(later, items=exchange_posters(scene, args.exchange, other))
-    robot_in = partial(
-        RobotWorld, camera=camera, mount=mount, config=WorldConfig(people=args.people)
-    )
+    robot_in = partial(RobotWorld, camera=camera, mount=mount, people=args.people)
     given = scene.room, mount
     if not args.exact:
         given = as_measured(*given, np.random.default_rng([args.seed, 60]))
@@ -148,7 +146,17 @@ def run(args: argparse.Namespace) -> int:
             frames = round(args.drive_seconds * args.camera_rate)
             known = seen_from_all(scene, [pose[:2] for pose in poses])
             pan_control = PanControl(later, mount, world.pan_limit_rad, rng, known)
-            _write(bag, _drive(world, path, pan_control, args), 'drive', frames)
+            messages = drive_messages(
+                world,
+                rosbag_factory(),
+                path,
+                pan_control,
+                seconds=args.drive_seconds,
+                speed_m_s=args.speed,
+                camera_rate_hz=args.camera_rate,
+                jpeg_quality=args.jpeg_quality,
+            )
+            _write(bag, messages, 'drive', frames)
         for name, text in (
             ('room.yaml', room_document(given[0])),
             ('robot.yaml', robot_document(given[1])),
@@ -210,21 +218,6 @@ def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Ite
             world, factory, frames=args.frames, jpeg_quality=args.jpeg_quality
         )
         world.advance(_MOVE_S)
-
-
-def _drive(
-    world: RobotWorld, path: Any, pan_control: PanControl, args: argparse.Namespace
-) -> Iterator[Recorded]:
-    return drive_messages(
-        world,
-        rosbag_factory(),
-        path,
-        pan_control,
-        seconds=args.drive_seconds,
-        speed_m_s=args.speed,
-        camera_rate_hz=args.camera_rate,
-        jpeg_quality=args.jpeg_quality,
-    )
 
 
 def _write(bag: BagWriter, messages: Iterator[Recorded], what: str, frames: int) -> None:

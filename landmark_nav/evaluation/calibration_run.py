@@ -140,7 +140,6 @@ def calibrate_by_drive(
     landmark_map: LandmarkMap,
     prior: Calibration,
     config: LocalizationConfig,
-    start: PoseEstimate | None = None,
 ) -> CalibrationDrive:
     """
     Estimate the calibration over a drive.
@@ -151,9 +150,7 @@ def calibrate_by_drive(
     Parameters
     ----------
     events : iterable of SensorEvent
-        What was sensed; ground truth is not used.
-    start : PoseEstimate, optional
-        Pose at the start; without it the robot finds its own pose.
+        What was sensed; ground truth is not used, and the robot finds its own pose.
     """
     localizer = Localizer(landmark_map, prior, config)
     measured: list[OdometrySample | tuple[ImagePoints, float]] = []
@@ -162,9 +159,6 @@ def calibrate_by_drive(
     moved = False
     refusal = Refusal('no image')
     for event in events:
-        if start is not None and isinstance(event, OdometrySample | CameraFrame):
-            localizer.initialize(replace(start, stamp_ns=event.stamp_ns))
-            start = None
         if isinstance(event, OdometrySample):
             localizer.add_odometry(event)
             measured.append(event)
@@ -177,25 +171,13 @@ def calibrate_by_drive(
                 continue
             images += 1
             lost += update.status == 'lost'
-            seen = update.observation.detections
             if begin is None:
                 begin = update.fused
                 # What was driven before is of no use.
                 odometry = [m for m in measured if isinstance(m, OdometrySample)]
                 measured = list(odometry[-1:])
-            points = ImagePoints.of_pixels(
-                event.stamp_ns,
-                landmark_map.indices(seen.ids),
-                seen.uv_px,
-                seen.covariance_px2,
-                event.camera,
-                event.pan_rad,
-                event.tilt_rad,
-                event.pan_rate_rad_s,
-                event.pan_sigma_rad,
-                event.pan_track,
-                landmark_map.indices(seen.missed),
-            )
+            assert update.points is not None, 'it is of an image'
+            points = replace(update.points, near=None)
             measured.append((points, event.camera.fx))
     if not moved or not (images or searched):
         raise LandmarkNavError('the drive holds no image or no odometry: nothing to calibrate by')

@@ -301,8 +301,6 @@ class CameraEffectsConfig(Config):
 
     # Loss of light in the corners, share.
     vignetting: float = 0.25
-    # Gain of the whole image.
-    exposure: float = 1.0
     # How far the gain follows the mean brightness: 0 not at all, 1 all the way.
     auto_exposure: float = 0.5
     # Mean brightness that auto exposure aims at.
@@ -350,7 +348,7 @@ class CameraEffects:
                 np.asarray(cv2.GaussianBlur(light_of(image), (side, side), sigma), np.uint16)
             )
         mean = max(float(image[::8, ::8].mean()), 1.0)
-        gain = config.exposure * (config.target_brightness / mean) ** config.auto_exposure
+        gain = (config.target_brightness / mean) ** config.auto_exposure
         clean = cv2.multiply(image, self._vignette, scale=gain, dtype=cv2.CV_32F)
         if config.read_noise == 0.0 and config.shot_noise == 0.0:
             return np.clip(np.rint(clean), 0, 255).astype(np.uint8)

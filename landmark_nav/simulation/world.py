@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.parameters import Config
 from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.simulation.people import WalkingPeople
@@ -26,17 +23,8 @@ DEFAULT_CAMERA = CameraModel(
 DEFAULT_MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 
 
-@dataclass(frozen=True)
-class WorldConfig(Config):
-    """The robot's parts, and who else is there."""
-
-    pan_tilt: PanTiltConfig = field(default_factory=PanTiltConfig)
-    drive: DriveConfig = field(default_factory=DriveConfig)
-    camera: CameraEffectsConfig = field(default_factory=CameraEffectsConfig)
-    # The base keeps this far from walls and furniture.
-    robot_radius_m: float = 0.22
-    # How many people walk about.
-    people: int = 0
+# The base keeps this far from walls and furniture.
+_ROBOT_RADIUS_M = 0.22
 
 
 class RobotWorld:
@@ -49,6 +37,8 @@ class RobotWorld:
         Where the robot starts.
     seed : int
         Noise of wheels and sensor, and what people do.
+    people : int
+        How many walk about.
     renderer : Renderer, optional
         Of another world with the same scene and camera: saves drawing its textures again.
     """
@@ -61,25 +51,23 @@ class RobotWorld:
         *,
         camera: CameraModel = DEFAULT_CAMERA,
         mount: PanTiltMount = DEFAULT_MOUNT,
-        config: WorldConfig | None = None,
+        people: int = 0,
         start_ns: int = 0,
         renderer: Renderer | None = None,
     ) -> None:
         """Build the room; takes seconds for its textures."""
-        config = config or WorldConfig()
-        wheels, noise, people = np.random.default_rng([seed, 20]).spawn(3)
+        wheels, noise, walking = np.random.default_rng([seed, 20]).spawn(3)
         self.scene = scene
         self.camera = camera
         self.mount = mount
-        self._config = config
         self._start_ns = start_ns
         self._steps = 0
         self._owed_s = 0.0
-        self._unit = PanTiltUnit(config.pan_tilt)
-        self._drive = DifferentialDrive(config.drive, pose_map_base, self._free, wheels)
-        self._people = WalkingPeople(scene, config.people, self.true_pose[:2], people)
+        self._unit = PanTiltUnit(PanTiltConfig())
+        self._drive = DifferentialDrive(DriveConfig(), pose_map_base, self._free, wheels)
+        self._people = WalkingPeople(scene, people, self.true_pose[:2], walking)
         self.renderer = renderer or Renderer(scene, camera)
-        self._effects = CameraEffects(camera, config.camera, noise)
+        self._effects = CameraEffects(camera, CameraEffectsConfig(), noise)
 
     @property
     def stamp_ns(self) -> int:
@@ -104,7 +92,7 @@ class RobotWorld:
     @property
     def pan_limit_rad(self) -> float:
         """How far the camera turns to both sides."""
-        return self._config.pan_tilt.pan_limit_rad
+        return PanTiltConfig.pan_limit_rad
 
     def set_clock(self, stamp_ns: int) -> None:
         """Call the present moment so from now on."""
@@ -177,4 +165,4 @@ class RobotWorld:
         """Whether the base may stand there: inside, and off walls and furniture."""
         inside = bool(self.scene.room.contains(position_xy))
         clearance = float(self.scene.distance_to_obstacles(position_xy))
-        return inside and clearance >= self._config.robot_radius_m
+        return inside and clearance >= _ROBOT_RADIUS_M

@@ -42,7 +42,7 @@ from landmark_nav.simulation.recording import sweep_messages
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.scene import Lamp, Scene
 from landmark_nav.simulation.setup_documents import robot_document, room_document
-from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
@@ -189,7 +189,7 @@ def record(case: Case, folder: Path, seed: int) -> None:
                 seed,
                 camera=case.camera,
                 mount=case.true_mount,
-                config=WorldConfig(people=case.people),
+                people=case.people,
                 start_ns=start_ns,
                 renderer=_renderer(scene, case.camera),
             )

@@ -19,7 +19,7 @@ from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.recording import drive_messages, sweep_messages
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.setup_documents import robot_document, room_document
-from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld, WorldConfig
+from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
@@ -38,7 +38,7 @@ def make_world(seed: int = 3, people: int = 0, renderer: Renderer | None = None)
         seed,
         camera=CAMERA,
         mount=MOUNT,
-        config=WorldConfig(people=people),
+        people=people,
         start_ns=5_000_000_000_000,
         renderer=renderer,
     )
