@@ -23,27 +23,20 @@ from landmark_nav.storage.reading import read_text
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class _Figure:
-    """A column: where the command writes it, and which way is worse (0: neither)."""
-
-    read: Callable[[Mapping[str, Any]], Any]
-    worse: int = 0
-
-
-_FIGURES: dict[str, dict[str, _Figure]] = {
-    'learn': {'elected': _Figure(lambda r: r['elected'], -1)},
+# Command -> columns: where it writes each, and which way is worse (0: neither).
+_FIGURES: dict[str, dict[str, tuple[Callable[[Mapping[str, Any]], Any], int]]] = {
+    'learn': {'elected': (lambda r: r['elected'], -1)},
     'evaluate': {
-        'position_rmse_m': _Figure(lambda r: r['fused']['position_rmse_m'], 1),
-        'position_max_m': _Figure(lambda r: r['fused']['position_max_m'], 1),
-        'heading_rmse_deg': _Figure(lambda r: r['fused']['heading_rmse_deg'], 1),
-        'availability': _Figure(lambda r: r['availability'], -1),
-        'nees': _Figure(lambda r: r['nees']['mean']),
-        'undetected_wrong': _Figure(lambda r: r.get('silently_wrong'), 1),
-        'result_hash': _Figure(lambda r: r['result_hash']),
+        'position_rmse_m': (lambda r: r['fused']['position_rmse_m'], 1),
+        'position_max_m': (lambda r: r['fused']['position_max_m'], 1),
+        'heading_rmse_deg': (lambda r: r['fused']['heading_rmse_deg'], 1),
+        'availability': (lambda r: r['availability'], -1),
+        'nees': (lambda r: r['nees']['mean'], 0),
+        'undetected_wrong': (lambda r: r.get('silently_wrong'), 1),
+        'result_hash': (lambda r: r['result_hash'], 0),
     },
 }
-_WORSE = {name: figure.worse for group in _FIGURES.values() for name, figure in group.items()}
+_WORSE = {name: worse for group in _FIGURES.values() for name, (_, worse) in group.items()}
 _COSTS = ('cpu_s', 'wall_s', 'memory_mb')
 _THUMBNAIL_PX = 240
 
@@ -57,7 +50,7 @@ def row(run: Run, outcome: Outcome, results: Path) -> Row:
         if wanted and not outcome.reason:
             text = (results / 'stages' / stage.key / 'result.json').read_text(encoding='utf-8')
             report = json.loads(text)
-        figures |= {name: f.read(report) if report else None for name, f in wanted.items()}
+        figures |= {name: read(report) if report else None for name, (read, _) in wanted.items()}
     costs = {name: round(getattr(outcome, name), 3) for name in _COSTS}
     return {'run': run.name, **run.values, **figures, **costs, 'failure': outcome.reason}
 

@@ -91,7 +91,9 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f'{sweeps[0].path}: sweeps need --room')
 
     # A map of the same robot.yaml holds what its sweeps showed: they count once.
-    known = given if sweeps and room else _from_map(landmarks, given)
+    known = given
+    if landmarks is not None and not (sweeps and room):
+        known = landmarks.calibration_from(given)
     work = _Work(known, landmarks, load_configuration(args.config, args.robot, *READS))
     if room is not None:
         _use_sweeps(work, sweeps, room, bool(drives))
@@ -137,10 +139,6 @@ def run(args: argparse.Namespace) -> int:
 def _is_drive(bag: Bag) -> bool:
     images = bag.find('camera/image_raw') or bag.find('camera/image_raw/compressed')
     return bool(images and bag.find('odom'))
-
-
-def _from_map(landmarks: LandmarkMap | None, given: Calibration) -> Calibration:
-    return given if landmarks is None else landmarks.calibration_from(given)
 
 
 def _as_exact(known: Calibration) -> Calibration:

@@ -26,72 +26,49 @@ from landmark_nav.errors import LandmarkNavError, one_line, release, shown, Usag
 from landmark_nav.signals import interrupting
 from landmark_nav.threads import keep_to_one_thread
 
-# Command -> its module, what it does, and an example.
+# Command -> what it does, and an example. The module is called as the command is, but for these.
+_MODULES = {'map': 'maps'}
 COMMANDS = {
-    'demo': (
-        'demo',
-        'learn, drive and localize with a simulated robot (ROS)',
-        'demo --out demo',
-    ),
+    'demo': ('learn, drive and localize with a simulated robot (ROS)', 'demo --out demo'),
     'learn': (
-        'learn',
         'make a map out of a bag of sweeps',
         'learn bags/learn --room bags/room.yaml --robot bags/robot.yaml --out map',
     ),
     'calibrate': (
-        'calibrate',
         'a better robot.yaml out of sweeps and drives',
         'calibrate drive --map map --robot robot.yaml --out better.yaml',
     ),
-    'check': (
-        'check',
-        'say what is wrong with a recording',
-        'check drive --robot robot.yaml --map map',
-    ),
+    'check': ('say what is wrong with a recording', 'check drive --robot robot.yaml --map map'),
     'evaluate': (
-        'evaluate',
         'run a drive bag through the localizer and measure its errors',
         'evaluate bags/drive --map map --robot bags/robot.yaml --report run.html',
     ),
-    'panorama': (
-        'panorama',
-        'make a panorama out of a sweep',
-        'panorama sweep --out panorama.png',
-    ),
+    'panorama': ('make a panorama out of a sweep', 'panorama sweep --out panorama.png'),
     'plan': (
-        'plan',
         'propose where to take panoramas',
         'plan --room room.yaml --robot robot.yaml --positions 3 --out plan.yaml',
     ),
     'simulate': (
-        'simulate',
         'write bags of simulated sweeps and drives',
         'simulate --out room --seed 7 --light-change',
     ),
     'convert': (
-        'convert',
         'make a bag and a map of the log of another project',
         'convert mrclam MRCLAM_Dataset1 --robot 1 --out mrclam',
     ),
-    'play': ('play', 'play a bag onto topics with /clock (ROS)', 'play bags/drive --rate 2'),
-    'up': ('up', 'start all nodes, with a simulated robot if need be (ROS)', 'up --sim'),
-    'call': ('call', 'call a service of the nodes (ROS)', 'call learn_landmarks'),
-    'drive': ('drive', 'drive the robot by keys (ROS)', 'drive'),
-    'status': ('status', 'print how the nodes are (ROS)', 'status'),
+    'play': ('play a bag onto topics with /clock (ROS)', 'play bags/drive --rate 2'),
+    'up': ('start all nodes, with a simulated robot if need be (ROS)', 'up --sim'),
+    'call': ('call a service of the nodes (ROS)', 'call learn_landmarks'),
+    'drive': ('drive the robot by keys (ROS)', 'drive'),
+    'status': ('print how the nodes are (ROS)', 'status'),
     'batch': (
-        'batch',
         'many recordings at once, one table',
         'batch jobs.yaml --out results --against earlier',
     ),
-    'map': ('maps', 'list, check, compare, join maps', 'map show map'),
-    'figures': (
-        'figures',
-        'draw the figures of Livatino and Madsen from own data',
-        'figures --out figures',
-    ),
-    'bench': ('bench', 'time every stage beside a reference', 'bench --json bench.json'),
+    'map': ('list, check, compare, join maps', 'map show map'),
+    'figures': ('draw the figures of Livatino and Madsen from own data', 'figures --out figures'),
+    'bench': ('time every stage beside a reference', 'bench --json bench.json'),
     'completion': (
-        'completion',
         'print what makes a shell complete commands',
         'completion bash >> ~/.bash_completion',
     ),
@@ -172,13 +149,13 @@ def _run(name: str, arguments: list[str]) -> int:
     _add_verbosity(parser, 0)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     command, asked = None, parser
-    for known, (module, summary, example) in COMMANDS.items():
+    for known, (summary, example) in COMMANDS.items():
         subparser = commands.add_parser(known, help=summary)
         if known == name:
             asked = subparser
             # What OpenCV says of a broken image, beside the line of ours that names the file.
             os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
-            command = import_module(f'landmark_nav.cli.{module}')
+            command = import_module(f'landmark_nav.cli.{_MODULES.get(name, name)}')
             command.add_arguments(subparser)
             _add_verbosity(subparser, argparse.SUPPRESS)
             listed = f'{subparser.epilog}\n\n' if subparser.epilog else ''

@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
@@ -113,14 +114,7 @@ def _rotation(quaternion: Any) -> FloatArray:
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if not 1e-3 < norm < 1e3:
         raise LandmarkNavError(f'a rotation is ({x:g}, {y:g}, {z:g}, {w:g}), not a quaternion')
-    x, y, z, w = x / norm, y / norm, z / norm, w / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
 
 
 def _frame_of(joint: str, frames: set[str]) -> str | None:
