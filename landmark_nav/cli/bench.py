@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, combinations
-import json
 import platform
 import time
 from typing import Any
@@ -56,7 +55,7 @@ from landmark_nav.planning.views import free_floor
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.storage.atomic_io import check_writable, write_atomically
+from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -129,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
             'opencv': cv2.__version__,
             'stages': rows,
         }
-        write_atomically(args.json, json.dumps(document, indent=2) + '\n')
+        write_json(args.json, document)
     return 0
 
 

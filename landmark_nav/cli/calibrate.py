@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, field, replace
-import json
 import logging
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES, shown, SHOWN_IN, UNITS
-from landmark_nav.cli.check import refuse_errors
+from landmark_nav.cli.check import checked
 from landmark_nav.cli.learn import panoramas_of_bag
 from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration, READS
-from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.calibration_run import (
     advice,
@@ -30,7 +28,7 @@ from landmark_nav.evaluation.report import calibration_page, check_report, write
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
+from landmark_nav.storage.atomic_io import check_new, check_writable, write_json
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
@@ -123,8 +121,7 @@ def run(args: argparse.Namespace) -> int:
             for name, one in (('before', before), ('after', after))
         }
     save_calibration(found, args.out, read_robot(Path(args.robot), {}).get('odometry'))
-    if args.json:
-        write_atomically(args.json, json.dumps(report, indent=2) + '\n')
+    write_json(args.json, report)
     if args.report:
         inputs = {'bags': ', '.join(args.bags), 'robot': args.robot, 'room': args.room}
         page = calibration_page(
@@ -149,7 +146,7 @@ def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
     """Calibrate by sweeps; learn a map from them if one is needed and there is none."""
     config = work.config
     for bag in bags:
-        refuse_errors(bag, diagnose(bag, work.known.mount, room, QUICK))
+        checked(bag, work.known.mount, room)
         panoramas, _ = panoramas_of_bag(bag, room, work.known, config, StageLog())
         work.panoramas += panoramas
         if panoramas:
@@ -169,8 +166,7 @@ def _use_drive(work: _Work, bag: Bag) -> None:
             f'{bag.path}: a drive needs a map: give --map, or --room and a bag with two sweeps'
         )
     room = Room(landmarks.walls) if landmarks.walls else None
-    diagnosis = diagnose(bag, known.mount, room, QUICK)
-    refuse_errors(bag, diagnosis)
+    diagnosis = checked(bag, known.mount, room)
     late = diagnosis.delays
     if late.joints_s:
         known = known.measured('joint_delay', late.joints_s, max(late.pan_sigma_s, 1e-3))

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-import json
 
 from landmark_nav.cli.options import add, open_bag
-from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, table, worst
+from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, QUICK, table, worst
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.storage.atomic_io import check_writable, write_atomically
+from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
@@ -48,18 +47,19 @@ def run(args: argparse.Namespace) -> int:
             'status': worst(found.findings),
             'checks': [finding.report() for finding in found.findings],
         }
-        write_atomically(args.json, json.dumps(report, indent=2) + '\n')
+        write_json(args.json, report)
     print('\n'.join(table(found.findings)))
     print(f'{len(found.errors)} errors, {len(found.warnings)} warnings')
     return int(bool(found.errors))
 
 
-def refuse_errors(bag: Bag, found: Diagnosis) -> None:
+def checked(bag: Bag, mount: PanTiltMount, room: Room | None) -> Diagnosis:
     """
-    Pass warnings on, a line each; refuse errors in one line.
+    Look at a recording quickly before it is used: pass warnings on, a line each.
 
-    Raises `LandmarkNavError`: there is an error.
+    Raises `LandmarkNavError`: there is an error, with the first of them.
     """
+    found = diagnose(bag, mount, room, QUICK)
     for finding in found.warnings:
         if not finding.when_read:
             bag.warn(f'{bag.path}: {finding.line()}')
@@ -68,3 +68,4 @@ def refuse_errors(bag: Bag, found: Diagnosis) -> None:
         first, *more = errors
         others = f' (and {len(more)} more: landmark-nav check)' if more else ''
         raise LandmarkNavError(f'{bag.path}: {first.line()}{others}')
+    return found

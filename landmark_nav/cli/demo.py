@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from pathlib import Path
 import shutil
@@ -22,7 +21,7 @@ from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig,
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.ros import chosen_domain, require_ros
-from landmark_nav.storage.atomic_io import check_new, write_atomically
+from landmark_nav.storage.atomic_io import check_new, write_json
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import load_map
@@ -150,7 +149,7 @@ def _report(
     )  # fmt: skip
     page['data']['panoramas'] = panoramas(learned)
     write_report(folder / 'report.html', page)
-    write_atomically(folder / 'demo.json', json.dumps(measured, indent=2) + '\n')
+    write_json(folder / 'demo.json', measured)
     if measured.get('aligned'):
         narrator.print_line('errors after one rigid alignment: the map has a frame of its own')
     for line in error_table(measured):

@@ -5,17 +5,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import replace
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.check import refuse_errors
+from landmark_nav.cli.check import checked
 from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag, within
 from landmark_nav.configuration import load_configuration
-from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.learning_report import check_truth_frame
@@ -43,7 +41,7 @@ from landmark_nav.evaluation.smoothed_run import (
     write_tum_files,
 )
 from landmark_nav.geometry.walls import Room
-from landmark_nav.storage.atomic_io import check_writable, write_atomically
+from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.storage.bags import sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
@@ -211,8 +209,7 @@ def run(args: argparse.Namespace) -> int:
 
     # Walls that were found, not measured, say nothing of units.
     measured = landmarks.walls and not landmarks.has_own_frame
-    diagnosis = diagnose(bag, mount, Room(landmarks.walls) if measured else None, QUICK)
-    refuse_errors(bag, diagnosis)
+    diagnosis = checked(bag, mount, Room(landmarks.walls) if measured else None)
     late = diagnosis.delays
     # What was measured is not known exactly.
     delay_s = late.joints_s or calibration['joint_delay'][0]
@@ -269,8 +266,7 @@ def run(args: argparse.Namespace) -> int:
             write_video(args.video, page)
     if args.tum:
         write_tum_files(done, args.tum, smoothed)
-    if args.json:
-        write_atomically(args.json, json.dumps(report, indent=2) + '\n')
+    write_json(args.json, report)
     print(run_summary(report))
     if args.out:
         print(f'{" and ".join(_FIGURES)} in {args.out.resolve()}')

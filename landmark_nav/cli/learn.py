@@ -7,18 +7,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from itertools import islice
-import json
 import logging
 from pathlib import Path
 import time
 from typing import Any
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.cli.check import refuse_errors
+from landmark_nav.cli.check import checked
 from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration
-from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError, release, UsageError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import (
@@ -42,7 +40,12 @@ from landmark_nav.learning.unmeasured import (
 from landmark_nav.localization import sweep_places
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode
-from landmark_nav.storage.atomic_io import atomic_folder, check_writable, write_atomically
+from landmark_nav.storage.atomic_io import (
+    atomic_folder,
+    check_writable,
+    write_atomically,
+    write_json,
+)
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.bags.reader import MessageFilter
 from landmark_nav.storage.maps import MAP_FILES, write_map
@@ -153,7 +156,7 @@ def run(args: argparse.Namespace) -> int:
     bag = open_bag(args.bag, args)
     log = StageLog()
     with log.measure('checks'):
-        refuse_errors(bag, diagnose(bag, mount, room, QUICK))
+        checked(bag, mount, room)
     with atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
@@ -186,8 +189,7 @@ def run(args: argparse.Namespace) -> int:
         report['unmeasured'] = {**found, 'sources': scales}
     if args.walls_out:
         write_atomically(args.walls_out, room_text(room))
-    if args.json:
-        write_atomically(args.json, json.dumps(report, indent=2) + '\n')
+    write_json(args.json, report)
     if args.report:
         inputs = {'bag': bag.path, 'room': args.room, 'robot': args.robot, 'config': args.config}
         title = f'{args.out.name}, learned from {bag.path.name}'

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 import errno
 import fnmatch
+import json
 import os
 from pathlib import Path
 import re
@@ -106,6 +107,12 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     except OSError as error:
         reason = 'nobody reads it' if error.errno == errno.ENXIO else why(error)
         raise LandmarkNavError(f'{path}: cannot be written: {reason}') from error
+
+
+def write_json(path: Path | None, document: object) -> None:
+    """Write figures for programs; not where no file is wanted."""
+    if path:
+        write_atomically(path, json.dumps(document, indent=2) + '\n')
 
 
 def _replace(target: Path, data: bytes) -> None:
