@@ -124,11 +124,10 @@ def run(args: argparse.Namespace) -> int:
     write_json(args.json, report)
     if args.report:
         inputs = {'bags': ', '.join(args.bags), 'robot': args.robot, 'room': args.room}
-        page = calibration_page(
-            f'Calibration of {Path(args.robot).name}', args.command_line,
-            {**inputs, 'map': args.map}, report, residuals,
-        )  # fmt: skip
-        write_report(args.report, page)
+        inputs['map'] = args.map
+        title = f'Calibration of {Path(args.robot).name}'
+        page = calibration_page(report, residuals)
+        write_report(args.report, page, title, args.command_line, inputs)
     print(_summary(report, args.out))
     return 0
 

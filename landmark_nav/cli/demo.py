@@ -144,11 +144,10 @@ def _report(
         learned = learn_from_panoramas(swept, room, LearningConfig())
         inputs['room'] = folder / 'room.yaml'
     page = drive_page(
-        'Demo', command, inputs, measured, run, errors, landmarks, calibration, strip,
-        papers=room.papers if room else (),
-    )  # fmt: skip
+        measured, run, errors, landmarks, calibration, strip, papers=room.papers if room else ()
+    )
     page['data']['panoramas'] = panoramas(learned)
-    write_report(folder / 'report.html', page)
+    write_report(folder / 'report.html', page, 'Demo', command, inputs)
     write_json(folder / 'demo.json', measured)
     if measured.get('aligned'):
         narrator.print_line('errors after one rigid alignment: the map has a frame of its own')

@@ -255,13 +255,13 @@ def run(args: argparse.Namespace) -> int:
         draw_errors(done, errors, drawn_errors)
     if args.report or args.video:
         page = drive_page(
-            f'{bag.path.name} on {Path(args.map).name}', args.command_line,
-            {'bag': bag.path, 'map': args.map, 'robot': args.robot, 'config': args.config}, report,
-            done, errors, landmarks, done.calibration or calibration, strip, smoothed,
-        )  # fmt: skip
+            report, done, errors, landmarks, done.calibration or calibration, strip, smoothed
+        )
         if args.report:
             page['data']['panoramas'] = drawn_panoramas(Path(args.map))
-            write_report(args.report, page)
+            title = f'{bag.path.name} on {Path(args.map).name}'
+            inputs = {k: getattr(args, k) for k in ('bag', 'map', 'robot', 'config')}
+            write_report(args.report, page, title, args.command_line, inputs)
         if args.video:
             write_video(args.video, page)
     if args.tum:

@@ -193,8 +193,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         inputs = {'bag': bag.path, 'room': args.room, 'robot': args.robot, 'config': args.config}
         title = f'{args.out.name}, learned from {bag.path.name}'
-        page = learning_page(title, args.command_line, inputs, report, result, room.papers)
-        write_report(args.report, page)
+        page = learning_page(report, result, room.papers)
+        write_report(args.report, page, title, args.command_line, inputs)
     print(_summary(report, result.panoramas, args.out))
     return 0
 

@@ -30,6 +30,7 @@ CAMERA = CameraModel(160, 120, 150.0, 150.0, 79.5, 59.5)
 MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.2))
 # What a bag, a file or a message may hold.
 HOSTILE = '</script><script>window.hacked=1</script><img src=x onerror="window.hacked=1">'
+INPUTS = {'bag': HOSTILE}
 
 
 def page_of(truth=True, camera=True, **given):
@@ -53,8 +54,8 @@ def page_of(truth=True, camera=True, **given):
     run = replace(run, updates=tuple(updates))
     report = {**pose_report(run, run_errors(run), landmarks), 'spells': spells(run)}
     page = drive_page(
-        given.pop('title', 'a drive'), 'landmark-nav evaluate', {'bag': HOSTILE}, report, run,
-        run_errors(run), given.pop('landmarks', landmarks), Calibration.of_mount(MOUNT), strip,
+        report, run, run_errors(run), given.pop('landmarks', landmarks),
+        Calibration.of_mount(MOUNT), strip,
     )  # fmt: skip
     view = Panorama(
         0,
@@ -82,8 +83,8 @@ def chrome(tmp_path_factory):
 def opened(chrome, tmp_path):
     """Return a function that opens a page, at a width, and checks that its script had no error."""
 
-    def load(page, width=1200, dark=False):
-        write_report(tmp_path / 'page.html', page)
+    def load(page, width=1200, dark=False, title='a drive'):
+        write_report(tmp_path / 'page.html', page, title, 'landmark-nav evaluate', INPUTS)
         size = {'width': width, 'height': 900, 'deviceScaleFactor': 1, 'mobile': width < 600}
         chrome.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', size)
         feature = {'name': 'prefers-color-scheme', 'value': 'dark' if dark else 'light'}
@@ -166,7 +167,7 @@ def test_keys_charts_and_links_go_through_the_drive(opened):
 
 @pytest.mark.parametrize('dark', [False, True])
 def test_on_a_phone_nothing_is_cut(opened, dark):
-    chrome = opened(page_of(title='a_bag_with_a_name_' * 8), 390, dark)
+    chrome = opened(page_of(), 390, dark, 'a_bag_with_a_name_' * 8)
     wide = chrome.execute_script(
         'return [...document.querySelectorAll("body *")].filter((one) => !one.closest("svg") &&'
         'one.getClientRects().length && one.getBoundingClientRect().right > 390.5)'
@@ -194,7 +195,7 @@ def test_a_figure_is_explained_on_focus(opened):
 
 
 def test_what_comes_from_outside_is_text(opened):
-    chrome = opened(page_of(title=HOSTILE))
+    chrome = opened(page_of(), title=HOSTILE)
     press(chrome, 'End')
     chrome.execute_script("document.querySelector('[data-candidate=\"1\"]').dispatchEvent("
                           "new MouseEvent('click', {bubbles: true}))")  # fmt: skip
@@ -248,7 +249,7 @@ def test_a_page_that_is_not_laid_out_has_no_error(opened):
 
 
 def test_a_page_needs_no_network_and_holds_no_number_that_is_none():
-    html = page_html(page_of(truth=False))
+    html = page_html(page_of(truth=False), 'a drive', 'landmark-nav evaluate', INPUTS)
     assert not re.search(r'(?:src|href)="(?!data:)', html)
     json.loads(
         re.search(r'id="data">(.*?)</script>', html, re.DOTALL).group(1),

@@ -45,21 +45,15 @@ _REACH, _LEAST_WEIGHT = 0.99, 0.1
 
 
 class Page(TypedDict):
-    """A page: its verdicts, what was run on what, tables, and the data that its script draws."""
+    """A page: its verdict, tables, and the data that its script draws."""
 
-    title: str
-    verdicts: list[dict[str, str]]
-    command: str
-    inputs: dict[str, str]
+    verdict: dict[str, str]
     tables: list[dict[str, Any]]
     charts_title: str
     data: dict[str, Any]
 
 
 def drive_page(
-    title: str,
-    command: str,
-    inputs: Mapping[str, object],
     report: Mapping[str, Any],
     run: Replay,
     errors: RunErrors,
@@ -74,8 +68,6 @@ def drive_page(
 
     Parameters
     ----------
-    inputs : mapping of str to object
-        What was read, by its name.
     report : mapping
         As `landmark_nav.evaluation.run_report` makes it, with ``spells``.
     calibration : Calibration
@@ -92,10 +84,7 @@ def drive_page(
         'charts': _charts(run, errors, chosen),
     }
     return Page(
-        title=title,
-        verdicts=[drive_verdict(report)],
-        command=command,
-        inputs=_texts(inputs),
+        verdict=drive_verdict(report),
         tables=drive_tables(report),
         charts_title='Errors over time' if len(run.truth) else 'Claimed errors over time',
         data=data,
@@ -103,19 +92,11 @@ def drive_page(
 
 
 def learning_page(
-    title: str,
-    command: str,
-    inputs: Mapping[str, object],
-    report: Mapping[str, Any],
-    result: LearningResult,
-    papers: Iterable[Paper] = (),
+    report: Mapping[str, Any], result: LearningResult, papers: Iterable[Paper] = ()
 ) -> Page:
     """Page of a map that was learned; `report` as `learning_report` makes it."""
     return Page(
-        title=title,
-        verdicts=[learning_verdict(report, result.warning)],
-        command=command,
-        inputs=_texts(inputs),
+        verdict=learning_verdict(report, result.warning),
         tables=learning_tables(report),
         charts_title='',
         data={'map': _map(result.map, papers), 'panoramas': panoramas(result)},
@@ -123,26 +104,15 @@ def learning_page(
 
 
 def calibration_page(
-    title: str,
-    command: str,
-    inputs: Mapping[str, object],
-    report: Mapping[str, Any],
-    residuals: tuple[Residuals, Residuals] | None,
+    report: Mapping[str, Any], residuals: tuple[Residuals, Residuals] | None
 ) -> Page:
     """Page of a calibration; `residuals` are those of the last drive before and after it."""
     return Page(
-        title=title,
-        verdicts=[calibration_verdict(report)],
-        command=command,
-        inputs=_texts(inputs),
+        verdict=calibration_verdict(report),
         tables=calibration_tables(report),
         charts_title='Landmarks in images, measured minus predicted',
         data={'charts': _residual_charts(*residuals) if residuals else []},
     )
-
-
-def _texts(inputs: Mapping[str, object]) -> dict[str, str]:
-    return {name: str(value) for name, value in inputs.items() if value is not None}
 
 
 def _numbers(values: npt.ArrayLike, digits: int) -> Any:

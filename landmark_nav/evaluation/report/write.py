@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import datetime
 from functools import cache
 from importlib.resources import files
@@ -21,22 +22,27 @@ def check_report(path: Path | None) -> None:
         raise UsageError(f'--report {path}: reports are written as .html')
 
 
-def write_report(path: Path, page: Page) -> None:
+def write_report(
+    path: Path, page: Page, title: str, command: str, inputs: Mapping[str, object]
+) -> None:
     """
-    Write a page.
+    Write a page with its title, and the command that read these inputs, by their names.
 
     Raises `LandmarkNavError`: it cannot be written.
     """
-    write_atomically(path, page_html(page))
+    write_atomically(path, page_html(page, title, command, inputs))
 
 
-def page_html(page: Page) -> str:
+def page_html(page: Page, title: str, command: str, inputs: Mapping[str, object]) -> str:
     """Return the page; what it shows is text to the browser, wherever it came from."""
     now = datetime.now().astimezone().strftime('%Y-%m-%d %H:%M %z')
     # In a script nothing but `<` could end it.
     data = json.dumps(page['data'], separators=(',', ':'), allow_nan=False)
     return _template().render(
         page=page,
+        title=title,
+        command=command,
+        inputs={name: str(value) for name, value in inputs.items() if value is not None},
         data=data.replace('<', '\\u003c'),
         css=_resource('page.css'),
         js=_resource('page.js'),
