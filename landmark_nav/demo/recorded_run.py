@@ -191,27 +191,24 @@ def judge(measured: dict[str, Any]) -> list[Check]:
     landmarks, walls = measured['landmarks'], measured['walls']
     available = measured['availability']
     checks = [
-        Check(
+        (
             landmarks >= _MIN_LANDMARKS and walls >= _MIN_WALLS,
             f'{landmarks} landmarks on {walls} walls (at least {_MIN_LANDMARKS} on {_MIN_WALLS})',
         ),
-        Check(
+        (
             meters <= _MAX_RMSE_M and degrees <= _MAX_RMSE_DEG,
             f'fused RMSE {100 * meters:.2f} cm and {degrees:.2f} deg '
             f'(at most {100 * _MAX_RMSE_M:g} cm and {_MAX_RMSE_DEG:g} deg)',
         ),
-        Check(
+        (
             available >= _MIN_AVAILABILITY,
             f'availability {available:.3f} (at least {_MIN_AVAILABILITY:g})',
         ),
-        Check(
-            meters < alone,
-            f'better than odometry alone, which is off by {100 * alone:.1f} cm',
-        ),
+        (meters < alone, f'better than odometry alone, which is off by {100 * alone:.1f} cm'),
     ]
     if 'scale' in measured:
         off, most = abs(measured['scale'] - 1.0), _MOST_SIGMAS * measured['scale_sigma']
         checks.append(
-            Check(off <= most, f'scale off by {100 * off:.2f} % (at most {100 * most:.2f} %)')
+            (off <= most, f'scale off by {100 * off:.2f} % (at most {100 * most:.2f} %)')
         )
-    return checks
+    return [Check(*check) for check in checks]
