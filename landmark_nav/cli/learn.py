@@ -47,7 +47,7 @@ from landmark_nav.storage.atomic_io import (
     write_json,
 )
 from landmark_nav.storage.bags import Bag, read_sweeps
-from landmark_nav.storage.bags.reader import MessageFilter
+from landmark_nav.storage.bags.reader import decoded
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room, room_text
@@ -89,14 +89,8 @@ def _odometry(bag: Bag) -> list[OdometrySample]:
     """Odometry of a bag, by time; none where it has none."""
     if not (topic := bag.find('odom')):
         return []
-    messages = MessageFilter(bag, topic)
-    read = (
-        messages.take(lambda entry: decode.odometry(entry.message), entry)
-        for entry in bag.messages([topic])
-    )
-    samples = sorted((s for s in read if s is not None), key=lambda s: s.stamp_ns)
-    messages.report()
-    return samples
+    samples = decoded(bag, topic, lambda entry: decode.odometry(entry.message))
+    return sorted(samples, key=lambda sample: sample.stamp_ns)
 
 
 _LOG = logging.getLogger(__name__)

@@ -17,7 +17,7 @@ from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.messages import decode
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.reader import MessageFilter
+from landmark_nav.storage.bags.reader import decoded
 from landmark_nav.storage.bags.sensors import truth_decoder
 from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
 
@@ -138,10 +138,8 @@ def truth_of_bag(bag: Bag) -> PoseTrack:
     topic = bag.find('ground_truth/odom')
     if topic is None:
         return PoseTrack.of(())
-    message_filter, decoder = MessageFilter(bag, topic, needed=False), truth_decoder(bag, topic)
-    poses = [message_filter.take(decoder, entry) for entry in bag.messages([topic])]
-    message_filter.report()
-    return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses if pose is not None)
+    poses = decoded(bag, topic, truth_decoder(bag, topic), needed=False)
+    return PoseTrack.of((pose.stamp_ns, pose.pose) for pose in poses)
 
 
 def check_truth_frame(bag: Bag, frame: str) -> None:

@@ -417,3 +417,13 @@ class MessageFilter:
         self._bag.warn(
             f'{count} of {self._used + count} {self._what} left out: {self._complaints[0]}'
         )
+
+
+def decoded(
+    bag: Bag, topic: str, decode: Callable[[BagMessage], T], *, needed: bool = True
+) -> list[T]:
+    """What `decode` makes of all messages of a topic, as `MessageFilter` takes them."""
+    messages = MessageFilter(bag, topic, needed=needed)
+    found = [messages.take(decode, entry) for entry in bag.messages([topic])]
+    messages.report()
+    return [one for one in found if one is not None]

@@ -13,7 +13,7 @@ from landmark_nav.geometry.angles import PanTrack, unwrap_joint
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.messages.decode import JointNames
-from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter
+from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded, MessageFilter
 from landmark_nav.storage.bags.transforms import joints_of_transforms
 from landmark_nav.types import JointSample, Refusal
 
@@ -263,13 +263,7 @@ class CameraInfos:
         """Read them from the first topic of `names` that `bag` has."""
         topic = bag.require(*names)
 
-        def calibration(entry: BagMessage) -> decode.CameraInfo:
-            return decode.camera_info(entry.message)
+        def stamped(entry: BagMessage) -> tuple[int, decode.CameraInfo]:
+            return decode.stamp_ns(entry.message.header), decode.camera_info(entry.message)
 
-        message_filter, stamped = MessageFilter(bag, topic), []
-        for entry in bag.messages([topic]):
-            info = message_filter.take(calibration, entry)
-            if info is not None:
-                stamped.append((decode.stamp_ns(entry.message.header), info))
-        message_filter.report()
-        return cls(stamped)
+        return cls(decoded(bag, topic, stamped))

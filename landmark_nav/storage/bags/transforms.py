@@ -15,7 +15,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
-from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter
+from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded
 from landmark_nav.storage.bags.topics import listed, TOPIC_TYPES
 from landmark_nav.types import FloatArray, JointSample
 
@@ -103,10 +103,7 @@ def _transforms(bag: Bag, topic: str) -> list[tuple[int, int, str, str, FloatArr
             for one in entry.message.transforms
         ]
 
-    message_filter = MessageFilter(bag, topic)
-    taken = [message_filter.take(rotations, entry) or [] for entry in bag.messages([topic])]
-    message_filter.report()
-    return [one for part in taken for one in part]
+    return [one for part in decoded(bag, topic, rotations) for one in part]
 
 
 def _rotation(quaternion: Any) -> FloatArray:
