@@ -17,9 +17,8 @@ from landmark_nav.types import FloatArray, Panorama, Sweep
 
 _WIDTH_IN = 24.0
 _NAMES = 'LR'
-# Width of a letter of 12 points and height of a line, with what is around them.
-_LETTER_PT = 7.2
-_LINE_PT = 20.0
+# Height of a line of 12 points with what is around it, and pixels of a panorama that two need.
+_LINE_PT, _NAMES_PX = 20.0, 75.0
 
 
 def draw_sweeps(
@@ -52,34 +51,23 @@ def _draw_panorama_part(axes: Axes, panorama: Panorama, room: Room, title: str) 
 
 
 def _name_papers(axes: Axes, panorama: Panorama, room: Room) -> None:
-    """Write above each paper what it is, below it if there is no room, and not on one another."""
-    height, width = panorama.mask.shape
-    point = width / (72.0 * _WIDTH_IN)
-    named: list[tuple[float, float, float]] = []
+    """Write above each paper what it is, below it if there is no room; neighbours by turns."""
+    height = panorama.mask.shape[0]
+    seen = []
     for paper in room.papers:
         away = np.asarray(paper.center) - panorama.center_map
         distance = float(np.hypot(away[0], away[1]))
         azimuth = np.arctan2(away[1], away[0]) - panorama.heading_rad
-        column = float(panorama.cylinder.column_of(azimuth))
         row = float(panorama.cylinder.row_of(away[2] / distance))
         half = 0.5 * paper.height * panorama.cylinder.fy / distance
-        if not half < row < height - half:
-            continue
-        name = f'{paper.color} paper'
-        reach = 0.5 * _LETTER_PT * (len(name) + 1) * point
-        for way in (-1.0, 1.0):
-            edge = row + way * (half + 3.0)
-            level = edge + way * 1.2 * _LINE_PT * point
-            while any(
-                abs(column - c) < reach + r and abs(level - v) < _LINE_PT * point
-                for c, v, r in named
-            ):
-                level += way * _LINE_PT * point
-            if level > 0.5 * _LINE_PT * point:
-                break
-        named.append((column, level, reach))
+        if half < row < height - half:
+            seen.append((float(panorama.cylinder.column_of(azimuth)), row, half, paper.color))
+    for k, (column, row, half, color) in enumerate(sorted(seen)):
+        way = -1.0 if row - half > _NAMES_PX else 1.0
+        offset = (0.0, -way * _LINE_PT * (1.2 + k % 2))
         axes.annotate(
-            name, (column, edge), (column, level), ha='center', va='center', fontsize=12,
+            f'{color} paper', (column, row + way * (half + 3.0)), offset,
+            textcoords='offset points', ha='center', va='center', fontsize=12,
             arrowprops={'arrowstyle': '->'},
             bbox={'boxstyle': 'round,pad=0.15', 'facecolor': 'white', 'linewidth': 0.0},
         )  # fmt: skip
