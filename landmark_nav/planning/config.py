@@ -22,15 +22,10 @@ class PlanConfig(Config):
     The bounds of the stages that will learn and localize are taken from their own parameters.
     """
 
-    # Focal length of the camera, pixels.
     focal_px: float = 555.0
-    # Width of its images, pixels.
     width_px: int = 512
-    # Height of its images, pixels.
     height_px: int = 512
-    # Least pan of the joint, rad.
     pan_min_rad: float = -np.pi
-    # Largest pan of the joint, rad.
     pan_max_rad: float = np.pi
     # Least distance of the robot from walls.
     clearance_m: float = 0.4
@@ -38,9 +33,8 @@ class PlanConfig(Config):
     spacing_m: float = 0.25
     # Patches that attention proposes in a panorama.
     candidates: int = 120
-    # Height from which on walls are taken as textured.
+    # Heights between which walls are taken as textured.
     texture_low_m: float = 0.8
-    # Height up to which walls are taken as textured.
     texture_high_m: float = 2.0
     # Sets of random places to compare with.
     random_sets: int = 50

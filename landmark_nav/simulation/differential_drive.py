@@ -17,19 +17,13 @@ from landmark_nav.types import FloatArray
 class DriveConfig(Config):
     """What the base can do, and how wrong its odometry is."""
 
-    # Largest speed.
     max_speed_m_s: float = 0.8
-    # Largest turning rate.
     max_turn_rad_s: float = 1.8
-    # Of the speed.
     max_acceleration_m_s2: float = 1.0
-    # Of the turning rate.
     max_turn_acceleration_rad_s2: float = 4.0
-    # Distance between the wheels.
     track_m: float = 0.36
-    # Relative error of each wheel radius, drawn once.
+    # Relative errors of each wheel radius and of the track, drawn once.
     scale_sigma: float = 0.002
-    # Relative error of the track, drawn once.
     track_sigma: float = 0.008
     # Slip of each wheel over 1 m, a random walk.
     slip_sigma_m: float = 0.0015

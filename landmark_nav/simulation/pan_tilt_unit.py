@@ -23,19 +23,13 @@ _SPRING_STEP_S = 1.0 / 400.0
 class PanTiltConfig(Config):
     """How quickly and how exactly the unit turns."""
 
-    # Largest rate of an axis.
     max_rate_rad_s: float = 2.1
-    # Largest acceleration of an axis.
     max_acceleration_rad_s2: float = 8.0
-    # Pan goes this far to both sides.
     pan_limit_rad: float = float(np.pi)
-    # Tilt goes this far up and down.
     tilt_limit_rad: float = 0.6
     # Of the head that oscillates after a stop.
     natural_frequency_hz: float = 6.0
-    # Of that swinging.
     damping_ratio: float = 0.4
-    # Step of the measured angles.
     encoder_step_rad: float = 0.0002
 
 

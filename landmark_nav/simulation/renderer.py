@@ -303,9 +303,8 @@ class CameraEffectsConfig(Config):
     vignetting: float = 0.25
     # How far the gain follows the mean brightness: 0 not at all, 1 all the way.
     auto_exposure: float = 0.5
-    # Mean brightness that auto exposure aims at.
     target_brightness: float = 120.0
-    # Point spread of lens and sensor, pixels.
+    # Of lens and sensor.
     blur_sigma_px: float = 0.5
     # Standard deviation in the dark, grey levels.
     read_noise: float = 2.0
