@@ -27,13 +27,7 @@ from landmark_nav.evaluation.report import (
     write_video,
 )
 from landmark_nav.evaluation.report.tables import cell, ESTIMATES, nees_range
-from landmark_nav.evaluation.run_report import (
-    aligned,
-    aligned_report,
-    integrity_report,
-    run_errors,
-    run_report,
-)
+from landmark_nav.evaluation.run_report import against_truth, integrity_report, run_report
 from landmark_nav.evaluation.smoothed_run import (
     departures,
     smooth_run,
@@ -223,12 +217,9 @@ def run(args: argparse.Namespace) -> int:
     done = replay(events, landmarks, calibration, config, start, covariance)
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
-    own_frame = landmarks.has_own_frame and len(done.truth) > 0
-    if own_frame:
-        rigid, (done, errors, alignment) = aligned(done, scaled=False)[1], aligned(done, True)
-    else:
+    done, errors, in_frame = against_truth(done, landmarks)
+    if not in_frame:
         check_truth_frame(bag, landmarks.frame_id)
-        errors = run_errors(done)
     if len(done.truth) and np.isnan(errors.fused).all():
         begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
         bag.warn(
@@ -236,9 +227,7 @@ def run(args: argparse.Namespace) -> int:
             f'from {1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
         )
     learned = replace(config, odometry=done.odometry_noise)
-    report = run_report(done, errors, landmarks, calibration, learned)
-    if own_frame:
-        report |= aligned_report(rigid, errors, alignment)
+    report = run_report(done, errors, landmarks, calibration, learned) | in_frame
     report['checks'] = [finding.report() for finding in diagnosis.findings]
     report['integrity'] = integrity_report(done, errors)
     smoothed = smooth_run(done, landmarks, calibration, learned) if args.smooth else None

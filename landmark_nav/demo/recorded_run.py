@@ -13,11 +13,9 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import (
-    aligned,
-    aligned_report,
+    against_truth,
     integrity_report,
     pose_report,
-    run_errors,
     RunErrors,
     spells,
 )
@@ -170,14 +168,12 @@ def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay
     """
     walls = len({landmark.wall_id for landmark in landmarks.landmarks} - {''})
     of_run: dict[str, Any] = {'spells': spells(run), 'walls': walls}
-    if not landmarks.has_own_frame:
-        errors = run_errors(run)
+    run, errors, in_frame = against_truth(run, landmarks)
+    if in_frame:
+        of_run['scale_sigma'] = float(landmarks.provenance['scale_sigma'])
+    else:
         of_run['integrity'] = integrity_report(run, errors)
-        return pose_report(run, errors, landmarks) | of_run, run, errors
-    rigid, (run, errors, alignment) = aligned(run, scaled=False)[1], aligned(run, scaled=True)
-    in_frame = aligned_report(rigid, errors, alignment)
-    scale_sigma = {'scale_sigma': float(landmarks.provenance['scale_sigma'])}
-    return pose_report(run, errors, landmarks) | of_run | in_frame | scale_sigma, run, errors
+    return pose_report(run, errors, landmarks) | of_run | in_frame, run, errors
 
 
 def judge(measured: dict[str, Any]) -> list[Check]:

@@ -215,10 +215,6 @@ class Alignment(NamedTuple):
     pose: FloatArray
     scale: float
 
-    def in_map(self, truth: PoseTrack, scaled: bool) -> PoseTrack:
-        """Ground truth in the frame of the map; in its metre, too, if `scaled`."""
-        return truth.seen_from(self.pose, self.scale if scaled else 1.0)
-
 
 def align(poses: FloatArray, truth: FloatArray, scaled: bool) -> Alignment:
     """
@@ -244,7 +240,7 @@ def aligned(run: Replay, scaled: bool) -> tuple[Replay, RunErrors, Alignment]:
     """A run with its ground truth in the frame of the map, its errors, and how it was aligned."""
     poses = np.where(run.lost[:, None], np.nan, run.fused)
     found = align(poses, run.truth.at(run.stamps_ns), scaled)
-    truth = found.in_map(run.truth, scaled)
+    truth = run.truth.seen_from(found.pose, found.scale)
     if scaled:
         truth = _likeliest(run, truth, poses)
     moved = replace(run, truth=truth)
@@ -270,17 +266,29 @@ def _likeliest(run: Replay, truth: PoseTrack, poses: FloatArray) -> PoseTrack:
     return truth.seen_from(se2.inverse(np.array(moved)), 1.0 + grown)
 
 
-def aligned_report(rigid: RunErrors, in_metre: RunErrors, alignment: Alignment) -> dict[str, Any]:
+def against_truth(
+    run: Replay, landmark_map: LandmarkMap
+) -> tuple[Replay, RunErrors, dict[str, Any]]:
     """
-    Figures after one rigid transformation; `scale` and what is left after it are beside them.
+    A run, its errors, and figures of how it was aligned; none where the map is in the true frame.
 
-    The covariance of a pose is in the metre of its map: consistency is taken in that.
+    A map of its own frame has errors after one rigid transformation; `scale` and what is left
+    after it are beside them. The run is in the metre of the map then, as the covariance of a pose
+    is: consistency is taken in that.
     """
-    return {
-        'aligned': True,
-        'scale': alignment.scale,
-        'fused': error_summary(rigid.fused),
-        'triangulation': error_summary(rigid.triangulation),
-        'odometry': error_summary(rigid.odometry),
-        'fused_after_scale': error_summary(in_metre.fused),
-    }
+    if not (landmark_map.has_own_frame and len(run.truth)):
+        return run, run_errors(run), {}
+    rigid = aligned(run, scaled=False)[1]
+    run, in_metre, alignment = aligned(run, scaled=True)
+    return (
+        run,
+        in_metre,
+        {
+            'aligned': True,
+            'scale': alignment.scale,
+            'fused': error_summary(rigid.fused),
+            'triangulation': error_summary(rigid.triangulation),
+            'odometry': error_summary(rigid.odometry),
+            'fused_after_scale': error_summary(in_metre.fused),
+        },
+    )
