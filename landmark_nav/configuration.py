@@ -13,7 +13,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.former_parameters import settled
 from landmark_nav.learning.capture import CaptureConfig
 from landmark_nav.learning.pipeline import LearningConfig
@@ -135,10 +135,8 @@ def load_configuration(
         for name, meant in given.unknown.items():
             raise LandmarkNavError(f'{path}: no parameter {shown(name)}{meant or _WHERE}')
         values = given.values | {'robot_file': str(robot_file)}
-        try:
+        with inside(path):
             config = replace(changed(config, values), former_robot=given.robot)
-        except LandmarkNavError as error:
-            raise LandmarkNavError(f'{path}: {error}') from error
     return with_robot(config)
 
 

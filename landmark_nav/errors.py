@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 import reprlib
 
@@ -31,6 +33,15 @@ class LandmarkNavError(Exception):
 
 class UsageError(LandmarkNavError):
     """An argument of the command line that can not be: exit status 2, as of argparse."""
+
+
+@contextmanager
+def inside(where: object) -> Iterator[None]:
+    """Errors in the block say where they are: in a file, a field, a bag."""
+    try:
+        yield
+    except LandmarkNavError as error:
+        raise LandmarkNavError(f'{where}: {error}') from error
 
 
 def release() -> str:

@@ -16,7 +16,7 @@ from landmark_nav.cli.learn import panoramas_of_bag
 from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration, READS
-from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.errors import inside, LandmarkNavError, UsageError
 from landmark_nav.evaluation.calibration_run import (
     advice,
     broken_promises,
@@ -172,10 +172,8 @@ def _use_drive(work: _Work, bag: Bag) -> None:
     events = sensor_events(bag, known.mount, 0.0, late.images_s, late.odometry_s)
     total = bag.counts[bag.require('odom')]
     shown_events = progress(events, 'calibrating', 2 * total)
-    try:
+    with inside(bag.path):
         drive = calibrate_by_drive(shown_events, landmarks, known, work.config)
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{bag.path}: {error}') from error
     work.drives.append(drive)
     work.known = drive.calibration
 

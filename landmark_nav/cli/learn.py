@@ -17,7 +17,7 @@ from landmark_nav.cli.check import checked
 from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration
-from landmark_nav.errors import LandmarkNavError, release, UsageError
+from landmark_nav.errors import inside, LandmarkNavError, release, UsageError
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.learning_report import (
     check_truth_frame,
@@ -79,10 +79,8 @@ def known_places(
     """
     spans = [(sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns) for sweep in sweeps]
     given = [sweep.pose_map_base for sweep in sweeps]
-    try:
+    with inside(bag.path):
         return sweep_places.known_places(given, spans, _odometry(bag), config)
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{bag.path}: {error}') from error
 
 
 def _odometry(bag: Bag) -> list[OdometrySample]:

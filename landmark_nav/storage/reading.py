@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from landmark_nav.arrays import ImageArray
-from landmark_nav.errors import LandmarkNavError, shown, why
+from landmark_nav.errors import inside, LandmarkNavError, shown, why
 from landmark_nav.image_codec import decode_image, MAX_PIXELS
 from landmark_nav.types import FloatArray
 
@@ -87,10 +87,8 @@ def read_image(
     `max_pixels`.
     """
     data = read_bytes(path)
-    try:
+    with inside(path):
         return np.asarray(decode_image(data, mode, max_pixels), dtype=np.uint8)
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{path}: {error}') from error
 
 
 def read_text(path: Path, max_bytes: int = _MAX_BYTES) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from landmark_nav.calibration import Calibration, NAMES, UNITS
-from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.storage.config_files import flat
@@ -55,7 +55,7 @@ def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) 
     axis = document['pan_axis']
     sigmas: dict[str, float] = {}
     values: dict[str, float] = {}
-    try:
+    with inside(path):
         for key, names in _SIGMAS.items():
             where, mapping = ('pan_axis', axis) if key in _OF_AXIS else ('robot', document)
             if key in mapping:
@@ -69,8 +69,6 @@ def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) 
         alone = Calibration.of_mount(mount, sigmas, values)
         together = _correlations(document.get('correlations', []))
         return replace(alone, covariance=np.outer(alone.sigmas, alone.sigmas) * together)
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{path}: {error}') from error
 
 
 def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None = None) -> T:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper, paper_bgr, Room, Wall
 from landmark_nav.storage.reading import (
@@ -72,7 +72,7 @@ def load_room(path: Path | str) -> Room:
     """
     path = Path(path)
     document = read_yaml_mapping(path)
-    try:
+    with inside(path):
         check_spelling(document, ('frame_id', 'walls', 'reference_area'), 'room')
         walls = walls_field(document, 'room')
         area = document.get('reference_area') or {}
@@ -91,8 +91,6 @@ def load_room(path: Path | str) -> Room:
         for i, paper in enumerate(papers):
             _check_on_wall(paper, room, f'papers[{i}]')
         return room
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{path}: {error}') from error
 
 
 def walls_field(mapping: Any, where: str) -> tuple[Wall, ...]:
@@ -147,10 +145,8 @@ def room_text(room: Room) -> str:
 def _paper(document: Any, where: str) -> Paper:
     """Check that a paper has a size and a colour that can be looked for."""
     color = name_field(document, 'color', where)
-    try:
+    with inside(where):
         paper_bgr(color)
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{where}: {error}') from error
     width, height = (number_field(document, key, where) for key in ('width', 'height'))
     if not (0.01 <= width <= 5.0 and 0.01 <= height <= 5.0):
         raise LandmarkNavError(
@@ -190,7 +186,7 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
     """
     path = Path(path)
     document = read_robot(path, former or {})
-    try:
+    with inside(path):
         check_spelling(document, _ROBOT_FIELDS, 'robot')
         axis = field(document, 'pan_axis', 'robot')
         if isinstance(axis, dict):
@@ -219,8 +215,6 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
                 if key in document
             },
         )
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{path}: {error}') from error
 
 
 def _sigma(document: dict[str, Any]) -> float:
@@ -247,7 +241,7 @@ def load_camera(path: Path | str) -> CameraModel:
     """
     path = Path(path)
     document = read_yaml_mapping(path)
-    try:
+    with inside(path):
         width = integer_field(document, 'image_width', 'camera')
         height = integer_field(document, 'image_height', 'camera')
         matrix = field(document, 'camera_matrix', 'camera')
@@ -259,8 +253,6 @@ def load_camera(path: Path | str) -> CameraModel:
         ).tolist()
         model = name_field(document, 'distortion_model', 'camera')
         return CameraModel(width, height, fx, fy, cx, cy, model, tuple(coefficients))
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{path}: {error}') from error
 
 
 def _angles(mapping: Any, key: str, shape: tuple[int, ...], where: str) -> Any:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.storage.reading import read_image, read_text
@@ -58,10 +58,8 @@ def _frame(folder: Path, row: dict[str, str], number: int, where: str) -> Camera
     pan, focal = (_number(row, name, where) for name in ('pan_rad', 'focal_px'))
     width, height = (int(_number(row, name, where)) for name in ('width', 'height'))
     file = row['file'] or ''
-    try:
+    with inside(where):
         image = read_image(folder / file)
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{where}: {error}') from error
     # A camera held upright is often listed by its sensor's size: the image knows better.
     if sorted(image.shape[:2]) != sorted((height, width)):
         raise LandmarkNavError(
@@ -69,10 +67,8 @@ def _frame(folder: Path, row: dict[str, str], number: int, where: str) -> Camera
             f'not {width} x {height}'
         )
     height, width = image.shape[:2]
-    try:
+    with inside(where):
         camera = CameraModel(width, height, focal, focal, (width - 1) / 2.0, (height - 1) / 2.0)
-    except LandmarkNavError as error:
-        raise LandmarkNavError(f'{where}: {error}') from error
     return CameraFrame(number, image, camera, pan)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from landmark_nav.arrays import IntArray
-from landmark_nav.errors import LandmarkNavError, why
+from landmark_nav.errors import inside, LandmarkNavError, why
 from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
 from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack
 from landmark_nav.storage.bags.definitions import has_header, MessageReader, STANDARD_NAMES
@@ -189,10 +189,8 @@ class Bag:
 
         Raises `LandmarkNavError`: several could be it, or it is of another type.
         """
-        try:
+        with inside(self.path):
             topic = find_topic(name, self._filled(), self._given)
-        except LandmarkNavError as error:
-            raise LandmarkNavError(f'{self.path}: {error}') from error
         given = {other.strip('/') for other in self._given.values()}
         if topic is not None and topic.strip('/') not in {name, *given}:
             self.inform(f'{topic} is taken for {name}')
