@@ -66,8 +66,6 @@ def best_places(
         How many are wanted, 2 or more.
     seeds : ndarray of int, shape (k,)
         Places of which all pairs are tried; growth and exchange try all places.
-    show : callable
-        Shows progress.
 
     Returns
     -------
@@ -90,8 +88,6 @@ def exchange(
 
     Parameters
     ----------
-    cost, xy, show : callable, ndarray, callable
-        As for `best_places`.
     start : ndarray of int, shape (n,)
         Places to start from.
     local : bool
@@ -257,8 +253,6 @@ def plan_positions(
 
     Parameters
     ----------
-    mount : PanTiltMount
-        Where the camera turns on the robot.
     count : int
         How many places, 2 or more.
     rng : numpy.random.Generator
@@ -336,8 +330,6 @@ def forecast(
         Poses of the base, two or more, all in view of the papers, if there are any.
     cells : ndarray, shape (c, 2)
         Floor on which to predict.
-    room, mount, config : Room, PanTiltMount, PlanConfig
-        As for `plan_positions`.
 
     Returns
     -------

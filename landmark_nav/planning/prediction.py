@@ -236,8 +236,6 @@ class Predictor:
     ----------
     views : Views
         The places, one or more, with what they see.
-    samples : WallSamples
-        What there is to see.
     cells : ndarray, shape (c, 2)
         Where the robot may have to find its place later.
     """

@@ -166,8 +166,6 @@ def look(
     ----------
     poses_map_base : ndarray, shape (n, 3)
         Where the robot would stand.
-    samples : WallSamples
-        What there is to see.
     config : PlanConfig
         The camera, and what the learning stages accept.
 

@@ -85,8 +85,6 @@ def plan_tour(
 
     Parameters
     ----------
-    scene : Scene
-        Walls and furniture to keep off.
     start_xy : array_like, shape (2,)
         Where it begins, or nearby if something stands there.
     length_m : float
@@ -125,8 +123,6 @@ def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> F
 
     Parameters
     ----------
-    scene : Scene
-        Walls and furniture to keep off.
     start_xy, goal_xy : array_like, shape (2,)
         From where to where.
 

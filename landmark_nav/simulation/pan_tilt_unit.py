@@ -126,8 +126,6 @@ class PanControl:
 
     Parameters
     ----------
-    scene : Scene
-        What there is to see.
     pan_limit_rad : float
         How far it turns to both sides.
     rng : numpy.random.Generator

@@ -188,8 +188,6 @@ class PainterOrder:
             Where one looks from.
         heading_rad : float
             Where to; what lies more than 80 degrees aside does not matter.
-        visible : sequence of int
-            Which footprints to sort.
 
         Returns
         -------

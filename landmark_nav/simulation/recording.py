@@ -42,12 +42,8 @@ def sweep_messages(
 
     Parameters
     ----------
-    world : RobotWorld
-        Robot and room; time passes in it.
     frames : int
         Images of the turn, evenly spread from -180 degrees on.
-    jpeg_quality : int
-        Of the images, 1 to 100.
 
     Yields
     ------
@@ -88,16 +84,12 @@ def drive_messages(
 
     Parameters
     ----------
-    world : RobotWorld
-        Robot and room; time passes in it.
     path_xy : ndarray, shape (n, 2)
         The way, map frame, metres.
     seconds : float
         For how long; the robot stops where the path ends.
     camera_rate_hz : float
         Images a second: the nearest whole part of 20.
-    jpeg_quality : int
-        Of the images, 1 to 100.
 
     Yields
     ------

@@ -41,8 +41,6 @@ def irradiance(points: npt.ArrayLike, normal: npt.ArrayLike, lamps: Sequence[Lam
         Points on the surface, map frame, metres.
     normal : array_like, shape (3,)
         Unit normal of its lit side.
-    lamps : sequence of Lamp
-        What shines.
 
     Returns
     -------

@@ -75,8 +75,6 @@ def read_mrclam(
     ----------
     folder : path-like
         With ``Barcodes.dat``, ``Landmark_Groundtruth.dat`` and the three ``RobotN_*.dat``.
-    robot : int
-        Which, 1 to 5.
     bearing_sigma_rad : float
         Of every bearing; the data do not give it.
     landmark_sigma_m : float

@@ -61,8 +61,6 @@ def widest(panorama: Panorama, candidates: Iterable[Candidate], width: int, apar
 
     Parameters
     ----------
-    candidates : iterable of Candidate
-        What is to be seen.
     width, apart : int
         Columns of the strip, and how many there are between those that are tried.
     """

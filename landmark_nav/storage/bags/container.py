@@ -45,8 +45,6 @@ def unpack(data: bytes, compression: str, size: int | None) -> bytes:
 
     Parameters
     ----------
-    data : bytes
-        As it lies in the file.
     compression : str
         ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` where it is not compressed.
     size : int or None

@@ -371,8 +371,6 @@ class MessageFilter:
 
     Parameters
     ----------
-    topic : str
-        Its name in the bag.
     what : str
         What it holds, for the complaint.
     needed : bool
