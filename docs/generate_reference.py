@@ -273,10 +273,10 @@ def _commands() -> Iterator[str]:
     from landmark_nav.cli.main import COMMANDS
 
     yield from ('# Commands', '', 'What `landmark-nav COMMAND --help` prints.')
-    for name, (module, summary, *_) in COMMANDS.items():
+    for name, (summary, _) in COMMANDS.items():
         yield from ('', f'## {name}', '', f'{summary[0].upper()}{summary[1:]}.', '')
         yield from ('```text', _help(name), '```')
-        for action in _subcommands(module):
+        for action in _subcommands(name):
             yield from ('', f'### {name} {action}', '', '```text', _help(name, action), '```')
 
 
@@ -309,12 +309,12 @@ def _help(*command: str) -> str:
     return out.getvalue().strip()
 
 
-def _subcommands(module: str) -> Iterable[str]:
+def _subcommands(name: str) -> Iterable[str]:
     """Actions of a command, such as ``show`` of ``map``."""
     parser = argparse.ArgumentParser()
-    import_module(f'landmark_nav.cli.{module}').add_arguments(parser)
+    import_module(f'landmark_nav.cli.{name}').add_arguments(parser)
     kinds = (action for action in parser._actions if isinstance(action.choices, dict))
-    return [name for action in kinds for name in action.choices]
+    return [choice for action in kinds for choice in action.choices]
 
 
 def _names(nodes: list[str]) -> str:

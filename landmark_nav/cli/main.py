@@ -26,8 +26,7 @@ from landmark_nav.errors import LandmarkNavError, one_line, release, shown, Usag
 from landmark_nav.signals import interrupting
 from landmark_nav.threads import keep_to_one_thread
 
-# Command -> what it does, and an example. The module is called as the command is, but for these.
-_MODULES = {'map': 'maps'}
+# Command -> what it does, and an example; its module has the same name.
 COMMANDS = {
     'demo': ('learn, drive and localize with a simulated robot (ROS)', 'demo --out demo'),
     'learn': (
@@ -155,7 +154,7 @@ def _run(name: str, arguments: list[str]) -> int:
             asked = subparser
             # What OpenCV says of a broken image, beside the line of ours that names the file.
             os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
-            command = import_module(f'landmark_nav.cli.{_MODULES.get(name, name)}')
+            command = import_module(f'landmark_nav.cli.{name}')
             command.add_arguments(subparser)
             _add_verbosity(subparser, argparse.SUPPRESS)
             listed = f'{subparser.epilog}\n\n' if subparser.epilog else ''

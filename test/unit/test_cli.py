@@ -240,7 +240,7 @@ def test_help_ends_with_an_example(name: str, capsys: pytest.CaptureFixture[str]
     assert main([name, '--help']) == 0
     text = ' '.join(capsys.readouterr().out.split())
     example = text.rpartition('landmark-nav ')[2]
-    assert example == COMMANDS[name][2]
+    assert example == COMMANDS[name][1]
 
 
 @pytest.mark.parametrize(

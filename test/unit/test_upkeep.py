@@ -9,7 +9,7 @@ from patch_texels import patch_points
 import pytest
 
 from landmark_nav.cli.main import main
-from landmark_nav.cli.maps import describe_comparison
+from landmark_nav.cli.map import describe_comparison
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.walls import Wall
