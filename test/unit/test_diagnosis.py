@@ -24,7 +24,7 @@ from stream_errors import (
     write_drive,
 )
 
-from landmark_nav.cli.check import refuse_errors
+from landmark_nav.cli.check import checked
 from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.diagnosis.causes import IMAGES, JOINTS, ODOMETRY, verdict
@@ -330,7 +330,7 @@ def test_errors_are_refused_in_one_line(tmp_path: Path) -> None:
     bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', REPORTED['odom +5 s'])
     mount = load_robot(BAGS / 'robot.yaml')
     with pytest.raises(LandmarkNavError, match=r'odom clock: stamped 5\.0') as refused:
-        refuse_errors(Bag(bag), diagnose(Bag(bag), mount, most_images=QUICK))
+        checked(Bag(bag), mount, None)
     assert '\n' not in str(refused.value)
 
 
