@@ -1,8 +1,8 @@
 """
-Election: which reconstructed patches become landmarks, and why the others don't.
+Election: which reconstructed patches become landmarks, and why the others do not.
 
-Livatino and Madsen elect patches whose acquisition camera stands in their observation area; to
-that come the size of the patch, how well its place is known, and whether it was found again.
+Livatino and Madsen elect patches whose acquisition camera is inside their observation area.
+Further criteria are the size of the patch, its covariance, and the match in another panorama.
 """
 
 from __future__ import annotations
@@ -21,42 +21,43 @@ from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, wall_textu
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
 
-# Greatest misfit of two measurements and a wall, squared; more views may add to it.
+# Greatest chi-square of two measurements and a wall; the limit for more views has the same
+# significance.
 _MAX_CHI_SQUARE = 13.8
-# Cosine between the normals of patches that may cover each other.
+# Least cosine between the normals of patches that may cover each other.
 _SAME_NORMAL = 0.7
-# Share of the correlation between its own views that counts as found.
+# Detection threshold of a landmark, relative to the correlation between its own views.
 _THRESHOLD_SHARE = 0.75
 
 
 @dataclass(frozen=True)
 class ElectionConfig(Config):
-    """What a landmark must be."""
+    """Criteria for landmarks."""
 
     # Greatest angle between the reference view and the normal.
     max_incidence_rad: float = 1.05
-    # How much finer or coarser than the reference view another view may show it, at least one.
+    # Greatest ratio of resolutions between the reference view and the best other view.
     max_stretch: float = 4.0
     # Least width and height in the reference view, pixels.
     min_size_px: int = 20
     max_off_wall_m: float = parameter(
-        0.06, 'how far off its wall a patch may hang, metres', minimum=0, maximum=1
+        0.06, 'greatest distance of a patch from its wall, metres', minimum=0, maximum=1
     )
     max_sigma_m: float = parameter(
         0.03,
-        'greatest standard deviation of its location beside others, along any axis; of what hangs '
-        'on no wall, across the view that it was learned from',
+        'greatest standard deviation of its location relative to others, along any axis, metres; '
+        'of a landmark off the walls, across its reference view',
         minimum=1e-4,
         maximum=1,
     )
     max_depth_sigma_m: float = parameter(
         0.02,
-        'greatest standard deviation of how far off its wall it lies, by its measurements alone',
+        'greatest standard deviation of its distance from the wall by measurements alone, metres',
         minimum=1e-4,
         maximum=1,
     )
-    # Greatest standard deviation of how far what hangs on no wall is, as a share of that, where it
-    # is more than max_sigma_m.
+    # Greatest standard deviation of the range of a landmark off the walls, relative to the range;
+    # larger than max_sigma_m is allowed up to this.
     max_range_share: float = 0.0
     # Greatest share of a patch that another may cover.
     max_overlap: float = 0.4
@@ -79,20 +80,20 @@ def elect(
     Parameters
     ----------
     patches, measurements : sequence
-        What was reconstructed and where it was seen.
+        Reconstructed patches and their measurements.
     adjustment : Adjustment
-        Places and covariances in the same order.
+        Positions and covariances in the same order.
     free : Adjustment
-        The same without the walls: what measurements alone give.
+        The same by measurements alone, without walls.
     panoramas : sequence of Panorama
-        With adjusted poses.
+        Panoramas with adjusted poses.
     greys : sequence of ndarray, shape (height, width)
-        Their images in grey, float32.
+        Their grey images, float32.
 
     Returns
     -------
     list of Landmark or Refusal
-        In the order of `patches`; ids count from 1 in the order of merit.
+        In the order of `patches`; ids count from 1 in the order of saliency.
     """
     outcomes: list[Landmark | Refusal] = [Refusal('not reached')] * len(patches)
     covariance = adjustment.own_covariance + np.einsum(
@@ -144,7 +145,7 @@ def _refuse(
     others: Sequence[Panorama],
     config: ElectionConfig,
 ) -> Refusal | None:
-    # Two views and a wall leave two numbers more than a place takes; each other view adds two.
+    # Two views and a wall give two degrees of freedom; each further view adds two.
     likelihood = chdtrc(2, _MAX_CHI_SQUARE)
     most = float(chdtri(2 * len(others), likelihood))
     off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
@@ -189,7 +190,7 @@ def _refuse(
 
 
 def _overlap(patch: WallPatch, position: FloatArray, other: Landmark) -> float:
-    """Share of the smaller of two patches of one plane that the other covers."""
+    """Overlap of two patches in one plane, relative to the smaller one."""
     size = np.array([patch.shape[1], patch.shape[0]]) * patch.texel_m
     other_size = np.array([other.width_m, other.height_m])
     right, down = patch_axes(patch.normal)
@@ -233,7 +234,7 @@ def _landmark(
 
 
 def _view(landmark: Landmark, panorama: Panorama, grey: Float32Array) -> PatchView | None:
-    """What another panorama shows of it, as fine as it does."""
+    """Image of a landmark in another panorama, at the resolution of that panorama."""
     reach = float(np.hypot(*(panorama.center_map - landmark.position)[:2]))
     columns = max(8, round(landmark.width_m * panorama.cylinder.fy / reach))
     texel = landmark.width_m / columns

@@ -1,6 +1,6 @@
 """
-Panoramas without a plan: poses from what they share, the scale from odometry, poses that are given
-or sheets of a known size, walls from what they show.
+Learning without a plan: relative poses from the panoramas, the scale from odometry, given poses or
+sheets of a known size, and facades found in the panoramas.
 
 The frame of the map is that of the base at the first sweep.
 """
@@ -53,14 +53,15 @@ from landmark_nav.types import FloatArray, LandmarkMap, Panorama, PlaceChain, Po
 
 _LOG = logging.getLogger(__name__)
 
-# How far off the poses may be, to each other, where landmarks are looked for: m, m, m, rad.
+# Sigmas of the relative poses in the search of landmarks: m, m, m, rad.
 RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
-# Covariance of a pose that is only given to know how far the walls are.
+# Covariance of a pose that is only used for the distances of the walls.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
-# Less than half a pixel at the horizon: panoramas are upright.
+# Panoramas with smaller tilts are upright: half a pixel at the horizon.
 _UPRIGHT_RAD = 1e-3
-# The scale is taken as it is, up to this: relief would shrink with it, and speak for less.
+# Relative sigma of the scale in the adjustment, which keeps it: with a smaller scale relief would
+# be smaller too.
 _FIXED_SCALE = 1e-5
 
 
@@ -68,11 +69,11 @@ _FIXED_SCALE = 1e-5
 class UnmeasuredConfig(Config):
     """Parameters of the stages that replace a plan."""
 
-    # As in the section adjustment, where no place was measured: what the azimuths of one panorama
-    # err in common, residuals do not show.
+    # `adjustment.camera_weight` without a plan: residuals do not show errors that all azimuths of
+    # a panorama share.
     camera_weight: float = 100.0
-    # As in the section election, where no wall was measured: what is seen in one direction gives a
-    # bearing, however far it is.
+    # `election.max_range_share` without a plan: a landmark with an uncertain range still gives a
+    # bearing.
     max_range_share: float = 0.05
     sheets: SheetsConfig = field(default_factory=SheetsConfig)
     relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
@@ -82,11 +83,11 @@ class UnmeasuredConfig(Config):
 @dataclass(frozen=True, eq=False)
 class Located:
     """
-    Panoramas with poses, the room found around them, and what their poses share.
+    Panoramas with poses, the room found around them, and the covariance of their poses.
 
-    `places` (4 v, 4 v) is the joint covariance of the viewpoints by the sources of the scale, were
-    the scale known: the map is right in its own metre, which is off by `poses.scale_sigma`.
-    `ties` are the features that panoramas share.
+    `places` (4 v, 4 v) is the joint covariance of the viewpoints by the sources of the scale, for
+    a fixed scale: `poses.scale_sigma` is the sigma of the scale of the whole map. `ties` are the
+    features that panoramas share.
     """
 
     panoramas: tuple[Panorama, ...]
@@ -97,7 +98,7 @@ class Located:
 
     @property
     def provenance(self) -> dict[str, str]:
-        """What the map says of its frame and scale."""
+        """Source of the map's frame and scale."""
         names = [share.name for share in self.poses.scales]
         own = {} if 'sweep/pose' in names else {'frame': 'base_link at the first sweep'}
         sigma = f'{self.poses.scale_sigma:.5f}'
@@ -113,23 +114,23 @@ def locate(
     before: RelativePoses | None = None,
 ) -> Located:
     """
-    Find where panoramas were taken, and the walls around.
+    Find the poses of panoramas and the facades around them.
 
-    Raises `LandmarkNavError`: one panorama, panoramas that share too little or contradict what is
-    known, nothing that gives the scale, or no walls.
+    Raises `LandmarkNavError`: there is one panorama, the panoramas share too little or contradict
+    the given poses, nothing gives the scale, or there are no walls.
 
     Parameters
     ----------
     panoramas : sequence of Panorama
-        Their poses do not matter.
+        Panoramas; their poses are not used.
     known : sequence of PlaceChain
-        Poses of the base by each source that has them; the first one gives the frame.
+        Poses of the base by each source; the first source defines the frame.
     lever : ndarray, shape (3,)
-        Viewpoint in the base frame, metres.
+        Viewpoint in the base frame, m.
     log : StageLog, optional
-        Where times go.
+        Log of durations.
     before : RelativePoses, optional
-        What was found before the panoramas were made again.
+        Poses found before the panoramas were levelled by them.
     """
     if len(panoramas) < 2:
         raise LandmarkNavError(
@@ -183,21 +184,22 @@ def locate_sweeps(
     log: StageLog,
 ) -> Located:
     """
-    Make panoramas of sweeps, and find where they were taken and the walls around.
+    Make panoramas of sweeps, and find their poses and the facades around them.
 
-    Twice, as calibration takes the distance of the walls: sweeps are large, and read again.
+    This is done twice, as calibration needs the distances of the walls. Sweeps are large and are
+    read again.
 
-    Raises `LandmarkNavError`: as `locate`, and what makes no panorama.
+    Raises `LandmarkNavError`: as `locate`, and if a sweep makes no panorama.
 
     Parameters
     ----------
     sweeps : callable
-        Reads them; always the same ones.
+        Returns an iterator over the sweeps, the same each time.
     known : callable
-        What is known of their poses, by sweeps without their frames; nothing if sheets of a known
-        size alone give the scale.
+        Given poses of sweeps, which are passed without most of their frames; empty if sheets of a
+        known size alone give the scale.
     mount : PanTiltMount
-        How the camera is mounted.
+        Extrinsics of the camera.
     """
     panoramas, stamped = [], []
     for sweep in sweeps():
@@ -232,7 +234,7 @@ def learn_located(
     unmeasured: UnmeasuredConfig,
     log: StageLog | None = None,
 ) -> LearningResult:
-    """Learn landmarks on the walls that were found; as `learn_from_panoramas`."""
+    """Learn landmarks on the facades found; as `learn_from_panoramas`."""
     adjustment = replace(
         config.adjustment,
         camera_weight=unmeasured.camera_weight,
@@ -253,7 +255,7 @@ def learn_located(
 
 
 def _measured(pairs: RayPairs, sigma_rad: float) -> Iterator[list[PatchMeasurement]]:
-    """Where two panoramas show each match."""
+    """Measurements of each match in its two panoramas."""
     sides = [
         (view, np.arctan2(rays[:, 1], rays[:, 0]), rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]))
         for view, rays in ((pairs.one, pairs.rays), (pairs.other, pairs.other_rays))
@@ -268,7 +270,7 @@ def _measured(pairs: RayPairs, sigma_rad: float) -> Iterator[list[PatchMeasureme
 def _viewpoints(
     poses: RelativePoses, eyes: FloatArray, lever: FloatArray, config: RelativePoseConfig
 ) -> FloatArray:
-    """Joint covariance (4 v, 4 v) of x, y, z, heading of viewpoints, were the scale known."""
+    """Joint covariance (4 v, 4 v) of x, y, z, heading of viewpoints, for a fixed scale."""
     count = len(poses.states)
     jacobian = np.zeros((count, 4, count, 3))
     for k, state in enumerate(poses.states):
@@ -280,7 +282,7 @@ def _viewpoints(
     heights = 4 * np.arange(1, count) + 2
     joint[heights, heights] += config.rise_sigma_m**2
     joint += _LEAST_VARIANCE * np.eye(4 * count)
-    # By how much of itself the way from the first sweep grows if the viewpoints move.
+    # Derivative of the scale by the viewpoints.
     way = np.zeros((count, 4))
     way[:, :2] = (eyes - eyes[0])[:, :2]
     growth = way.ravel() / np.sum(way**2)
@@ -290,9 +292,9 @@ def _viewpoints(
 
 def _turned(landmarks: LandmarkMap, sigma_rad: float) -> LandmarkMap:
     """
-    Add a factor that all landmarks share: where the camera points at pan 0 is not exactly known.
+    Add a factor that all landmarks share: the error of the pan zero.
 
-    All turns about the first viewpoint by it; nothing that the panoramas show depends on that.
+    It rotates the whole map about the first viewpoint; the panoramas do not show it.
     """
     origin = landmarks.panorama_poses[0].pose
     turned = []

@@ -1,4 +1,4 @@
-"""What was looked for in an image and what came of it, drawn on the image for people."""
+"""The debug image: where landmarks were searched, found and refused."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _REFUSED: _Bgr = (80, 80, 250)
 _WINDOW: _Bgr = (230, 190, 120)
 _BACKGROUND: _Bgr = (20, 20, 20)
 
-# Images less wide are drawn twice as large: words need room.
+# Narrower images are drawn twice as large, so that text fits.
 _WIDE_PX = 640
 _FONT, _SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
 _LINE_PX, _PAD_PX = 15, 3
@@ -33,20 +33,20 @@ def draw_observation(
     Draw where landmarks were searched and found, and why others were refused.
 
     A thin frame is the search window. A bold frame is a match, with number and correlation, in
-    another colour for the triplet; a cross is where its centre was expected. Words that would lie
-    on others are left out.
+    another colour for the triplet; a cross is its expected centre. Labels that would overlap
+    others are left out.
 
     Parameters
     ----------
     image : ndarray, shape (height, width) or (height, width, 3)
-        Grey or BGR, uint8, in whose pixels the observation is.
+        Observed image, grey or BGR, uint8.
     chosen : array_like of int
-        Numbers of the landmarks of the triplet.
+        Ids of the landmarks of the triplet.
 
     Returns
     -------
     ndarray, shape (rows, columns, 3)
-        BGR, of the same size, or twice as large where that is small.
+        BGR image of the same size, or twice as large if the image is small.
     """
     bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     scale = 1 if bgr.shape[1] >= _WIDE_PX else 2
@@ -80,19 +80,19 @@ def _summary(seen: Observation) -> str:
 
 
 def _template(place: Expectation, shift: FloatArray) -> _Box:
-    """Corners of the template, moved."""
+    """Corners of the template, shifted."""
     x, y = (round(value) for value in shift.tolist())
     return place.left + x, place.top + y, place.right + x, place.bottom + y
 
 
 def _window(place: Expectation) -> _Box:
-    """Corners of what was searched."""
+    """Corners of the search window."""
     across, down = place.window
     return place.left - across, place.top - down, place.right + across, place.bottom + down
 
 
 class _Canvas:
-    """Pixels to draw on, `scale` times as large as those of the image, and where words are."""
+    """An image enlarged by `scale`, and the places of its labels."""
 
     def __init__(self, pixels: ImageArray, scale: int) -> None:
         self.pixels, self._scale = pixels, scale
@@ -100,11 +100,11 @@ class _Canvas:
 
     @property
     def width(self) -> int:
-        """Of the image, pixels."""
+        """Width of the original image, pixels."""
         return int(self.pixels.shape[1]) // self._scale
 
     def frame(self, box: _Box, color: _Bgr, thickness: int) -> _Box:
-        """Draw a frame; returns its corners as given."""
+        """Draw a frame and return its corners."""
         left, top, right, bottom = (self._scale * value for value in box)
         cv2.rectangle(self.pixels, (left, top), (right, bottom), color, thickness, cv2.LINE_AA)
         return box
@@ -115,7 +115,7 @@ class _Canvas:
         cv2.drawMarker(self.pixels, (u, v), color, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
 
     def write(self, words: str, box: _Box, color: _Bgr) -> None:
-        """Write above a frame or below it, where there is room."""
+        """Write a label above a frame or below it, if there is room."""
         (width, _), _ = cv2.getTextSize(words, _FONT, _SIZE, 1)
         rows, columns = self.pixels.shape[:2]
         left = min(max(0, self._scale * box[0]), max(0, columns - width - 2 * _PAD_PX))

@@ -1,4 +1,4 @@
-"""Fused poses as others need them: at the time of an image, and as ``map`` -> ``odom``."""
+"""Fused poses at the time of an image, and as the transform ``map`` -> ``odom``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from landmark_nav.localization.odometry.noise import twist_motion
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate, Refusal
 
 _HISTORY = 200
-# So far ahead the speeds tell where to look: an image need not wait for the next odometry.
+# A pose is extrapolated over this time: an image need not wait for the next odometry.
 _AHEAD_NS = 100_000_000
 
 
@@ -24,12 +24,12 @@ _Pose = TypeVar('_Pose', bound=PoseEstimate)
 
 class ExpectedPoses(Generic[_Pose]):
     """
-    The last fused poses, with whatever belongs to them.
+    The last fused poses, interpolated in time.
 
     Parameters
     ----------
     max_age_s : float
-        How far in time a pose may be from where it is asked for.
+        Greatest difference in time between a pose and a request.
     """
 
     def __init__(self, max_age_s: float) -> None:
@@ -37,31 +37,31 @@ class ExpectedPoses(Generic[_Pose]):
         self._known: deque[tuple[_Pose, float, float]] = deque(maxlen=_HISTORY)
 
     def add(self, pose: _Pose, speeds: OdometrySample) -> None:
-        """Take a fused pose and the speeds of the same time."""
+        """Add a fused pose and the speeds at its time."""
         known = (pose, speeds.linear_m_s, speeds.angular_rad_s)
         if self._known and self._known[-1][0].stamp_ns - pose.stamp_ns > self._max_age_ns:
-            # The clock was set back: poses of before would be taken for the future. Never empty
-            # once it was not: the thread of the images reads it meanwhile.
+            # The clock was set back: older poses would lie in the future. The deque is replaced,
+            # not cleared, as the thread of the images reads it meanwhile.
             self._known = deque([known], maxlen=_HISTORY)
         else:
             self._known.append(known)
 
     def recent(self, stamp_ns: int, max_age_s: float | None = None) -> _Pose | None:
-        """The last one; None where that is farther from a time than `max_age_s`, or none came."""
+        """The last pose; None if it is farther from `stamp_ns` than `max_age_s`, or none came."""
         newest = self._known[-1][0] if self._known else None
         age_ns = self._max_age_ns if max_age_s is None else round(1e9 * max_age_s)
         return newest if newest and abs(stamp_ns - newest.stamp_ns) <= age_ns else None
 
     def reaches(self, stamp_ns: int) -> bool:
-        """Whether a pose is known from which the speeds lead to that time well enough."""
+        """Whether the last pose is recent enough to be extrapolated to that time."""
         return bool(self._known) and self._known[-1][0].stamp_ns >= stamp_ns - _AHEAD_NS
 
     def at(self, stamp_ns: int) -> _Pose | Refusal:
-        """Pose nearest in time, moved by its own speeds."""
+        """Pose at a time: the nearest one, extrapolated by its speeds."""
         known = tuple(self._known)
         if not known:
             return Refusal('no fused pose yet', 'it takes odom, and a start on initialpose')
-        # Of poses of the same time the last one counts: an image has corrected it.
+        # Of poses of one time the last counts: it was corrected by an image.
         pose, linear, angular = min(
             reversed(known), key=lambda entry: abs(entry[0].stamp_ns - stamp_ns)
         )
@@ -75,15 +75,15 @@ class ExpectedPoses(Generic[_Pose]):
 
 class SpreadCorrection:
     """
-    The transform ``map`` -> ``odom`` that follows the fused pose with a first-order lag.
+    The transform ``map`` -> ``odom``, which follows the fused pose with a first-order lag.
 
     The lag acts on the pose of the base, not on the transform: otherwise a correction of the
-    heading would swing the robot about the origin of ``odom``, however far away that is.
+    heading would rotate the robot about the distant origin of ``odom``.
 
     Parameters
     ----------
     time_constant_s : float
-        After which 63 % of a correction has been made; 0 makes all of it at once.
+        Time after which 63 % of a correction is applied; 0 applies all at once.
     """
 
     def __init__(self, time_constant_s: float) -> None:
@@ -91,7 +91,7 @@ class SpreadCorrection:
         self._last: tuple[int, FloatArray] | None = None
 
     def restart(self) -> None:
-        """Take the next pose as it is: it is not a correction but another place."""
+        """Apply the next pose at once: it is a new place, not a correction."""
         self._last = None
 
     def at(
@@ -103,9 +103,9 @@ class SpreadCorrection:
         Parameters
         ----------
         stamp_ns : int
-            Of both poses; one before the last stamp restarts.
+            Stamp of both poses; a stamp before the last one restarts.
         pose_map_base, pose_odom_base : ndarray, shape (3,)
-            The base as fused, and as its odometry has it.
+            Fused pose, and pose by odometry.
 
         Returns
         -------

@@ -270,7 +270,7 @@ class Fusion:
         if self._line is None:
             return None
         lost = bool(self._unlikely) or self._start_odds < 0.0
-        return self._integrity.doubted(self._line.estimate(stamp_ns), lost)
+        return self._integrity.inflated_if_lost(self._line.estimate(stamp_ns), lost)
 
     def expectation(self, stamp_ns: int) -> Expectation | None:
         """Where the camera should be at a time; None before a pose is known."""

@@ -1,4 +1,4 @@
-"""Late stamps of the joint states, and the pan that an image had by them."""
+"""Delay of the joint states' stamps, and the pan of an image corrected by it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.types import CameraFrame, JointSample
 
-# A delay is known with this sigma: half a degree at a fast 2 rad/s.
+# Sigma below which a delay is known: half a degree at 2 rad/s.
 _KNOWN_S = 0.005
-# Sigma of a delay that nothing tells, for headings that are found while the pan turns.
+# Sigma of an unknown delay, for headings found while the pan turns.
 DELAY_BOUND_S = 0.1
-# A delay is corrected if it is more than so many sigmas, and more than does no harm.
+# A delay is corrected if it exceeds this number of sigmas and this harmless value.
 _SIGNIFICANT, _LEAST_DELAY_S = 4.0, 5e-4
 
 
 @dataclass(frozen=True)
 class JointDelay:
-    """By how much joint states are stamped later than images taken at the same moment."""
+    """Stamp of joint states minus stamp of an image taken at the same time."""
 
     delay_s: float = 0.0
     sigma_s: float = 0.0
@@ -31,19 +31,19 @@ class JointDelay:
 
     @property
     def matters(self) -> bool:
-        """Whether the delay is more than chance, and does harm."""
+        """Whether the delay is significant, and large enough to do harm."""
         return abs(self.delay_s) > max(_SIGNIFICANT * self.sigma_s, _LEAST_DELAY_S)
 
 
 class PanMotion(NamedTuple):
-    """Rate and track of the azimuth in ``base_link`` where a camera looks."""
+    """Rate and track of the camera's azimuth in ``base_link``."""
 
     rate_rad_s: float
     track: PanTrack | None
 
     @classmethod
     def of(cls, joints: CameraFrame | JointSample, mount: PanTiltMount) -> PanMotion:
-        """Of an image, or of joint states."""
+        """Motion at an image, or at joint states."""
         track = joints.pan_track
         return cls(
             mount.pan_sense * joints.pan_rate_rad_s,
@@ -52,7 +52,7 @@ class PanMotion(NamedTuple):
 
 
 def in_time(frame: CameraFrame, delay_s: float) -> CameraFrame:
-    """Return an image with the pan that it had if joint states are stamped so much later."""
+    """Return an image with its pan corrected for a delay of the joint states."""
     track = frame.pan_track
     if track is None:
         return replace(frame, pan_rad=frame.pan_rad + frame.pan_rate_rad_s * delay_s)

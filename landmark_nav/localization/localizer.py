@@ -1,5 +1,5 @@
 """
-Localization in one: for bags, and for use without ROS.
+The whole localization in one class, for bags and for use without ROS.
 
 image and expectation -> observer -> detections; detections and odometry -> fusion -> pose.
 """
@@ -35,7 +35,7 @@ from landmark_nav.types import (
     Refusal,
 )
 
-# States as the rest of the package calls them.
+# Names of the states in diagnostics and in `evaluate`.
 STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
 
 
@@ -56,23 +56,23 @@ class LocalizationUpdate:
     Parameters
     ----------
     observation : Observation
-        What was seen.
+        Landmarks found and refused.
     used : int
-        How many landmarks corrected the pose.
+        Number of landmarks that corrected the pose.
     fused : PoseEstimate
-        The estimate at the image's stamp, after the update.
+        Estimate at the image's stamp, after the update.
     status, reason : str
-        After the update: ``tracking``, ``coasting`` or ``lost``, and the reason for the last two.
+        ``tracking``, ``coasting`` or ``lost`` after the update, and the reason for the last two.
     with_landmarks : ndarray, shape (3, 2 n), optional
         Covariance of `fused` with the positions of all landmarks.
     search : PoseEstimate or Refusal, optional
-        Result of searching for the place, if that was done.
+        Result of the relocalization, if it was run.
     level : ProtectionLevel, optional
-        What the error of `fused` stays within, with 99 %.
+        Bound of the error of `fused` at 99 %.
     points : ImagePoints, optional
-        What the estimator was given.
+        Input of the estimator.
     taken : Update or Refusal, optional
-        What it made of that, or why it was not used.
+        Update of the estimator, or why the image was not used.
     """
 
     stamp_ns: int
@@ -90,17 +90,17 @@ class LocalizationUpdate:
 
 class Localizer:
     """
-    The nodes of the navigation phase in one.
+    Detection, relocalization and the estimator: what the nodes of the navigation phase do.
 
-    Without `initialize`, and while it is lost or no landmark is in sight, it searches for the
-    place: it gathers images until they fit one place only.
+    Without `initialize`, and while it is lost or no landmark is in view, it relocalizes: it
+    collects images until only one place explains them.
 
     Parameters
     ----------
     calibration : Calibration
         Prior of mount, lens and clocks.
     config : LocalizationConfig
-        Of detection, odometry, relocalization and the estimator.
+        Parameters of detection, odometry, relocalization and the estimator.
     """
 
     def __init__(
@@ -114,13 +114,13 @@ class Localizer:
         self._relocalizer: Relocalizer | None = self._new_search()
 
     def initialize(self, start: PoseEstimate) -> None:
-        """Start anew at a pose of the base."""
+        """Restart at a pose of the base."""
         self._fusion.initialize(start)
         self._relocalizer = None
         self._unseen.restart()
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
-        """Move on; what is wrong with the sample, if anything."""
+        """Predict by a sample of odometry; return what is wrong with it, if anything."""
         self._sample = sample
         self._observer.add_odometry(sample)
         if self._relocalizer is not None:
@@ -128,33 +128,33 @@ class Localizer:
         return self._fusion.add_odometry(sample)
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
-        """Pose of the base at a time, the newest by default; None before one is known."""
+        """Pose of the base at a time, by default the newest; None if there is none yet."""
         return self._fusion.estimate(stamp_ns)
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration as far as it is known by now."""
+        """The current estimate of the calibration."""
         return self._fusion.calibration
 
     @property
     def level(self) -> ProtectionLevel | None:
-        """What the error of the newest estimate stays within, with 99 %."""
+        """Bound of the error of the newest estimate at 99 %."""
         estimate = self._fusion.estimate()
         return None if estimate is None else self._fusion.level(estimate)
 
     @property
     def late(self) -> JointDelay:
-        """Delay of the stamps of the joints."""
+        """Delay of the joint states' stamps."""
         return self._fusion.late
 
     @property
     def odometry_noise(self) -> OdometryNoiseConfig:
-        """How far odometry is to be trusted, as far as it was learned."""
+        """Noise of odometry as learned so far."""
         return self._fusion.odometry_noise
 
     @property
     def detection_sigma_factor(self) -> float:
-        """Factor on what detections claim as their sigmas, as far as it was learned."""
+        """Factor on the sigmas of detections as learned so far."""
         return self._fusion.detection_sigma_factor
 
     @property
@@ -165,13 +165,12 @@ class Localizer:
 
     def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
         """
-        Look at an image and correct the pose, or search for the place until one is known.
+        Correct the pose by an image, or search for the place while there is no pose.
 
         Returns
         -------
         LocalizationUpdate or PoseEstimate or Refusal
-            An update if a pose was known before; otherwise the pose that was found, or why none
-            was.
+            An update if there was a pose before; otherwise the pose found, or why none was found.
         """
         expected = self._fusion.expectation(frame.stamp_ns)
         if expected is None:
@@ -190,7 +189,7 @@ class Localizer:
         return replace(update, fused=fused, status=status, reason=reason, search=outcome)
 
     def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:
-        """Correct the pose by bearings that somebody else measured."""
+        """Correct the pose by bearings of another sensor."""
         prior = self._fusion.estimate(found.stamp_ns)
         if prior is None:
             return Refusal('not initialized', 'give a start pose')
@@ -209,7 +208,7 @@ class Localizer:
         return search
 
     def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
-        """Search for the place; the images from which it is found are not fused again."""
+        """Relocalize; images that contribute to the result are not fused again."""
         assert self._relocalizer is not None, 'it searches'
         outcome = self._relocalizer.add_frame(straight(frame, self.calibration))
         if isinstance(outcome, Refusal):
@@ -220,7 +219,7 @@ class Localizer:
         return self._fusion.estimate(frame.stamp_ns) or outcome
 
     def _updated(self, seen: Observation, points: ImagePoints) -> LocalizationUpdate:
-        """Correct the state by an image; return what came of it."""
+        """Correct the state by the points of an image."""
         stamp, taken = points.stamp_ns, self._fusion.add_points(points)
         fused = self._fusion.estimate(stamp)
         assert fused is not None, 'a pose is known'

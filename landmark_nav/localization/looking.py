@@ -1,4 +1,4 @@
-"""Parameters that whatever looks for landmarks has in common."""
+"""Parameters that all stages of detection share."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from landmark_nav.parameters import Config
 
 @dataclass(frozen=True)
 class LookingConfig(Config):
-    """What should be in view, how it is found there, and how a place follows from it."""
+    """Parameters of triplet choice, detection and triangulation."""
 
     triplet: TripletConfig = field(default_factory=TripletConfig)
     detection: DetectionConfig = field(default_factory=DetectionConfig)

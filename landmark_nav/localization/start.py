@@ -1,4 +1,4 @@
-"""Poses to start from, as they are given: checked, and with the sigmas that they lack."""
+"""Start poses: checks, and default sigmas."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray, PoseEstimate
 
-# Sigmas of x, y, heading of a pose that is not known. Those who tell that by larger numbers leave
-# no digits for what is found.
+# Sigmas of x, y, heading of an unknown pose. Larger ones would lose digits in updates.
 _UNKNOWN = np.array([100.0, 100.0, np.pi])
 
 
 def is_finite(estimate: PoseEstimate) -> bool:
-    """Whether a pose and its covariance are numbers."""
+    """Whether a pose and its covariance are finite."""
     return bool(np.isfinite(estimate.pose).all() and np.isfinite(estimate.covariance).all())
 
 
 def with_sigmas(start: PoseEstimate, sigma_m: float, sigma_rad: float) -> PoseEstimate:
-    """Return a start with these sigmas of position and heading where its variances are zero."""
+    """Return a start in which variances of zero are replaced by those of these sigmas."""
     variance = np.square([sigma_m, sigma_m, sigma_rad])
     missing = np.where(start.covariance.diagonal() == 0.0, variance, 0.0)
     return replace(start, covariance=start.covariance + np.diag(missing))
@@ -32,17 +31,17 @@ def checked_start(
     """
     Return a valid start pose; its stamp is replaced by now if no odometry is near it.
 
-    Its sigmas are those of a pose that is not known at most, 100 m and half a turn.
+    Sigmas are limited to those of an unknown pose, 100 m and half a turn.
 
-    Raises `LandmarkNavError`: a pose or covariance that is not finite, or a covariance that is not
-    positive.
+    Raises `LandmarkNavError`: the pose or covariance is not finite, or the covariance is not
+    positive semidefinite.
 
     Parameters
     ----------
     odometry_ns : tuple of int or None
         First and last stamp of the odometry.
     now_ns : int or None
-        Present time; the last odometry's if that is later.
+        Present time; the stamp of the last odometry counts if it is later.
     """
     if not is_finite(start):
         raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')
@@ -59,12 +58,12 @@ def checked_start(
     return replace(start, stamp_ns=now_ns)
 
 
-# Sigmas of position (root of the trace) and heading beyond which a pose leaves open what landmarks
-# look like, and bearings are not linear.
+# With larger sigmas of position (root of the trace) or heading, the appearance of landmarks is not
+# predictable, and bearings are not linear.
 _WIDE_M, _WIDE_RAD = 0.1, 0.05
 
 
 def is_prior_uncertain(covariance: FloatArray) -> bool:
-    """Whether a pose with this covariance (3, 3) of x, y, heading, m and rad, is hardly known."""
+    """Whether a covariance (3, 3) of x, y, heading, m and rad, is too wide to predict a view."""
     x, y, heading = covariance.diagonal().tolist()
     return not (x + y <= _WIDE_M**2 and heading <= _WIDE_RAD**2)

@@ -1,4 +1,4 @@
-"""Where sweeps were taken, if no paper shows it: poses given, or odometry between them."""
+"""Poses of sweeps without papers: those published, or odometry between the sweeps."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from landmark_nav.localization.odometry.motions import chained, Motions, motions
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.types import FloatArray, OdometrySample, PlaceChain, PoseEstimate
 
-# A robot that moves farther while it takes a sweep, by odometry, does not stand: m and rad.
+# Greatest motion by odometry during a sweep, m and rad: the robot must stand.
 _STANDS_M, _STANDS_RAD = 0.03, 0.02
-# Samples before and after the times that are asked for.
+# Samples used before and after the requested times.
 _MARGIN = 20
 
 
@@ -27,17 +27,16 @@ def known_places(
     config: OdometryNoiseConfig,
 ) -> list[PlaceChain]:
     """
-    Poses of sweeps by each source that has them: those of the first give the frame.
+    Poses of sweeps by each source; the first source defines the frame.
 
-    Raises `LandmarkNavError`: one does not say where each was taken, or the robot moved in one of
-    them.
+    Raises `LandmarkNavError`: a source lacks the pose of a sweep, or the robot moved during one.
 
     Parameters
     ----------
     given : sequence of PoseEstimate or None
-        What was published for each sweep.
+        Pose published for each sweep.
     spans_ns, samples, config
-        As of `places_by_odometry`; without samples odometry is no source.
+        As in `places_by_odometry`; without samples odometry is no source.
     """
     known = [_given_places(given)] if any(pose is not None for pose in given) else []
     if samples:
@@ -47,7 +46,7 @@ def known_places(
 
 
 def _seen_from(places: PlaceChain, first: FloatArray) -> PlaceChain:
-    """Poses in the frame of the first sweep, in the frame in which that is `first` (3,)."""
+    """Transform poses from the frame of the first sweep to the one where it is `first` (3,)."""
     count = len(places.poses)
     turn = np.kron(np.eye(count), block_diag(rotation(first[2]), 1.0))
     poses = np.array([compose(first, pose) for pose in places.poses])
@@ -60,16 +59,16 @@ def places_by_odometry(
     config: OdometryNoiseConfig,
 ) -> PlaceChain:
     """
-    Poses of the base at the beginnings of sweeps, by odometry.
+    Poses of the base at the start of each sweep, by odometry.
 
-    Raises `LandmarkNavError`: odometry does not cover a sweep, or the robot moved in one.
+    Raises `LandmarkNavError`: odometry does not cover a sweep, or the robot moved during one.
 
     Parameters
     ----------
     spans_ns : sequence of tuple of int
         First and last stamp of each sweep.
     samples : sequence of OdometrySample
-        By time, from the first sweep to the last.
+        Odometry in the order of time, from the first sweep to the last.
     """
     for number, (begin, end) in enumerate(spans_ns, 1):
         if not samples or samples[0].stamp_ns > end or samples[-1].stamp_ns < begin:
@@ -88,9 +87,9 @@ def places_by_odometry(
 
 def _given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:
     """
-    Poses of sweeps that were published, in the frame of the first: its error moves the whole map.
+    Published poses of sweeps; the error of the first moves the whole map.
 
-    Raises `LandmarkNavError`: a sweep has none.
+    Raises `LandmarkNavError`: a sweep has no pose.
     """
     known = [pose for pose in given if pose is not None]
     if len(known) < len(given):
@@ -113,7 +112,7 @@ def _given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:
 def carried_on(
     place: PoseEstimate, samples: Sequence[OdometrySample], config: OdometryNoiseConfig
 ) -> PoseEstimate:
-    """Pose at the last sample of odometry (one or more), from one at an earlier time."""
+    """Carry a pose on to the last of one or more samples of odometry."""
     end_ns = samples[-1].stamp_ns
     chain = chained(_motions([place.stamp_ns, end_ns], samples, config), config)
     by_pose, by_way = compose_jacobians(place.pose, chain.poses[1])
@@ -125,7 +124,7 @@ def carried_on(
 def _motions(
     stamps_ns: Sequence[int], samples: Sequence[OdometrySample], config: OdometryNoiseConfig
 ) -> Motions:
-    """Motions between times, by the samples around them: hours of others cost time."""
+    """Motions between times, from the samples around them: there may be hours of others."""
     known = [sample.stamp_ns for sample in samples]
     first = max(bisect_left(known, stamps_ns[0]) - _MARGIN, 0)
     last = bisect_right(known, stamps_ns[-1]) + _MARGIN

@@ -1,4 +1,4 @@
-"""Landmarks, panoramas and walls, refined together."""
+"""Bundle adjustment of landmarks, panoramas and walls."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters of the adjustment, and of how its walls are judged."""
+"""Parameters of the adjustment and of the check of walls."""
 
 from __future__ import annotations
 
@@ -10,48 +10,48 @@ from landmark_nav.parameters import Config
 @dataclass(frozen=True)
 class AdjustmentConfig(Config):
     """
-    What is expected before there are measurements, which refine it.
+    Expected sigmas, which the residuals refine.
 
-    Stretches of wall and robust weights were compared (docs/decisions.md, stereo, adjustment,
-    election); the others are chosen by hand, and residuals refine them.
+    docs/decisions.md (stereo, adjustment, election) compares lengths of wall sections and robust
+    weights; the other values are chosen by hand.
     """
 
-    # What a panorama adds to each azimuth.
+    # Sigma that a panorama adds to each azimuth.
     azimuth_sigma_rad: float = 1.5e-4
-    # What a panorama adds to each tangent of elevation.
+    # Sigma that a panorama adds to each tangent of elevation.
     tangent_sigma: float = 1e-3
-    # What two panoramas add to the ratio of their distances that sizes give.
+    # Sigma that two panoramas add to the log ratio of their distances by depth from scale.
     nearness_sigma: float = 1.5e-3
-    # How far the pan axis of each sweep leans otherwise than known; 0 does not estimate it.
+    # Sigma of the tilt of each sweep's pan axis; 0 does not estimate it.
     tilt_sigma_rad: float = 0.0
-    # How far azimuths of one panorama err in common, in waves of a quarter turn and longer; 0 does
-    # not estimate it.
+    # Sigma of errors that azimuths of one panorama share, in waves of a quarter turn and longer; 0
+    # does not estimate them.
     wave_sigma_rad: float = 0.0
-    # How differently far from the wall things on one stretch of it hang.
+    # Sigma of the distance from the wall within one section of it.
     relief_sigma_m: float = 0.015
-    # How differently far from the wall stretches of it hang.
+    # Sigma of the distance from the wall between sections.
     hanging_sigma_m: float = 0.015
-    # How long a stretch of wall hangs together, as an image does.
+    # Length of a section of wall, within which errors are correlated, as in a picture.
     hanging_length_m: float = 0.6
-    # How far from the wall things hang on average.
+    # Sigma of the mean distance of objects from all walls.
     common_hanging_sigma_m: float = 0.015
-    # How far a wall lies from where the room says.
+    # Sigma of the position of a wall in the plan.
     wall_sigma_m: float = 0.005
-    # How many measurements the expected sigmas of panoramas and of relief count for.
+    # Weight of the expected sigmas of panoramas and of relief, in measurements.
     camera_weight: float = 1.0
-    # How many measurements the expected sigmas of their places count for.
+    # Weight of the expected sigmas of their poses, in measurements.
     place_weight: float = 10.0
-    # How many measurements the expected sigmas of walls and hanging count for.
+    # Weight of the expected sigmas of walls and of distances from them, in measurements.
     room_weight: float = 0.05
 
 
 @dataclass(frozen=True)
 class WallFitConfig(Config):
-    """When a wall of the map is called wrong."""
+    """When a wall of the plan counts as wrong."""
 
-    # Farthest that things hang before a wall, median, metres.
+    # Greatest median distance of patches in front of a wall, m.
     max_before_m: float = 0.045
-    # Farthest that they seem to hang behind it, median, metres.
+    # Greatest median distance of patches behind a wall, m.
     max_behind_m: float = 0.02
     # Greatest angle between patches and their wall.
     max_turn_rad: float = 0.03

@@ -1,9 +1,9 @@
 """
-Depths of patches that both panoramas see in one direction, by how large each shows them.
+Depth from scale, for patches that both panoramas see in the same direction.
 
-On the line through two panoramas bearings don't give depth, and the walls would draw to them
-whatever stands there. Sizes give it to a centimetre. They do not affect what is shared: panoramas
-and walls are known better than sizes are free of what all have in common.
+On the line through two panoramas bearings do not give depth, and the prior would move patches onto
+their wall. Scale gives the depth to a centimetre. It does not change poses and walls: these are
+known better than the errors that all scales share.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from landmark_nav.types import FloatArray
 
 __all__ = ['INFORMATIVE', 'depth_from_scale']
 
-# Patches whose depth is known to this share of what is uncertain show how true sizes are; so many.
+# Patches with a depth sigma below this share of `uncertain_sigma_m` show the errors of scales, if
+# there are at least this number.
 _KNOWN = 0.25
 _LEAST_KNOWN = 10
 _MAD_TO_SIGMA = 1.4826
-# Sizes that are no better than this share of what is uncertain are left aside.
+# Scales with a larger sigma than this share of `uncertain_sigma_m` are not used.
 INFORMATIVE = 0.5
 
 
@@ -37,31 +38,30 @@ def depth_from_scale(
     uncertain_sigma_m: float,
 ) -> tuple[Adjustment, Adjustment]:
     """
-    Place patches by their sizes where bearings leave their depths uncertain.
+    Update the depths of patches by scale where bearings leave them uncertain.
 
-    Of such a patch the wall is believed no more than of a patch on a wall that nothing else hangs
-    on: what hangs beside it may hang otherwise.
+    For such a patch the prior of the wall is that of a single patch on an otherwise empty wall:
+    its neighbours may have another distance from the wall.
 
     Parameters
     ----------
     adjustment : Adjustment
-        With the walls.
+        Adjustment with the walls.
     free : Adjustment
-        The same without: what bearings alone give.
+        The same by bearings alone, without walls.
     measurements : sequence of sequences
-        Of each of n patches; its first is in the panorama that proposed it.
+        Measurements of each of n patches, the first in the panorama that proposed it.
     normals : ndarray, shape (n, 3)
-        Of their walls.
+        Normals of their walls.
     config : AdjustmentConfig
-        How precise sizes are and how differently things hang.
+        Sigmas of scales and of distances from walls.
     uncertain_sigma_m : float
-        Standard deviation from which a depth is uncertain, metres.
+        Sigma from which a depth is uncertain, m.
 
     Returns
     -------
     Adjustment, Adjustment
-        Both again.
-
+        Both, updated.
     """
     loose = np.hypot(
         np.hypot(config.relief_sigma_m, config.hanging_sigma_m), config.common_hanging_sigma_m
@@ -80,7 +80,7 @@ def depth_from_scale(
     is_informative = size_variance < (INFORMATIVE * uncertain_sigma_m) ** 2
     which = np.flatnonzero(uncertain & is_informative)
     n, by_size = normals[which], size_variance[which]
-    # Along its ray it may be anywhere that things hang.
+    # Along its ray it may have any distance from the wall that objects have.
     ray = along[which] / depth_variance[which, None]
     loosened = own[which] + loose**2 * ray[:, :, None] * ray[:, None]
     loading = adjustment.shared_loading[which]
@@ -122,7 +122,7 @@ def _shift_by_size(
     normals: FloatArray,
     config: AdjustmentConfig,
 ) -> tuple[FloatArray, FloatArray]:
-    """How much farther off their walls sizes put patches (n,), and with what variance (n,)."""
+    """Shift of patches (n,) off their walls by scale, and its variance (n,)."""
     by_bearings, information = np.zeros((2, len(measurements)))
     for k, group in enumerate(measurements):
         reach = (adjustment.poses[:, :3] - adjustment.positions[k]) @ normals[k]

@@ -1,11 +1,10 @@
 """
 The measurements of an adjustment, linearized, and their normal equations.
 
-Unknowns are the landmarks, and what they share: poses of panoramas, for each wall how far things
-hang before it on average, for each stretch of a wall how far what hangs there does, and the
-calibration of the robot, tilt of each sweep. Landmarks
-are eliminated first (Schur complement; Triggs et al., Bundle Adjustment, 2000): each meets the
-shared ones alone, so that the sparse structure is a stack of blocks of 3 x 3.
+Unknowns are the landmarks and shared ones: poses of panoramas, the mean distance of objects from
+each wall and from each section of a wall, the calibration of the robot, and tilt and waves of each
+sweep. Landmarks are eliminated first (Schur complement; Triggs et al., Bundle Adjustment, 2000):
+they are coupled through the shared unknowns only, so their part is a stack of 3 x 3 blocks.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
-# x, y, z, heading of each panorama; after all of them, how far things hang off each wall, then
-# how much farther they do on each stretch of one; then what panoramas show of the calibration.
+# Shared unknowns: x, y, z, heading of each panorama; distance of objects from each wall, then from
+# each section; then the calibration, tilts and waves.
 _POSE = 4
 CALIBRATED = (
     'center_x',
@@ -36,15 +35,15 @@ CALIBRATED = (
     'axis_roll',
     'axis_pitch',
 )
-# Share of the tilt of sweeps by which all of them lean, beside the mount.
-_LEANS_ALIKE = 0.1
-# Azimuths of a panorama err in common by so many waves a turn at most: lenses, bearings, seams.
+# Share of the tilt of sweeps that all of them have in common; the rest is that of the mount.
+_COMMON_TILT = 0.1
+# Highest number of waves per turn of errors of azimuths: lenses, bearings, seams.
 _WAVES = 4
-# No calibration is better known than this, metres, radians or a share.
+# Least sigma of the calibration, m, rad or relative.
 _LEAST_ERROR = 1e-7
-# Nothing is nearer to a panorama, metres.
+# Least range of a landmark, m.
 _NEAREST_M = 0.01
-# Share of the information of its wall by which a landmark stays where it is.
+# Information about a landmark in all directions, relative to that of its wall.
 _WEAK = 1e-7
 
 
@@ -53,9 +52,9 @@ class Linearized:
     """
     Residuals at a point, and the model's derivatives.
 
-    `seen` (k, 2) are azimuths and tangents, by landmark `by_point` (k, 2, 3) and by what is
-    shared `by_shared` (k, 2, m); `wall` (n,) says how much nearer to their walls the landmarks
-    should be than they are.
+    `seen` (k, 2) are residuals of azimuths and tangents, with derivatives by the landmark
+    `by_point` (k, 2, 3) and by the shared unknowns `by_shared` (k, 2, m); `wall` (n,) are
+    residuals of the distances from walls.
     """
 
     seen: FloatArray
@@ -66,7 +65,7 @@ class Linearized:
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Blocks of landmarks (x) and of what they share (s): ``H d = b``."""
+    """Blocks of landmarks (x) and of shared unknowns (s): ``H d = b``."""
 
     h_xx: FloatArray
     h_xs: FloatArray
@@ -75,7 +74,7 @@ class NormalEquations:
     b_s: FloatArray
 
     def damped(self, by: float) -> NormalEquations:
-        """Return the same with a share of their diagonals added to these."""
+        """Return the equations with a share of the diagonals added (Levenberg-Marquardt)."""
         if not by:
             return self
         own = self.h_xx * (1.0 + by * np.eye(3))
@@ -83,7 +82,7 @@ class NormalEquations:
 
     @property
     def gain(self) -> FloatArray:
-        """How the shared unknowns move each landmark, (n, 3, m), with the opposite sign."""
+        """Minus the derivative of each landmark by the shared unknowns, (n, 3, m)."""
         return np.asarray(np.linalg.solve(self.h_xx, self.h_xs), dtype=np.float64)
 
     def _schur(self) -> FloatArray:
@@ -99,21 +98,21 @@ class NormalEquations:
         return alone - self.gain @ shared, shared
 
     def own_covariance(self) -> FloatArray:
-        """Covariance of each landmark were the shared unknowns known, (n, 3, 3)."""
+        """Covariance (n, 3, 3) of each landmark for fixed shared unknowns."""
         return np.asarray(np.linalg.inv(self.h_xx), dtype=np.float64)
 
     def shared_covariance(self) -> FloatArray:
-        """Covariance of the shared unknowns, (m, m)."""
+        """Covariance (m, m) of the shared unknowns."""
         return covariance_of(self._schur())
 
 
 class Problem:
     """
-    Measurements of n landmarks, the walls they hang on, and what is known of the panoramas.
+    Measurements of n landmarks, their walls, and the priors of the panoramas.
 
-    `own_sigma` (k, 2) is what matching says of each measurement; `landmark` and `view` (k,) hold
-    what it is of; `stretch` (n,) numbers the stretch of wall that each landmark hangs on. Those on
-    no wall, -1, have planes of their own: `normals` (n, 3) and where they are at `start` (n, 3).
+    `own_sigma` (k, 2) are the sigmas of each measurement by matching; `landmark` and `view` (k,)
+    are its indices; `stretch` (n,) is the section of wall of each landmark. Landmarks off the
+    walls, -1, have planes of their own, with `normals` (n, 3) through `start` (n, 3).
     """
 
     def __init__(
@@ -129,7 +128,7 @@ class Problem:
         tilt_sigma_rad: float = 0.0,
         wave_sigma_rad: float = 0.0,
     ) -> None:
-        """Collect what does not change while it is solved."""
+        """Collect all that is constant during the iteration."""
         flat = [(k, s) for k, group in enumerate(measurements) for s in group]
         self.landmark = np.array([k for k, _ in flat], dtype=np.intp)
         self.view = np.array([s.panorama for _, s in flat], dtype=np.intp)
@@ -147,26 +146,26 @@ class Problem:
         self._level = np.sum(self.normal[:, :2] * starts, 1)
 
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
-        # Which wall, and which stretch of one, each landmark hangs on: (n, walls + stretches).
+        # Indicators of the wall and the section of each landmark: (n, walls + sections).
         self._hangs = self.on_wall[:, None] * np.hstack(
             [np.eye(len(room.walls))[self.wall], np.eye(int(stretch.max()) + 1)[stretch]]
         )
         plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
-        # A wall whose sigma is given is off by that; the others by what is estimated of all.
+        # A wall with a given sigma has that; for the others one sigma is estimated.
         given = np.zeros(len(plane))
         given[: len(room.walls)] = [wall.sigma_m or 0.0 for wall in room.walls]
         self._given = np.diag(given**2)
         alone = plane * (given == 0.0)
-        # What all walls have in common, each wall alone, and each stretch of one.
+        # Patterns of the covariance: common to all walls, of each wall, of each section.
         self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
         self._mounted, known, self._calibration, self._made_with = _calibration(panoramas)
-        # Of each panorama: its tilt, and waves of its azimuths.
+        # Warp of each panorama: its tilt, and waves of its azimuths.
         wave = wave_sigma_rad / np.sqrt(_WAVES)
         sigma = np.array([tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
         self._warps = np.flatnonzero(sigma)
         apart = np.diag(sigma[self._warps] ** 2)
-        # What all sweeps lean alike is the mount's, which the calibration has.
-        alike = np.where(self._warps < 2, 1.0 - _LEANS_ALIKE**2, 0.0) / self.views
+        # A tilt common to all sweeps is one of the mount, which the calibration has.
+        alike = np.where(self._warps < 2, 1.0 - _COMMON_TILT**2, 0.0) / self.views
         self._warp_variance = np.kron(np.eye(self.views), apart)
         self._warp_variance -= np.kron(np.ones((self.views, self.views)), alike * apart)
         warps = np.zeros(len(self._warp_variance))
@@ -179,7 +178,7 @@ class Problem:
         self._height = np.arange(poses.size) % _POSE == 2
 
     def off_wall(self, points: FloatArray) -> FloatArray:
-        """How far before their walls points (n, 3) lie, metres."""
+        """Distance of points (n, 3) from their walls, positive in front, m."""
         return np.asarray(np.sum(points * self.normal, 1) - self._level)
 
     def poses(self, shared: FloatArray) -> FloatArray:
@@ -187,7 +186,7 @@ class Problem:
         return np.asarray(shared[self._poses].reshape(self.views, _POSE))
 
     def pose_covariance(self, covariance: FloatArray) -> FloatArray:
-        """Covariance (views, 4, 4) of each pose out of that of all that is shared."""
+        """Covariance (views, 4, 4) of each pose, from that of the shared unknowns."""
         blocks = covariance[self._poses, self._poses].reshape(self.views, _POSE, self.views, _POSE)
         diagonal = np.arange(self.views)
         return np.asarray(blocks[diagonal, :, diagonal])
@@ -195,11 +194,11 @@ class Problem:
     def calibration(
         self, shared: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Values (c,) of `CALIBRATED` and their covariance (c, c), out of all that is shared."""
+        """Values (c,) of `CALIBRATED` and their covariance (c, c), from the shared unknowns."""
         return shared[self._calibrated], covariance[self._calibrated, self._calibrated]
 
     def calibration_rows(self, root: FloatArray) -> FloatArray:
-        """Rows (c, m) of `CALIBRATED` in a root (m, m) of the covariance of all that is shared."""
+        """Rows (c, m) of `CALIBRATED` in a root (m, m) of the covariance of shared unknowns."""
         return root[self._calibrated]
 
     def linearize(self, points: FloatArray, shared: FloatArray) -> Linearized:
@@ -241,7 +240,7 @@ class Problem:
         tangent = self._seen[:, 1]
         square = 1.0 + tangent**2
         out = np.zeros((len(reach), 2, len(CALIBRATED)))
-        # A camera before the axis is nearer, one to its left sees things more to the right.
+        # A camera in front of the axis is nearer; one to its left sees objects more to the right.
         out[:, 1, 0], out[:, 0, 1] = tangent / reach, -1.0 / reach
         out[:, 1, 2], out[:, 1, 3] = -square, tangent
         out[:, :, 4:] = self._by_turns() @ self._mounted
@@ -272,9 +271,9 @@ class Problem:
         """
         Normal equations.
 
-        `seen` (k, 2) and `wall` (n,) are the information of measurements and walls; `spread` as in
-        `prior_covariance`. Bearings alone may leave a landmark anywhere along its ray: a share of
-        a wall constrains the position in all directions.
+        `seen` (k, 2) and `wall` (n,) are the information of measurements and walls; `spread` is as
+        in `prior_covariance`. Bearings alone may leave a landmark undetermined along its ray:
+        a small information in all directions prevents that.
         """
         prior = covariance_of(self.prior_covariance(spread))
         jx = at.by_point * seen[..., None]
@@ -302,18 +301,17 @@ class Problem:
         wall: FloatArray,
         spread: FloatArray,
     ) -> float:
-        """Half of it is what the normal equations are the derivative of; arguments as there."""
+        """Twice the function whose derivative `normal_equations` has; the same arguments."""
         off = shared - self.prior
         reduction = off @ solve_positive(self.prior_covariance(spread), off)
         return float(np.sum(seen * at.seen**2) + np.sum(wall * at.wall**2) + reduction)
 
     def prior_covariance(self, spread: FloatArray) -> FloatArray:
         """
-        Covariance (m, m) of the shared unknowns before there are measurements.
+        Prior covariance (m, m) of the shared unknowns.
 
-        `spread` (5,) are factors on the sigmas that panoramas say they have in plan and in
-        height, and sigmas of how far things hang before all walls, before each, and on each
-        stretch of one.
+        `spread` (5,) are factors on the sigmas of panoramas in plan and in height, and sigmas of
+        the distance of objects from all walls, from each wall, and from each section.
         """
         plan, height, *hanging = spread
         factor = np.where(self._height, height, plan)
@@ -328,13 +326,13 @@ class Problem:
         """
         Squared misfit (5,) and redundancy (5,) of each of `spread` (5,).
 
-        They are what the derivative of the restricted likelihood is made of.
+        The derivative of the restricted likelihood consists of them.
         """
         prior = self.prior_covariance(spread)
         information = covariance_of(prior)
         misfit = information @ (shared - self.prior)
         left = information @ (prior - equations.shared_covariance()) @ information
-        # The prior is the sum of what each of `spread` says of it, and falls apart so.
+        # The prior is the sum of one part for each of `spread`.
         lifted = np.zeros(len(prior))
         lifted[self._poses] = self._height
         upward = 0.5 * (lifted[:, None] + lifted)
@@ -392,11 +390,11 @@ def _calibration(
     panoramas: Sequence[Panorama],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """
-    What is known of the calibration of all panoramas, and what each was made with.
+    Prior of the calibration of all panoramas, and the values that each was made with.
 
     Axes (2, 2) of roll and pitch of the pan axis in the base; values (c,) and covariance (c, c) of
-    `CALIBRATED`; values (views, c) that the panoramas were made with. c is 0 where one of them
-    came without.
+    `CALIBRATED`; values (views, c) that the panoramas were made with. c is 0 if one of them has
+    no calibration.
     """
     known, made_with = panoramas[-1].calibration, [p.made_with for p in panoramas]
     made = np.array([values for values in made_with if values is not None])

@@ -1,9 +1,9 @@
 """
 Joint least squares of landmarks and panorama poses: a small bundle adjustment.
 
-What landmarks share (the pose errors of the panoramas) is kept apart from what each has alone,
-so that the map can say both. How precise panoramas, papers and walls are, and how differently
-things hang, is estimated from the residuals themselves, room by room.
+Errors that landmarks share (those of the panoramas' poses) are kept apart from their own errors,
+and the map has both. The sigmas of panoramas, papers, walls and of the distances of objects from
+walls are estimated from the residuals of the room.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 
 _MAX_ITERATIONS = 15
-# What moves by less is at rest; no landmark goes farther in one step, metres.
+# Step at convergence, and longest step of a landmark, m.
 _CONVERGED, _LONGEST_M = 1e-7, 1.0
-# Squared misfit at which a landmark's weight has fallen to a quarter, at first and in the end.
+# Chi-square at which a landmark's weight has fallen to a quarter, in the first and the last step.
 _TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH = 100.0, 6.0
-# A landmark that misses by more than this probability allows does not affect what is shared.
+# Significance at which a landmark is an outlier, without influence on shared unknowns.
 _OUTLIER_PROBABILITY = 0.01
 _NO_INFLUENCE = 1e-6
-# What misses by more sigmas than this is taken to be less certain, until it does not.
+# Residuals of more sigmas are down-weighted to this number.
 _TAIL_SIGMAS = 2.5
 _NOISE_ITERATIONS = 60
 _NOISE_CONVERGED = 1e-3
-# Factors that landmarks have in common; what the others hold is below a tenth of a millimetre.
+# Shared factors of a map; the others account for less than a tenth of a millimetre.
 _MOST_FACTORS = 16
-# So far from where it starts a patch on its own plane may be.
+# Sigma of the start of a patch on its own plane.
 _NO_WALL_M = 1.0
-# Among the sigmas that are estimated.
+# Indices among the sigmas that are estimated.
 _RELIEF, _SPREAD, _HANGING = 2, slice(3, 8), slice(5, 8)
 _PLACES = np.array([3, 4])
 
@@ -54,23 +54,23 @@ class Adjustment:
     positions : ndarray, shape (n, 3)
         Landmarks in map, metres.
     own_covariance : ndarray, shape (n, 3, 3)
-        What the error of each has alone.
+        Covariance of the own error of each.
     shared_loading : ndarray, shape (n, 3, m)
-        The rest, as unit-variance factors that all have in common.
+        Loadings of shared factors with unit variance.
     poses, pose_covariance : ndarray, shape (views, 4), (views, 4, 4)
         x, y, z, heading of the panoramas.
     off_wall_m : ndarray, shape (n,)
-        How far before its wall each landmark lies.
+        Distance of each landmark from its wall, positive in front.
     chi_square : ndarray, shape (n,)
         Misfit of its measurements and its wall.
     noise : ndarray, shape (8,)
-        Sigmas found: of azimuths, of tangents, of relief; factors, 1 or more, on the sigmas that
-        panoramas say their places have, in plan and in height; how far things hang off all walls,
-        how far each wall lies from where the room says, and how differently far things hang.
+        Estimated sigmas of azimuths, tangents and relief; factors, 1 or more, on the prior sigmas
+        of panoramas in plan and in height; sigmas of the distance of objects from all walls, of
+        the position of a wall, and of the distance from a section of wall.
     calibration, calibration_covariance : ndarray, shape (c,), (c, c)
-        Values of `CALIBRATED`; none where a panorama does not say what it was made with.
+        Values of `CALIBRATED`; empty if a panorama has no calibration.
     calibration_loading : ndarray, shape (c, m)
-        How the factors of `shared_loading` move them.
+        Loadings of the calibration by the factors of `shared_loading`.
     """
 
     positions: FloatArray
@@ -87,7 +87,7 @@ class Adjustment:
 
     @property
     def hanging_sigma_m(self) -> float:
-        """How differently far from their walls things hang."""
+        """Sigma of the distance of objects from a section of wall."""
         return float(self.noise[_HANGING][-1])
 
 
@@ -108,21 +108,21 @@ def adjust(
     Parameters
     ----------
     measurements : sequence of sequences
-        For each of n landmarks, where the panoramas show it.
+        Measurements of each of n landmarks.
     walls : sequence of int
-        Wall of each landmark; -1 for those that hang on none.
+        Wall of each landmark; -1 if it has a plane of its own.
     start : ndarray, shape (n, 3)
-        Positions to start from.
+        Initial positions.
     panoramas : sequence of Panorama
-        With prior poses.
+        Panoramas with prior poses.
     places : ndarray, shape (4 * views, 4 * views)
-        Joint covariance of these, as `reference_area.joint_covariance` gives it.
+        Joint covariance of these poses, from `reference_area.joint_covariance`.
     room : Room
-        The walls; what hangs on them lies near them, not on them.
+        The walls; objects on them have a distance from them.
     normals : ndarray, shape (n, 3), optional
-        Of the landmarks; those on walls have that of their wall.
+        Normals of the landmarks; those on walls have that of their wall.
     ties : Ties, optional
-        What else panoramas share: it is no landmark, but joins them.
+        Tie points: they constrain the poses and are no landmarks.
     """
     if normals is None:
         normals = room.normals[np.asarray(walls, dtype=np.intp)]
@@ -164,8 +164,7 @@ def adjust(
         noise = better
         if still and moved < _CONVERGED:
             break
-    # The fewer residuals a variance is estimated from, the farther is its mean from its likeliest
-    # value.
+    # The mean of a variance exceeds its mode, the more so the fewer residuals it is based on.
     noise = noise * np.sqrt(fewness)
     at = problem.linearize(points, shared)
     equations = problem.normal_equations(
@@ -191,12 +190,12 @@ def adjust(
 def _settle(
     problem: Problem, start: FloatArray, sigma: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Landmarks (n, 3) and shared unknowns (m,) that most landmarks agree on."""
+    """Robust initial landmarks (n, 3) and shared unknowns (m,)."""
     points, shared, damping = start.copy(), problem.prior, Damping()
     for step in range(_MAX_ITERATIONS):
-        # False matches, and what hangs off the walls, must bend neither their neighbours nor the
-        # poses, even where they are many: a weight that falls faster than the pull grows (Geman
-        # and McClure, 1987), stricter with each step, as the poses explain more of the misfit.
+        # False matches and objects off the walls must affect neither their neighbours nor the
+        # poses, even if they are many: a redescending weight (Geman and McClure, 1987), narrower
+        # with each step, as the poses explain more of the misfit.
         tail_width = max(_TAIL_WIDTH_AT_FIRST / 2**step, _TAIL_WIDTH)
         at = problem.linearize(points, shared)
         weight = (1.0 + _misfit(problem, at, sigma) / tail_width) ** -2.0
@@ -217,10 +216,9 @@ def _step(
     damping: Damping,
 ) -> tuple[FloatArray, FloatArray, float]:
     """
-    Landmarks and shared unknowns one step farther, and the farthest that one of them moved.
+    Landmarks and shared unknowns after one damped step, and the largest change.
 
-    `weights` are those of `Problem.normal_equations`; no landmark moves farther than what is
-    linear.
+    `weights` are those of `Problem.normal_equations`; the step of a landmark is limited.
     """
     equations = problem.normal_equations(at, shared, *weights)
     there = points, shared
@@ -241,11 +239,11 @@ def _step(
 
 def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
-    Loadings (n, 3, m) by fewer factors (n, 3, f), what is left of the covariances (n, 3, 3).
+    Reduce loadings (n, 3, m) to the largest factors (n, 3, f).
 
-    Also the axes (m, f) of these factors.
-
-    Poses and walls move many landmarks; how one poster hangs moves its own by a tenth of that.
+    Also returned are the remaining covariances (n, 3, 3) and the axes (m, f) of the factors. Poses
+    and walls move many landmarks; the distance of one poster from its wall moves its own by a
+    tenth of that.
     """
     count = len(loading)
     turned, size, axes = np.linalg.svd(loading.reshape(3 * count, -1), full_matrices=False)
@@ -261,7 +259,7 @@ def _variances(problem: Problem, noise: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _tail(residual: FloatArray, variance: FloatArray) -> FloatArray:
-    """Share of its information that a residual keeps."""
+    """Robust weight of a residual."""
     with np.errstate(divide='ignore'):
         return np.asarray(np.minimum(1.0, _TAIL_SIGMAS**2 * variance / residual**2))
 
@@ -282,7 +280,7 @@ def _misfit(
     noise: FloatArray,
     trusted: npt.NDArray[np.bool_] | bool = False,
 ) -> FloatArray:
-    """Squared misfit of each landmark (n,); those `trusted` may hang off in the tail."""
+    """Chi-square of each landmark (n,); the wall's part is robust for those `trusted`."""
     seen, wall = _variances(problem, noise)
     share = np.where(trusted, _tail(at.wall, wall), 1.0)
     sums = np.bincount(problem.landmark, np.sum(at.seen**2 / seen, 1), problem.count)
@@ -290,7 +288,7 @@ def _misfit(
 
 
 def _bound(problem: Problem) -> FloatArray:
-    """Largest misfit (n,) of what is no outlier: a place takes three of the numbers seen."""
+    """Chi-square limit (n,) of inliers: a position takes three degrees of freedom."""
     freedom = 2 * np.bincount(problem.landmark, minlength=problem.count) + 1 - 3
     return np.asarray(chdtri(freedom, _OUTLIER_PROBABILITY))
 
@@ -305,12 +303,11 @@ def _noise(
     weight: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Sigmas that the residuals show, one step nearer.
+    One step of the estimation of sigmas from residuals.
 
     Variance components by restricted maximum likelihood (Patterson and Thompson, 1971;
-    Foerstner's form): squared residuals count against their redundancy, which is what the
-    unknowns did not take from them. Expected sigmas join in as `weight` residuals each. Returned
-    with the mean of each variance, given how many it is estimated from, over its likeliest value.
+    Foerstner's form): sums of squared residuals over their redundancy. Expected sigmas count as
+    `weight` residuals each. Returned with the ratio of mean and mode of each variance.
     """
     at = problem.linearize(points, shared)
     information = _information(problem, at, noise, influence)

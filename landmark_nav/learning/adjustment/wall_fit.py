@@ -1,10 +1,10 @@
 """
-Whether the wall map fits what the panoramas see; walls that are uncertain move to it.
+Check of the plan against the panoramas; uncertain walls are moved to the patches.
 
-Stereo alone, without the walls, says where patches lie. What hangs on a wall lies a little before
-it, all along it; a wall that is wrong in `room.yaml` has its patches elsewhere, or at an angle.
-What walls say of landmarks gives way to what the panoramas see, so that these are right all the
-same: where walls may be wrong that is reported, and where they surely are nothing is learned.
+Stereo alone, without the walls, gives the positions of patches. Objects on a wall lie slightly in
+front of it, all along it; patches of a wall that is wrong in `room.yaml` are elsewhere, or at an
+angle. The adjustment trusts the panoramas more than the walls, so that landmarks are right anyway:
+doubtful walls cause a warning, and walls that are certainly wrong a refusal.
 """
 
 from __future__ import annotations
@@ -24,28 +24,29 @@ from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.types import FloatArray
 
-# Chance that walls which a person measured are flagged, and patches that this takes.
+# Rate of false warnings about measured walls, and fewest patches of a warning.
 _FALSE_ALARM = 1e-3
 _FEW = 2
-# What refuses a wall is so many standard deviations beyond its bound.
+# A wall is refused if it exceeds a bound by this number of sigmas.
 _SURE = 3.0
-# Of fewer things none can be found to be the odd one.
+# Fewest objects of which one can be found to be an outlier.
 _LEAST_THINGS = 3
-# Patches that it takes to refuse a wall, and how far along it they must spread, metres.
+# Fewest patches of a refusal, and their least extent along the wall, m.
 _MIN_PATCHES = 6
 _MIN_EXTENT_M = 1.0
-# What stands farther before or behind a wall, or is less certain, says nothing about it.
+# Patches farther from a wall, or less certain, are not used.
 _MAX_DISTANCE_M = 0.2
 _MAX_SIGMA_M = 0.02
-# Unless far more lies in one plane so far off the wall than near it: that is the wall. Before it,
-# furniture may do so, but hardly along so much of a wall of which nothing else is seen; behind it
-# nothing else can, and what is near the wall may be furniture.
+# If far more patches lie in one plane at a distance in this range than near the wall, that plane
+# is the wall. In front of a wall it may be furniture, but hardly along such a share of a wall on
+# which nothing else is visible; behind a wall it can be nothing else, and patches near the wall
+# may be furniture.
 _ELSEWHERE_M = (0.15, 1.5)
 _NEAR_M = 0.1
 _SURE_SHARE = 0.5
 _MOST_NEAR_IF_BEFORE, _MOST_NEAR_IF_BEHIND = 0.1, 0.5
-# Distance from one plane that three quarters of the things on a wall keep; far off the wall it is
-# this share of how far, because what was looked for on the wall is known less well.
+# Three quarters of the objects on a wall lie within this distance of one plane, or within this
+# share of its distance from the wall: positions far from the assumed wall are less certain.
 _MAX_SPREAD_M = 0.025
 _MAX_SPREAD_SHARE = 0.1
 
@@ -58,25 +59,26 @@ def check_walls(
     config: WallFitConfig,
 ) -> str:
     """
-    Compare patches, placed without the walls, with the walls.
+    Compare positions of patches by stereo alone with the walls.
 
-    Raises `LandmarkNavError`: walls that don't fit, each with its residuals.
+    Raises `LandmarkNavError`: walls do not fit; each is named with its residuals.
 
     Parameters
     ----------
     free : Adjustment
-        Patches placed by stereo alone.
+        Adjustment without the walls.
     walls : sequence of int
-        The wall each was looked for on.
+        Wall of each patch.
     room : Room
-        The wall map.
+        The plan.
     expected : AdjustmentConfig
-        How things hang on walls.
+        Sigmas of distances from walls.
 
     Returns
     -------
     str
-        Walls that may be hidden by furniture or be elsewhere; nothing where there is none.
+        Warning about walls that may be hidden by furniture or be elsewhere; empty if there are
+        none.
     """
     complaints: list[str] = []
     warnings: list[str] = []
@@ -101,10 +103,10 @@ def check_walls(
 @dataclass(frozen=True, eq=False)
 class WallResidual:
     """
-    How far before a wall lies what hangs there, median of its `stretches` with patches.
+    Median distance of objects from a wall, over its `stretches` with patches.
 
-    `shared` (m,) makes up its covariance, beside that of how differently far things hang;
-    `wall_sigma_m` is how far off the wall may be, if the room says that.
+    `shared` (m,) are its loadings by the shared factors; `wall_sigma_m` is the sigma of the wall,
+    if the plan gives it.
     """
 
     wall_id: str
@@ -116,7 +118,7 @@ class WallResidual:
 
     @property
     def sigma_m(self) -> float:
-        """Standard deviation of `off_m`."""
+        """Sigma of `off_m` by the shared factors."""
         return float(np.linalg.norm(self.shared))
 
 
@@ -126,7 +128,7 @@ def wall_residuals(
     room: Room,
     expected: AdjustmentConfig,
 ) -> tuple[WallResidual, ...]:
-    """Report how far before their walls patches lie, by all that is known; arguments as above."""
+    """Return the distances of patches from their walls; arguments as for `check_walls`."""
     residuals = []
     for k, on in _judged(adjustment, walls, room, _FEW):
         off = _things(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
@@ -147,21 +149,21 @@ def wall_warnings(
     config: WallFitConfig,
 ) -> str:
     """
-    Warning if the walls, as a whole or beside each other, are hardly as the room says.
+    Warning if the walls, together or relative to each other, hardly fit the plan.
 
     Parameters
     ----------
     residuals : sequence of WallResidual
-        How far before them things hang.
+        Distances of objects from the walls.
     hanging_sigma_m : float
-        How differently far things hang in this room.
+        Sigma of the distance from a wall in this room.
     expected : AdjustmentConfig
-        How exactly walls are measured.
+        Sigma of measured walls.
 
     Returns
     -------
     str
-        Nothing where all is well.
+        Empty if all fits.
     """
     if not residuals:
         return ''
@@ -170,12 +172,12 @@ def wall_warnings(
     stretches = np.array([residual.stretches for residual in residuals])
     walls = np.array([residual.wall_sigma_m or 0.0 for residual in residuals])
     measured = np.where(walls > 0.0, walls, expected.wall_sigma_m)
-    # A median is that much less certain than a mean.
+    # The variance of a median is pi / 2 times that of a mean.
     apart = measured**2 + 0.5 * np.pi * hanging_sigma_m**2 / stretches
     inverse = covariance_of(shared @ shared.T + np.diag(apart))
     left = off - np.sum(inverse @ off) / inverse.sum()
     likely = chdtrc(max(len(off) - 1, 1), left @ inverse @ left) > _FALSE_ALARM
-    # One thing may hang as far as its frame is deep; many do not on average.
+    # A single object may be as far from the wall as its frame is deep; the mean of many is not.
     slack = 2.0 * np.sqrt(np.sum(shared**2, 1) + hanging_sigma_m**2 / stretches**2 + walls**2)
     near = (off >= -config.max_behind_m - slack) & (off <= config.max_before_m + slack)
     if likely and near.all():
@@ -194,9 +196,9 @@ def _judged(
     adjustment: Adjustment, walls: Sequence[int], room: Room, least: int, elsewhere: bool = False
 ) -> Iterator[tuple[int, BoolArray]]:
     """
-    Walls with `least` patches that are far enough apart, and which (n,) these are.
+    Walls with `least` patches that are far enough apart, and a mask (n,) of these.
 
-    Those near the wall, or near the plane `elsewhere` that is likelier to be it.
+    They are near the wall or, with `elsewhere`, near the plane that is likelier to be the wall.
     """
     index = np.asarray(walls, dtype=np.intp)
     normal = room.normals[index]
@@ -205,7 +207,7 @@ def _judged(
     for k, wall in enumerate(room.walls):
         sure = (index == k) & (sigma < _MAX_SIGMA_M)
         plane = _likelier_plane(off[sure]) if elsewhere else 0.0
-        # What stands well before the wall is furniture and says nothing about it.
+        # Patches far in front of the wall are furniture.
         on = sure & (np.abs(off - plane) < _MAX_DISTANCE_M)
         along = adjustment.positions[on, :2] @ wall.along
         if on.sum() >= least and np.ptp(along) >= _MIN_EXTENT_M:
@@ -213,7 +215,7 @@ def _judged(
 
 
 def _likelier_plane(off_m: FloatArray) -> float:
-    """How far before its wall most patches (n,) lie in one plane; 0 if some lie on the wall."""
+    """Distance of the plane of most patches (n,) from their wall; 0 if some are on the wall."""
     if not len(off_m):
         return 0.0
     neighbours = np.sum(np.abs(off_m[:, None] - off_m) < _MAX_SPREAD_M, 1)
@@ -227,9 +229,9 @@ def _things(
     adjustment: Adjustment, room: Room, k: int, on: BoolArray, length_m: float
 ) -> FloatArray:
     """
-    How far along wall `k` and off it things are, (n, 2): medians of its stretches.
+    Medians (n, 2) of the sections of wall `k`: position along the wall, distance from it.
 
-    Patches of one thing say no more of its wall than one of them.
+    Patches of one object are not independent, so a section counts once.
     """
     wall, positions = room.walls[k], adjustment.positions[on]
     along = (positions[:, :2] - wall.start) @ wall.along
@@ -239,14 +241,14 @@ def _things(
 
 
 def _shared(adjustment: Adjustment, room: Room, k: int, on: BoolArray) -> FloatArray:
-    """How the shared factors (m,) move patches of a wall off it, on average."""
+    """Mean loading (m,) of the distance from the wall by the shared factors."""
     return np.asarray(room.normals[k] @ adjustment.shared_loading[on].mean(0))
 
 
 def _complaint(
     things: FloatArray, sigma_m: float, hanging_sigma_m: float, patches: int, config: WallFitConfig
 ) -> str:
-    """What is wrong with a wall; nothing unless things lie in one plane, as on a wall they do."""
+    """Complaint about a wall; empty unless its objects lie in one plane."""
     along, off = things.T
     if len(things) < _LEAST_THINGS:
         return ''
@@ -278,9 +280,9 @@ def _slope(x: FloatArray, y: FloatArray) -> float:
 
 
 _STEPS = 10
-# Misses, in standard deviations, beyond which a patch counts next to nothing.
+# Scale of the robust weight, in sigmas.
 _TAIL_WIDTH = 2.0
-# Neighbours whose planes turn by less do not determine their corner, radians.
+# Least angle between neighbours whose intersection is their corner, rad.
 _LEAST_CORNER_RAD = 0.2
 
 
@@ -293,18 +295,18 @@ def moved_walls(
     Parameters
     ----------
     free : Adjustment
-        Patches placed by stereo alone.
+        Adjustment without the walls.
     walls : sequence of int
-        The wall each was looked for on.
+        Wall of each patch.
     room : Room
-        The walls; each end of one is off by its `sigma_m`.
+        The walls; the sigma of each end is `sigma_m`.
     config : AdjustmentConfig
-        How things hang on walls.
+        Sigmas of distances from walls.
 
     Returns
     -------
     Room
-        The same room if no wall moves farther than things hang off walls anyway.
+        The same room if no wall moves by more than the sigma of distances from walls.
     """
     index = np.asarray(walls, dtype=np.intp)
     fitted = [_fitted(wall, free, index == k, config) for k, wall in enumerate(room.walls)]
@@ -337,7 +339,7 @@ def moved_walls(
 def _fitted(
     wall: Wall, free: Adjustment, on: BoolArray, config: AdjustmentConfig
 ) -> tuple[FloatArray, float]:
-    """How far both ends of a wall move along its normal (2,), and their sigma then."""
+    """Shift (2,) of both ends of a wall along its normal, and their sigma."""
     if not wall.sigma_m:
         return np.zeros(2), 0.0
     normal = wall.normal[:2]
@@ -350,12 +352,12 @@ def _fitted(
     ends, information, tail = np.zeros(2), prior, variance + wall.sigma_m**2
     for _ in range(_STEPS):
         miss = off @ normal - design @ ends
-        # False matches and what stands before the wall do not move it (Geman and McClure).
+        # False matches and furniture do not move the wall (Geman and McClure).
         weight = (1.0 + miss**2 / (_TAIL_WIDTH**2 * tail)) ** -2.0 / variance
         information = prior + (design * weight[:, None]).T @ design
         ends = np.linalg.solve(information, design.T @ (weight * (off @ normal)))
         tail = np.maximum(variance, 0.5 * tail)
-    # Patches that hang together share how they hang.
+    # The distance of objects from the wall is an error that all patches share.
     own = np.sqrt(np.diag(covariance_of(information)).max())
     return ends, float(np.hypot(own, config.common_hanging_sigma_m))
 

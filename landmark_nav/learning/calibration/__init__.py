@@ -1,4 +1,4 @@
-"""Camera and mount, out of what neighbouring frames of a sweep both show."""
+"""Self-calibration of camera and mount from overlapping frames of a sweep."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """
-Alignment of images whose angles are estimates: pan, tilt and roll of each, focal length and
-radial distortion of all, from what neighbours both show.
+Alignment of images with approximate angles: pan, tilt and roll of each image, and the common focal
+length and radial distortion, from the overlaps of neighbours.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ _ROUNDS = 2
 _LEAST_PER_FRAME = 6
 
 
-# How far given angles may be off: of pan, which are estimates, and of tilt and roll.
+# Sigmas of the given angles: of pan, and of tilt and roll.
 _PAN_SIGMA_RAD, _TILT_SIGMA_RAD = 0.03, 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class SweepAlignment:
     """
-    A sweep with mended angles and one common camera.
+    A sweep with corrected angles and one common camera.
 
-    `focal_px` is its focal length, `sigma_px` of it, that of the lens without distortion that
-    turns by the same angles; `focal_scale` is what the given one, the median over the frames, was
-    multiplied by for it. `quality` has the corrections of focal length and distortion.
+    `focal_px` is the focal length of the lens without distortion that gives the same rotations,
+    with the sigma `focal_sigma_px`; `focal_scale` is its ratio to the given one, the median over
+    the frames. `quality` has the corrections of focal length and distortion.
     """
 
     sweep: Sweep
@@ -48,9 +48,9 @@ class SweepAlignment:
 
 def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
     """
-    Mend pan, tilt and roll of each frame and the common camera.
+    Correct pan, tilt and roll of each frame and the common camera.
 
-    Raises `LandmarkNavError`: fewer than three frames, or no texture that neighbours share.
+    Raises `LandmarkNavError`: fewer than three frames, or too little texture in the overlaps.
     """
     if len(sweep.frames) < 3:
         raise LandmarkNavError(f'{len(sweep.frames)} frames are too few to align: take a sweep')
@@ -88,7 +88,7 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepAlignment:
 
 
 def _with_one_camera(sweep: Sweep) -> Sweep:
-    """All frames with the median of their focal lengths: one camera took them."""
+    """All frames with the median of their focal lengths, as one camera took them."""
     cameras = [frame.camera for frame in sweep.frames]
     one = replace(
         cameras[0],

@@ -1,4 +1,4 @@
-"""What a sweep says of the calibration of the robot, joined with what is known of it."""
+"""Update of the robot's calibration by a sweep and by papers."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray, Sweep
 
-# What makes up the height of the camera: images show the sum.
+# The two parts of the camera's height; images show their sum.
 HEIGHT = ('axis_z', 'center_z')
-# Term of a sweep -> the quantity that it is an error of, and whether it is a factor.
+# Term of a sweep -> the quantity that it corrects, and whether it is a factor.
 _QUANTITIES = {
     'focal_length': ('focal_scale', True),
     'pan_scale': ('pan_scale', True),
@@ -26,10 +26,10 @@ _QUANTITIES = {
     'forward': ('center_x', False),
     'left': ('center_y', False),
 }
-# The offset of the optical centre shows in how things shift by their distance, which walls give
-# to this share: furniture is nearer.
+# Relative error of the ranges by which the offset of the optical centre is measured: furniture is
+# nearer than the walls.
 _RANGE_SHARE = 0.03
-# Share of the largest information below which there is none.
+# Smaller information, relative to the largest, is rounding.
 _ROUNDING = 1e-9
 
 
@@ -55,7 +55,7 @@ def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
 
 
 def _found(before: Calibration, term: CalibrationTerm) -> tuple[str, float, float]:
-    """Quantity that a term is an error of, its value and its sigma."""
+    """Quantity that a term corrects, its value and its sigma."""
     name, factor = _QUANTITIES[term.name]
     value = before[name][0]
     found = value + term.value * (1.0 + value if factor else 1.0)
@@ -68,7 +68,7 @@ def _found(before: Calibration, term: CalibrationTerm) -> tuple[str, float, floa
 def as_corrected(
     before: Calibration, terms: tuple[CalibrationTerm, ...], mount: PanTiltMount
 ) -> Calibration:
-    """Calibration that a panorama was made with: that before, terms that are used, its axis."""
+    """Calibration a panorama was made with: the one before, with the terms used and its axis."""
     values = dict(zip(('axis_roll', 'axis_pitch', 'axis_yaw'), mount.axis_rpy, strict=True))
     for term in terms:
         if term.used and term.name in _QUANTITIES:
@@ -81,16 +81,16 @@ def with_terms(
     known: Calibration, before: Calibration, terms: tuple[CalibrationTerm, ...]
 ) -> Calibration:
     """
-    Join what the overlaps of a sweep show with what was known.
+    Update a calibration by the overlaps of a sweep.
 
-    Raises `LandmarkNavError`: a term contradicts what is exact.
+    Raises `LandmarkNavError`: a term contradicts an exact value.
 
     Parameters
     ----------
     before : Calibration
-        That the sweep was taken to have: terms are errors of it.
+        Calibration that the terms correct.
     terms : tuple of CalibrationTerm
-        Used in the panorama or not.
+        Terms of the sweep, used in the panorama or not.
     """
     for term in terms:
         if term.name in _QUANTITIES:
@@ -106,23 +106,23 @@ def with_papers(
     floor_rad: float,
 ) -> Calibration:
     """
-    Join what papers show of height and lean of the pan axis with what was known.
+    Update a calibration by height and tilt of the pan axis from papers.
 
-    Raises `LandmarkNavError`: it contradicts what is exact.
+    Raises `LandmarkNavError`: the papers contradict an exact value.
 
     Parameters
     ----------
     used : Calibration
-        That papers were measured with.
+        Calibration with which papers were measured.
     score, information : ndarray, shape (3,), (3, 3)
-        Of height and of small turns about x and y of the base, in information form.
+        Height and small rotations about x and y of the base, in information form.
     floor_rad : float
-        Sigma by which the base leans on the floor.
+        Sigma of the tilt of the base by the floor.
     """
     size, axes = np.linalg.eigh(information)
     if size[-1] <= 0.0:
         return known
-    # Directions that papers do not show get next to no information, and no value.
+    # Directions that papers do not show get almost no information, and no value.
     shows = size > _ROUNDING * size[-1]
     size = np.where(shows, size, _ROUNDING * size[-1])
     covariance = (axes / size) @ axes.T
@@ -133,19 +133,19 @@ def with_papers(
     rows[1:, axis_tilt] = lean_axes(used)
     values = rows @ used.values + covariance @ score
     covariance[1:, 1:] += floor_rad**2 * np.eye(2)
-    # In roll and pitch, as they are called.
+    # Expressed in roll and pitch.
     turn = np.eye(3)
     turn[1:, 1:] = lean_axes(used).T
     return known.observed(turn @ rows, turn @ values, turn @ covariance @ turn.T)
 
 
 def lean_axes(calibration: Calibration) -> FloatArray:
-    """Turns about x and y of the base (2, 2) by roll and pitch of the pan axis."""
+    """Matrix (2, 2) from roll and pitch of the pan axis to rotations about x and y of the base."""
     yaw = calibration['axis_yaw'][0]
     return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
 
 
-# Less information than that, 1 / rad^2, is none: rounding, where no paper was measured.
+# Smaller information, 1 / rad^2, is rounding: no paper was measured.
 _LEAST_INFORMATION = 1e-3
 
 
@@ -153,23 +153,23 @@ def levelled(
     mount: PanTiltMount, score: FloatArray, information: FloatArray, config: CalibrationConfig
 ) -> tuple[PanTiltMount, tuple[CalibrationTerm, ...]]:
     """
-    Turn the pan axis as far as it is significantly tilted.
+    Correct the tilt of the pan axis if it is significant.
 
     Parameters
     ----------
     mount : PanTiltMount
-        As it was taken to stand.
+        Assumed extrinsics.
     score, information : ndarray, shape (2,), (2, 2)
-        What measurements say of small turns about x and y of the base, [rad], in information form:
-        the tilt is ``information^-1 score``.
+        Measured small rotations about x and y of the base, rad, in information form: the tilt is
+        ``information^-1 score``.
     config : CalibrationConfig
-        Whether to use what is found.
+        Whether to use the result.
 
     Returns
     -------
     mount : PanTiltMount
     terms : tuple of CalibrationTerm
-        ``axis_roll`` and ``axis_pitch``; none where nothing was measured.
+        ``axis_roll`` and ``axis_pitch``; empty if nothing was measured.
     """
     if np.linalg.eigvalsh(information)[0] < _LEAST_INFORMATION:
         return mount, ()
@@ -188,7 +188,7 @@ def levelled(
 
 
 def leant(mount: PanTiltMount, tilt_roll_rad: FloatArray) -> PanTiltMount:
-    """Turn the pan axis by small angles (2,) about x and y of the base."""
+    """Rotate the pan axis by small angles (2,) about x and y of the base."""
     turned = Rotation.from_rotvec([*tilt_roll_rad, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
     roll, pitch, yaw = Rotation.from_matrix(turned).as_euler('xyz').tolist()
     return replace(mount, axis_rpy=(roll, pitch, yaw))

@@ -1,9 +1,9 @@
 """
-Least squares of a sweep's calibration over what its frames both show.
+Least squares of a sweep's calibration over the overlaps of its frames.
 
-A camera that turns on the spot sees pure rotations, and the last frame of a turn meets the first:
-that fixes angles and focal length (Szeliski and Shum, SIGGRAPH 1997). Robust, by weights, with
-standard deviations from the residuals' own spread.
+A camera that rotates about its optical centre sees pure rotations, and the last frame of a turn
+overlaps the first: this determines angles and focal length (Szeliski and Shum, SIGGRAPH 1997). The
+fit is robust, with sigmas from the scatter of the residuals.
 """
 
 from __future__ import annotations
@@ -27,19 +27,18 @@ _POINTS_PER_PAIR = 60
 _SPACING_PX = 14
 _LEAST_PER_PAIR = 6
 
-# A chain skips frames until they are apart so much of the field of view.
+# Consecutive frames of a chain are up to this share of the field of view apart.
 _LEAP = 0.42
 
 
 @dataclass(frozen=True, eq=False)
 class Overlaps:
     """
-    Matches between frames that follow each other in a chain, counter-clockwise.
+    Matches between consecutive frames of a chain, counter-clockwise.
 
-    `frames` (m, 2) are indices in the sweep, the later one in pan first; `pixels` (m, 2, 2) where
-    each shows the point; `pair` (m,) counts the links of the chain, `closed` is set if they
-    make a full turn. `gaps_rad` holds the pans where a full turn has no link, as there is too
-    little to match.
+    `frames` (m, 2) are indices in the sweep, the later one in pan first; `pixels` (m, 2, 2) are
+    those of the point in both; `pair` (m,) is the link of the chain; `closed` is set if the chain
+    is a full turn. `gaps_rad` are the pans where a full turn lacks a link, for want of texture.
     """
 
     frames: npt.NDArray[np.intp]
@@ -49,12 +48,12 @@ class Overlaps:
     gaps_rad: tuple[float, ...] = ()
 
     def __len__(self) -> int:
-        """Return how many matches there are."""
+        """Return the number of matches."""
         return len(self.frames)
 
     @classmethod
     def none(cls) -> Overlaps:
-        """Nothing in common."""
+        """Return an empty set."""
         nobody = np.zeros(0, np.intp)
         return cls(nobody.reshape(0, 2), np.zeros((0, 2, 2)), nobody, False)
 
@@ -66,9 +65,9 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
     Parameters
     ----------
     sweep : Sweep
-        Frames whose angles are right to a few pixels.
+        Frames with angles that are correct to a few pixels.
     every_frame : bool
-        Whether all frames are links of the chain, or just enough of them.
+        Whether the chain has all frames, or only as many as it needs.
     """
     chain, closed = _chain(sweep, every_frame)
     cylinder = sweep_cylinder(sweep, mount)
@@ -111,7 +110,7 @@ def _chain(sweep: Sweep, every_frame: bool) -> tuple[list[int], bool]:
     field = 2.0 * sweep.frames[0].camera.half_fov_rad
     order = np.argsort(np.mod(pan, 2.0 * np.pi), kind='stable')
     step = np.mod(np.diff(pan[order], append=pan[order[0]]), 2.0 * np.pi)
-    # It starts after the widest gap, so that a part of a turn is one chain.
+    # The chain starts after the widest gap, so that a part of a turn is one chain.
     order = np.roll(order, -1 - int(np.argmax(step)))
     step = np.roll(step, -1 - int(np.argmax(step)))
     closed = bool(step[-1] < 0.8 * field) and len(order) > 2
@@ -141,8 +140,8 @@ def _grey_slab(sweep: Sweep, k: int, mount: PanTiltMount, cylinder: Cylinder) ->
 
 
 def _track(first: FrameSlab, second: FrameSlab, cylinder: Cylinder) -> FloatArray | None:
-    """Cylinder pixels (n, 2, 2) of points in two slabs; None where they have none in common."""
-    # Columns of the second frame, counted in the first's.
+    """Cylinder pixels (n, 2, 2) of points in two slabs; None if they share none."""
+    # Columns of the second frame, in the numbering of the first.
     shift = (second.start - first.start + cylinder.width // 2) % cylinder.width
     shift -= cylinder.width // 2
     low, high = max(0, shift), min(first.width, shift + second.width)
@@ -163,7 +162,7 @@ def _track(first: FrameSlab, second: FrameSlab, cylinder: Cylinder) -> FloatArra
 def _follow(
     one: ImageArray, other: ImageArray, here: npt.NDArray[np.float32]
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-    """Follow points (n, 1, 2) there and back; which came back to where they were."""
+    """Track points (n, 1, 2) forth and back; return them and whether they came back."""
     tracked, found, _ = cv2.calcOpticalFlowPyrLK(one, other, here, here.copy())
     there = np.asarray(tracked, dtype=np.float32)
     back, returned, _ = cv2.calcOpticalFlowPyrLK(other, one, there, here.copy())
@@ -171,8 +170,8 @@ def _follow(
     return there, (np.ravel(found) == 1) & (np.ravel(returned) == 1) & (away < 0.3)
 
 
-# What all frames share: relative focal length, first radial distortion, relative pan, angles of
-# the camera, and the optical centre's place ahead of and left of the axis.
+# Terms that all frames share: relative focal length, first radial distortion, relative pan, angles
+# of the camera, and the offset of the optical centre from the axis, forward and left.
 COMMON = ('focal_length', 'distortion', 'pan_scale', 'tilt', 'roll', 'forward', 'left')
 _STEPS = np.array([1e-5, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
 
@@ -180,7 +179,7 @@ _ITERATIONS = 12
 _CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
 
-# Tracking is biased by about so much, however many points are tracked.
+# Bias of tracking, which does not decrease with the number of points.
 _BIAS_PX = 0.01
 
 RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
@@ -189,11 +188,12 @@ RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
 @dataclass(frozen=True, eq=False)
 class Fit:
     """
-    What fits best.
+    The best fit.
 
-    `common` (7,) in the order of `COMMON` with its covariance (7, 7) out of the matches' spread,
-    zero where it was not free, and `sigma` (7,) with the bias of tracking; `frames` (n, 3) are
-    pan, tilt and roll of each frame, zero where none was matched; `weight` (m,) of each match.
+    `common` (7,) are the values of `COMMON`, with the covariance (7, 7) from the scatter of the
+    matches, zero for fixed terms, and `sigma` (7,), which includes the bias of tracking; `frames`
+    (n, 3) are pan, tilt and roll of each frame, zero without matches; `weight` (m,) are those of
+    the matches.
     """
 
     common: FloatArray
@@ -210,9 +210,9 @@ class OverlapProblem:
     Parameters
     ----------
     sweep : Sweep
-        As it is given, all frames with one camera.
+        The given sweep; all frames have one camera.
     range_m : callable, optional
-        Horizontal distance from the axis of what is seen at azimuths and tangents (n,).
+        Horizontal range from the axis at azimuths and tangents (n,).
     """
 
     def __init__(
@@ -238,7 +238,7 @@ class OverlapProblem:
             self._range = range_m(azimuth[:, 0], tangent[:, 0])
 
     def misfit(self, common: FloatArray, frames: FloatArray | None = None) -> FloatArray:
-        """Distances (m, 2) in azimuth and tangent between the two rays of each match."""
+        """Differences (m, 2) in azimuth and tangent between the two rays of each match."""
         turns = self._angles * 0.0 if frames is None else frames[self._used]
         return self._misfit(common, turns)
 
@@ -248,14 +248,14 @@ class OverlapProblem:
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
-        Fit some of the common terms, and the frames' angles about the given ones.
+        Fit some of the common terms, and the angles of frames about the given ones.
 
         Parameters
         ----------
         free : sequence of int
-            Which of `COMMON`.
+            Indices in `COMMON`.
         frame_sigma : sequence of float, shape (3,)
-            How far pan, tilt and roll of a single frame stray, radians.
+            Sigmas of pan, tilt and roll of a single frame, rad.
         """
         count, focal = len(self._angles), self._camera.fx
         size = len(COMMON) + 3 * count
@@ -306,7 +306,7 @@ class OverlapProblem:
         precision: FloatArray,
         damping: Damping,
     ) -> FloatArray:
-        """Unknowns one step farther, of which those at `index` are free."""
+        """Unknowns after one damped step; those at `index` are free."""
         there = x
 
         def cost(at: FloatArray) -> float:
@@ -329,7 +329,7 @@ class OverlapProblem:
     def closure_rad(
         self, common: FloatArray, frames: FloatArray, weight: FloatArray
     ) -> float | None:
-        """By how much the links of the chain, each by its own matches, miss a full turn."""
+        """Closure error: sum of the links of the chain, each by its matches, minus a full turn."""
         if not self._overlaps.closed:
             return None
         pair = self._overlaps.pair
@@ -338,7 +338,7 @@ class OverlapProblem:
         return float(np.sum(total / np.maximum(np.bincount(pair, weight), 1e-9)))
 
     def _seen(self, common: FloatArray, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Azimuths and tangents (m, 2) at the axis of both rays of each match."""
+        """Azimuths and tangents (m, 2) of both rays of each match, at the axis."""
         camera, mount = _camera(self._camera, common), _mount(self._mount, common)
         pan, tilt, roll = (_angles(self._angles, common) + turns)[self._links].T
         rotation, center = mount.camera_pose_base(pan.T, tilt.T, roll.T)
@@ -359,14 +359,14 @@ class OverlapProblem:
         return azimuth, length * ray[..., 2] / self._range[:, None]
 
     def _slopes_at(self, x: FloatArray, here: FloatArray) -> FloatArray:
-        """Slopes at `x`, or at a place so near that they are as good."""
+        """Jacobian at `x`, or at a nearby point, where it is as good."""
         if self._slopes is None or self._camera.fx * np.abs(x - self._slopes[0]).max() > _NEAR_PX:
             common, frames = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
             self._slopes = x.copy(), self._jacobian(common, frames, here)
         return self._slopes[1]
 
     def _jacobian(self, common: FloatArray, frames: FloatArray, here: FloatArray) -> FloatArray:
-        """Slopes (m, 2, 7 + 3n): each match touches what is common and its own two frames."""
+        """Jacobian (m, 2, 7 + 3n): a match depends on the common terms and its two frames."""
         matches = len(here)
         out = np.zeros((matches, 2, len(COMMON) + frames.size))
         for k, step in enumerate(_STEPS):
@@ -380,7 +380,7 @@ class OverlapProblem:
             step = 1e-6
             turned = frames.copy()
             turned[:, axis] += step
-            # All frames turn at once; each side of a match feels its own alone.
+            # All frames turn at once; each side of a match depends on its own frame only.
             there = self._seen(common, turned)
             for side, sign in ((0, 1.0), (1, -1.0)):
                 column = len(COMMON) + 3 * self._links[:, side] + axis
@@ -425,6 +425,6 @@ def _mount(mount: PanTiltMount, common: FloatArray) -> PanTiltMount:
 
 
 def _angles(angles: FloatArray, common: FloatArray) -> FloatArray:
-    """Pan, tilt and roll (n, 3) with what all share."""
+    """Pan, tilt and roll (n, 3) with the common terms."""
     scaled = angles * [1.0 + common[2], 1.0, 1.0]
     return np.asarray(scaled + np.array([0.0, common[3], common[4]]))

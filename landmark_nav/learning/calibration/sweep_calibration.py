@@ -1,16 +1,16 @@
 """
-Self-calibration out of a sweep: what the overlaps of its frames say of camera and mount.
+Self-calibration of camera and mount from the overlaps of a sweep's frames.
 
-What can be seen in what:
+Observability:
 
 * focal length and pan scale: both in a full turn, whose links must add up to one; in a part of a
-  turn they are one number, and the encoder is taken as right;
-* tilt and roll of the camera to its axis, and the first radial distortion: in any overlap;
-* the optical centre's offset from the axis: once ranges are known, by their variation;
-* the joint's zero: not at all, it is the heading of the base by another name; nor a tilt of the
-  axis itself, which turns the whole panorama.
+  turn only their product, and the encoder is assumed correct;
+* tilt and roll of the camera on its axis, and the first radial distortion: in any overlap;
+* the offset of the optical centre from the axis: by the variation of ranges, once these are known;
+* the zero of the joint: not at all, it is equivalent to the heading of the base; nor a tilt of the
+  axis itself, which rotates the whole panorama.
 
-A term is used only if it is significant and moves something by a part of a pixel worth naming.
+A term is used only if it is significant and moves pixels by a relevant amount.
 """
 
 from __future__ import annotations
@@ -36,39 +36,39 @@ from landmark_nav.types import FloatArray, Sweep
 
 _FOCAL, _DISTORTION, _SCALE, _TILT, _ROLL, _FORWARD, _LEFT = range(len(COMMON))
 
-# Fewer matches than this for each link of the chain say nothing.
+# Fewest matches per link of the chain.
 _LEAST_PER_LINK = 8
 
-# Correlation from which on two terms look alike.
+# Correlation above which two terms may replace each other.
 _ALIKE = 0.3
 
-# Walls of rooms are about so far away.
+# Usual range of walls in a room.
 _USUAL_RANGE_M = 3.0
 
-# Standard deviations from which on a term is used.
+# Least significance of a term, in sigmas.
 SIGNIFICANT = 4.0
 
-# A term that moves nothing by more pixels than this is not used.
+# Least effect of a term in the panorama, pixels.
 _WORTH_PX = 0.3
 
-# Angles of a single frame of a pan-tilt unit stray so far: encoder steps, a springy head.
+# Sigmas of pan, tilt and roll of a single frame of a pan-tilt unit: encoder steps, elasticity.
 _UNIT_SIGMA_RAD = (5e-4, 2e-4, 2e-4)
 
 
 @dataclass(frozen=True)
 class CalibrationConfig(Config):
-    """How camera and mount are calibrated out of a sweep."""
+    """How camera and mount are calibrated from a sweep."""
 
-    # Whether what is found is used.
+    # Whether the result is used.
     enabled: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class SweepCalibration:
     """
-    A sweep and its mount, corrected by `common` (7,) in the order of `COMMON`, and what was found.
+    A sweep and its mount, corrected by `common` (7,) in the order of `COMMON`.
 
-    `overlaps` can be calibrated from again.
+    `overlaps` can be used for a further calibration.
     """
 
     sweep: Sweep
@@ -86,25 +86,24 @@ def calibrate_sweep(
     overlaps: Overlaps | None = None,
 ) -> SweepCalibration:
     """
-    Calibrate camera and mount out of a sweep of a pan-tilt unit.
+    Calibrate camera and mount from a sweep of a pan-tilt unit.
 
     Parameters
     ----------
     mount : PanTiltMount
-        As ``robot.yaml`` has it.
+        Extrinsics of ``robot.yaml``.
     config : CalibrationConfig
-        Whether to use what is found.
+        Whether to use the result.
     range_m : callable, optional
-        Horizontal distance from the axis of what is seen at azimuths and tangents (n,). With it
-        the optical centre's offset is calibrated; without, everything is taken to be as far as
-        walls usually are.
+        Horizontal range from the axis at azimuths and tangents (n,). With it the offset of the
+        optical centre is calibrated; without it a usual range is assumed.
     overlaps : Overlaps, optional
-        If they were tracked before.
+        Overlaps that were tracked before.
 
     Returns
     -------
     SweepCalibration
-        The sweep unchanged where too little is seen in two frames.
+        The unchanged sweep if frames share too little.
     """
     if overlaps is None:
         overlaps = track_overlaps(sweep, mount) if len(sweep.frames) > 2 else Overlaps.none()
@@ -141,7 +140,7 @@ def calibrate_sweep(
 
 
 def moved_px(one: SweepCalibration, other: SweepCalibration) -> float:
-    """By how many pixels two calibrations of a sweep disagree somewhere in its panorama."""
+    """Greatest difference of two calibrations of a sweep in its panorama, pixels."""
     shift = _shift_px(one.sweep.frames[0].camera)
     return float(np.max(shift * np.abs(one.common - other.common)))
 
@@ -153,14 +152,14 @@ def fit_significant(
     camera: CameraModel,
 ) -> tuple[Fit, tuple[CalibrationTerm, ...]]:
     """
-    Fit, and leave out the least significant term until all that are left are significant.
+    Fit, and remove the least significant terms until all that remain are significant.
 
     Parameters
     ----------
     free : sequence of int
-        Terms to begin with, of `COMMON`.
+        Initial terms, indices in `COMMON`.
     frame_sigma : sequence of float, shape (3,)
-        How far pan, tilt and roll of a single frame stray, radians.
+        Sigmas of pan, tilt and roll of a single frame, rad.
     """
     free = sorted(free)
     shift_px = _shift_px(camera)
@@ -178,7 +177,7 @@ def fit_significant(
         weak = [k for k in sorted(free, key=lambda k: worth[k]) if worth[k] <= 1.0]
         if not weak:
             break
-        # Terms that look alike may cover for each other: only one of them goes at a time.
+        # Of correlated terms only one is removed at a time, as one may replace the other.
         scale = np.sqrt(np.diag(fit.covariance))
         gone: list[int] = []
         for k in weak:
@@ -200,17 +199,17 @@ def _one_camera(sweep: Sweep) -> bool:
 
 
 def _shift_px(camera: CameraModel) -> FloatArray:
-    """By how many pixels a unit of each term moves something in the panorama (7,)."""
+    """Greatest shift in the panorama by a unit of each term (7,), pixels."""
     half, near = np.tan(camera.half_fov_rad), 2.0
     return camera.fx * np.array([half, half**3, np.pi, 1.0, half, half / near, 1.0 / near])
 
 
 def _effective_focal(fit: Fit) -> tuple[float, float]:
     """
-    Relative correction of the focal length of the lens without distortion that turns alike.
+    Relative correction of the focal length of an equivalent lens without distortion.
 
-    That is the combination of focal length and distortion that does not depend on how well the
-    distortion is known: what a fit without distortion finds, to first order.
+    It is the combination of focal length and distortion that does not depend on the uncertainty of
+    the distortion: to first order the result of a fit without distortion.
     """
     both = fit.covariance[_FOCAL, _DISTORTION]
     lever = both / fit.covariance[_DISTORTION, _DISTORTION]

@@ -1,10 +1,10 @@
 """
-Whether a sweep turns as its pan angles say: sign and size of the turn, seen in its own images.
+Check of a sweep's pan angles against its images: sign and scale of the rotation.
 
-Neighbouring frames show the same things, shifted by what the camera turned. That over the change
-of the pan is 1; it is -1 where the sign of the pan is reversed, 0 where something else than this
-camera turns, and where it is another number the focal length is off by that, or the pan is. A full
-turn distinguishes these two: its end shows what its start shows.
+Neighbouring frames are shifted by the rotation of the camera. Its ratio to the change of the pan
+is 1; it is -1 if the sign of the pan is reversed, 0 if another camera turns, and otherwise the
+error of the focal length or of the pan. A full turn distinguishes these two, as its end shows the
+same as its start.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.panorama.projection import frame_slab, sweep_cylinder
 from landmark_nav.types import FloatArray, Sweep
 
-# Columns per radian that are enough.
+# Resolution of the comparison.
 _PX_PER_RAD = 80.0
-# Pairs of frames that are compared, and the least that must be alike.
+# Pairs of frames that are compared, and fewest that must correlate.
 _PAIRS, _LEAST_PAIRS = 16, 5
-# Steps of the pan that are compared, radians, and as a share of the field of view.
+# Steps of the pan that are compared: least, rad, and greatest, relative to the field of view.
 _LEAST_STEP_RAD, _MOST_STEP = np.radians(0.7), 0.55
-# Least overlap, as a share of the columns, and least correlation of frames that are alike.
+# Least overlap, relative to the columns, and least correlation of two frames.
 _LEAST_OVERLAP, _ALIKE = 0.3, 0.5
-# How much ratios of one sweep may scatter (median absolute deviation), and be off.
+# Greatest scatter of the ratios of one sweep (median absolute deviation), and greatest error.
 _MOST_SCATTER, _MOST_OFF = 0.08, 0.15
-# A pan within that, radians, or that takes fewer values, does not turn.
+# A pan with a smaller span, rad, or fewer values, does not turn.
 _LEAST_SPAN_RAD, _LEAST_PANS = np.radians(8.0), 3
-# Slope, squared, that a strip has at least.
+# Least mean square gradient of a strip.
 _LEAST_CONTRAST = 1.0
-# Pans that differ by less are one, radians.
+# Pans that differ by less are equal, rad.
 _SAME_PAN_RAD = np.radians(0.1)
 
 PAN_REVERSED = (
@@ -47,10 +47,10 @@ PAN_REVERSED = (
 @dataclass(frozen=True)
 class SweepTurn:
     """
-    How far the images of a sweep turn when the pan turns by 1.
+    Rotation of the images of a sweep, relative to the pan.
 
-    `ratio` is None where too few frames overlap to say; `full_turn` is by how many turns the pan
-    changes until the images show again what they did first, None where they never do.
+    `ratio` is None if too few frames overlap; `full_turn` is the change of the pan, in turns,
+    after which the images repeat, None if they never do.
     """
 
     ratio: float | None
@@ -59,10 +59,10 @@ class SweepTurn:
 
 def check_turn(sweep: Sweep, mount: PanTiltMount) -> None:
     """
-    Check that a sweep turns, and as its pan angles say.
+    Check that a sweep turns as its pan angles say.
 
-    Raises `LandmarkNavError`: angles in degrees, a pan that stands still or is reversed, a focal
-    length or pan that is off by more than calibration mends.
+    Raises `LandmarkNavError`: angles are in degrees, the pan stands still or is reversed, or focal
+    length or pan have a larger error than calibration corrects.
     """
     pans = np.array([frame.pan_rad for frame in sweep.frames])
     if len(pans) < _LEAST_PANS:
@@ -99,7 +99,7 @@ def check_turn(sweep: Sweep, mount: PanTiltMount) -> None:
 
 
 def measure_turn(sweep: Sweep, mount: PanTiltMount) -> SweepTurn:
-    """Measure how far the images of a sweep turn, frames in the order of time."""
+    """Measure the rotation of the images of a sweep; its frames are in the order of time."""
     looks = _Looks(sweep, mount)
     pans = np.array([frame.pan_rad for frame in sweep.frames])
     steps = np.diff(pans)
@@ -122,7 +122,7 @@ def measure_turn(sweep: Sweep, mount: PanTiltMount) -> SweepTurn:
 
 
 def _full_turn(looks: _Looks, pans: FloatArray, ratio: float) -> float | None:
-    """By how many turns the pan changes until the images show again what they did first."""
+    """Change of the pan, in turns, after which the images repeat."""
     if abs(ratio) < _MOST_OFF:
         return None
     away = pans - pans[0]
@@ -146,7 +146,7 @@ class _Looks:
         self.field_rad = 2.0 * sweep.frames[0].camera.half_fov_rad
 
     def turned_rad(self, first: int, second: int) -> float | None:
-        """By how much the camera turned to the left between two frames; None if they differ."""
+        """Rotation of the camera to the left between two frames; None if they do not match."""
         (one, start), (other, begin) = self._strip(first), self._strip(second)
         most = int((1.0 - _LEAST_OVERLAP) * min(one.shape[1], other.shape[1]))
         shifts = np.arange(-most, most + 1)
@@ -156,11 +156,11 @@ class _Looks:
             return None
         before, here, after = scores[best - 1 : best + 2]
         peak = 0.5 * (before - after) / min(before - 2.0 * here + after, -1e-9)
-        # Columns grow clockwise; both strips are counted from their optical axes.
+        # Columns increase clockwise; both strips are relative to their optical axes.
         return float((start - begin - shifts[best] - peak) / self._cylinder.fx)
 
     def _strip(self, k: int) -> tuple[Float32Array, float]:
-        """Slopes across a frame as if it looked along pan 0, and its optical axis' column."""
+        """Horizontal gradients of a frame at pan 0, and the column of its optical axis."""
         if k not in self._strips:
             frame = self._sweep.frames[k]
             if frame.image.ndim == 3:
@@ -169,7 +169,7 @@ class _Looks:
             slab = frame_slab(replace(frame, pan_rad=0.0), self._mount, self._cylinder)
             covered = slab.inside.all(axis=0)
             rows = slab.inside[:, covered].all(axis=1) if covered.any() else slab.inside.any(1)
-            # Ceiling and floor look alike in all directions: what changes across shows the turn.
+            # Ceiling and floor look alike in all directions: horizontal gradients show the turn.
             across = cv2.Sobel(cv2.blur(slab.image, (3, 3)), cv2.CV_32F, 1, 0)
             slopes = np.where(slab.inside > 0, across, np.float32(0.0))[rows]
             self._strips[k] = slopes.astype(np.float32), slab.middle - slab.start
@@ -177,7 +177,7 @@ class _Looks:
 
 
 def _correlation(one: Float32Array, other: Float32Array, shift: int) -> float:
-    """Correlation of what two strips show, the other one by so many columns to the right."""
+    """Correlation of two strips, the other one shifted by some columns to the right."""
     rows = min(len(one), len(other))
     low, high = max(0, shift), min(one.shape[1], other.shape[1] + shift)
     a, b = one[:rows, low:high], other[:rows, low - shift : high - shift]

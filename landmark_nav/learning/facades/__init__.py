@@ -1,4 +1,4 @@
-"""Walls found, not given: flat vertical surfaces, and the room that they make."""
+"""Facades: flat vertical surfaces found in panoramas, and the room that they enclose."""
 
 from __future__ import annotations
 

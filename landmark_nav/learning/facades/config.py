@@ -9,19 +9,19 @@ from landmark_nav.parameters import Config
 
 @dataclass(frozen=True)
 class FacadesConfig(Config):
-    """What counts as a flat vertical surface, and how well it is known."""
+    """What counts as a flat vertical surface, and its uncertainty."""
 
-    # How far off its plane things on a facade are.
+    # Sigma of points of a facade about its plane, m.
     relief_m: float = 0.015
-    # Least cells of 10 cm x 10 cm of a facade that hold points.
+    # Fewest cells of 10 cm x 10 cm of a facade that contain points.
     min_cells: int = 12
-    # Least length.
+    # Least length, m.
     min_length_m: float = 0.4
-    # Longest stretch of a facade without points.
+    # Longest part of a facade without points, m.
     max_gap_m: float = 1.2
-    # Height that walls have at least, as nothing shows their top.
+    # Least height of walls, m: their tops are not observed.
     wall_height_m: float = 2.5
-    # Standard deviation of a facade that is found, before adjustment.
+    # Sigma of a facade before adjustment, m.
     sigma_m: float = 0.03
     # Most facades of a room.
     max_facades: int = 24

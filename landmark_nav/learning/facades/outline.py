@@ -1,8 +1,8 @@
 """
-The room that facades make: its outline where it closes, and what stands inside.
+The room that facades enclose: its outline, and facades inside it.
 
-Seen from where the sweeps were taken, the farthest facade in each direction is the outline.
-Neighbours meet in a corner where their planes do; otherwise a wall without landmarks joins them.
+Seen from the sweeps, the farthest facade in each direction belongs to the outline. Neighbours meet
+at the intersection of their planes; otherwise a wall without landmarks joins them.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ from landmark_nav.learning.facades.points import SeenPoints
 from landmark_nav.types import FloatArray
 
 _RAYS = 1440
-# A room without facades has so many walls, so far beyond the viewpoints at least, metres; this
-# share of what is seen is inside.
+# A room without facades: number of its walls, their least distance beyond the viewpoints, and the
+# share of points inside it.
 _OPEN_WALLS, _OPEN_M, _OPEN_SHARE = 12, 1.0, 0.98
-# A facade goes on a little beyond its last point; a corner is no farther from what is seen of its
-# two walls than this.
+# A facade extends beyond its last point by this; a corner is at most this far from the observed
+# parts of its two walls.
 _BEYOND_M, _FARTHEST_CORNER_M = 0.1, 3.0
-# Shorter pieces are left out; what stands inside is so thick.
+# Shorter walls are left out; facades inside the room have this thickness.
 _SHORTEST_M, _THICK_M = 0.03, 0.02
-# What nothing is seen of goes around the sweeps where it is wider than this.
+# A wider sector without facades is closed by an arc around the sweeps.
 _WIDE_RAD = 2.0
-# What does not reach so far above the eye hides little; facades end so far above what is seen.
+# A facade that is less high above the viewpoint hides little; facades end this far above their
+# highest point.
 _OVER_EYE_M, _ABOVE_M = 0.2, 0.3
 
 
@@ -39,18 +40,18 @@ def room_of(
     facades: Sequence[Facade], eyes: FloatArray, config: FacadesConfig, frame_id: str
 ) -> Room:
     """
-    Make a room of facades.
+    Build a room from facades.
 
-    Raises `LandmarkNavError`: they do not surround the sweeps, not even with what joins them.
+    Raises `LandmarkNavError`: the facades and the walls that join them do not surround the sweeps.
 
     Parameters
     ----------
     facades : sequence of Facade
-        What was found.
+        Facades found.
     eyes : ndarray, shape (v, 3)
         Viewpoints of the sweeps, in map.
     config : FacadesConfig
-        How high and how certain walls are.
+        Height and sigma of walls.
     frame_id : str
         Frame of the map.
     """
@@ -62,7 +63,7 @@ def room_of(
     try:
         room = _closed(corners, height, config, frame_id)
     except LandmarkNavError:
-        # Planes that are uncertain meet anywhere; what is seen in order never crosses.
+        # Intersections of uncertain planes may cross; observed parts in their order do not.
         corners = _seen_corners(which, points, middle)
         room = _closed(corners, height, config, frame_id)
     if not room.contains(eyes[:, :2]).all():
@@ -79,9 +80,9 @@ def room_of(
 
 def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame_id: str) -> Room:
     """
-    Room around all that is seen, where facades make none; nothing is known to be on its walls.
+    Room around all points, if facades enclose none; nothing is known about its walls.
 
-    Arguments are as above, and `points` what panoramas share.
+    Arguments are those of `room_of`; `points` are those that panoramas share.
     """
     middle = eyes[:, :2].mean(0)
     seen = np.concatenate([eyes[:, :2], points.positions[:, :2]]) - middle
@@ -91,7 +92,7 @@ def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame
     reach = np.hypot(*seen.T)
     corners = []
     for direction in toward:
-        # A corner is as far out as the outermost that is seen about its direction.
+        # A corner is as far out as the farthest points near its direction.
         about = seen @ direction >= np.cos(2.0 * np.pi / _OPEN_WALLS) * reach
         far = np.quantile(reach[about], _OPEN_SHARE) if about.any() else 0.0
         far = max(float(far), least) / np.cos(np.pi / _OPEN_WALLS) + _BEYOND_M
@@ -102,7 +103,7 @@ def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame
 def _closed(
     corners: Sequence[tuple[FloatArray, int]], height: float, config: FacadesConfig, frame_id: str
 ) -> Room:
-    """Room of corners, if there are enough and its walls do not cross."""
+    """Room of corners; `LandmarkNavError` if there are too few or its walls cross."""
     if len(corners) >= 3:
         ends = [point for point, _ in [*corners[1:], corners[0]]]
         walls = tuple(
@@ -132,11 +133,11 @@ def _wall(
 
 
 def _seen(facades: Sequence[Facade], middle: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """The farthest facade along rays (n,), counter-clockwise, -1 for none, and where (n, 2)."""
+    """The farthest facade along rays (n,), counter-clockwise, -1 for none; the point (n, 2)."""
     azimuth = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
     ray = np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
     which, farthest = np.full(_RAYS, -1), np.zeros(_RAYS)
-    # Beyond its last point a facade counts only where there is no other one.
+    # Beyond its last point a facade counts only if there is no other.
     for beyond_m in (0.0, _BEYOND_M):
         unseen = which < 0
         for k, facade in enumerate(facades):
@@ -153,7 +154,7 @@ def _seen(facades: Sequence[Facade], middle: FloatArray) -> tuple[IndexArray, Fl
 def _corners(
     facades: Sequence[Facade], which: IndexArray, middle: FloatArray
 ) -> list[tuple[FloatArray, int]]:
-    """Points of the outline, each with the facade that starts there; -1 for what joins two."""
+    """Corners of the outline, each with the facade that starts there; -1 for a joining wall."""
     seen = which[which >= 0]
     runs = seen[np.flatnonzero(seen != np.roll(seen, 1))].tolist()
     if len(runs) < 2:
@@ -173,7 +174,7 @@ def _corners(
 def _seen_corners(
     which: IndexArray, points: FloatArray, middle: FloatArray
 ) -> list[tuple[FloatArray, int]]:
-    """The same, where each facade ends where another one begins to be seen."""
+    """Corners as `_corners` gives, where each facade ends at the last ray that hits it."""
     starts = np.flatnonzero(which != np.roll(which, 1))
     runs = [
         (points[begin], points[end - 1], int(which[begin]))
@@ -203,7 +204,7 @@ def _without_short(corners: list[tuple[FloatArray, int]]) -> list[tuple[FloatArr
 
 
 def _around(end: FloatArray, start: FloatArray, middle: FloatArray) -> list[FloatArray]:
-    """Points that lead from `end` to `start` counter-clockwise, if that is a wide turn."""
+    """Points of an arc from `end` to `start`, counter-clockwise, if the sector is wide."""
     first, last = end - middle, start - middle
     azimuth = np.arctan2(first[1], first[0])
     turn = (np.arctan2(last[1], last[0]) - azimuth) % (2.0 * np.pi)
@@ -224,7 +225,7 @@ def _crossing(one: Facade, other: Facade) -> FloatArray | None:
 
 
 def _fits(corner: FloatArray, end: FloatArray, start: FloatArray) -> bool:
-    """Whether a corner is near to what is seen of both walls."""
+    """Whether a corner is near the observed parts of both walls."""
     return bool(
         np.hypot(*(corner - end)) < _FARTHEST_CORNER_M
         and np.hypot(*(corner - start)) < _FARTHEST_CORNER_M
@@ -232,7 +233,7 @@ def _fits(corner: FloatArray, end: FloatArray, start: FloatArray) -> bool:
 
 
 def _with_island(room: Room, facade: Facade, k: int, config: FacadesConfig) -> Room:
-    """The room with a thin box behind a facade, unless it crosses what is there."""
+    """The room with a thin box behind a facade, unless it crosses other walls."""
     back = -_THICK_M * facade.normal
     points = [facade.start, facade.end, facade.end + back, facade.start + back]
     height = facade.high_m + _ABOVE_M

@@ -1,8 +1,8 @@
 """
-Flat vertical surfaces among points: lines in plan that many points share.
+Flat vertical surfaces among points: lines in plan.
 
-One after the other, the line with most support (RANSAC; Fischler and Bolles, 1981), where support
-is counted in cells of the surface, so that one object full of texture is no wall.
+The line with the most support is taken repeatedly (RANSAC; Fischler and Bolles, 1981). Support is
+counted in cells of the surface, so that one richly textured object is not a wall.
 """
 
 from __future__ import annotations
@@ -17,25 +17,26 @@ from landmark_nav.learning.facades.points import SeenPoints
 from landmark_nav.types import FloatArray
 
 _TRIALS, _SEED = 600, 5
-# A second point of a trial is this near to the first, metres; inliers are so many sigmas off.
+# Greatest distance of the two points of a trial, m; bound of inliers, in sigmas.
 _REACH_M, _INLIER_SIGMAS = 3.0, 2.5
 _CELL_M = 0.1
-# What lies lower is floor.
+# Lower points belong to the floor.
 _FLOOR_M = 0.08
 _REFITS = 4
-# Points so near to a facade are of it and of no other one, metres.
+# Points this near to a facade belong to it and to no other, m.
 _TAKEN_M = 0.06
-# Stretches of one facade have about this normal in common; what is farther behind is seen through.
+# Least cosine between the normals of parts of one facade; points farther behind a facade, m, are
+# seen through it.
 _SAME_NORMAL, _BEHIND_M = 0.98, 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Facade:
     """
-    A vertical rectangle: from `start` to `end` (2,) in map, with the room to its left.
+    A vertical rectangle from `start` to `end` (2,) in map, with the room on its left.
 
-    `low_m` and `high_m` are the heights between which it was seen, `cells` how much of it, and
-    `sigma_m` how well its points determine its plane.
+    It was observed between the heights `low_m` and `high_m`; `cells` of it contain points, and
+    `sigma_m` is the sigma of its plane.
     """
 
     start: FloatArray
@@ -58,12 +59,12 @@ class Facade:
 
     @property
     def length_m(self) -> float:
-        """Length, metres."""
+        """Length, m."""
         return float(np.hypot(*(self.end - self.start)))
 
 
 def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
-    """Find facades among points, those with most support first."""
+    """Find facades among points, in the order of their support."""
     left = points.chosen(points.positions[:, 2] > _FLOOR_M)
     rng = np.random.default_rng(_SEED)
     found: list[SeenPoints] = []
@@ -80,7 +81,7 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
 
 
 def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
-    """Facades, those joined that are stretches of one."""
+    """Facades, with parts of one facade joined."""
     facades = [refit(members, config) for members in found]
     bound = _INLIER_SIGMAS * config.relief_m
     k = 0
@@ -92,7 +93,7 @@ def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
             whole = refit(both, config)
             ends = np.array([(f.start, f.end) for f in (facades[k], facades[j])])
             off = (ends - whole.start) @ whole.normal
-            # A cupboard's front and the wall beside it make a line, too, but one that is turned.
+            # The front of a cupboard and the wall next to it also fit a line, but a rotated one.
             if max(np.abs(off).max(), np.abs(np.diff(off)).max()) < bound:
                 found[k], facades[k] = both, whole
                 del found[j], facades[j]
@@ -103,7 +104,7 @@ def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
 
 
 def _seen_through(facade: Facade, points: SeenPoints) -> bool:
-    """Whether more is seen behind a facade, through it, than on it."""
+    """Whether more points are seen through a facade than on it."""
     eye, ray = points.viewpoints, points.positions - points.viewpoints
     ahead = (eye[:, :2] - facade.start) @ facade.normal
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -119,7 +120,7 @@ def _seen_through(facade: Facade, points: SeenPoints) -> bool:
 
 
 def refit(members: SeenPoints, config: FacadesConfig) -> Facade:
-    """Facade through points, most of which lie on it."""
+    """Robust fit of a facade to points."""
     weight = np.ones(len(members))
     xy = members.positions[:, :2]
     for _ in range(_REFITS):
@@ -154,7 +155,7 @@ def _variance(points: SeenPoints, normal: FloatArray, config: FacadesConfig) -> 
 
 
 def _cells(along: FloatArray, height: FloatArray) -> int:
-    """How many cells of a surface hold points."""
+    """Number of cells of a surface that contain points."""
     cells = np.floor(np.stack([along, height], 1) / _CELL_M).astype(int)
     return len(np.unique(cells, axis=0))
 
@@ -162,7 +163,7 @@ def _cells(along: FloatArray, height: FloatArray) -> int:
 def _best_line(
     points: SeenPoints, config: FacadesConfig, rng: np.random.Generator
 ) -> BoolArray | None:
-    """Which points (n,) lie on the stretch of line that most cells support."""
+    """Points (n,) on the part of a line with the most support; None if there is too little."""
     xy = points.positions[:, :2]
     best, most = None, 0.0
     apart = np.linalg.norm(xy[:, None] - xy, axis=-1)
@@ -187,7 +188,7 @@ def _best_line(
 
 
 def _stretch(along: FloatArray, on: BoolArray, max_gap_m: float) -> BoolArray:
-    """The points of the longest populated stretch among those on a line."""
+    """Points of the longest part without a gap, among those on a line."""
     index = np.flatnonzero(on)
     index = index[np.argsort(along[index], kind='stable')]
     breaks = np.flatnonzero(np.diff(along[index]) > max_gap_m) + 1
@@ -198,7 +199,7 @@ def _stretch(along: FloatArray, on: BoolArray, max_gap_m: float) -> BoolArray:
 
 
 def _covered(points: SeenPoints, facade: Facade, config: FacadesConfig) -> BoolArray:
-    """Which points (n,) a facade explains."""
+    """Points (n,) that belong to a facade."""
     off = points.positions[:, :2] - facade.start
     along = off @ facade.along
     inside = (along > -_CELL_M) & (along < facade.length_m + _CELL_M)

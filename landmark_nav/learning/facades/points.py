@@ -1,4 +1,4 @@
-"""Where matched features are, by the poses of the panoramas that show them."""
+"""Positions of matched features, by the poses of the panoramas."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
 from landmark_nav.types import FloatArray
 
-# Depth that is less certain says nothing of a facade, m; what is seen in two directions that
-# differ by less has no depth, rad.
+# Points with a larger sigma, m, or a smaller parallax, rad, are not used.
 _MAX_SIGMA_M, _LEAST_PARALLAX = 0.15, 0.035
 
 
@@ -21,7 +20,7 @@ class SeenPoints:
     """
     Points (n, 3) in map, their covariance in plan (n, 2, 2), and one viewpoint of each (n, 3).
 
-    Errors of the poses are not in the covariance: all points share them.
+    The covariance is without errors of the poses, which all points share.
     """
 
     positions: FloatArray
@@ -29,12 +28,12 @@ class SeenPoints:
     viewpoints: FloatArray
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of points."""
         return len(self.positions)
 
     @classmethod
     def joined(cls, parts: Sequence[SeenPoints]) -> SeenPoints:
-        """All points of several."""
+        """Concatenate several sets."""
         return cls(
             np.concatenate([p.positions for p in parts]),
             np.concatenate([p.covariance for p in parts]),
@@ -42,7 +41,7 @@ class SeenPoints:
         )
 
     def chosen(self, which: BoolArray) -> SeenPoints:
-        """Some of them."""
+        """Return the points selected by `which` (n,)."""
         return SeenPoints(self.positions[which], self.covariance[which], self.viewpoints[which])
 
 
@@ -55,13 +54,13 @@ def placed_matches(
     Parameters
     ----------
     states : ndarray, shape (v, 6)
-        Of the sweeps, as `relative_poses` finds them.
+        States of the sweeps, from `relative_poses`.
     pairs : RayPairs
-        Matches that agree with them.
+        Inlier matches.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame.
     sigma_rad : float
-        Standard deviation of a direction.
+        Sigma of a direction.
     """
     here, there = (center(states[k], lever) for k in (pairs.one, pairs.other))
     w = turned(states[pairs.one], pairs.rays)

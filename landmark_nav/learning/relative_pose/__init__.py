@@ -1,4 +1,4 @@
-"""Poses of sweeps relative to each other, from what their panoramas both show."""
+"""Relative poses of sweeps, from features that their panoramas share."""
 
 from __future__ import annotations
 

@@ -9,25 +9,25 @@ from landmark_nav.parameters import Config
 
 @dataclass(frozen=True)
 class RelativePoseConfig(Config):
-    """What is matched between two panoramas, and when their relative pose counts as found."""
+    """Matching of features between panoramas, and acceptance of a relative pose."""
 
-    # Features per panorama at most.
+    # Most features per panorama.
     features: int = 3000
-    # Greatest distance of a match in descriptor space, as a share of that of the next best.
+    # Greatest distance of a match in descriptor space, relative to that of the next best.
     max_ratio: float = 0.85
-    # Standard deviation of the direction of a feature.
+    # Sigma of the direction of a feature, with the errors of the panorama.
     direction_sigma_rad: float = 1.5e-3
-    # The same of a feature alone, in a panorama that has no errors.
+    # Sigma of the direction of a feature in a panorama without errors.
     feature_sigma_rad: float = 5e-4
-    # Standard deviation of a sweep's tilt, about x and y.
+    # Sigma of a sweep's tilt, about x and y.
     tilt_sigma_rad: float = 0.01
-    # Standard deviation of the height of a sweep.
+    # Sigma of the height of a sweep.
     rise_sigma_m: float = 0.003
-    # Standard deviation of where the camera points at pan 0, which all sweeps share.
+    # Sigma of the pan zero, which all sweeps share.
     heading_sigma_rad: float = 1e-3
-    # Least matches that agree on a relative pose.
+    # Fewest matches that support a relative pose.
     min_matches: int = 20
-    # Greatest support of another relative pose, as a share of that of the best.
+    # Greatest support of another relative pose, relative to that of the best.
     max_rival: float = 0.8
-    # Least distance between two sweeps that scale is taken from.
+    # Least distance between two sweeps that give the scale.
     min_baseline_m: float = 0.2

@@ -1,8 +1,8 @@
 """
-Epipolar constraints between panoramas, and the poses of sweeps that satisfy them.
+Poses of sweeps from epipolar constraints between their panoramas.
 
-Two rays to one point and the way between the panoramas lie in one plane: ``b . (w1 x w2) = 0``
-(McMillan and Bishop, SIGGRAPH 1995). Points are not needed, so that the unknowns are poses alone.
+Two rays to one point and the baseline lie in one plane: ``b . (w1 x w2) = 0`` (McMillan and
+Bishop, SIGGRAPH 1995). Points are eliminated: only poses are unknown.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt, root_of
 from landmark_nav.types import FloatArray
 
-# Of each sweep: x, y, heading of the base, height above the others, tilt about x and y.
+# State of a sweep: x, y, heading of the base, height above the others, tilt about x and y.
 STATE = 6
-# Misses, in standard deviations, beyond which a match counts next to nothing: at first and later.
+# Scale of the robust weight, in sigmas, in the first and the last step; number of steps.
 _TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH, _STEPS = 16.0, 2.0, 6
-# What misses by fewer standard deviations agrees; of directions so far apart it may be a point.
+# Greatest residual of an inlier, in sigmas, and its least parallax.
 _AGREES, _LEAST_PARALLAX = 3.0, 1e-4
 _NOTHING = 1e-12
 
@@ -37,13 +37,13 @@ class RayPairs:
     other_rays: FloatArray
 
     def chosen(self, which: BoolArray) -> RayPairs:
-        """Some of them."""
+        """Return the matches selected by `which` (m,)."""
         return RayPairs(self.one, self.other, self.rays[which], self.other_rays[which])
 
 
 @dataclass(frozen=True, eq=False)
 class EpipolarFit:
-    """States (v, 6) of sweeps, their covariance (6 v, 6 v), what agrees of each set of matches."""
+    """States (v, 6) of sweeps, their covariance (6 v, 6 v), and the inliers of each pair."""
 
     states: FloatArray
     covariance: FloatArray
@@ -51,7 +51,7 @@ class EpipolarFit:
 
 
 def turned(state: FloatArray, rays: FloatArray) -> FloatArray:
-    """Rays (m, 3) of the base frame in map, for a sweep's state (6,); tilts are small."""
+    """Rotate rays (m, 3) from the base frame to map, by the state (6,); tilts are small."""
     roll, pitch = state[4], state[5]
     tilt = np.array([[1.0, 0.0, pitch], [0.0, 1.0, -roll], [-pitch, roll, 1.0]])
     return np.asarray(rays @ tilt.T @ rot_z(state[2]).T)
@@ -66,15 +66,15 @@ def misses(
     states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """
-    How far rays miss each other, in standard deviations (Sampson's approximation).
+    Residuals of matches in sigmas (Sampson's approximation).
 
     Returns
     -------
     misses : ndarray, shape (m,)
     jacobian : ndarray, shape (m, 2, 6)
-        By the states of both views.
+        Derivatives by the states of both views.
     before : ndarray of bool, shape (m,)
-        Whether the rays meet before both viewpoints.
+        Whether the rays meet in front of both viewpoints.
     """
     state, other = states[pairs.one], states[pairs.other]
     w, v = turned(state, pairs.rays), turned(other, pairs.other_rays)
@@ -83,13 +83,13 @@ def misses(
     normal = np.cross(w, v)
     off = normal @ way
     by_w, by_v = np.cross(v, way), np.cross(way, w)
-    # Azimuth and tangent of either ray err alike.
+    # Azimuth and tangent of both rays have the same sigma.
     variance = sum(
         np.sum(by * across, 1) ** 2 + by[:, 2] ** 2
         for by, across in ((by_w, _across(w)), (by_v, _across(v)))
     )
     scale = 1.0 / (sigma_rad * np.sqrt(variance) + _NOTHING)
-    # The length of the way does not matter.
+    # The length of the baseline has no effect.
     normal -= np.outer(off / max(float(way @ way), _NOTHING), way)
     jacobian = np.empty((len(w), 2, STATE))
     for k, (at, by, ray, sign) in enumerate(((state, by_w, w, -1.0), (other, by_v, v, 1.0))):
@@ -99,7 +99,7 @@ def misses(
         jacobian[:, k, 2] = turn[:, 2] + sign * (normal[:, 1] * arm[0] - normal[:, 0] * arm[1])
         jacobian[:, k, 3] = sign * normal[:, 2]
         jacobian[:, k, 4:] = (turn @ rot_z(at[2]))[:, :2]
-    # In plan: the rays meet ahead of both.
+    # In plan: whether the rays meet ahead of both.
     parallax = w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]
     ahead = way[0] * v[:, 1] - way[1] * v[:, 0]
     ahead_there = way[0] * w[:, 1] - way[1] * w[:, 0]
@@ -122,25 +122,25 @@ def fit_poses(
     others: Callable[[FloatArray], tuple[FloatArray, FloatArray]] | None = None,
 ) -> EpipolarFit:
     """
-    Fit the states of sweeps to matches, some of them false, and to what is known before.
+    Robust fit of the states of sweeps to matches and a prior.
 
-    A weight that falls faster than the pull grows (Geman and McClure), stricter with each step.
+    The weight is that of Geman and McClure, with a scale that decreases from step to step.
 
     Parameters
     ----------
     start : ndarray, shape (v, 6)
-        Where to begin.
+        Initial states.
     pairs : sequence of RayPairs
         Matches between views.
     lever : ndarray, shape (3,)
         Viewpoint in the base frame.
     sigma_rad : float
-        Standard deviation of the direction of a ray.
+        Sigma of the direction of a ray.
     prior, prior_covariance : ndarray, shape (v, 6), (6 v, 6 v)
-        What is known of the states before.
+        Prior of the states.
     others : callable, optional
-        Other measurements: misses (m,) in standard deviations at states (v, 6), and their
-        derivatives (m, 6 v).
+        Other measurements: residuals (m,) in sigmas at states (v, 6), and their derivatives
+        (m, 6 v).
     """
     views = len(start)
     whiten = np.linalg.inv(root_of(prior_covariance))
@@ -151,10 +151,10 @@ def fit_poses(
         off[:, 2] = wrap_rad(off[:, 2])
         return np.asarray(whiten @ off.ravel())
 
-    for doubt in np.geomspace(_TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH, _STEPS):
+    for width in np.geomspace(_TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH, _STEPS):
         found = [misses(states, p, lever, sigma_rad) for p in pairs]
         weights = [
-            np.where(before, 1.0, 1e-3) / (1.0 + (off / doubt) ** 2) for off, _, before in found
+            np.where(before, 1.0, 1e-3) / (1.0 + (off / width) ** 2) for off, _, before in found
         ]
 
         def linearize(flat: FloatArray) -> tuple[FloatArray, FloatArray]:

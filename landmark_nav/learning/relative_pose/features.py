@@ -1,8 +1,8 @@
 """
-Features of panoramas, and which of them look alike.
+Features of panoramas and their matches.
 
 SIFT (Lowe, IJCV 60(2), 2004) with the root of its histograms (Arandjelovic and Zisserman, CVPR
-2012): it bears the change of scale and slant between places metres apart.
+2012): it tolerates the change of scale and slant between places metres apart.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
 from landmark_nav.types import FloatArray, ImageArray
 
-# A feature looks so far around itself, pixels: round the seam, and away from what is uncovered.
+# Overlap at the seam, and margin to uncovered parts, pixels: the support of a descriptor.
 _SEAM_PX, _MARGIN_PX = 48, 9
 _CONTRAST = 0.01
 
@@ -32,7 +32,7 @@ class Features:
     descriptors: Float32Array
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of features."""
         return len(self.rays)
 
 
@@ -43,9 +43,9 @@ def find_features(grey: ImageArray, mask: BoolArray, cylinder: Cylinder, most: i
     Parameters
     ----------
     grey : ndarray of uint8, shape (height, width)
-        Of a full turn: the last column borders on the first.
+        Panorama of a full turn: the last column borders on the first.
     mask : ndarray of bool, shape (height, width)
-        What is covered.
+        Covered pixels.
     """
     width = grey.shape[1]
     columns = np.arange(-_SEAM_PX, width + _SEAM_PX) % width
@@ -63,11 +63,7 @@ def find_features(grey: ImageArray, mask: BoolArray, cylinder: Cylinder, most: i
 
 
 def alike(one: Features, other: Features, max_ratio: float) -> IndexArray:
-    """
-    Pairs (m, 2) of features that are each other's nearest, and nearer than the next by far.
-
-    The most distinct come first.
-    """
+    """Pairs (m, 2) of mutually nearest features that pass the ratio test, most distinct first."""
     if min(len(one), len(other)) < 2:
         return np.empty((0, 2), dtype=np.intp)
     likeness = one.descriptors @ other.descriptors.T
@@ -83,11 +79,11 @@ def alike(one: Features, other: Features, max_ratio: float) -> IndexArray:
     return np.stack([kept, best[kept]], 1)
 
 
-# Half the width of the band about the curve, standard deviations: poses are not yet exact.
+# Half width of the band about the epipolar curve, in sigmas: poses are not yet exact.
 _BAND = 6.0
-# Least cosine of two descriptors that may be one feature.
+# Least cosine of the descriptors of a match.
 _LEAST_LIKENESS = 0.8
-# Nearer than this share of the way between two panoramas, and farther than so many, is nothing.
+# Least and greatest range of a match, in lengths of the baseline.
 _NEAREST, _FARTHEST = 0.15, 30.0
 
 
@@ -99,7 +95,7 @@ def matches_along(
     lever: FloatArray,
     config: RelativePoseConfig,
 ) -> RayPairs:
-    """Match the features of two views near each other's epipolar curves."""
+    """Match the features of two views near their epipolar curves."""
     here, there = center(states[one], lever), center(states[other], lever)
     way = there - here
     w, v = (turned(states[k], features[k].rays).astype(np.float32) for k in (one, other))

@@ -1,8 +1,8 @@
 """
-Poses of all sweeps: their shape from the panoramas, their scale from what is known beside.
+Poses of all sweeps: the shape from the panoramas, the scale from other sources.
 
-Pairs of panoramas give headings and directions; from these, along the best pairs, all are placed,
-and then fitted to all matches at once.
+Pairs of panoramas give headings and directions. The best pairs give initial poses of all sweeps,
+which are then fitted to all matches at once.
 """
 
 from __future__ import annotations
@@ -44,11 +44,12 @@ from landmark_nav.learning.relative_pose.two_views import (
 from landmark_nav.learning.sheets.papers import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
-# Each sweep is compared with so many of those nearest to it, if that is known.
+# Number of nearest sweeps with which each is matched, if their places are known.
 _NEIGHBOURS = 4
-# Matches that a turn alone explains, as a share of those that a way does, where there is no way.
-_NO_WAY = 0.8
-# Of x, y, heading (m, m, rad): the first sweep is the frame, nothing is known of the others.
+# There is no baseline if a rotation alone explains this share of the inliers.
+_NO_BASELINE = 0.8
+# Prior sigmas of x, y, heading (m, m, rad): of the first sweep, which defines the frame, and of
+# the others.
 _FIXED_SIGMA = 1e-6
 _UNKNOWN_SIGMA = (10.0, 10.0, 3.0)
 _ROUNDS = 3
@@ -65,15 +66,15 @@ class RelativePoses:
     states : ndarray, shape (v, 6)
         x, y, heading of the base, height above the first (m), tilt about x and y of the base.
     covariance : ndarray, shape (3 v, 3 v)
-        Of x, y, heading by the sources of the scale alone, without what panoramas show.
+        Covariance of x, y, heading by the sources of the scale alone, without the panoramas.
     pairs : tuple of RayPairs
-        Matches that agree.
+        Inlier matches.
     scales : tuple of ScaleShare
-        What each source says of the scale.
+        Scale by each source.
     scale_sigma : float
-        Relative standard deviation of the scale by all of them.
+        Relative sigma of the scale by all sources.
     wave_sigma_rad : float
-        By how much more than features are uncertain directions of panoramas err.
+        Sigma of directions of panoramas beyond the noise of features.
     """
 
     states: FloatArray
@@ -93,23 +94,23 @@ def relative_poses(
     before: RelativePoses | None = None,
 ) -> RelativePoses:
     """
-    Find the poses of sweeps from what their panoramas show, and the scale from all that gives it.
+    Find the poses of sweeps from their panoramas, and the scale from all sources.
 
-    Raises `LandmarkNavError`: panoramas that share too little, no way between them, nothing that
-    gives the scale, or sources that contradict panoramas or each other.
+    Raises `LandmarkNavError`: panoramas share too little or have no baseline, nothing gives the
+    scale, or sources contradict the panoramas or each other.
 
     Parameters
     ----------
     features : sequence of Features
-        Of the panorama of each sweep.
+        Features of the panorama of each sweep.
     known : sequence of PlaceChain
-        Poses of the base that are known before, by each source; the first one gives the frame.
+        Poses of the base by each source; the first source defines the frame.
     lever : ndarray, shape (3,)
-        Viewpoint in the base frame, metres.
+        Viewpoint in the base frame, m.
     sheets : sequence of sequence of SheetView
-        What may be a sheet of a known size, of each sweep.
+        Candidates for sheets of a known size, of each sweep.
     before : RelativePoses, optional
-        What was found of the same sweeps with other panoramas, which were then levelled by it.
+        Poses found before the panoramas were levelled by them.
     """
     if before is None:
         start, pairs = _found(features, known, lever, config, sheets)
@@ -131,7 +132,7 @@ def relative_poses(
 def _wave_sigma(
     states: FloatArray, pairs: Sequence[RayPairs], lever: FloatArray, config: RelativePoseConfig
 ) -> float:
-    """What matches miss each other by that features alone would not."""
+    """Sigma of the residuals of matches beyond the noise of features."""
     off = [misses(states, p, lever, config.direction_sigma_rad)[0] for p in pairs]
     seen = _MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(off))))
     variance = (seen * config.direction_sigma_rad) ** 2 - config.feature_sigma_rad**2
@@ -145,7 +146,7 @@ def _found(
     config: RelativePoseConfig,
     sheets: Sequence[Sequence[SheetView]],
 ) -> tuple[FloatArray, list[tuple[int, int]]]:
-    """States (v, 6) by matches of pairs of panoramas, and the pairs that have some."""
+    """Initial states (v, 6) by matches of pairs of panoramas, and the pairs with a pose."""
     count = len(features)
     found: dict[tuple[int, int], TwoViews] = {}
     for i, j in _neighbours(known[0].poses) if known else combinations(range(count), 2):
@@ -154,7 +155,7 @@ def _found(
         ranked = hypotheses(pairs, config)
         turn = turn_support(pairs, config.direction_sigma_rad)
         agreed = ranked[0].support if ranked else 0
-        if turn >= max(config.min_matches, _NO_WAY * agreed):
+        if turn >= max(config.min_matches, _NO_BASELINE * agreed):
             raise LandmarkNavError(
                 f'the panoramas of sweeps {i + 1} and {j + 1} are from one place: take another '
                 'sweep 1 to 3 m away'
@@ -170,7 +171,7 @@ def _found(
 
 
 def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
-    """Pairs of sweeps to compare: consecutive ones, and those near each other."""
+    """Pairs of sweeps to match: consecutive ones, and those near each other."""
     away = np.hypot(*(poses[:, None, :2] - poses[None, :, :2]).transpose(2, 0, 1))
     near = {(k, k + 1) for k in range(len(poses) - 1)}
     for k, order in enumerate(np.argsort(away, 1, kind='stable')[:, 1 : _NEIGHBOURS + 1]):
@@ -191,7 +192,7 @@ def _placed(
     first: FloatArray,
     lever: FloatArray,
 ) -> FloatArray:
-    """States (v, 6) along the pairs with most support, as far apart as `lengths` says."""
+    """States (v, 6), chained along the pairs with most support; `lengths` are baselines."""
     states = np.zeros((count, STATE))
     states[0, :3] = first
     placed = {0}
@@ -238,7 +239,7 @@ def _fitted(
     lever: FloatArray,
     config: RelativePoseConfig,
 ) -> tuple[EpipolarFit, list[Source], list[RayPairs]]:
-    """Fit to all matches and sources of the scale; these sources and matches."""
+    """Fit to all matches and sources of the scale; return these too."""
     prior = np.zeros_like(start)
     prior[0, :3] = start[0, :3]
     covariance, states = _prior_covariance(len(start), config), start
@@ -258,7 +259,7 @@ def _fitted(
 
 
 def _prior_covariance(count: int, config: RelativePoseConfig) -> FloatArray:
-    """Covariance (6 v, 6 v) of states before anything is measured."""
+    """Prior covariance (6 v, 6 v) of the states."""
     rise, tilt = config.rise_sigma_m, config.tilt_sigma_rad
     sigma = np.tile([*_UNKNOWN_SIGMA, rise, tilt, tilt], (count, 1))
     sigma[0, :4] = _FIXED_SIGMA

@@ -1,7 +1,7 @@
 """
-What gives poses their scale: poses that are given, odometry, sheets of a known size.
+Sources of the scale: given poses, odometry, sheets of a known size.
 
-Each source is rows of the one adjustment; what it says of the scale is read off these rows.
+Each source contributes rows to the adjustment; its scale is computed from these rows.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ from landmark_nav.types import FloatArray, PlaceChain
 
 _LOG = logging.getLogger(__name__)
 
-# Chance that given poses miss the shape that the panoramas show by more; their variances then
-# grow, up to this factor, beyond which they are refused.
+# Significance at which given poses misfit the shape by the panoramas: their variances are inflated
+# by up to this factor; beyond it the poses are refused.
 _CHANCE, _MOST_INFLATED = 1e-4, 30.0
-# Scales that differ by more standard deviations contradict each other; between the two, one of
-# them is likely wrong, and which one is not known.
+# Scales that differ by the first number of sigmas cause a warning, by the second a refusal.
 _DOUBTFUL_SIGMAS, _MOST_SIGMAS = 2.0, 3.0
 
 Rows = tuple[FloatArray, FloatArray]
@@ -37,10 +36,10 @@ Rows = tuple[FloatArray, FloatArray]
 @dataclass(frozen=True)
 class ScaleShare:
     """
-    What one source says of the scale.
+    The scale by one source.
 
-    Ways are `scale` times as long by it alone as by all sources together, good to `sigma`.
-    `inflation` is the factor by which its variances had to grow, `sheets` how many it has.
+    `scale` is relative to that by all sources together, with the sigma `sigma`. `inflation` is the
+    factor on its variances, `sheets` the number of its sheets.
     """
 
     name: str
@@ -52,22 +51,22 @@ class ScaleShare:
 
 @dataclass(eq=False)
 class PlaceSource:
-    """Poses of the base that are known before, with their errors."""
+    """Given poses of the base with their covariance."""
 
     places: PlaceChain
     inflation: float = field(default=1.0, init=False)
 
     def __post_init__(self) -> None:
-        """Whiten all poses but the first, which is the frame."""
+        """Whiten all poses but the first, which defines the frame."""
         self._whiten = np.linalg.inv(root_of(self.places.covariance[3:, 3:]))
 
     @property
     def name(self) -> str:
-        """What measured them."""
+        """Name of the source."""
         return self.places.source
 
     def rows(self, states: FloatArray) -> Rows:
-        """Misses (m,) in standard deviations and their derivatives (m, 6 v)."""
+        """Residuals (m,) in sigmas and their derivatives (m, 6 v)."""
         count = len(states)
         off = states[1:, :3] - self.places.poses[1:]
         off[:, 2] = wrap_rad(off[:, 2])
@@ -77,15 +76,15 @@ class PlaceSource:
         return whiten @ off.ravel(), jacobian.reshape(-1, count * STATE)
 
     def share(self, states: FloatArray, lever: FloatArray) -> ScaleShare:
-        """What it says of the scale."""
+        """Scale by this source."""
         scale, sigma = _scale_by(self.rows(states), states, lever)
         return ScaleShare(self.name, scale, sigma, self.inflation)
 
     def inflate(self, states: FloatArray, lever: FloatArray) -> None:
         """
-        Let variances grow by the misfit, but for that of the scale, where it is significant.
+        Inflate variances by the misfit, without that of the scale, if it is significant.
 
-        Raises `LandmarkNavError`: poses beyond all reason.
+        Raises `LandmarkNavError`: the poses contradict the panoramas.
         """
         self.inflation = 1.0
         rows = self.rows(states)
@@ -98,7 +97,7 @@ class PlaceSource:
             raise LandmarkNavError(self._contradiction(states))
 
     def _contradiction(self, states: FloatArray) -> str:
-        """Say between which sweeps they and the panoramas disagree most."""
+        """Message that names the sweeps between which the disagreement is largest."""
         turns = []
         for k in range(len(states) - 1):
             seen = relative(states[k, :3], states[k + 1, :3])
@@ -116,7 +115,7 @@ class PlaceSource:
 
 @dataclass(frozen=True, eq=False)
 class SheetSource:
-    """Sheets of one kind, which share errors: of their size, of how the camera shows edges."""
+    """Sheets of one kind, which share errors of their size and of edges in images."""
 
     name: str
     tracks: Sequence[SheetTrack]
@@ -129,7 +128,7 @@ class SheetSource:
         return [cls(kind, [t for t in tracks if t.kind == kind], lever) for kind in kinds]
 
     def rows(self, states: FloatArray) -> Rows:
-        """As of `PlaceSource`; shared errors, each with a row for its prior, are eliminated."""
+        """Rows as in `PlaceSource`; shared errors, each with a prior, are eliminated."""
         found = [sheet_misses(states, track, self.lever) for track in self.tracks]
         off, jacobian, shared = (np.concatenate(part) for part in zip(*found, strict=True))
         count = shared.shape[1]
@@ -140,7 +139,7 @@ class SheetSource:
         return rows[:, 0], rows[:, 1:]
 
     def share(self, states: FloatArray, lever: FloatArray) -> ScaleShare:
-        """What they say of the scale."""
+        """Scale by these sheets."""
         scale, sigma = _scale_by(self.rows(states), states, lever)
         return ScaleShare(self.name, scale, sigma, sheets=len(self.tracks))
 
@@ -149,7 +148,7 @@ Source = PlaceSource | SheetSource
 
 
 def _scale_by(rows: Rows, states: FloatArray, lever: FloatArray) -> tuple[float, float]:
-    """Factor on all ways that fits some rows best, were the shape exact, and its sigma."""
+    """Best factor on all baselines for some rows, for a fixed shape, and its sigma."""
     off, jacobian = rows
     eyes = np.array([center(state, lever) for state in states])
     growth = np.zeros_like(states)
@@ -171,9 +170,9 @@ def stacked(sources: Sequence[Source]) -> Callable[[FloatArray], Rows]:
 
 def scale_sigma(shares: Sequence[ScaleShare]) -> float:
     """
-    Relative standard deviation of the scale by all sources; as large as their disagreement.
+    Relative sigma of the scale by all sources; at least their disagreement.
 
-    Raises `LandmarkNavError`: two contradict each other.
+    Raises `LandmarkNavError`: two sources contradict each other.
     """
     sigma = float(sum(share.sigma**-2 for share in shares) ** -0.5)
     for one, other in combinations(shares, 2):

@@ -1,8 +1,8 @@
 """
-Sheets of a known size that several panoramas show: points that are measured in all directions.
+Sheets of a known size in several panoramas: points with a measured range.
 
-Which view shows which sheet is not known, nor whether it is one. Two views of one sheet give the
-length of the way between the viewpoints; the length that most sheets agree on is right.
+The correspondence of candidates is unknown, and some are not sheets. Two views of one sheet give
+the length of the baseline; the length with the most sheets is taken.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.learning.sheets.papers import SheetView
 from landmark_nav.types import FloatArray
 
-# How well relative poses are known that are found but not yet fitted, and then, rad: two views of
-# one sheet miss each other by it, times their distance.
+# Sigma of relative poses before and after the fit, rad; times the range it is the residual between
+# two views of a sheet.
 ROUGH, FINE = 0.006, 0.0015
-# Chance that two views of a sheet miss each other by more; lengths that differ by fewer standard
-# deviations are one, and less certain ones are no use.
+# Significance at which two views show different sheets; greatest difference of equal lengths, in
+# sigmas; greatest relative sigma of a useful length.
 _CHANCE, _SAME_SIGMAS, _MOST_SIGMA = 1e-3, 3.0, 0.1
 
 
-# View and number of a sheet in it, twice: both are one sheet.
+# Two views with the number of a sheet in each: both are one sheet.
 _Link = tuple[tuple[int, int], tuple[int, int]]
 
 
@@ -50,7 +50,7 @@ class SheetTrack:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Sheet `one` of the first view as `other` of the second; the way between is so long."""
+    """Sheet `one` of the first view is `other` of the second; length of the baseline by it."""
 
     one: int
     other: int
@@ -71,17 +71,17 @@ def sheet_tracks(
     Parameters
     ----------
     sheets : sequence of sequence of SheetView
-        What may be a sheet, of each view.
+        Candidates for sheets of each view.
     found : mapping
         Relative poses of pairs of views.
     pose_sigma_rad : float
-        How well these are known.
+        Sigma of these poses.
 
     Returns
     -------
     tracks : list of SheetTrack
     lengths : dict
-        Way between the viewpoints of pairs that share sheets, metres.
+        Baselines of pairs that share sheets, m.
     """
     links: list[_Link] = []
     lengths = {}
@@ -112,7 +112,7 @@ def _agreed(
     pose_sigma_rad: float,
     views: tuple[int, int],
 ) -> list[_Pair]:
-    """Pairs of views of one sheet each that agree on the length of the way, most certain first."""
+    """Pairs of views of one sheet each that agree on the baseline, most certain first."""
     pairs = [
         pair
         for a, first in enumerate(one)
@@ -138,7 +138,7 @@ def _agreed(
 def _way(
     a: int, b: int, first: SheetView, second: SheetView, pose: TwoViews, pose_sigma_rad: float
 ) -> _Pair | None:
-    """How long the way is if two views show one sheet; None if they do not."""
+    """Length of the baseline if two views show one sheet; None if they do not."""
     state = np.array([0.0, 0.0, pose.heading_rad, 0.0, *pose.tilt_rad])
     there = turned(state, second.position[None])[0]
     rotation = rot_z(pose.heading_rad)
@@ -163,7 +163,7 @@ def _same(one: _Pair, other: _Pair) -> bool:
 
 
 def _distinct(pairs: list[_Pair]) -> list[_Pair]:
-    """Of pairs that share a view of a sheet the most certain one."""
+    """The most certain of the pairs that share a view of a sheet."""
     kept: list[_Pair] = []
     for pair in sorted(pairs, key=lambda p: p.sigma_m):
         if all(pair.one != k.one and pair.other != k.other for k in kept):

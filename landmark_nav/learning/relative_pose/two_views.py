@@ -32,9 +32,9 @@ class TwoViews:
     """
     A relative pose without scale.
 
-    `heading_rad` is that of the second base in the first; `direction_rad` that of the way between
-    their viewpoints in the first; `tilt_rad` (2,) of the second against the first; `support` how
-    many matches agree.
+    `heading_rad` is that of the second base in the first, `direction_rad` that of the baseline in
+    the first, `tilt_rad` (2,) that of the second relative to the first, `support` the number of
+    inliers.
     """
 
     heading_rad: float
@@ -53,7 +53,7 @@ def two_views_of(states: FloatArray, one: int, other: int, lever: FloatArray) ->
 
 
 def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
-    """Relative poses that matches, the most distinct first, support: the best one first."""
+    """Relative poses supported by matches, which come most distinct first; the best pose first."""
     if len(pairs.rays) < config.min_matches:
         return []
     angles = 2.0 * np.pi * np.arange(_GRID) / _GRID
@@ -72,7 +72,7 @@ def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
 
 
 def turn_support(pairs: RayPairs, sigma_rad: float) -> int:
-    """How many matches one turn alone explains: without a way there is no more."""
+    """Number of matches that a rotation alone explains: all of them without a baseline."""
     azimuth, other = (np.arctan2(r[:, 1], r[:, 0]) for r in (pairs.rays, pairs.other_rays))
     bound = _TURN_SIGMAS * sigma_rad
     level = np.abs(pairs.other_rays[:, 2] - pairs.rays[:, 2]) < bound
@@ -82,7 +82,7 @@ def turn_support(pairs: RayPairs, sigma_rad: float) -> int:
 
 
 def _votes(pairs: RayPairs, angles: FloatArray) -> FloatArray:
-    """How well matches agree on each heading and direction, (n, n)."""
+    """Support of each heading and direction by matches, (n, n)."""
     azimuth, other = (
         np.arctan2(r[:_MOST_TRIED, 1], r[:_MOST_TRIED, 0]).astype(np.float32)
         for r in (pairs.rays, pairs.other_rays)

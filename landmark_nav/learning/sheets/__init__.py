@@ -10,7 +10,7 @@ __all__ = ['SheetView', 'SheetsConfig', 'find_sheets']
 
 
 def find_sheets(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
-    """Find what may be a sheet of a known size in a panorama; its pose does not matter."""
+    """Find candidates for sheets of a known size in a panorama; its pose is not used."""
     found: list[SheetView] = []
     if config.has_papers:
         found += find_papers(panorama, config)

@@ -18,7 +18,7 @@ _DICTIONARIES = (
 
 @dataclass(frozen=True)
 class SheetsConfig(Config):
-    """Sizes that are known; 0 where there are no such sheets."""
+    """Known sizes of sheets; 0 if there are none of a kind."""
 
     paper_width_m: float = parameter(
         0.0, 'width of coloured papers that hang upright anywhere', minimum=0, maximum=5
@@ -31,9 +31,9 @@ class SheetsConfig(Config):
     marker_dictionary: str = parameter(
         'DICT_4X4_50', 'dictionary of the markers, as OpenCV names it'
     )
-    # Standard deviation of these sizes, a share.
+    # Relative sigma of these sizes.
     size_sigma: float = 0.002
-    # Standard deviation of the corners of markers, pixels.
+    # Sigma of the corners of markers, pixels.
     corner_sigma_px: float = 0.15
 
     def __post_init__(self) -> None:
@@ -53,10 +53,10 @@ class SheetsConfig(Config):
 
     @property
     def has_papers(self) -> bool:
-        """Whether papers of a known size are looked for."""
+        """Whether papers of a known size are searched."""
         return self.paper_width_m > 0.0
 
     @property
     def has_markers(self) -> bool:
-        """Whether markers of a known size are looked for."""
+        """Whether markers of a known size are searched."""
         return self.marker_size_m > 0.0

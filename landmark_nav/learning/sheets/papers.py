@@ -1,9 +1,8 @@
 """
-Coloured papers and markers in a panorama, wherever they hang: their size gives their distance.
+Coloured papers and markers at unknown places in a panorama: their size gives the range.
 
-ArUco and AprilTag markers in a panorama: four corners of a square of known size.
-
-Garrido-Jurado et al., Pattern Recognition 47(6), 2014; Collins and Bartoli, IJCV 109, 2014 (IPPE).
+ArUco and AprilTag markers (Garrido-Jurado et al., Pattern Recognition 47(6), 2014) are squares of
+a known size, whose corners give the pose (Collins and Bartoli, IJCV 109, 2014: IPPE).
 """
 
 from __future__ import annotations
@@ -24,12 +23,11 @@ from landmark_nav.types import FloatArray, Panorama
 @dataclass(frozen=True, eq=False)
 class SheetView:
     """
-    What may be a sheet.
+    A candidate for a sheet.
 
-    `kind` is ``papers`` or ``markers``, `name` a colour or a number; `position` (3,) that of its
-    middle from the viewpoint, along the axes of the base, metres; `covariance` (3, 3) its own.
-    `shared` (3, q) is how q errors that all sheets of a kind have in common move it, each by its
-    standard deviation.
+    `kind` is ``papers`` or ``markers``, `name` a colour or a number; `position` (3,) is that of
+    the centre from the viewpoint, along the axes of the base, m; `covariance` (3, 3) is that of
+    its own errors. `shared` (3, q) are the loadings of q errors common to all sheets of a kind.
     """
 
     kind: str
@@ -39,15 +37,15 @@ class SheetView:
     shared: FloatArray
 
 
-# Shape of what may be a paper, width by height, as a share of that of the sheet: seen from the
-# side it is narrower. Blobs are rough, outlines are not.
+# Ratio of width and height of a candidate, relative to that of the sheet: a slanted sheet is
+# narrower. Bounds are widened by the first factor for blobs, which are less exact than outlines.
 _ROUGHLY, _NARROWEST, _WIDEST = 1.3, 0.2, 1.05
-# As near or far as this a paper is not measured, metres.
+# Range in which papers are measured, m.
 _NEAREST_M, _FARTHEST_M = 0.3, 12.0
 
 
 def find_papers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
-    """Find what may be a paper: a blob of its colour with four clear edges and its shape."""
+    """Find candidates for papers: blobs of their colour and shape with four clear edges."""
     view = CylinderImage(panorama.image, panorama.mask, panorama.cylinder)
     shape = config.paper_width_m / config.paper_height_m
     colors = config.paper_colors.split()
@@ -73,7 +71,7 @@ def find_papers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
             if _NARROWEST < seen < _WIDEST and _NEAREST_M < reach_m < _FARTHEST_M:
                 position, by_edge = _located(azimuth, tangent, config.paper_height_m)
                 own = by_edge * sigma
-                # Outwards is to the right (less azimuth), to the left, down and up.
+                # Outwards is right (smaller azimuth), left, down and up.
                 response = by_edge @ (by_response * [-1.0, 1.0, -1.0, 1.0])
                 shared = np.stack([config.size_sigma * position, response], 1)
                 found.append(SheetView('papers', color, position, own @ own.T, shared))
@@ -84,10 +82,10 @@ def _located(
     azimuth: FloatArray, tangent: FloatArray, height_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Middle (3,) of an upright sheet and its derivative (3, 4) by right, left, bottom and top.
+    Centre (3,) of an upright sheet and its derivative (3, 4) by right, left, bottom and top.
 
-    `azimuth` (2,) are its right and left edges, `tangent` (2,) its bottom and top above the middle
-    between these.
+    `azimuth` (2,) are its right and left edges, `tangent` (2,) its bottom and top at the middle
+    azimuth.
     """
     middle, (bottom, top) = azimuth.mean(), tangent
     reach = height_m / (top - bottom)
@@ -98,7 +96,7 @@ def _located(
     return reach * ray, np.stack([by_azimuth, by_azimuth, up + nearer, up - nearer], 1)
 
 
-# Step of the derivatives of a pose, metres and radians.
+# Step of numerical differentiation of a pose, m and rad.
 _STEP = 1e-5
 
 
@@ -106,7 +104,7 @@ def find_markers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
     """
     Find markers of one dictionary.
 
-    Raises `LandmarkNavError`: an OpenCV that can't.
+    Raises `LandmarkNavError`: this version of OpenCV has no detector.
     """
     if not hasattr(cv2, 'aruco') or not hasattr(cv2.aruco, 'ArucoDetector'):
         raise LandmarkNavError(
@@ -114,7 +112,7 @@ def find_markers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
             'or newer, or leave out markers'
         )
     width = panorama.cylinder.width
-    # What crosses the seam is whole in the padded part, and seen twice elsewhere.
+    # A marker across the seam is whole in the padded part; others there appear twice.
     columns = np.arange(width + width // 8) % width
     grey = cv2.cvtColor(panorama.image, cv2.COLOR_BGR2GRAY)
     parameters = cv2.aruco.DetectorParameters()
@@ -139,9 +137,9 @@ def locate_square(
     rays: FloatArray, size_m: float, sigma_rad: float
 ) -> tuple[FloatArray, FloatArray] | None:
     """
-    Middle (3,) of a square and its covariance (3, 3), from the rays (4, 3) of its corners.
+    Centre (3,) of a square and its covariance (3, 3), from the rays (4, 3) of its corners.
 
-    Corners are in the order of OpenCV; None where no square before the viewpoint fits.
+    Corners are in the order of OpenCV; None if no square in front of the viewpoint fits.
     """
     # A camera that looks at the middle: z forward, x right, y down.
     unit = rays / np.linalg.norm(rays, axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""Places of patches, from panoramas that both show them."""
+"""Stereo: patches of one panorama matched in others."""
 
 from __future__ import annotations
 

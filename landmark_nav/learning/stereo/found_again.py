@@ -1,4 +1,4 @@
-"""All candidates of all panoramas, looked for in the others."""
+"""Search of all candidates of each panorama in the others."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 @dataclass(frozen=True, eq=False)
 class Found:
     """
-    Patches that were found again from another place, and where the panoramas show each.
+    Patches that were found in another panorama, and their measurements.
 
-    `origin` holds the panorama and the candidate of each; `outcomes` what became of every
-    candidate so far.
+    `origin` has the panorama and the candidate of each; `outcomes` the result for every candidate
+    so far.
     """
 
     patches: list[WallPatch]
@@ -33,7 +33,7 @@ class Found:
 
     @property
     def walls(self) -> list[int]:
-        """The wall that each patch hangs on, -1 for those on a plane of their own."""
+        """Wall of each patch, -1 for those on a plane of their own."""
         return [patch.wall if patch.on_wall else -1 for patch in self.patches]
 
     @property
@@ -43,7 +43,7 @@ class Found:
 
     @property
     def before_walls(self) -> Found:
-        """Those with a wall behind them, as if they hung on it."""
+        """Patches with a wall behind them, with that wall as their plane."""
         which = [k for k, patch in enumerate(self.patches) if patch.wall >= 0]
         return replace(
             self,
@@ -61,9 +61,9 @@ def find_again(
     ties: Ties | None = None,
 ) -> Found:
     """
-    Look for each candidate in the other panoramas: on the wall behind it, else wherever it is.
+    Search each candidate in the other panoramas: on the wall behind it, else on its own plane.
 
-    `ties` are features that panoramas share: they say how far what is around them is.
+    `ties` are features that panoramas share: they give the range of patches around them.
     """
     found = Found([], [], [], [[] for _ in panoramas])
     for i, panorama in enumerate(panoramas):
@@ -71,7 +71,7 @@ def find_again(
         for n, candidate in enumerate(candidates[i]):
             behind = hypothesize(candidate, i, panorama, room, config)
             again = _on_wall(behind, panoramas, greys, room, config)
-            # Where walls were measured, their corners are no planes.
+            # A candidate across a corner of measured walls has no plane of its own.
             flat = ties is not None or isinstance(behind, WallPatch)
             if flat and (isinstance(again, Refusal) or is_off_wall(*again, panoramas, config)):
                 own = match_freely(candidate, i, panoramas, greys, config, features)
@@ -98,7 +98,7 @@ def _on_wall(
     room: Room,
     config: StereoConfig,
 ) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
-    """Find a candidate on the wall behind it."""
+    """Match a candidate on the wall behind it."""
     if isinstance(patch, Refusal):
         return patch
     others = [j for j in range(len(panoramas)) if j != patch.source]

@@ -1,9 +1,9 @@
 """
-How much larger one view of a patch shows it than another.
+Magnification between two views of a patch: depth from scale.
 
-Where two panoramas and a patch lie in one line, both see it in the same direction, and nothing
-moves; but the nearer a thing is, the more it grows on the way to it. On the plane that a patch is
-taken to lie on, views of a parallel plane before it differ by one factor both ways.
+If two panoramas and a patch lie on one line, there is no parallax; but on the way to a patch its
+image grows the faster the nearer it is. Resampled on the assumed plane, views of a parallel plane
+in front of it differ by one factor in both directions.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from landmark_nav.learning.stereo.wall_patch import texels_per_pixel, wall_textu
 from landmark_nav.matching import blur_to
 from landmark_nav.types import FloatArray, Panorama
 
-# Against noise of pixels (Gaussian sigma), and blur that a pixel stands for, as a share of it.
+# Sigma of the Gaussian blur against noise, pixels; blur of a pixel itself, relative to its size.
 _BLUR_PX = 0.8
 _BLUR_SHARE = 0.5
 _ITERATIONS = 6
 _CONVERGED = 1e-4
-# Beyond this it is not the same patch, or no usable pattern.
+# With larger values it is not the same patch, or the pattern is not usable.
 _MOST = 0.25
 _LARGEST_SIGMA = 0.02
 _LEAST_PIVOT = 1e-5
-# What blur at the border of a view spoils stays with the border, as if nothing grew.
+# Border of a view that the blur spoils, pixels.
 MARGIN = 4
 _INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
@@ -37,22 +37,22 @@ def log_nearer(
     greys: tuple[Float32Array, Float32Array],
 ) -> tuple[float, float]:
     """
-    How much nearer one panorama is to what it shows at `point` (3,) than that of a patch.
+    Log ratio of the distances of two panoramas from the true plane of a patch.
 
     Parameters
     ----------
     patch : WallPatch
-        As the first of `panoramas` shows it.
+        The patch in the first of `panoramas`.
     point : ndarray, shape (3,)
-        Where on the patch's plane the other one shows it.
+        Its match in the other, on the plane of the patch.
     panoramas, greys : tuple
-        Both panoramas, and their images in grey.
+        Both panoramas, and their grey images.
 
     Returns
     -------
     tuple of float
-        Logarithm of how many times farther before the plane of what they show the first was
-        taken, and its sigma: infinite where nothing shows it.
+        Logarithm of the distance of the first panorama over that of the second, and its sigma,
+        which is infinite if the ratio is not observable.
     """
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
     views = [
@@ -77,24 +77,24 @@ def log_magnification(
     template: Float32Array, found: Float32Array, pixel: float
 ) -> tuple[float, float] | None:
     """
-    Natural logarithm of how many times larger `found` shows what `template` does, and its sigma.
+    Log of the magnification of `found` relative to `template`, and its sigma.
 
-    Least squares over shift, gain, offset and blur besides; a view that is a little more blurred
-    would seem larger, as its outlines are wider. Slopes are those of the template alone: in a view
-    that is compared with its own slopes noise passes for blur.
+    Shift, gain, offset and blur are estimated too: a slightly more blurred view would look larger,
+    as its outlines are wider. Gradients are those of the template alone: with a view's own
+    gradients its noise would look like blur.
 
     Parameters
     ----------
     template, found : ndarray, shape (h, w)
-        Both views, aligned and about equally sharp; the template better is the coarser one. The
-        outermost `MARGIN` pixels only serve the others.
+        Both views, aligned and about equally sharp; the template should be the coarser one. The
+        outermost `MARGIN` pixels are used for filtering only.
     pixel : float
-        Texels that a pixel of the coarser view covers: its noise is correlated as far.
+        Texels per pixel of the coarser view: the correlation length of its noise.
 
     Returns
     -------
     tuple of float, or None
-        None where the pattern does not show it.
+        None if the pattern does not show the magnification.
     """
     height, width = template.shape
     right, down = (
@@ -115,7 +115,7 @@ def log_magnification(
     grown, center = 0.0, 0.5 * np.array([width - 1, height - 1])
     for _ in range(_ITERATIONS):
         larger = float(np.exp(grown))
-        # Remapping by OpenCV, which knows 32 steps a pixel, would be too coarse.
+        # cv2.remap is too coarse: it has 32 steps per pixel.
         seen = (
             _cubic(height, center[1] + larger * down)
             @ blurred
@@ -136,7 +136,7 @@ def log_magnification(
     variance = float(left @ left) / max(values.size - len(rows), 1)
     influence = np.zeros((height, width))
     influence[_INNER] = (inverse[0] @ rows).reshape(seen[_INNER].shape)
-    # White noise of the image passes what blurs it; the residuals have passed it too.
+    # White noise of the image is filtered by the blur, and so are the residuals.
     passed = float(np.hypot(_BLUR_PX, _BLUR_SHARE * pixel))
     carried = cv2.GaussianBlur(influence, (0, 0), passed, borderType=cv2.BORDER_CONSTANT)
     sigma = float(np.sqrt(4.0 * np.pi * variance * np.sum(carried**2))) * passed / gain
@@ -144,7 +144,7 @@ def log_magnification(
 
 
 def _rows(view: Float32Array, right: Float32Array, down: Float32Array) -> Float32Array:
-    """How a view (h, w) changes by size, shift, gain, offset, blur across and down: (7, n)."""
+    """Derivatives (7, n) of a view (h, w) by size, shift (2), gain, offset and blur (2)."""
     by_y, by_x = np.gradient(view)
     grown = right * by_x + down[:, None] * by_y
     bend_x, bend_y = np.gradient(by_x, axis=1), np.gradient(by_y, axis=0)

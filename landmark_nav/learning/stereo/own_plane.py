@@ -1,10 +1,9 @@
 """
-Patches on planes of their own: what does not hang on a wall is found by its own depth and turn.
+Patches on planes of their own: patches that are not on a wall, with an own depth and orientation.
 
-A patch is moved along its ray, upright and facing both panoramas, so that it looks the same, and
-searched from each depth to the next: together that is the epipolar curve. Where matched features
-around it say how far it is, it is searched there alone. It is then turned until both views of it
-are most alike.
+The patch is moved along its ray, upright and facing both panoramas, and searched between
+consecutive depths: together these are the epipolar curve. If matched features around it give its
+depth, only that is searched. Then the patch is rotated for the best correlation of its views.
 """
 
 from __future__ import annotations
@@ -21,32 +20,33 @@ from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasur
 from landmark_nav.learning.stereo.wall_stereo import compare
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
-# Azimuths in the base frame, tangents and distances in plan (n,) of what a panorama shows.
+# Azimuths in the base frame, tangents and horizontal distances (n,) of points in a panorama.
 Depths = tuple[FloatArray, FloatArray, FloatArray]
 
-# From each depth to the next; half of that way is searched before it, half behind.
+# Ratio of consecutive depths; half a step is searched on either side of each.
 _STEP = 0.72
 _NEAREST_M, _FARTHEST_M, _WIDEST_M = 0.5, 12.0, 2.0
-# So much is searched that chance finds something, if no features say where to look.
+# Least score without features that give the depth: the search is so wide that chance finds peaks.
 _MIN_SCORE = 0.88
-# Another depth may not look as good, as a share of the score.
+# Greatest score of another depth, relative to the best.
 _MAX_RIVAL = 0.95
-# Features so near to a patch, as a share of its size, tell its depth; this share is searched.
+# Features within this distance of a patch, relative to its size, give its depth, which is searched
+# within this relative range.
 _AROUND, _DEPTH_SHARE = 0.75, 0.1
-# So many do not agree by chance.
+# Number of features that do not agree by chance, each in a cell of its own of this size.
 _AGREED, _ONE_PX = 3, 6.0
-# Turns that are tried, then those beside the best one; how much more alike a larger turn must make
-# both views.
+# Rotations that are tried, rad; then these steps from the best one.
 _TURNS, _FINER = (0.0, 0.5, -0.5, 1.0, -1.0), (0.25,)
-# Until it is turned right it looks less alike, by this share.
+# Least score before the rotation is refined, relative to the final one; penalty of the score per
+# radian of rotation.
 _TURNING_SHARE = 0.8
 _TURN_PRICE = 0.02
 _LEAST_COSINE = 0.35
-# Errors of directions that do not make a patch hang off its wall.
+# Error of directions that is allowed before a patch counts as off its wall.
 _SLACK_RAD = 5e-3
-# Once its depth is known it is searched so near to it, metres.
+# Range of the search once the depth is known, m.
 _NEAR_M, _MARGIN_M = 0.1, 0.01
-# How far sizes in both views may contradict the depth, beside their sigma.
+# Greatest relative disagreement of sizes and depth, beyond this number of sigmas.
 _MAX_SIZE, _SIZE_SIGMAS = 0.05, 3.0
 
 
@@ -64,18 +64,18 @@ def match_freely(
     Parameters
     ----------
     source : int
-        Of the panorama that it was proposed in.
+        Number of the panorama that proposed it.
     panoramas, greys : sequence
-        All panoramas, and their images in grey.
+        All panoramas, and their grey images.
     config : StereoConfig
         What counts as the same patch.
     depths : tuple of ndarray, optional
-        Distances of matched features.
+        Ranges of matched features.
 
     Returns
     -------
     tuple of WallPatch and list of PatchMeasurement, or Refusal
-        The patch on its own plane and where the panoramas show it, its own one first.
+        The patch on its own plane and its measurements, that of its own panorama first.
     """
     others = [j for j in range(len(panoramas)) if j != source]
     known = _known_depth(candidate, panoramas[source], depths)
@@ -103,7 +103,7 @@ def match_freely(
             refused = found
         else:
             seen.append(found)
-    # Two other views, or several features, do not err alike by chance; one may.
+    # A single other view may match by chance; two views or several features do not.
     if seen and len(seen) < 2 and not (known and known.agreed):
         seen = [found for found in seen if found.score >= strict.min_score]
         refused = Refusal('low correlation', f'less than {strict.min_score:.2f}')
@@ -111,7 +111,7 @@ def match_freely(
 
 
 def depths_of(positions: FloatArray, panorama: Panorama) -> Depths:
-    """Azimuths in the base frame, tangents and distances in plan of points (n, 3) in map."""
+    """Azimuths in the base frame, tangents and horizontal distances of points (n, 3) in map."""
     away = positions - panorama.center_map
     distance = np.hypot(away[:, 0], away[:, 1])
     azimuth = np.arctan2(away[:, 1], away[:, 0]) - panorama.heading_rad
@@ -124,7 +124,7 @@ def is_off_wall(
     panoramas: Sequence[Panorama],
     config: StereoConfig,
 ) -> bool:
-    """Whether a patch of a wall, by all that other panoramas show of it, hangs far off it."""
+    """Whether all other panoramas show a patch of a wall far off it."""
     here = panoramas[patch.source]
     off = []
     for seen in measurements[1:]:
@@ -144,7 +144,7 @@ def is_off_wall(
 
 
 class _Depth(NamedTuple):
-    """Distance of a patch, how far before and behind it is searched, whether features agree."""
+    """Distance of a patch, half width of its search, and whether several features agree."""
 
     distance_m: float
     near_m: float
@@ -152,7 +152,7 @@ class _Depth(NamedTuple):
 
 
 def _known_depth(candidate: Candidate, panorama: Panorama, depths: Depths | None) -> _Depth | None:
-    """Distance that features about a candidate have; None if there are none."""
+    """Distance by the features around a candidate; None if there are none."""
     if depths is None:
         return None
     cylinder, (azimuth, tangent, distance) = panorama.cylinder, depths
@@ -170,7 +170,7 @@ def _known_depth(candidate: Candidate, panorama: Panorama, depths: Depths | None
         nearest = np.argmin(np.where(near, across**2 + down**2, np.inf))
         middle, spread = float(distance[nearest]), 0.0
     near &= np.abs(distance - middle) < _DEPTH_SHARE * middle
-    # One corner may be several features, of one false match.
+    # Several features at one corner may belong to one false match.
     cells = np.stack([across, down], 1)[near] // _ONE_PX
     agreed = len(np.unique(cells, axis=0)) >= _AGREED
     return _Depth(middle, _DEPTH_SHARE * middle + spread, agreed)
@@ -184,7 +184,7 @@ def _depth(
     greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> _Depth | Refusal:
-    """Distance at which another panorama shows a candidate, by all of its epipolar curve."""
+    """Distance of a candidate, from a search along its epipolar curve in another panorama."""
     here, there = panoramas[source], panoramas[other]
     found: list[tuple[float, float]] = []
     for patch in _moved(candidate, source, here, there):
@@ -195,7 +195,7 @@ def _depth(
             config,
             before_wall_m=min(step, _WIDEST_M),
             behind_wall_m=min(1.3 * step, _WIDEST_M),
-            # It is seldom turned as it is taken to be.
+            # Its rotation is not known yet.
             max_displaced_px=100.0,
         )
         seen = compare(patch, other, panoramas, greys, wide)
@@ -215,7 +215,7 @@ def _depth(
 def _moved(
     candidate: Candidate, source: int, here: Panorama, there: Panorama
 ) -> Iterator[WallPatch]:
-    """The patch at all depths, facing both cameras and turned to either side."""
+    """The patch at all depths, facing both cameras and rotated to either side."""
     distance = _FARTHEST_M
     while distance > _NEAREST_M:
         for turn in _TURNS:
@@ -233,7 +233,7 @@ def _patch(
     here: Panorama,
     there: Panorama,
 ) -> WallPatch | None:
-    """The patch at a distance, turned from facing both; None where one sees it too obliquely."""
+    """The patch at a distance, rotated from facing both; None if one view is too oblique."""
     azimuth = float(here.cylinder.azimuth_rad(candidate.column)) + here.heading_rad
     ray = np.array([np.cos(azimuth), np.sin(azimuth), here.cylinder.tangent(candidate.row)])
     position = here.center_map + distance * ray
@@ -258,7 +258,7 @@ def _turned(
     greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> tuple[float, WallPatch] | None:
-    """Score and patch, at its distance and turned until two views of it are most alike."""
+    """Score and patch with the distance and rotation of the best correlation."""
     here, there = panoramas[source], panoramas[other]
     distance, near_m, _ = at
     best: tuple[float, float, float, WallPatch] | None = None
@@ -292,7 +292,7 @@ def _near(
     config: StereoConfig,
     near_m: float = _NEAR_M,
 ) -> PatchMeasurement | Refusal:
-    """Find a patch whose plane is nearly known in another panorama."""
+    """Find a patch in another panorama, with its plane nearly known."""
     here, there = panoramas[patch.source], panoramas[other]
     to_there = there.center_map - patch.position
     if to_there @ patch.normal < _LEAST_COSINE * np.hypot(*to_there[:2]):
@@ -321,7 +321,7 @@ def _distance(
     there: Panorama,
     config: StereoConfig,
 ) -> float | None:
-    """Distance in plan by both azimuths; None where too little parallax gives it."""
+    """Horizontal distance by both azimuths; None if there is too little parallax."""
     # The sine rule in plan (McMillan and Bishop, 1995).
     ray, base = (p[:2] - here.center_map[:2] for p in (patch.position, there.center_map))
     azimuth, toward = (float(np.arctan2(v[1], v[0])) for v in (ray, base))
@@ -334,6 +334,6 @@ def _distance(
 
 
 def _normal_reach(patch: WallPatch, panorama: Panorama) -> float:
-    """How far before the plane of a patch a panorama was taken."""
+    """Distance of a panorama from the plane of a patch."""
     reach: FloatArray = (panorama.center_map - patch.position) @ patch.normal
     return float(reach)

@@ -1,4 +1,4 @@
-"""What panoramas share beside patches: matched features, which say how far things are."""
+"""Tie points: matched features, which give ranges and constrain the adjustment."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from landmark_nav.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """Points (n, 3) in map, and where two panoramas show each."""
+    """Points (n, 3) in map, and the measurements of each in two panoramas."""
 
     positions: FloatArray
     measurements: list[list[PatchMeasurement]]
 
     def seen_by(self, panorama: int) -> FloatArray:
-        """Those (m, 3) that a panorama shows."""
+        """Points (m, 3) that a panorama shows."""
         shown = [panorama in {s.panorama for s in group} for group in self.measurements]
         return np.asarray(self.positions[np.array(shown, dtype=bool)])
 
     def pixels(self, panorama: int, cylinder: Cylinder) -> FloatArray:
-        """Where a panorama shows them, (m, 2)."""
+        """Pixels (m, 2) of the points that a panorama shows."""
         shown = [s for group in self.measurements for s in group if s.panorama == panorama]
         azimuth, tangent = np.array([(s.azimuth_rad, s.tangent) for s in shown]).reshape(-1, 2).T
         return np.stack(

@@ -1,7 +1,8 @@
 """
-Patches of wall and what a panorama shows of them.
+Patches of walls and their texture in panoramas.
 
-A candidate's ray meets a wall; resampled on the wall, slant and distance are undone.
+The ray of a candidate meets a wall. Resampling on the wall removes the effects of slant and
+distance.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from landmark_nav.types import Candidate, FloatArray, Panorama
 @dataclass(frozen=True, eq=False)
 class WallPatch:
     """
-    The piece of wall that a candidate shows if it lies on the wall, or of a plane of its own.
+    The patch of a candidate, on the wall behind it or on a plane of its own.
 
-    `position` (3,) and `normal` (3,) in map; `shape` (rows, columns) and `texel_m` of its
-    texture; `source` is the panorama it was proposed in; `wall` the one behind it, or -1.
+    `position` (3,) and `normal` (3,) are in map; `shape` (rows, columns) and `texel_m` are those
+    of its texture; `source` is the panorama that proposed it; `wall` the one behind it, or -1.
     """
 
     candidate: Candidate
@@ -38,10 +39,10 @@ class WallPatch:
 @dataclass(frozen=True, eq=False)
 class PatchMeasurement:
     """
-    Where a panorama shows a patch: azimuth in its base frame, tangent, their sigmas.
+    Direction of a patch in a panorama: azimuth in its base frame, tangent, their sigmas.
 
-    How large it shows it gives how near it is: `log_nearer` is the logarithm of how many times
-    farther before the patch's plane the panorama was taken that proposed it.
+    `log_nearer` is the depth from scale: the logarithm of the distance of the proposing panorama
+    from the patch's plane over that of this panorama.
     """
 
     panorama: int
@@ -55,7 +56,7 @@ class PatchMeasurement:
 
 
 def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:
-    """The patch in the panorama that proposed it: there it is by definition."""
+    """Measurement in the panorama that proposed the patch, which defines it."""
     cylinder = panorama.cylinder
     return PatchMeasurement(
         patch.source,
@@ -76,12 +77,12 @@ def wall_texture(
     texel_m: float,
 ) -> Float32Array | None:
     """
-    What a panorama shows of a patch of wall.
+    Texture of a patch in a panorama.
 
     Parameters
     ----------
     grey : ndarray, shape (height, width)
-        Its image in grey, float32.
+        Grey image of the panorama, float32.
     position, normal : ndarray, shape (3,)
         Centre and normal of the patch in map.
     shape : tuple of int
@@ -92,7 +93,7 @@ def wall_texture(
     Returns
     -------
     ndarray of float32, shape `shape`, or None
-        None where the panorama does not cover it.
+        None if the panorama does not cover the patch.
     """
     columns, rows = _pixels(panorama, position, normal, shape, texel_m)
     if rows.min() < 1.0 or rows.max() > grey.shape[0] - 2.0:
@@ -117,7 +118,7 @@ def covered_rows(
     shape: tuple[int, int],
     texel_m: float,
 ) -> slice:
-    """Rows of a patch, arguments as above, that a panorama covers; empty where it covers none."""
+    """Rows of a patch that a panorama covers, possibly none; arguments as for `wall_texture`."""
     some = [0, shape[1] // 2, -1]
     columns, rows = (
         np.rint(pixels[..., some]).astype(int)
@@ -142,9 +143,9 @@ def _pixels(
     texel_m: float,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Where a panorama shows a patch: columns (w,) and rows (h, w) of its texels.
+    Pixels of a patch's texels in a panorama: columns (w,) and rows (h, w).
 
-    Patch and cylinder are upright: a column of the patch is a part of a column of the panorama.
+    Patch and cylinder are upright: a column of the patch lies in one column of the panorama.
     """
     cylinder = panorama.cylinder
     right, down = patch_axes(normal)
@@ -157,7 +158,7 @@ def _pixels(
 
 
 def texels_per_pixel(patch: WallPatch, panorama: Panorama) -> FloatArray:
-    """How many texels one pixel of a panorama covers, across and along the wall."""
+    """Texels per pixel of a panorama, across and down the patch."""
     ray = patch.position - panorama.center_map
     reach = float(np.hypot(ray[0], ray[1]))
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach

@@ -1,16 +1,14 @@
 """
-Stereo between panoramas: where candidates lie on the walls, found again from another place.
+Stereo between panoramas: candidates on walls are matched in other panoramas.
 
-A candidate's ray meets a wall; the patch of wall that it then shows is what the other panorama
-should show too, wherever it was taken from. Both views are resampled on the wall, so that slant
-and distance are undone and only the shift along the epipolar curve is left to search (McMillan
-and Bishop, SIGGRAPH 1995, give the curve; on the wall it is a short straight line).
+The ray of a candidate meets a wall, and other panoramas should show the same patch of wall. Both
+views are resampled on the wall, which removes the effects of slant and distance: only the shift
+along the epipolar curve remains (McMillan and Bishop, SIGGRAPH 1995); on the wall the curve is a
+short straight line.
 
-Whether two views show one flat patch, all of it.
-
-Where furniture stands against its wall, its rear corner lies on the wall, and a patch around it is
-found there with high correlation, as the outline is what counts for it; but within the outline
-each view shows another side. So the quarters of a patch are compared one by one.
+`displaced_quarter` tests that all of a patch is flat. A rear corner of furniture lies on the wall,
+and a patch around it has a high correlation, which its outline dominates; but each view shows
+another side of the furniture. So the quarters of a patch are compared one by one.
 """
 
 from __future__ import annotations
@@ -36,18 +34,19 @@ from landmark_nav.learning.stereo.wall_patch import (
 from landmark_nav.matching import blur_to, match_template
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
-# Against noise of pixels (Gaussian sigma).
+# Sigma of the Gaussian blur against noise, pixels.
 _BLUR_PX = 0.8
-# Least square of a quarter's gradients, as a share of the patch's: blank wall shows no place.
+# Least mean square of a quarter's gradients, relative to that of the patch: a blank quarter shows
+# no displacement.
 _BLANK = 0.02
 
 
 def displaced_quarter(first: Float32Array, second: Float32Array) -> float:
     """
-    How far a quarter of a patch would have to be out of place for two views to differ as they do.
+    Greatest displacement of a quarter of a patch between two views.
 
-    That is the deviation of the views, alike but for gain and offset, over their gradients. What
-    all quarters have in common is noise, and does not count; neither does a quarter's brightness.
+    It is the deviation of the views, after correction of gain and offset, over their gradients.
+    The part common to all quarters is noise and is removed, as is the brightness of each quarter.
 
     Parameters
     ----------
@@ -57,7 +56,7 @@ def displaced_quarter(first: Float32Array, second: Float32Array) -> float:
     Returns
     -------
     float
-        Pixels of the views; of the quarter where it is most.
+        In pixels of the views.
     """
     one, two = (cv2.GaussianBlur(view - view.mean(), (0, 0), _BLUR_PX) for view in (first, second))
     one *= np.sum(one * two) / np.sum(one * one)
@@ -69,7 +68,7 @@ def displaced_quarter(first: Float32Array, second: Float32Array) -> float:
 
 
 def _quarters(image: Float32Array) -> FloatArray:
-    """Four rows of the pixels of the quarters; middle rows and columns of odd sizes left out."""
+    """Pixels of the four quarters (4, n), without the middle row and column of odd sizes."""
     rows, columns = image.shape[0] // 2, image.shape[1] // 2
     return np.array(
         [
@@ -80,12 +79,12 @@ def _quarters(image: Float32Array) -> FloatArray:
     )
 
 
-# How far places may be wrong, in their sigmas, and where a search on the wall ends.
+# Number of sigmas of the poses that are searched, and the largest margin on the wall.
 _SIGMAS = 3.0
 _LARGEST_MARGIN_M = 0.5
-# What is not flat errs by this share of how far a quarter of it seems out of place.
+# Sigma of a patch that is not flat, relative to the displacement of its quarters.
 _RELIEF_SHARE = 0.5
-# How near to where it came from a match must lead back.
+# Greatest deviation of the match in the reverse direction.
 _MAX_RETURN_PX = 1.0
 
 
@@ -132,8 +131,7 @@ def match_in(
     """
     Find a patch of one panorama in another, number `other`.
 
-    Without parallax, and as far away, nothing distinguishes what lies on the wall from what stands
-    before.
+    Without parallax and at the same range, a patch on the wall looks like one in front of it.
     """
     here, there = panoramas[patch.source], panoramas[other]
     if sigma := room.walls[patch.wall].sigma_m:
@@ -148,8 +146,8 @@ def match_in(
     to_there = there.center_map - patch.position
     if to_there @ patch.normal < np.cos(config.max_incidence_rad) * np.hypot(*to_there[:2]):
         return Refusal('too oblique from the other place')
-    # Straight ahead of both, what hangs higher or lower than the camera has parallax in height,
-    # and all grows on the way to it.
+    # Straight ahead of both, a patch above or below the camera has vertical parallax, and a larger
+    # image in the nearer view.
     turn = float(np.linalg.norm(np.cross(to_here, to_there)))
     parallax = float(np.arctan2(turn, to_here @ to_there))
     reach, reach_there = float(np.linalg.norm(to_here)), float(np.linalg.norm(to_there))
@@ -167,9 +165,9 @@ def compare(
     config: StereoConfig,
 ) -> PatchMeasurement | Refusal:
     """
-    Match the two views resampled on the patch's plane, there and back.
+    Match the two views, resampled on the patch's plane, in both directions.
 
-    `patch` may be anywhere; it is searched as far before and behind its plane as `config` says.
+    The search extends in front of the plane and behind it as `config` says.
     """
     here, there = panoramas[patch.source], panoramas[other]
     center, shape = _search_area(patch, here, there, config)
@@ -179,7 +177,7 @@ def compare(
     )
     if search is None or template is None:
         return Refusal('not covered by both panoramas')
-    # The sharper view is blurred to what the other can show, or the peak would suffer.
+    # The sharper view is blurred to the resolution of the other, which improves the correlation.
     own, seen = (texels_per_pixel(patch, p) for p in (here, there))
     coarser = max(own.max(), seen.max())
     template = blur_to(template, seen, own)
@@ -221,7 +219,7 @@ def compare(
     cosine = -float(ray[:2] @ patch.normal[:2]) / reach
     sigma = np.sqrt(np.diag(match.covariance)) * patch.texel_m / reach
     if not patch.on_wall:
-        # What is not flat is matched by one part of it or another.
+        # A patch that is not flat may be matched by any part of it.
         relief = _RELIEF_SHARE * displaced * coarser * patch.texel_m / reach
         sigma = np.hypot(sigma, relief)
     nearer = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
@@ -243,7 +241,7 @@ def _window(
     shape: tuple[int, int],
     patch: WallPatch,
 ) -> tuple[FloatArray, Float32Array | None]:
-    """Centre (3,) and view of the rows of a window on the patch's plane that are covered."""
+    """Centre (3,) and texture of the covered rows of a window on the patch's plane."""
     rows = covered_rows(panorama, center, patch.normal, shape, patch.texel_m)
     count = rows.stop - rows.start
     if count < patch.shape[0] + 4:
@@ -257,12 +255,12 @@ def _window(
 def _search_area(
     patch: WallPatch, here: Panorama, there: Panorama, config: StereoConfig
 ) -> tuple[FloatArray, tuple[int, int]]:
-    """Centre (3,) and rows, columns of the wall where `there` may show the patch."""
+    """Centre (3,) and rows, columns of the window on the wall where `there` may show the patch."""
     # Depth along the source's ray moves the match along a line on the wall.
     to_here = here.center_map - patch.position
     reach = float(to_here @ patch.normal)
     reach_there = float((there.center_map - patch.position) @ patch.normal)
-    # Not beyond half the way to either camera: near one, the line on the wall has no end.
+    # At most half way to either camera: near a camera the line on the wall becomes infinite.
     before = min(config.before_wall_m, 0.5 * reach, 0.5 * reach_there)
     shifts = [
         _on_wall(patch, patch.position + depth / reach * to_here, there.center_map)
@@ -282,9 +280,9 @@ def _search_area(
 
 
 def _sigma_on_wall(patch: WallPatch, panorama: Panorama) -> FloatArray:
-    """Metres (2,) right and down on the wall by which the panorama's place misplaces the patch."""
+    """Sigma (2,) of the patch on the wall, right and down, by the panorama's pose, m."""
     ray = patch.position - panorama.center_map
-    # By x, y, z and heading; then along the ray back onto the wall.
+    # Shift by x, y, z and heading, projected back onto the wall along the ray.
     moved = np.vstack([np.eye(3), [-ray[1], ray[0], 0.0]])
     moved -= np.outer(moved @ patch.normal / (ray @ patch.normal), ray)
     by_place = np.stack(patch_axes(patch.normal)) @ moved.T
@@ -292,7 +290,7 @@ def _sigma_on_wall(patch: WallPatch, panorama: Panorama) -> FloatArray:
 
 
 def _on_wall(patch: WallPatch, point: FloatArray, center: FloatArray) -> FloatArray:
-    """Metres right and down on the wall where a point appears from `center`."""
+    """Projection of a point onto the wall from `center`, right and down, m."""
     ray = point - center
     scale = ((patch.position - center) @ patch.normal) / float(ray @ patch.normal)
     shift = center + scale * ray - patch.position

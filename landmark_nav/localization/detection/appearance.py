@@ -1,10 +1,11 @@
 """
-How a landmark should look from where the robot is: its patch, or a virtual view.
+The expected appearance of a landmark from the robot's pose: its patch, or a virtual view.
 
-A virtual view is drawn pixel by pixel from the panoramas that saw the landmark: each pixel's ray
-is intersected with the landmark's plane, and the panoramas show what is at that point (plenoptic
-rendering, McMillan and Bishop, SIGGRAPH 1995, with the depth from the plane). Panoramas from
-nearly the same direction and distance weigh most, after Buehler et al., SIGGRAPH 2001.
+A virtual view is rendered from the panoramas that saw the landmark: the ray of each pixel is
+intersected with the plane of the landmark, and the panoramas give the intensity of that point
+(plenoptic rendering, McMillan and Bishop, SIGGRAPH 1995, with the depth from the plane).
+Panoramas from a similar direction and distance have the largest weights (Buehler et al., SIGGRAPH
+2001).
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from landmark_nav.types import FloatArray, ImageArray, Landmark
 
 APPEARANCES = ('patch', 'virtual_view')
 
-# The weight of a view falls to exp(-1/2) at this angle, or at this log of the ratio of distances.
+# Sigmas of a view's weight: in the angle, and in the log of the ratio of distances.
 _ASIDE_RAD = 0.5
 _FARTHER = math.log(2.0)
-# Views with a smaller share are left out.
+# Views with a smaller share of the weight are left out.
 _LEAST_SHARE = 0.1
 
 
 class Texture(NamedTuple):
-    """An image of the landmark in wall coordinates, and its share in how it should look."""
+    """An image of the landmark in wall coordinates, and its weight in the blend."""
 
     image: ImageArray
     share: float
@@ -40,10 +41,10 @@ class Texture(NamedTuple):
 
 class Drawing(NamedTuple):
     """
-    How a landmark should look in a rectangle of the image, (height, width).
+    Expected appearance of a landmark in a rectangle of the image, (height, width).
 
-    `finer` is the resolution of the image over that of the textures, across and down, at least
-    1.
+    `finer` is the resolution of the image relative to that of the textures, across and down, at
+    least 1.
     """
 
     image: Float32Array
@@ -58,22 +59,22 @@ def draw(
     appearance: str,
 ) -> list[Drawing]:
     """
-    Draw landmarks as they should look in rectangles of the image.
+    Render the expected appearance of landmarks in rectangles of the image.
 
     Parameters
     ----------
     landmarks : sequence of Landmark
-        What to draw.
+        n landmarks.
     viewer : ndarray, shape (3,)
-        Where the camera is, in map.
+        Position of the camera in map.
     rays : sequence of ndarray, shape (height, width, 2)
-        Of the pixels of each rectangle, x/z and y/z in the optical frame.
+        Rays of the pixels of each rectangle: x/z and y/z in the optical frame.
     rays_to_patch : ndarray, shape (n, 3, 3)
-        Rays (x, y, 1) to metres on each patch.
+        Homographies from rays (x, y, 1) to metres on each patch.
     appearance : str
         One of `APPEARANCES`.
     """
-    # Each step for all landmarks at once, which is quicker than landmark by landmark.
+    # Each step is done for all landmarks at once, which is faster than landmark by landmark.
     shown = [
         (k, *texture)
         for k, landmark in enumerate(landmarks)
@@ -106,16 +107,16 @@ def draw(
 
 
 def _to_texels(image: ImageArray, width_m: float) -> list[list[float]]:
-    """Metres on a patch, homogeneous, to columns and rows of its image, (3, 3)."""
+    """Homography (3, 3) from metres on a patch to columns and rows of its image."""
     rows, columns = image.shape
     scale = columns / width_m
     return [[scale, 0.0, (columns - 1) / 2], [0.0, scale, (rows - 1) / 2], [0.0, 0.0, 1.0]]
 
 
 def _texels_a_pixel(texels: Float32Array) -> tuple[float, float]:
-    """Steps across and down the middle of a rectangle (height, width, 2)."""
+    """Texels per pixel, across and down, in the middle of a rectangle (height, width, 2)."""
     height, width = texels.shape[:2]
-    # Texels run backwards where the camera is upside down.
+    # The order of texels is reversed if the camera is upside down.
     across = abs(float(texels[height // 2, -1, 0] - texels[height // 2, 0, 0])) / (width - 1)
     down = abs(float(texels[-1, width // 2, 1] - texels[0, width // 2, 1])) / (height - 1)
     return max(across, 1e-2), max(down, 1e-2)
@@ -123,14 +124,14 @@ def _texels_a_pixel(texels: Float32Array) -> tuple[float, float]:
 
 def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Texture]:
     """
-    Images to blend, with shares that sum to one.
+    Images to blend, with weights that sum to one.
 
     Parameters
     ----------
     landmark : Landmark
-        One without `views` looks as its patch does.
+        The landmark; without `views` its patch is the only image.
     viewer : ndarray, shape (3,)
-        Where the camera is, in map.
+        Position of the camera in map.
     appearance : str
         One of `APPEARANCES`.
     """
@@ -155,13 +156,13 @@ def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Te
 
 @lru_cache(maxsize=4096)
 def _views(landmark: Landmark) -> tuple[tuple[ImageArray, float, float], ...]:
-    """Images of a landmark, each with the angle and the distance that it was seen from."""
+    """Images of a landmark, each with the angle and the distance from which it was seen."""
     views = (PatchView(landmark.viewpoint, landmark.patch), *landmark.views)
     return tuple((view.patch, *_seen_from(landmark, view.viewpoint)) for view in views)
 
 
 def _seen_from(landmark: Landmark, viewpoint: FloatArray) -> tuple[float, float]:
-    """Angle from the normal and distance, in plan."""
+    """Horizontal angle to the normal, and horizontal distance."""
     x, y = (viewpoint[:2] - landmark.position[:2]).tolist()
     nx, ny = landmark.normal[:2].tolist()
     return math.atan2(y * nx - x * ny, x * nx + y * ny), max(math.hypot(x, y), 1e-6)

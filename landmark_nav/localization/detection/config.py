@@ -12,27 +12,26 @@ class DetectionConfig(Config):
     """
     How landmarks are searched and what counts as found.
 
-    `target_count` and `appearance` were compared (docs/decisions.md, detection); the others are
-    chosen by hand.
+    docs/decisions.md (detection) compares values of `target_count` and `appearance`; the others
+    are chosen by hand.
     """
 
     # Least width and height of a template, pixels.
     min_size_px: int = 14
-    # Most landmarks looked for in an image: the most informative ones.
+    # Most landmarks searched in an image: the most informative ones.
     max_count: int = 16
-    # Landmarks looked for while most of those in the image before were found: more of them repeat
-    # what the map has wrong.
+    # Landmarks searched in an image while most of those in the last image were found: with more,
+    # the errors of the map dominate.
     target_count: int = 8
-    # Greatest share of the peak that another place may reach.
+    # Greatest score of a second peak, relative to the best.
     max_second_ratio: float = 0.9
-    # Half width of the search in predicted standard deviations.
+    # Half width of the search window, in predicted sigmas.
     window_sigmas: float = 3.0
-    # Largest half width of the search, pixels.
+    # Largest half width of the search window, pixels.
     max_window_px: int = 80
-    # Vertical error of the image from tilt and floor.
+    # Vertical sigma of matches by tilt and floor, pixels.
     vertical_sigma_px: float = 1.0
-    # What is looked for: the patch as it was learned, or a view from here out of all panoramas
-    # that saw it.
+    # The template: the patch as it was learned, or a view rendered from all panoramas that saw it.
     appearance: str = 'virtual_view'
-    # What the lens model leaves, pixels.
+    # Sigma of the residual error of the lens model, pixels.
     lens_sigma_px: float = 0.03

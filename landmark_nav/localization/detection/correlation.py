@@ -1,8 +1,9 @@
 """
-Detection: landmarks re-mapped to how they should look now, found in the image.
+Detection: landmarks are re-mapped to the expected view and found in the image by correlation.
 
 The plane of each patch and the expected pose give the template (Livatino and Madsen, section
-2.1); it is drawn in the raw image's own pixels, lens and all: nothing needs undistorting.
+2.1). It is rendered in the pixels of the raw image, with the lens distortion: the image is not
+undistorted.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from landmark_nav.types import (
 )
 
 _SHARP = np.zeros(2)
-# Blur mixes the surroundings into a patch, which moves matches by this share of the blur's sigma
+# Blur mixes the surroundings into a patch, which shifts matches by this share of its sigma
 # (measured: 0.03 to 0.04 in the study and in simulated rooms, at 1.5 and 3 pixels).
 _BLURRED_IN = 0.04
 _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
@@ -44,12 +45,11 @@ _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 @dataclass(frozen=True, eq=False)
 class DetectionResult:
     """
-    Landmarks found in an image, and why the others were not, by id.
+    Landmarks found in an image, and by id why the others were not.
 
     `rays` (n, 3) to the landmarks found are in the optical frame; `blur_px2` (n, 2) is the
-    variance by which the image is more blurred at each than those it was learned from. `heights`
-    are of all that was found, also where it is refused for its height. `expected` says where each
-    was searched, by id.
+    variance of the blur at each, relative to the images of the map. `heights` has all matches,
+    with those refused for their height. `expected` is where each landmark was searched, by id.
     """
 
     detections: Detections
@@ -79,10 +79,10 @@ def detect_landmarks(
     prior : PoseEstimate
         Expected pose of the base at its stamp.
     indices : ndarray of int, shape (n,)
-        Which landmarks of the map to look for: those expected in this view.
+        Landmarks of the map to search: those expected in this view.
     blur_px2 : ndarray, shape (2,)
-        By how much more the image is blurred than those that were learned, across and down:
-        variance of a Gaussian; negative if less.
+        Variance of the image's blur relative to the images of the map, across and down; negative
+        if the image is sharper.
     """
     view = View(frame, prior, mount)
     refused: dict[int, Refusal] = {}
@@ -135,7 +135,7 @@ def detect_landmarks(
 
 
 class _Found(NamedTuple):
-    """A landmark, the pixel (2,) of its centre, its match, and the row found minus expected."""
+    """A landmark, the pixel (2,) of its centre, its match, and the row minus the expected row."""
 
     landmark: Landmark
     uv: FloatArray
@@ -171,7 +171,7 @@ def _detect(
         np.array([place.ray_to_patch for place in expected]),
         config.appearance,
     )
-    # Whichever is sharper is blurred to match the other: the image, or the template.
+    # Of image and template, the sharper one is blurred to match the other.
     blurs = [_blurs(drawing.finer, blur_px2) for drawing in drawings]
     matches = match_templates(
         [
@@ -219,7 +219,7 @@ def _inner(template: Float32Array, blur: tuple[float, float]) -> Float32Array:
 def _heights(
     found: Sequence[_Found], variance_px2: FloatArray, landmark_map: LandmarkMap, view: View
 ) -> RowResiduals:
-    """Rows of matches, measured with these variances (n,), beside those that were expected."""
+    """Residuals of the rows of matches, which are measured with variances (n,)."""
     index = landmark_map.indices(np.array([f.landmark.id for f in found], dtype=np.int64))
     points = landmark_map.positions[index]
     rows = RowModel.of(
@@ -243,7 +243,7 @@ def _bearings(
     """
     Bearings (n,) at the pan axis in the base frame, and their variances (n,).
 
-    They follow from `rays` (n, 3, 3): to the centre, and to half a pixel right of it and below it;
+    `rays` (n, 3, 3) are those to the centre, and to half a pixel right of it and below it;
     `covariance` (n, 2, 2) is that of the centre's pixel.
     """
     if not landmarks:
@@ -251,8 +251,8 @@ def _bearings(
     directions = rays @ view.rotation.T
     azimuth = np.arctan2(directions[..., 1], directions[..., 0])
     by_uv = 2.0 * wrap_rad(azimuth[:, 1:] - azimuth[:, :1])
-    # From the optical centre to the pan axis by the expected range, whose error matters little as
-    # both are close to each other.
+    # The expected range transfers the bearing from the optical centre to the pan axis. Its error
+    # matters little, as the two are close to each other.
     position = np.array([k.position[:2] for k in landmarks])
     away = position - view.center[:2]
     reach = np.hypot(away[:, 0], away[:, 1])
@@ -262,11 +262,11 @@ def _bearings(
     return bearing, quadratic(by_uv, covariance)
 
 
-# It takes so many landmarks to measure the blur.
+# Fewest landmarks that measure the blur.
 _LEAST = 3
-# An image is searched again, so often in all, if its blur is not the assumed one.
+# Most searches of an image; it is searched again if the blur differs from that assumed by more.
 _LOOKS, _SAME_PX2 = 3, 0.7
-# Limits of the blur.
+# Limits of the blur's variance.
 _SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
 
 
@@ -280,25 +280,25 @@ def detect_blurred(
     blur_px2: FloatArray,
 ) -> tuple[DetectionResult, FloatArray]:
     """
-    Find landmarks as `detect_landmarks` does, with the blur that is measured from those found.
+    Find landmarks as `detect_landmarks` does, with the blur estimated from those found.
 
     Parameters
     ----------
     frame, prior, landmark_map, mount, config, indices
-        Those of `detect_landmarks`.
+        As in `detect_landmarks`.
     blur_px2 : ndarray, shape (2,)
-        Blur to begin with, such as that of the image before.
+        Initial value of the blur, such as that of the image before.
 
     Returns
     -------
     DetectionResult
     blur_px2 : ndarray, shape (2,)
-        Blur that was found.
+        Estimated blur.
     """
     for _ in range(_LOOKS):
         result = detect_landmarks(frame, prior, landmark_map, mount, config, indices, blur_px2)
         if len(result.detections) < _LEAST:
-            # They may be missed because the blur has gone.
+            # They may be missed because the image is sharp again.
             return result, 0.5 * blur_px2
         before = blur_px2
         found = [median(part) for part in result.blur_px2.T.tolist()]

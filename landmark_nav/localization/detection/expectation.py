@@ -1,4 +1,4 @@
-"""Where landmarks should be in an image, and how far around they are searched."""
+"""Expected places of landmarks in an image, and the search windows around them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from landmark_nav.geometry.patches import rays_to_patch
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
-# It is searched so far around, however sure the prior is.
+# Least half width of a search window, pixels.
 LEAST_WINDOW_PX = 4
 NOT_LOOKED_FOR = _OUT_OF_VIEW, _TOO_SMALL = 'out of view', 'too small or cut off'
 
 
 class View:
-    """The image with the camera where the prior puts it."""
+    """The image, and the camera's pose by the prior."""
 
     def __init__(self, frame: CameraFrame, prior: PoseEstimate, mount: PanTiltMount) -> None:
         self.camera: CameraModel = frame.camera
@@ -36,10 +36,10 @@ class View:
 
 class Expectation(NamedTuple):
     """
-    Where a landmark should appear: `uv` (2,), pixels.
+    Expected pixel `uv` (2,) of a landmark's centre, and its template.
 
     `left`, `top`, `right`, `bottom` are the template's rectangle in the image, empty if nothing
-    of the patch is in view; `window` (2,) the half width and height of the search around it;
+    of the patch is in view; `window` (2,) is the half width and height of the search around it;
     `ray_to_patch` (3, 3) maps rays (x, y, 1) of the camera to metres on the patch.
     """
 
@@ -52,7 +52,7 @@ class Expectation(NamedTuple):
     ray_to_patch: FloatArray
 
     def refusal(self, least_px: int) -> Refusal | None:
-        """Why a landmark is not looked for, if its template is out of view or too small."""
+        """Return why the landmark is not searched: out of view, too small; None if it is."""
         width, height = self.right - self.left + 1, self.bottom - self.top + 1
         if width <= 0 and height <= 0:
             return Refusal(_OUT_OF_VIEW)
@@ -67,13 +67,13 @@ def expect(
     view: View,
     config: DetectionConfig,
 ) -> list[Expectation]:
-    """Predict all landmarks at once."""
+    """Expected places of the landmarks `indices` in a view."""
     if not len(indices):
         return []
     position, normal = landmark_map.positions[indices], landmark_map.normals[indices]
     points = np.concatenate([position[:, None], landmark_map.corners[indices]], axis=1)
     pixels = view.camera.project((points - view.center) @ view.rotation)
-    # Left and upper sides first, also where the camera hangs upside down.
+    # Left and upper sides first, also if the camera is upside down.
     u, v = np.sort(pixels[:, 1:], axis=1).transpose(2, 0, 1)
     width, height = view.camera.width, view.camera.height
     # The largest upright rectangle inside the patch's quadrilateral, cut by the image.
@@ -84,7 +84,7 @@ def expect(
             np.floor(np.minimum(high, [[width - 2.0], [height - 2.0]])),
         ]
     )
-    # What is behind the camera has no pixels.
+    # Points behind the camera have no pixels.
     corners[:, :, ~np.isfinite(pixels).all((1, 2))] = np.array([0.0, -1.0])[:, None, None]
     (left, top), (end_x, end_y) = corners.astype(int).tolist()
     window = _windows(position, landmark_map.covariances[indices], view, config)
@@ -96,7 +96,7 @@ def expect(
 def _windows(
     position: FloatArray, covariance: FloatArray, view: View, config: DetectionConfig
 ) -> list[tuple[int, int]]:
-    """Half widths and heights of the search windows in pixels, by the errors of prior and map."""
+    """Half widths and heights of the search windows, pixels, from the errors of prior and map."""
     d = position - view.center
     reach = np.hypot(d[:, 0], d[:, 1])
     from_base = position[:, :2] - view.prior.pose[:2]
@@ -114,7 +114,7 @@ def _windows(
     sigma_v = view.camera.fy * np.sqrt(
         rise**2 * range_var / reach**2 + covariance[:, 2, 2] / reach**2
     )
-    # Off the optical axis an error of the bearing moves landmarks vertically as well.
+    # Off the optical axis an error of the bearing also moves landmarks vertically.
     sigma_v += np.abs(aside) * rise * sigma_u
     sigmas = np.array([sigma_u, np.hypot(sigma_v, config.vertical_sigma_px)]).T
     half = np.ceil(config.window_sigmas * sigmas + 2.0)
@@ -123,5 +123,5 @@ def _windows(
 
 
 def quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Variance (n,) along rows (n, k) of one matrix or of one each, (k, k) or (n, k, k)."""
+    """Quadratic forms (n,) of rows (n, k) with a matrix (k, k) or one for each (n, k, k)."""
     return np.asarray(np.sum((rows[:, None] @ matrix)[:, 0] * rows, -1))

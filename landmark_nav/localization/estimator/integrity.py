@@ -1,13 +1,13 @@
 """
-Whether the pose is right, and how wrong it may be.
+Integrity: whether the pose is right, and a bound of its error.
 
-One likelihood ratio compares what an image shows with what it should show if the pose is right,
-and with what it would show by chance if it is wrong. It is summed over the images (a sequential
-test: Wald, Sequential Analysis, 1947), and bounded, so that it stays quick to change.
+One likelihood ratio compares the landmarks found in an image with those expected if the pose is
+right, and with those found by chance if it is wrong. It is summed over the images (a sequential
+test: Wald, Sequential Analysis, 1947), and bounded, so that it can change quickly.
 
-The protection level is what the error stays within, with 99 %: by the covariance, and by the pose
-without any one landmark, as one in some is wrong (solution separation: Blanch et al., Baseline
-Advanced RAIM User Algorithm, 2015).
+The protection level bounds the error with a probability of 99 %: by the covariance, and by the
+poses without each one of the landmarks, as one of them may be wrong (solution separation: Blanch
+et al., Baseline Advanced RAIM User Algorithm, 2015).
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from landmark_nav.localization.estimator.filter import Update
 from landmark_nav.localization.estimator.recognition import found_log_ratios, MISSED
 from landmark_nav.types import FloatArray, PoseEstimate
 
-# One detection, and all misses of an image, count at most this much: they have causes in common.
+# Greatest contributions of one detection and of all misses of an image, which share causes, nats.
 _MOST, _MOST_MISSED = 2.0, 2.0
-# Bounds of the sum and of what one image adds; the sum below which a pose is lost, and what one
-# image adds that speaks against the pose by itself, nats.
+# Bounds of the sum and of the contribution of one image; the sum below which a pose is lost, and
+# the contribution of one image below which it is degraded, nats.
 _BOUND, _AT_ONCE, _LOST, _AGAINST = 8.0, 4.0, -4.0, -2.0
-# Without a detection for so long a pose is degraded, seconds.
+# Without a detection for this time a pose is degraded, s.
 _BLIND_S = 1.0
-# Sigmas of a pose that is lost, and of a heading that is degraded.
+# Sigmas above which a pose is lost, and a heading degraded.
 _LOST_M, _LOST_RAD, _DEGRADED_RAD = 1.0, 0.5, 0.02
 
 _RISK = 0.01
-# Probability that one given landmark of an image is wrong for long.
+# Probability that a given landmark of an image is wrong for long.
 _LANDMARK_RISK = 0.05
-# What the noise models leave out, as a factor on sigmas.
+# Factor on sigmas for errors that the noise models leave out.
 _MODEL = 1.1
 _POSITION = _MODEL * float(np.sqrt(chdtri(2, _RISK)))
 _HEADING = _MODEL * float(-ndtri(0.5 * _RISK))
@@ -45,7 +45,7 @@ _HEADING_WITHOUT = _MODEL * float(-ndtri(0.5 * _RISK / _LANDMARK_RISK))
 
 
 class Status(Enum):
-    """How far a pose is to be trusted."""
+    """State of a pose."""
 
     OK = 'OK'
     DEGRADED = 'degraded'
@@ -72,12 +72,12 @@ class ProtectionLevel(NamedTuple):
 
     @classmethod
     def unscaled(cls, scaled: PoseEstimate) -> ProtectionLevel:
-        """Level that a pose was `scaled` by."""
+        """Return the level by which a pose was `scaled`."""
         return cls(*map(float, _sigmas(scaled.covariance)))
 
 
 def protection_level(estimate: PoseEstimate, update: Update | None = None) -> ProtectionLevel:
-    """Return the level of a pose, with the last update if there was one."""
+    """Return the protection level of a pose, with the last update if there was one."""
     position, heading = _sigmas(estimate.covariance)
     level = ProtectionLevel(_POSITION * float(position), _HEADING * float(heading))
     if update is None or not len(update.columns):
@@ -101,7 +101,7 @@ def _sigmas(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class Integrity:
-    """Sums up the likelihood ratio of one image after the other."""
+    """Sums the likelihood ratios of images."""
 
     def __init__(self) -> None:
         self._log_ratio, self._newest = 0.0, 0.0
@@ -110,11 +110,11 @@ class Integrity:
 
     @property
     def log_ratio(self) -> float:
-        """Log of the odds that the pose is right, from images alone, bounded."""
+        """Log of the odds that the pose is right, by images alone, bounded."""
         return self._log_ratio
 
     def add(self, stamp_ns: int, update: Update | None, missed: int = 0) -> None:
-        """Take an image: what was used of it, and how many landmarks were not found."""
+        """Add an image: its update, and the number of landmarks that were not found."""
         found = 0 if update is None else len(update.columns)
         if self._found_ns is None:
             self._found_ns = stamp_ns
@@ -127,8 +127,8 @@ class Integrity:
         self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
         self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
 
-    def doubted(self, estimate: PoseEstimate, lost: bool = False) -> PoseEstimate:
-        """Return a pose as it is to be passed on: one that is lost tells hardly anything."""
+    def inflated_if_lost(self, estimate: PoseEstimate, lost: bool = False) -> PoseEstimate:
+        """Return a pose for publication: the covariance of a lost one is inflated."""
         if self._log_ratio >= _LOST and not lost:
             return estimate
         unknown = np.diag(np.square([_LOST_M, _LOST_M, _LOST_RAD]))

@@ -1,13 +1,14 @@
 """
-Noise of wheels, floor and detections, learned while the robot drives.
+Noise of wheels, floor and detections, estimated while the robot drives.
 
-Wheels, floors and cameras differ by more than a parameter file can say. The filter carries along
-which part of its covariance comes from each noise; the innovations show by how much each differs
-from its parameter: maximum likelihood by Fisher scoring, one step an image (Mehra, Approaches to
-Adaptive Filtering, IEEE Trans. Automatic Control 17(5), 1972).
+Wheels, floors and cameras differ more than a parameter file can describe. The filter propagates
+the part of its covariance by each noise; the innovations give a factor on each: maximum likelihood
+by Fisher scoring, one step per image (Mehra, Approaches to Adaptive Filtering, IEEE Trans.
+Automatic Control 17(5), 1972).
 
-A last factor, on all other uncertainty, keeps a map that is better than its covariance from being
-taken for quiet wheels. It is applied to nothing: innovations do not show what all landmarks share.
+A last factor, on all other uncertainty, prevents that a map which is better than its covariance is
+taken for low noise of the wheels. It is not applied: innovations do not show errors that all
+landmarks share.
 """
 
 from __future__ import annotations
@@ -22,18 +23,18 @@ from landmark_nav.types import FloatArray
 # detections; and all other uncertainty.
 WAY, TURNS, SLIP_NOISE, FLOOR, DETECTION, _REST = range(6)
 NOISES = _REST
-# The same wheels make the noise of the way and of turns.
+# Prior correlation: the same wheels cause the noise of way and turns.
 _ALIKE = np.eye(_REST + 1)
 _ALIKE[WAY, TURNS] = _ALIKE[TURNS, WAY] = 0.5
-# Way over which noise may change, metres.
+# Correlation length of the factors, m.
 _LEARNING_WAY_M = 50.0
-# Largest factor on a standard deviation, and the most that one image changes a log variance by.
+# Largest factor on a sigma, and largest change of a log variance by one image.
 _LARGEST, _MOST_AT_ONCE = 5.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseScales:
-    """Logarithms of the factors on the variances (c,), and their covariance (c, c)."""
+    """Logarithms (c,) of the factors on the variances, and their covariance (c, c)."""
 
     log_scale: FloatArray
     covariance: FloatArray
@@ -41,7 +42,7 @@ class NoiseScales:
 
     @classmethod
     def unknown(cls, sigma: float) -> NoiseScales:
-        """Return factors of one with this sigma of their logarithms; 0 keeps them."""
+        """Return factors of one with this sigma of their logarithms; 0 keeps them at one."""
         return cls(np.zeros(_REST + 1), sigma**2 * _ALIKE, sigma)
 
     @property
@@ -50,7 +51,7 @@ class NoiseScales:
         return np.exp(self.log_scale[:NOISES])
 
     def moved(self, way_m: float) -> NoiseScales:
-        """Forget a little on the way: an Ornstein-Uhlenbeck process about the parameters."""
+        """Predict over a way: an Ornstein-Uhlenbeck process about factors of one."""
         if not (self.prior_sigma and way_m):
             return self
         kept = np.exp(-way_m / _LEARNING_WAY_M)
@@ -70,7 +71,7 @@ def learned(
     innovation : ndarray, shape (m,)
         Measured minus predicted.
     covariance : ndarray, shape (m, m)
-        Its covariance according to the filter.
+        Covariance of the innovation by the filter.
     by_noise : ndarray, shape (NOISES, m, m)
         Part of that covariance by each noise.
     """

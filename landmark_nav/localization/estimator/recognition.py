@@ -1,4 +1,4 @@
-"""Whether what is found in an image is recognised, or a match by chance."""
+"""Likelihood ratio of detections: landmarks at the expected place, or matches by chance."""
 
 from __future__ import annotations
 
@@ -6,26 +6,25 @@ import numpy as np
 
 from landmark_nav.types import FloatArray
 
-# Shares: of detections that are wrong though the pose is right; of the landmarks in view that are
-# found if it is right, and by chance if it is wrong.
+# Rates: of false detections with a right pose; of landmarks in view that are found with a right
+# pose, and by chance with a wrong one.
 _WRONG, _FOUND, _BY_CHANCE = 0.1, 0.8, 0.15
-# Chance matches fall anywhere within so many standard deviations, and this angle, about the
-# expected point.
+# Half width of the window in which chance matches are uniform: in sigmas, and at least this angle.
 _WINDOW_SIGMAS, _LEAST_WINDOW = 3.0, 0.02
-# Log likelihood ratio of a landmark that is not found: pose right against pose wrong.
+# Log likelihood ratio of a landmark that is not found: right pose against wrong pose.
 MISSED = float(np.log((1.0 - _FOUND) / (1.0 - _BY_CHANCE)))
 
 
 def found_log_ratios(residual: FloatArray, covariance: FloatArray) -> FloatArray:
     """
-    Log likelihood ratio (m,) of each landmark that is found: pose right against pose wrong.
+    Log likelihood ratio (m,) of each landmark that is found: right pose against wrong pose.
 
     Parameters
     ----------
     residual : ndarray, shape (m, d)
         Measured minus expected.
     covariance : ndarray, shape (m, d, d)
-        Of each residual.
+        Covariance of each residual.
     """
     squares = np.einsum(
         'mi,mi->m', residual, np.linalg.solve(covariance, residual[..., None])[..., 0]

@@ -1,10 +1,10 @@
 """
-All poses of a recording, each by what came before it and after.
+Smoothing: all poses of a recording, each by the whole recording.
 
-The filter runs over all of it; then each state is corrected by what the next one turned out to be
-(Rauch, Tung and Striebel, Maximum Likelihood Estimates of Linear Dynamic Systems, AIAA Journal
-3(8), 1965). Landmarks join and leave the state: one that joins says nothing of the state before,
-and one that has left is known no better by what comes later.
+The filter runs forward; then each state is corrected by the next smoothed one (Rauch, Tung and
+Striebel, Maximum Likelihood Estimates of Linear Dynamic Systems, AIAA Journal 3(8), 1965).
+Landmarks join and leave the state: those that join are independent of the state before, and those
+that have left are not corrected.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ROUNDING = 1e-12
 
 
 class _Step(NamedTuple):
-    """State after an image, what the next was expected to be, and the derivative of that."""
+    """State after an image, prediction of the next state, and the derivative of that."""
 
     after: State
     predicted: State
@@ -48,11 +48,11 @@ def smoothed_poses(
     Parameters
     ----------
     joint : JointFilter
-        At the start; afterwards it is at the last image.
+        Filter at the start; afterwards it is at the last image.
     images : sequence of ImagePoints
-        By time.
+        Images in the order of time.
     lost : ndarray of bool, shape (n,), optional
-        Before which images nothing is known of the motion.
+        Images before which the motion is unknown.
     """
     if not images:
         return []
@@ -91,7 +91,7 @@ def _backward(
     here, there = np.nonzero(after.landmarks[:, None] == predicted.landmarks)
     for k in range(3):
         together[:, fixed + 3 * there + k] = step.kept * before[:, fixed + 3 * here + k]
-    # In sigmas; what is exact stays as it is.
+    # In units of sigmas; exact states do not change.
     sigmas = np.sqrt(np.diag(predicted.covariance))
     scale = np.where(sigmas > 0.0, 1.0 / np.maximum(sigmas, 1e-300), 0.0)
     alike = pinvh(scale[:, None] * predicted.covariance * scale, rtol=_ROUNDING)

@@ -1,8 +1,8 @@
 """
-Odometry and images in the order of their stamps, whatever the order of their arrival.
+Odometry and images in the order of their stamps, independent of the order of arrival.
 
-The states of the last seconds are kept. What comes late, and odometry that replaces a motion which
-was extrapolated, takes the filter back to the state before it; all later images are used again.
+The states of the last seconds are kept. A late measurement, or odometry that replaces an
+extrapolated motion, resets the filter to the state before it, and all later images are used again.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
 # Motion is compounded in steps of about this.
 _STEP_NS = 100_000_000
-# Odometry is kept for so long: a place may be found in an image that old.
+# Odometry is kept for this time: a place may be found in an image that old.
 REACH_NS = 10 * 10**9
 
 
 def move_to(stamp_ns: int, joint: JointFilter, track: OdometryTrack) -> None:
-    """Move a filter on to a time, as the odometry says."""
+    """Predict a filter to a time by odometry."""
     begin = joint.snapshot.stamp_ns
     if stamp_ns <= begin:
         return
@@ -35,19 +35,19 @@ def move_to(stamp_ns: int, joint: JointFilter, track: OdometryTrack) -> None:
 
 class Timeline:
     """
-    A joint filter fed by whatever comes when.
+    A joint filter that takes measurements in any order.
 
     Parameters
     ----------
     track : OdometryTrack
-        May hold odometry from before.
+        Odometry, possibly from before the start.
     window_s : float
-        How late a measurement may come.
+        Greatest delay of a measurement.
     """
 
     def __init__(self, joint: JointFilter, track: OdometryTrack, window_s: float = 2.0) -> None:
         self._filter, self._track, self._window_ns = joint, track, int(1e9 * window_s)
-        # Images of the window, and the state before each; the first state is older than all.
+        # Images of the window and the state before each; the first state precedes all.
         self._images: list[ImagePoints] = []
         self._before = [joint.snapshot]
         self._extrapolated = 0
@@ -70,10 +70,10 @@ class Timeline:
         return self._before[0].stamp_ns
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
-        """Move on; what is wrong with the sample, if anything."""
+        """Add a sample of odometry; return what is wrong with it, if anything."""
         refusal = self._track.add(sample)
         if self._extrapolated and (refusal is None or isinstance(refusal, Distrusted)):
-            # These images were placed by extrapolation, which this sample replaces.
+            # This sample replaces the extrapolation by which these images were predicted.
             self._again(len(self._images) - self._extrapolated)
         self._settle()
         return refusal
@@ -104,7 +104,7 @@ class Timeline:
         return other
 
     def _again(self, first: int) -> Update:
-        """Use the images from this one on, once more; return the update by that one."""
+        """Use the images from this one on again; return the update by this one."""
         self._filter.restore(self._before[first])
         updates = []
         for place in range(first, len(self._images)):
@@ -118,7 +118,7 @@ class Timeline:
         return updates[0]
 
     def _trim(self) -> None:
-        """Forget what is older than the window."""
+        """Drop images and states older than the window."""
         newest = self._images[-1].stamp_ns
         old = sum(image.stamp_ns < newest - self._window_ns for image in self._images)
         if old:
@@ -127,7 +127,7 @@ class Timeline:
             self._track.trim(self._before[0].stamp_ns - REACH_NS)
 
     def _settle(self) -> None:
-        """Move on without images: the time that is computed anew stays that of the window."""
+        """Predict without images, so that the recomputed time stays within the window."""
         ends = self._track.stamps_ns
         begin = 0 if ends is None else ends[1] - self._window_ns
         if self._before[-1].stamp_ns < begin - _STEP_NS:

@@ -1,8 +1,8 @@
 """
-Odometry where a robot logs only the commanded velocities: integrated, and late by some time.
+Odometry of robots that log commanded velocities only: their integral, with a delay.
 
-A base follows its commands after a while. Stamped with the command, such odometry runs ahead of
-what the camera sees; `command_delay_s` finds by how much.
+A base follows its commands late. Odometry with the stamps of the commands is ahead of the images;
+`command_delay_s` estimates by how much.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.types import Detections, FloatArray, OdometrySample
 
 _DELAYS_S = np.arange(0.0, 0.601, 0.01)
-# Detections of one landmark that are compared are at most this far apart, seconds.
+# Greatest time between two compared detections of a landmark, s.
 _PAIR_S = 1.0
-# Fewer pairs, or turns that are more alike, show nothing.
+# With fewer pairs, or turns that differ by less, the delay is not observable.
 _MIN_PAIRS = 30
 _LEAST_TURN_RAD = 0.05
 
@@ -28,16 +28,16 @@ def integrate_commands(
     stamps_ns: IntArray, commands: FloatArray, delay_s: float
 ) -> tuple[OdometrySample, ...]:
     """
-    Poses that commands lead to, from the origin, each at the time it takes effect.
+    Integrate commanded velocities from the origin; stamps are the times at which they take effect.
 
     Parameters
     ----------
     stamps_ns : ndarray of int, shape (n,)
-        Of the commands, increasing.
+        Stamps of the commands, increasing.
     commands : ndarray, shape (n, 2)
         Forward [m/s] and turning [rad/s] velocity, each until the next.
     delay_s : float
-        From a command to its effect.
+        Time from a command to its effect.
     """
     seconds = 1e-9 * np.diff(stamps_ns)
     turn = commands[:-1, 1] * seconds
@@ -59,23 +59,23 @@ def command_delay_s(
     stamps_ns: IntArray, commands: FloatArray, detections: Sequence[Detections]
 ) -> float:
     """
-    Time from a command to its effect, out of what the robot itself knows.
+    Time from a command to its effect, estimated from bearings.
 
-    As the robot turns, bearings turn against it: the delay is the one at which the commanded turn
-    explains best how the bearing of a landmark changes within a second. Parallax is small beside
-    that and of either sign.
+    When the robot turns, bearings change by the opposite angle. The delay is the one at which the
+    commanded turn best explains the change of bearings within a second. Parallax is small against
+    that and has either sign.
 
-    Raises `LandmarkNavError`: too little was seen twice within a second, or the robot never turned
-    then.
+    Raises `LandmarkNavError`: too few landmarks were seen twice within a second, or the robot did
+    not turn meanwhile.
 
     Parameters
     ----------
     stamps_ns : ndarray of int, shape (n,)
-        Of the commands, increasing.
+        Stamps of the commands, increasing.
     commands : ndarray, shape (n, 2)
         Forward [m/s] and turning [rad/s] velocity, each until the next.
     detections : sequence of Detections
-        Of a camera that keeps its direction on the robot.
+        Detections of a camera that is fixed on the robot.
     """
     ids = np.concatenate([np.empty(0, np.int64), *(seen.ids for seen in detections)])
     stamps = np.repeat([seen.stamp_ns for seen in detections], [len(seen) for seen in detections])
@@ -95,6 +95,6 @@ def command_delay_s(
             'within a second, or the robot never turned then: give it'
         )
     gain = (commanded @ observed) / np.maximum(np.sum(commanded**2, axis=1), 1e-12)
-    # A sum of distances, as some landmarks are mistaken for others.
+    # The L1 norm is robust against landmarks mistaken for others.
     missed = np.abs(observed - gain[:, None] * commanded)
     return float(_DELAYS_S[int(np.argmin(np.mean(missed, axis=1)))])

@@ -1,4 +1,4 @@
-"""Odometry between given times: what it says, and how wrong that may be."""
+"""Motion by odometry between given times, with its covariance."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from landmark_nav.localization.odometry.noise import (
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, OdometrySample, PlaceChain
 
-# Motion is compounded in steps of about this, each an arc.
+# Motion is compounded in arcs of about this duration.
 _STEP_NS = 50_000_000
-# Poses at one time still need some weight between them: a tenth of a millimetre and of a mrad.
+# Least variance, for two poses at one time: (0.1 mm)^2 and (0.1 mrad)^2.
 _LEAST_VARIANCE = 1e-8
 
 
@@ -33,12 +33,12 @@ class Motions:
     Parameters
     ----------
     increment : ndarray, shape (m, 3)
-        Pose of each time in the frame of the one before.
+        Pose at each time in the frame of the one before.
     by_bias : ndarray, shape (m, 3, 4)
-        Its derivative by the scale of the way, the drift per metre, the scale of turns and the
-        way lost in turns.
+        Derivative by the scale of the way, the drift per metre, the scale of turns and the way
+        lost in turns.
     covariance : ndarray, shape (m, 3, 3)
-        What is random in it.
+        Covariance of the random errors.
     """
 
     increment: FloatArray
@@ -52,10 +52,10 @@ def motions_between(
     config: OdometryNoiseConfig,
 ) -> Motions:
     """
-    Compound the odometry between times (m + 1,), step by step.
+    Compound the odometry between times (m + 1,).
 
-    Side slip, which the filter carries as a state, counts as white noise of the same effect over
-    ways much longer than its own.
+    Side slip is a state of the filter. Here it is white noise, with the same effect over ways
+    that are much longer than its correlation length.
     """
     track = OdometryTrack(config)
     for sample in odometry:
@@ -85,7 +85,7 @@ def _between(
         variances.append(variance)
         poses.append(compose(poses[-1], motion.increment))
     pose, step = np.array(poses), np.array(steps)
-    # How a change of each step, in its own frame, moves the end: it turns what comes after.
+    # Derivative of the last pose by each step in its own frame: a turn also moves the later steps.
     lever = pose[-1, :2] - pose[1:, :2]
     effect = np.zeros((len(step), 3, 3))
     effect[:, :2, :2] = rotation(pose[:-1, 2])
@@ -104,13 +104,13 @@ def _between(
 
 def chained(motions: Motions, config: OdometryNoiseConfig) -> PlaceChain:
     """
-    Poses at all times in the frame of the first, with the errors that they share.
+    Poses at all times in the frame of the first, with their joint covariance.
 
-    Systematic errors of the wheels are the same on all ways (Smith, Self and Cheeseman, 1990).
+    Systematic errors of the wheels are common to all motions (Smith, Self and Cheeseman, 1990).
     """
     count = len(motions.increment) + 1
     poses = np.zeros((count, 3))
-    # How systematic errors, and the random ones of each way, move each pose.
+    # Loadings of each pose by the systematic errors and by the random errors of each motion.
     bias_sigma = np.array([*config.bias_sigmas, config.turn_loss_sigma_m_per_rad])
     loading = np.zeros((count, 3, len(bias_sigma) + 3 * len(motions.increment)))
     for k, (step, by_bias, covariance) in enumerate(

@@ -1,12 +1,12 @@
 """
-Wheel odometry as motion: increments between any two times and how wrong they may be.
+The noise model of wheel odometry.
 
 White noise has the form of Borenstein and Feng (1996): variances grow with the way and the turn.
 Systematic errors (of wheel diameters, their difference, the track) are three factors that the
-filter estimates. Side slip comes with turns, and fades over some way. Wheels of iRobot Creates
-slip by 2 to 5 mm a radian, bases with four fixed wheels turn about a centre that wanders by up to
-decimetres; on straight ways the first keep their direction to 0.07 degrees from 5 m to the next
-(the motion capture of MR.CLAM 6).
+filter estimates. Side slip is caused by turns and decays over some way. Wheels of iRobot Creates
+slip by 2 to 5 mm per radian; a base with four fixed wheels turns about a centre that moves by up
+to decimetres. On straight ways Creates keep their direction to 0.07 degrees over 5 m (motion
+capture of MR.CLAM 6).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from landmark_nav.geometry.se2 import compose
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray
 
-# Sigmas of the accelerations while a twist predicts beyond the last sample.
+# Sigmas of the accelerations while the last twist is extrapolated.
 _ACCELERATION_M_S2, _TURN_ACCELERATION_RAD_S2 = 0.5, 2.0
 
 _OF_WAY = (
@@ -37,10 +37,10 @@ class Motion(NamedTuple):
     """
     A planar motion in the body frame.
 
-    `increment` (3,) is forward [m], left [m] and turn [rad] over `seconds`. In `blind_seconds` of
-    these the odometry was missing or broken, in `still_seconds` it stood. `ahead_s4` is, for a
-    motion that extrapolates the last twist, by how much the fourth power of the extrapolated time
-    grew [s^4]. `jitter_m2` and `jitter_rad2` are variances by white noise of the two poses.
+    `increment` (3,) is forward [m], left [m] and turn [rad] over `seconds`. For `blind_seconds`
+    the odometry was missing or broken, for `still_seconds` it stood. `ahead_s4` is the growth of
+    the fourth power of the extrapolated time [s^4] where the last twist is extrapolated.
+    `jitter_m2` and `jitter_rad2` are variances by white noise of the two poses.
     """
 
     increment: FloatArray
@@ -54,7 +54,7 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class OdometryNoiseConfig(Config):
-    """How far wheel odometry is to be trusted."""
+    """Noise of wheel odometry."""
 
     along_m_per_sqrt_m: float = parameter(
         0.004, 'Sigma along the way after one metre, m.', minimum=0.0, maximum=1.0
@@ -101,7 +101,7 @@ class OdometryNoiseConfig(Config):
     )
     bias_change_per_sqrt_m: float = parameter(
         0.05,
-        'How far these three wander in one metre, relative to their sigmas at the start.',
+        'Random walk of these three in one metre, relative to their sigmas at the start.',
         minimum=0.0,
         maximum=1.0,
     )
@@ -133,19 +133,19 @@ class OdometryNoiseConfig(Config):
 
     @cached_property
     def bias_sigmas(self) -> FloatArray:
-        """Sigmas at the start of scale, drift and turn scale, (3,); zero if not estimated."""
+        """Initial sigmas (3,) of scale, drift and turn scale; zero if they are not estimated."""
         sigmas = (self.scale_sigma, self.drift_sigma_rad_per_m, self.turn_scale_sigma)
         return np.array(sigmas) if self.estimate_odometry_bias else np.zeros(3)
 
 
 def motion_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
-    """Variances (3,) of a motion's forward, left and turn; they add up over its parts."""
+    """Variances (3,) of forward, left and turn of a motion; those of its parts add up."""
     sensed = np.sum(sensed_variances(motion, config), axis=0)
     return np.asarray(sensed + blind_variances(motion, config))
 
 
 def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
-    """Variances (2, 3) of what the wheels reported, by the way and the time, and by turns."""
+    """Variances (2, 3) of what the wheels reported: by way and time, and by turns."""
     forward, left, turn = motion.increment
     way = float(np.hypot(forward, left))
     rest = config.floor_m_per_sqrt_s**2 * motion.seconds
@@ -163,14 +163,14 @@ def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
 
 
 def slip_variance(motion: Motion, config: OdometryNoiseConfig) -> float:
-    """Variance of the side slip, m to the left per m ahead, that a turn leads to; at most 1."""
+    """Variance of the side slip caused by a turn, m to the left per m ahead; at most 1."""
     forward, left, turn = motion.increment
     aside = (config.slip_m_per_rad * turn) ** 2
     return float(aside / max(forward**2 + left**2 + aside, 1e-300))
 
 
 def left_variance(motion: Motion, config: OdometryNoiseConfig) -> float:
-    """Variance, m^2, of the way to the left over ways much longer than that of the slip."""
+    """Variance of the motion to the left, m^2, over ways much longer than `slip_length_m`."""
     slip = 2.0 * config.slip_length_m * slip_variance(motion, config)
     return float(motion_variances(motion, config)[1] + slip * abs(motion.increment[0]))
 
@@ -189,7 +189,7 @@ def blind_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
 
 
 def jitter_variances(motion: Motion) -> FloatArray:
-    """Variances (3,) by white noise of the poses at both ends; parts have more of it in sum."""
+    """Variances (3,) by white noise of the poses at both ends; those of parts add up to more."""
     return np.array([motion.jitter_m2, motion.jitter_m2, motion.jitter_rad2])
 
 
@@ -203,7 +203,7 @@ def twist_motion(linear_m_s: float, angular_rad_s: float, seconds: float) -> Flo
 
 def fraction_of_motion(increment: FloatArray, fraction: float) -> FloatArray:
     """
-    First part (3,) of an increment (3,) done at constant twist.
+    First part (3,) of an increment (3,) at constant twist.
 
     The exponential of the fraction of the logarithm in SE(2): the chord turns by half the turn.
     """

@@ -1,12 +1,11 @@
 """
 The last seconds of odometry as one continuous track, without the faults of its source.
 
-White noise of the poses of odometry: what one sample adds, the next takes back.
-
-That of scan matchers and visual odometry, which measure a pose each time; wheels add increments.
-Of four increments in a row, the differences of the inner and of the outer two have the covariance
--2 v, with v the variance of a pose. White noise of the increments adds nothing to it, and a steady
-acceleration makes it positive. A robot that shakes faster than samples show jitters, too.
+`Jitter` estimates white noise of the poses, as of scan matchers and visual odometry, which measure
+a pose each time; wheels add increments. Of four consecutive increments, the difference of the
+inner two and that of the outer two have the covariance -2 v, where v is the variance of a pose.
+White noise of the increments does not contribute, and a constant acceleration makes it positive.
+Vibration faster than the samples has the same effect as jitter.
 """
 
 from __future__ import annotations
@@ -29,20 +28,20 @@ from landmark_nav.localization.odometry.noise import (
 from landmark_nav.types import FloatArray, OdometrySample, Refusal
 
 _IN_A_ROW = 4
-# Mean of about so many; it counts if it is beyond so many of its own sigmas,
+# Number of samples in the running mean, and its significance, in sigmas.
 _SAMPLES, _SIGNIFICANT = 200, 3.0
-# and larger than this, metres and radians: other noise of the odometry covers less.
+# Smaller jitter is covered by other noise of the odometry, m and rad.
 _LEAST = (1e-3, 1e-3)
 
 
 class Jitter:
     """
-    Running estimate from increments as they come.
+    Running estimate of the white noise of poses.
 
     Attributes
     ----------
     variances : tuple of float
-        Of a position on an axis [m^2] and of a heading [rad^2]; zero if too small to see.
+        Variance of a position on one axis [m^2] and of a heading [rad^2]; zero if insignificant.
     """
 
     def __init__(self) -> None:
@@ -52,11 +51,11 @@ class Jitter:
         self._mean, self._square = np.zeros(2), np.zeros(2)
 
     def interrupt(self) -> None:
-        """The next increment does not go on from the last."""
+        """Forget the last increments: the next does not follow them."""
         self._last.clear()
 
     def add(self, increment: FloatArray, seconds: float) -> None:
-        """Take an increment (3,), forward, left [m] and turn [rad], over some time."""
+        """Add an increment (3,), forward, left [m] and turn [rad], over some time."""
         self._last.append((seconds, *(part / seconds for part in increment.tolist())))
         if len(self._last) < _IN_A_ROW:
             return
@@ -73,38 +72,38 @@ class Jitter:
         self.variances = position, heading
 
 
-# How far the last twist predicts beyond the last sample, and the first one before the first.
+# The last twist is extrapolated for this time, and the first one backwards.
 HORIZON_S = 0.25
 
-# After a longer gap, such as one of a clock that was set, as much is uncertain as after this one:
-# covariances that grow on and on lose the digits of what is known.
+# A longer gap, such as by a clock that was set, counts as this one: a covariance without bound
+# loses the digits of what is known.
 _LONGEST_S = 3600.0
 
-# A pose has frozen if it stays exactly the same over so many samples, while the speeds in them add
-# up to so much motion (m or rad). Coarse encoders stay the same for less. Speeds below the last
+# A pose is frozen if it is exactly the same in this number of samples, while their speeds add up
+# to this motion (m or rad). Coarse encoders repeat a pose over less. Lower speeds than the last
 # value are noise.
 _FROZEN_SAMPLES, _FROZEN_WAY, _SLOW = 3, 0.03, 0.02
 
-# A driver that restarts sets the pose to zero, within these and one interval. The pose then moves
-# otherwise than the speeds around it, by more than these and as much again as they say, after so
-# many samples that agreed. Wheels that slip do so, too, but not to zero.
+# A driver that restarts sets the pose to zero, to within these values and the motion of one
+# interval. After this number of samples that agreed, the pose then differs from the speeds by more
+# than these values and the motion itself. So it does when wheels slip, but not to zero.
 _OFF_M, _OFF_RAD, _AGREED = 0.03, 0.05, 5
 
 
 @dataclass(frozen=True)
 class Distrusted(Refusal):
-    """What is wrong with a sample that is used nevertheless, though not with its own pose."""
+    """Why the pose of a sample is not used; its speeds are."""
 
 
 class OdometryTrack:
     """
     Odometry without its jumps, which gives the motion between any two times.
 
-    Where the source jumps, the motion goes on with the last twist and counts as blind, as nothing
-    is known of it; unless it is set to zero while its speeds go on. Samples whose pose has frozen
-    are left out. After the last sample, and before the first, the twist is extrapolated for a
-    short while; beyond that no motion is assumed, and the time counts as blind. A source that gave
-    no speeds so far has those of its poses.
+    Where the pose jumps, the last twist is extrapolated and the time counts as blind; a reset to
+    zero with speeds that continue does not. Samples with a frozen pose are left out. After the
+    last sample, and before the first, the twist is extrapolated for `HORIZON_S`; beyond that no
+    motion is assumed, and the time counts as blind. If the source gives no speeds, they are
+    computed from its poses.
     """
 
     def __init__(self, config: OdometryNoiseConfig) -> None:
@@ -116,7 +115,7 @@ class OdometryTrack:
         self._still_ns: list[int] = []
         self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
-        # The last sample whose pose and speeds agree, and the motion by the speeds since then.
+        # The last sample with a pose of its own, and the motion by the speeds since then.
         self._agreed: OdometrySample | None = None
         self._claimed, self._staying = 0.0, 0
         self._still_since_ns: int | None = None
@@ -136,8 +135,8 @@ class OdometryTrack:
         Returns
         -------
         Refusal or None
-            Why the sample was dropped; or, if `Distrusted`, why the motion until then was replaced
-            by that of the last twist. None for one that only came twice.
+            Why the sample was dropped; or, if `Distrusted`, why the motion up to it was replaced
+            by that of the last twist. None if it was used, or is an exact repetition.
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
         self._reports_speeds |= bool(sample.linear_m_s or sample.angular_rad_s)
@@ -158,7 +157,7 @@ class OdometryTrack:
             return Refusal('odometry went back in time', f'{-seconds:.3f} s')
         increment = relative(last.pose_odom_base, sample.pose_odom_base)
         way, turn = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
-        # Speeds that agreed until now know the way.
+        # The speeds give the motion if they agreed with the poses until now.
         reset = self._contradicts_speeds(increment, last, sample, seconds) and _is_near_zero(
             sample, seconds
         )
@@ -195,7 +194,7 @@ class OdometryTrack:
     def _contradicts_speeds(
         self, increment: FloatArray, last: OdometrySample, sample: OdometrySample, seconds: float
     ) -> bool:
-        """Whether the pose moves otherwise than the speeds, which it never did before."""
+        """Whether the pose disagrees with the speeds for the first time after agreeing."""
         if not self._reports_speeds or seconds > HORIZON_S:
             return False
         linear = 0.5 * (last.linear_m_s + sample.linear_m_s)
@@ -214,7 +213,7 @@ class OdometryTrack:
         return self._staying >= _FROZEN_SAMPLES and self._claimed > _FROZEN_WAY
 
     def _freezes(self, sample: OdometrySample, seconds: float) -> bool:
-        """Whether the pose has frozen; then the samples since it began to are removed."""
+        """Whether the pose is frozen; if so, remove the samples since it froze."""
         speed = max(abs(sample.linear_m_s), abs(sample.angular_rad_s))
         if speed < _SLOW and not self._frozen:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
@@ -251,7 +250,7 @@ class OdometryTrack:
         return Motion(increment, seconds, blind, float(ahead), still, *jitter)
 
     def trim(self, before_ns: int) -> None:
-        """Forget what is not needed for motions that start at `before_ns` or later."""
+        """Drop samples that are not needed for motions that start at `before_ns` or later."""
         keep = bisect_right(self._stamps, before_ns) - 1
         if keep > 0:
             for values in (self._stamps, self._poses, self._blind_ns, self._still_ns):
@@ -265,7 +264,7 @@ class OdometryTrack:
             spent_ns, stands = sample.stamp_ns - self._stamps[-1], pose is self._poses[-1]
             blind_ns += spent_ns if blind else 0
             still_ns += spent_ns if stands and not blind else 0
-            # While the robot stands, only the first and the last sample are kept.
+            # Of the samples while the robot stands, only the first and the last are kept.
             if stands and self._blind_ns[-2:-1] == [blind_ns] and self._poses[-2] is pose:
                 self._stamps[-1], self._still_ns[-1] = sample.stamp_ns, still_ns
                 return
@@ -297,19 +296,19 @@ class OdometryTrack:
         return compose(self._poses[after - 1], part)
 
     def _blind_until_ns(self, stamp_ns: int) -> int:
-        """Blind time until then, counted from the earliest time that can be extrapolated to."""
+        """Blind time until then, from the earliest time that extrapolation reaches."""
         reach = int(HORIZON_S * 1e9)
         first, last = self._stamps[0] - reach, self._stamps[-1] + reach
         outside = min(stamp_ns - first, 0) + max(stamp_ns - last, 0)
         return outside + self._until_ns(self._blind_ns, stamp_ns)
 
     def _still_until_ns(self, stamp_ns: int) -> int:
-        """Standing time until then, the extrapolated time included."""
+        """Standing time until then, including extrapolated time."""
         ahead = max(self._beyond_s(stamp_ns), 0.0) if self._still_since_ns is not None else 0.0
         return round(1e9 * ahead) + self._until_ns(self._still_ns, stamp_ns)
 
     def _until_ns(self, totals: list[int], stamp_ns: int) -> int:
-        """Interpolate `totals` (n,), the accumulated times at the samples."""
+        """Interpolate `totals` (n,), the cumulative times at the samples."""
         after = bisect_left(self._stamps, stamp_ns)
         if after in (0, len(self._stamps)):
             return totals[max(after - 1, 0)]
@@ -318,7 +317,7 @@ class OdometryTrack:
 
 
 def _is_near_zero(sample: OdometrySample, seconds: float) -> bool:
-    """Whether a pose is zero, or what the speeds make of it within one interval."""
+    """Whether a pose is within one interval's motion of zero."""
     x, y, heading = sample.pose_odom_base
     return (
         seconds <= HORIZON_S
@@ -327,19 +326,19 @@ def _is_near_zero(sample: OdometrySample, seconds: float) -> bool:
     )
 
 
-# A sample that is older by this is not late; one that is newer may be wrong.
+# A sample older than this means that the clock was set back; one newer by this may be wrong.
 _STEP_NS = 10**9
-# So many late samples in a row, in the order of their stamps, also mean that it was set back.
+# This number of consecutive late samples, in the order of their stamps, means the same.
 _LATE_IN_A_ROW = 5
 
 
 @dataclass(frozen=True)
 class Ahead(Refusal):
-    """Why a sample is held back, which may be wrong or the first after a pause."""
+    """Why a sample is held back: its stamp may be wrong, or it is the first after a pause."""
 
 
 class ClockStep(Enum):
-    """What a stamp says about the clock."""
+    """State of the clock by a stamp."""
 
     NONE = 'goes on'
     AHEAD = 'is ahead'
@@ -347,20 +346,19 @@ class ClockStep(Enum):
 
 
 class ClockWatch:
-    """Judges stamps in the order of their arrival."""
+    """Detects steps of the clock from stamps in the order of arrival."""
 
     def __init__(self) -> None:
-        """Know of no stamp yet."""
         self._late_ns = self._late_in_a_row = 0
         self._ahead_ns: int | None = None
 
     def judge(self, stamp_ns: int, odometry_ns: int, newest_ns: int, window_ns: int) -> ClockStep:
         """
-        Return what the stamp of a sample says.
+        Return the state of the clock by the stamp of a sample.
 
-        `odometry_ns` is the newest stamp of the odometry, `newest_ns` that of all; what is older
-        by less than `window_ns` may be late. A sample that is far ahead is to be left out: if the
-        next one follows it, there was a pause.
+        `odometry_ns` is the newest stamp of odometry, `newest_ns` that of all inputs. A sample
+        that is older by less than `window_ns` may just be late. One that is far ahead has to be
+        left out; if the next one follows it, there was a pause.
         """
         late = stamp_ns <= odometry_ns
         in_order = late and stamp_ns > self._late_ns

@@ -1,4 +1,4 @@
-"""The place from nothing."""
+"""Global localization: the pose without a prior."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 """
-Landmarks found without a prior pose: each is searched at any azimuth, range and slant.
+Candidate detections without a precise prior: landmarks at any azimuth, range and slant.
 
-With a wide prior, the search is limited to those that the prior allows.
+With a wide prior, the search is limited to what the prior allows.
 
-An image is resampled onto an upright cylinder around its optical centre. There a patch on a wall
-only shrinks with its range and narrows with its slant. A landmark that hangs `dz` above the camera
-appears at the tangent `dz / range`, so each range is searched in its own narrow band of rows, and
-the row of a match measures its range.
+The image is resampled onto an upright cylinder around its optical centre. There a patch on a wall
+only shrinks with its range and narrows with its slant. A landmark at the height `dz` above the
+camera appears at the tangent `dz / range`. So each range is searched in a narrow band of rows, and
+the row of a match measures the range.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from landmark_nav.types import (
     PoseEstimate,
 )
 
-# Ranges relative to the one a landmark was learned from, and how much narrower than straight
-# ahead: neighbours differ by what normalized cross-correlation forgives.
+# Searched ranges, relative to that in the reference view, and foreshortenings: normalized
+# cross-correlation tolerates half a step.
 _STEP = 1.4
 _RELATIVE_RANGES = 0.55 * _STEP ** np.arange(5)
 _FORESHORTENINGS = (0.9, 0.6)
-# Half of a step between ranges.
+# Half a step between ranges, relative.
 RANGE_SIGMA = 0.15
-# What is open is what so many sigmas of a prior reach.
+# Number of sigmas of the prior that are searched.
 _OPEN_SIGMAS = 2.5
-# Patches seen narrower are not found.
+# Patches with a stronger foreshortening are not found.
 _LEAST_FORESHORTENING = 0.3
 
 
 class SearchRange(NamedTuple):
-    """Ranges and narrowings a landmark may have, and the columns (first, end) it may be in."""
+    """Possible ranges and foreshortenings of a landmark, and its columns (first, end)."""
 
     ranges: FloatArray
     foreshortenings: FloatArray
@@ -54,7 +54,7 @@ class SearchRange(NamedTuple):
 
 
 def any_range(landmark: Landmark, strip: Strip) -> SearchRange:
-    """Look of a landmark from anywhere that it can be recognised from."""
+    """Search range of a landmark without a prior."""
     reference = float(np.hypot(*(landmark.position - landmark.viewpoint)[:2]))
     ranges = np.asarray(reference * _RELATIVE_RANGES, dtype=np.float64)
     return SearchRange(ranges, np.array(_FORESHORTENINGS), (0, len(strip.azimuth)))
@@ -63,11 +63,11 @@ def any_range(landmark: Landmark, strip: Strip) -> SearchRange:
 def unhidden_ranges(
     prior: PoseEstimate, landmark_map: LandmarkMap, strip: Strip
 ) -> dict[int, SearchRange]:
-    """Looks of the landmarks that may be in the image, as sigma points of the prior have it."""
+    """Search ranges of the landmarks that may be in view, by sigma points of the prior."""
     axes = _OPEN_SIGMAS * np.linalg.cholesky(prior.covariance).T
     poses = prior.pose + np.vstack([np.zeros(3), axes, -axes])
     turned = rotation(poses[:, 2])
-    # From map into the base frame: rows times the rotation are turned back by it.
+    # From the map to the base frame: rows times the rotation apply its inverse.
     place = (landmark_map.positions[:, :2] - poses[:, None, :2]) @ turned - strip.center[:2]
     reach = np.maximum(np.hypot(place[..., 0], place[..., 1]), 0.1)
     aside = strip.aside(np.arctan2(place[..., 1], place[..., 0]))
@@ -91,7 +91,7 @@ def unhidden_ranges(
 
 
 def _steps(low: float, high: float) -> FloatArray:
-    """Values from low to high, apart by a step at most and half of that from the ends."""
+    """Geometric series between low and high, with ratios of at most `_STEP`."""
     count = max(1, int(np.ceil(np.log(high / low) / np.log(_STEP))))
     return np.asarray(low * (high / low) ** ((np.arange(count) + 0.5) / count))
 
@@ -125,11 +125,11 @@ class Strip:
         return float((self.tangent[0] - tangent) * self.px_per_rad)
 
     def aside(self, azimuth: FloatArray) -> FloatArray:
-        """How far to the left of the middle azimuths are."""
+        """Angles of azimuths to the left of the middle of the image."""
         return np.asarray(wrap_rad(azimuth - self.middle))
 
     def columns(self, left: FloatArray, right: FloatArray) -> npt.NDArray[np.intp]:
-        """First and end (2, n) of the columns between angles aside."""
+        """First and end (2, n) of the columns between angles to the left of the middle."""
         bounds = (self.azimuth[0] - self.middle - np.array([left, right])) * self.px_per_rad
         return np.asarray(np.clip(np.rint(bounds), 0, len(self.azimuth)), dtype=np.intp)
 
@@ -152,20 +152,20 @@ def _resampled(image: ImageArray, pixels: FloatArray, resolution: float) -> Imag
     )
 
 
-# Share of the images' resolution to work at, and the least template there, pixels.
+# Scale of the searched image, and least size of a template in it, pixels.
 _RESOLUTION = 0.5
 _MIN_SIZE_PX = 8
-# Least correlation of a detection, and how many of a landmark are kept in an image.
+# Least correlation of a detection, and most detections of a landmark in an image.
 _MIN_SCORE = 0.72
 _PER_VIEW = 2
-# Error of the tangent of elevation.
+# Sigma of the tangent of elevation.
 _TANGENT_SIGMA = 0.004
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateDetections:
     """
-    Where landmarks may have been seen, arrays over n detections.
+    Possible detections of landmarks, arrays over n detections.
 
     `landmark` (n,) is the column in the map; `azimuth_rad` (n,) and `range_m` (n,), horizontal,
     are seen from `center` (n, 2), the optical centre, all in a base frame; `range_sigma` (n,) is
@@ -180,7 +180,7 @@ class CandidateDetections:
     score: FloatArray
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of detections."""
         return len(self.landmark)
 
     @staticmethod
@@ -205,20 +205,19 @@ def find_candidate_detections(
     tilt_sigma_rad: float = 0.0,
 ) -> CandidateDetections:
     """
-    Look for every landmark everywhere in an image.
+    Search every landmark in the whole image.
 
     Parameters
     ----------
     prior : PoseEstimate, optional
-        Of the base at that time: only what can be seen from where it allows is looked for, where
-        and as it may appear.
+        Pose of the base at the time of the image: the search is limited to what it allows.
     tilt_sigma_rad : float
-        How far tilt and roll of the camera may be off: so much higher and lower is searched.
+        Sigma of tilt and roll of the camera, which widens the bands of rows.
 
     Returns
     -------
-    Detections
-        In the base frame of the image's time; most of them are wrong.
+    CandidateDetections
+        In the base frame at the time of the image; most of them are false.
     """
     strip, landmarks = Strip(frame, mount, _RESOLUTION), landmark_map.landmarks
     if prior is None:
@@ -251,7 +250,7 @@ def _search(landmark: Landmark, look: SearchRange, strip: Strip, tangent_sigma: 
     first, end = look.columns
     for distance in look.ranges:
         height = round(landmark.height_m / distance * strip.px_per_rad)
-        # The rows where its centre can be, for ranges up to half a step to the next one.
+        # The rows in which its centre can lie, for ranges within half a step.
         steepness = rise / distance * np.exp([-1.5 * RANGE_SIGMA, 1.5 * RANGE_SIGMA])
         spread = 2.0 * tangent_sigma
         top = int(strip.row_of(steepness.max() + spread) - (height - 1) / 2.0)
@@ -282,11 +281,11 @@ def _search(landmark: Landmark, look: SearchRange, strip: Strip, tangent_sigma: 
 def _measured(
     index: int, landmark: Landmark, profile: _Profile, strip: Strip, tangent_sigma: float
 ) -> CandidateDetections:
-    """The best peaks of a landmark's profile, with the range that they give."""
+    """Detections at the best peaks of a landmark's profile, with their ranges."""
     columns = _peaks(profile)
     tangent, reach = profile.tangent[columns], profile.reach[columns]
     rise = landmark.position[2] - strip.center[2]
-    # Range by height, where the landmark hangs above or below the camera, and by scale.
+    # The range by the height, if the landmark is above or below the camera, and by the scale.
     with np.errstate(divide='ignore', invalid='ignore'):
         by_height = rise / tangent
         sigma = np.hypot(tangent_sigma, landmark.covariance[2, 2] ** 0.5 / reach)
@@ -307,7 +306,7 @@ def _measured(
 
 
 def _peaks(profile: _Profile) -> npt.NDArray[np.intp]:
-    """Columns of the best peaks, apart by more than half their template's width."""
+    """Columns of the best peaks, more than half a template's width apart."""
     score = profile.score.copy()
     columns: list[int] = []
     for _ in range(_PER_VIEW):

@@ -1,8 +1,8 @@
 """
-Poses from detections most of which are wrong: every pair proposes a pose, all vote on it.
+Pose hypotheses from detections, most of which are false: each pair proposes a pose, all vote.
 
-Two detections with their ranges are two points relative to the robot; with the positions of the
-two landmarks they determine a pose. A pose scores the number of landmarks that it explains.
+Two detections with ranges are two points relative to the robot; with the positions of the two
+landmarks they determine a pose. The score of a pose is the number of landmarks that it explains.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.relocalization.candidate_detections import CandidateDetections
 from landmark_nav.types import FloatArray, LandmarkMap
 
-# Poses judged at a time: their residuals stay small in memory.
+# Poses scored at a time, which bounds the memory for residuals.
 _BLOCK = 2048
-# So many of the best detections of each landmark are used.
+# Number of best detections of each landmark that are used.
 _PER_LANDMARK = 4
-# Tolerated bearing errors: with a pose of two detections, and with one of all that agree.
+# Tolerated bearing errors: for a pose of two detections, and for one of all that agree.
 _ROUGH_RAD, _FINE_RAD = 0.07, 0.02
-# A pose must explain so many landmarks; so many poses are followed up.
+# Fewest landmarks that a pose must explain, and most poses returned.
 _MIN_SUPPORT = 4
 _PLACES = 60
-# Poses nearer to each other than this, and turned by less, are one place.
+# Poses that differ by less than both are one place.
 DISTINCT_M, DISTINCT_RAD = 0.4, 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Poses (n, 3) of the base in map, and how many landmarks each explains, (n,), descending."""
+    """Poses (n, 3) of the base in map, and the number of landmarks each explains, descending."""
 
     poses: FloatArray
     support: npt.NDArray[np.intp]
@@ -58,7 +58,7 @@ def propose(detections: CandidateDetections, landmark_map: LandmarkMap) -> Hypot
         poses = poses[Room(landmark_map.walls).contains(poses[:, :2])]
     support = votes.support(poses, _ROUGH_RAD)
     kept = _distinct(poses, support)
-    # Poses of pairs become poses of all detections that agree, with less and less tolerance.
+    # Refine poses of pairs by all detections that agree, with decreasing tolerance.
     poses = votes.refined(poses[kept], _ROUGH_RAD)
     poses = votes.refined(poses, 0.5 * (_ROUGH_RAD + _FINE_RAD))
     poses = votes.refined(poses, _FINE_RAD)
@@ -86,13 +86,13 @@ class _Votes:
         self.first = np.flatnonzero(np.diff(self.landmark, prepend=-1))
 
     def of_pairs(self) -> FloatArray:
-        """Poses (m, 3) out of all pairs of different landmarks whose distance agrees."""
+        """Poses (m, 3) of all pairs of different landmarks whose distance agrees."""
         i, j = np.triu_indices(len(self.landmark), 1)
         point = self.center + self.range[:, None] * self.direction
         seen, true = point[j] - point[i], self.place[j] - self.place[i]
         length, true_length = np.hypot(*seen.T), np.hypot(*true.T)
         spread = (self.range * self.range_sigma) ** 2
-        # The share of each range's error that acts along the line between both points.
+        # Share of each range's error along the line between both points.
         with np.errstate(divide='ignore', invalid='ignore'):
             along = seen / length[:, None]
         share_i = np.sum(along * self.direction[i], -1) ** 2
@@ -102,7 +102,7 @@ class _Votes:
         good &= np.abs(length - true_length) < 2.5 * sigma
         i, j, seen, true = i[good], j[good], seen[good], true[good]
         heading = np.arctan2(true[:, 1], true[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
-        # The position follows from both points, most of all from the one with the better range.
+        # The position is that of both points, weighted by the precision of their ranges.
         weight = (spread[j] / (spread[i] + spread[j]))[:, None]
         turn = np.exp(1j * heading)
         anchor = weight * point[i] + (1.0 - weight) * point[j]
@@ -112,7 +112,7 @@ class _Votes:
         return np.column_stack([position, wrap_rad(heading)])
 
     def _residuals(self, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Landmarks (h, s, 2) relative to each pose, bearing and relative range errors (h, s)."""
+        """Landmarks (h, s, 2) relative to each pose; bearing and relative range errors (h, s)."""
         cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
         dx = self.place[:, 0] - poses[:, :1]
         dy = self.place[:, 1] - poses[:, 1:2]
@@ -132,7 +132,7 @@ class _Votes:
         relative: FloatArray,
         tolerance_rad: float,
     ) -> npt.NDArray[np.bool_]:
-        """Which detections (h, s) fit which poses: bearing, range, seen from the front."""
+        """Whether detections fit poses (h, s): bearing, range, and facing the camera."""
         cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
         normal_x = cos * self.normal[:, 0] + sin * self.normal[:, 1]
         normal_y = cos * self.normal[:, 1] - sin * self.normal[:, 0]
@@ -141,7 +141,7 @@ class _Votes:
         return np.asarray(facing & near & (np.abs(bearing) < tolerance_rad))
 
     def support(self, poses: FloatArray, tolerance_rad: float) -> npt.NDArray[np.intp]:
-        """How many landmarks each pose explains, (h,)."""
+        """Number of landmarks that each pose explains, (h,)."""
         count = np.zeros(len(poses), dtype=np.intp)
         for start in range(0, len(poses), _BLOCK):
             block = slice(start, start + _BLOCK)
@@ -156,8 +156,8 @@ class _Votes:
         x, y = points[..., 0], points[..., 1]
         square = x**2 + y**2
         cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-        # Derivatives of expected bearing and log of expected range, by a shift of the base in its
-        # own frame and a turn about its origin.
+        # Derivatives of the expected bearing and the log of the expected range by a shift of the
+        # base in its own frame and a turn about its origin.
         from_base_x, from_base_y = x + self.center[:, 0], y + self.center[:, 1]
         by_turn = np.stack([from_base_y, -from_base_x], -1)
         by_bearing = np.stack(
@@ -180,7 +180,7 @@ class _Votes:
 
 
 def _distinct(poses: FloatArray, support: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Indices of the poses, best first, without those near a better one."""
+    """Indices of the poses, best first, without those close to a better one."""
     left = support.astype(np.float64)
     left[support < _MIN_SUPPORT] = -1.0
     kept: list[int] = []

@@ -1,9 +1,10 @@
-"""Finding the robot's place from images and odometry as they come in."""
+"""Global localization from a stream of images and odometry."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 import math
 from typing import NamedTuple
 
@@ -40,14 +41,14 @@ from landmark_nav.types import (
     RefusalCode,
 )
 
-# An image adds something new if it looks this share of half the field of view elsewhere, aside
-# or up, or from this far away.
+# An image is new if its direction differs by this share of half the field of view, horizontally or
+# vertically, or its position by this distance.
 _NEW_VIEW = 0.9
 _NEW_PLACE_M = 0.6
 
 
 def view_direction(frame: CameraFrame, mount: PanTiltMount) -> FloatArray:
-    """Azimuth and elevation (2,) in the base frame that an image looks along, radians."""
+    """Azimuth and elevation (2,) of the optical axis in the base frame, rad."""
     turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
     x, y, z = turn[:, 2].tolist()
     return np.array([math.atan2(y, x), math.atan2(z, math.hypot(x, y))])
@@ -62,9 +63,9 @@ def shows_new(
     Parameters
     ----------
     direction : ndarray, shape (2,)
-        Its `view_direction`.
+        `view_direction` of the image.
     directions : ndarray, shape (n, 2)
-        Those of the earlier images, each in its own base frame.
+        `view_direction` of earlier images, each in its own base frame.
     poses : ndarray, shape (n, 3)
         Poses of the base at the earlier images, in the base frame of this one.
     """
@@ -76,26 +77,26 @@ def shows_new(
     return not np.any(same & near)
 
 
-# An image counts until odometry since then is more uncertain than this.
+# An image is dropped once the drift of odometry since then exceeds these sigmas.
 _MAX_DRIFT_M = 0.1
 _MAX_DRIFT_RAD = 0.1
-# So many images are kept at most.
+# Most images kept.
 _MAX_FRAMES = 30
-# Odometry older by this is not late: the clock was set back.
+# Odometry older by this means that the clock was set back.
 _CLOCK_STEP_NS = 2 * 10**9
-# With so many images without a place the camera may have been displaced up, down, or aside.
-_VAIN = 2
-# Share of way and turn that wheels may be wrong by.
+# With this number of images and no place, a displaced camera is searched too.
+_TILT_AFTER = 2
+# Sigma of way and turn of uncalibrated wheels, relative.
 _SLIP = 0.04
 
 
 class _Keyframe(NamedTuple):
-    """An image as it came, with its viewing direction and what may be seen in it."""
+    """An image with its viewing direction and candidate detections."""
 
     frame: CameraFrame
     direction: FloatArray
     detections: CandidateDetections
-    # Those of a camera whose tilt and roll may be off.
+    # Candidates for uncertain tilt and roll of the camera.
     tilted: CandidateDetections | None = None
 
 
@@ -108,26 +109,26 @@ class Unseen:
         self.lasts = False
 
     def note(self, stamp_ns: int, found: int) -> None:
-        """Take note of how many landmarks an image showed."""
+        """Count the landmarks found in an image."""
         if found or self._since_ns is None or stamp_ns < self._since_ns:
             self._since_ns = stamp_ns
         self.lasts = not found and stamp_ns - self._since_ns >= self._after_ns
 
     def restart(self) -> None:
-        """Begin anew with the next image."""
+        """Restart with the next image."""
         self._since_ns, self.lasts = None, False
 
 
 class Relocalizer:
     """
-    Gathers views of the room until they fit one place only.
+    Collects views of the room until only one place explains them.
 
     Parameters
     ----------
     odometry : OdometryNoiseConfig, optional
-        How far the odometry is to be trusted.
+        Noise of the odometry.
     looking : LookingConfig, optional
-        How landmarks are looked for where they are to be expected.
+        Parameters of the detection that verifies a hypothesis.
     """
 
     def __init__(
@@ -149,8 +150,8 @@ class Relocalizer:
         self._in_time: PoseEstimate | None = None
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Move on."""
-        # The filter reports what is wrong with it.
+        """Add a sample of odometry."""
+        # The filter reports faults of the odometry.
         self._track.add(sample)
         known = self._track.stamps_ns
         if known is not None and known[1] - sample.stamp_ns > _CLOCK_STEP_NS:
@@ -163,7 +164,7 @@ class Relocalizer:
 
     def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """
-        Look at an image.
+        Add an image.
 
         Parameters
         ----------
@@ -173,22 +174,22 @@ class Relocalizer:
         Returns
         -------
         PoseEstimate or Refusal
-            Pose of the base at the image's stamp, or why it is not known yet. An image that
-            shows nothing new is not searched: the last reason is repeated.
+            Pose of the base at the image's stamp, or why there is none yet. An image that shows
+            nothing new is not searched: the last reason is returned.
         """
         if not np.isfinite([frame.pan_rad, frame.tilt_rad]).all():
             return self._outcome
         direction = view_direction(frame, self._mount)
         poses, variances = self._carried(frame.stamp_ns)
-        # Images from too long a way ago, or from a clock that was set back, are dropped.
-        sure = [
+        # Images from too far back, or from before the clock was set back, are dropped.
+        recent_enough = [
             keyframe.frame.stamp_ns < frame.stamp_ns
             and max(variance[:2]) < _MAX_DRIFT_M**2
             and variance[2] < _MAX_DRIFT_RAD**2
             for keyframe, variance in zip(self._kept, variances, strict=True)
         ]
-        self._kept = [keyframe for keyframe, keep in zip(self._kept, sure, strict=True) if keep]
-        poses, variances = poses[sure], variances[sure]
+        self._kept = list(compress(self._kept, recent_enough))
+        poses, variances = poses[recent_enough], variances[recent_enough]
         looked = np.array([keyframe.direction for keyframe in self._kept])
         repeats = self._kept and np.array_equal(frame.image, self._kept[-1].frame.image)
         if repeats or not shows_new(frame, direction, looked, poses):
@@ -205,8 +206,8 @@ class Relocalizer:
         seen = [keyframe.detections for keyframe in self._kept]
         outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
         tilt_sigma = self._config.tilt_sigma_rad
-        vain = isinstance(outcome, Refusal) and outcome.code is RefusalCode.UNRECOGNISED
-        if vain and tilt_sigma and len(self._kept) >= _VAIN:
+        failed = isinstance(outcome, Refusal) and outcome.code is RefusalCode.UNRECOGNISED
+        if failed and tilt_sigma and len(self._kept) >= _TILT_AFTER:
             seen = self._tilted(carried.frames, tilt_sigma)
             tilted = locate(
                 carried, seen, self._map, self._mount, self._config, self._looking, tilt_sigma
@@ -215,7 +216,7 @@ class Relocalizer:
         if isinstance(outcome, Refusal):
             self._outcome = outcome
             return outcome
-        # If joint states are late, all images agree on a heading that is wrong.
+        # If joint states are late, all images agree on a wrong heading.
         delay_variances = np.square(
             [DELAY_BOUND_S * kept.frame.pan_rate_rad_s for kept in self._kept]
         )
@@ -225,7 +226,7 @@ class Relocalizer:
 
     @property
     def in_time(self) -> PoseEstimate:
-        """The last place, if the joint states of its last image are in time."""
+        """The last place, if the joint states of its last image had no delay."""
         assert self._in_time is not None, 'no place was found'
         return self._in_time
 
@@ -237,7 +238,7 @@ class Relocalizer:
     def _tilted(
         self, frames: Sequence[CameraFrame], tilt_sigma_rad: float
     ) -> list[CandidateDetections]:
-        """Detections in the kept images of a camera whose tilt and roll may be off."""
+        """Candidate detections in the kept images for uncertain tilt and roll of the camera."""
         for k, (keyframe, frame) in enumerate(zip(self._kept, frames, strict=True)):
             if keyframe.tilted is None:
                 seen = find_candidate_detections(
@@ -247,19 +248,19 @@ class Relocalizer:
         return [keyframe.tilted for keyframe in self._kept if keyframe.tilted is not None]
 
     def _turned(self, found: PoseEstimate, variance: float) -> PoseEstimate:
-        """Return a place that may have been turned about the pan axis."""
+        """Return a place with an additional variance of the rotation about the pan axis."""
         axis = axis_from_base(found, self._mount)
         covariance = axis.covariance + np.diag([0.0, 0.0, variance])
         return base_from_axis(replace(axis, covariance=covariance), self._mount)
 
     def _carried(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Poses (n, 3) of the base at the kept images, relative to now, and their variances."""
+        """Poses (n, 3) of the base at the kept images, relative to now; their variances."""
         motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]
         poses = se2.inverse(np.array([m.increment for m in motions]).reshape(-1, 3))
         return poses, np.array([self._variances(motion) for motion in motions]).reshape(-1, 3)
 
     def _variances(self, motion: Motion) -> FloatArray:
-        """Variances (3,) of a motion by wheels that are not calibrated yet."""
+        """Variances (3,) of a motion by uncalibrated wheels."""
         way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
         share = _SLIP * np.array([way, way, turn])
         sensed = motion_variances(motion, self._odometry) + jitter_variances(motion)

@@ -1,4 +1,4 @@
-"""Verification of a hypothesis: the landmarks that should be seen from there are looked for."""
+"""Verification of a pose hypothesis by the landmarks that should be visible from there."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimat
 
 # With fewer matches a wrong height cannot be distinguished from a wrong tilt.
 _LEAST_HEIGHTS = 3
-# A roll is a knock if it is more than an uneven floor causes, rad.
+# Larger rolls than this are not caused by an uneven floor, rad.
 _TILTED_RAD = 0.005
-# Sigma of a tilt and a roll of which nothing is known.
+# Sigma of an unknown tilt and roll, rad.
 _ANY_RAD = 0.1
-# A roll is certain if it is so many sigmas off, of so many matches, if so large a share of all
-# agree, and whichever of them are left out that are so near to each other: posters are exchanged
-# whole.
+# A roll is certain if it exceeds a number of sigmas, has a least number of matches and a least
+# share of all, and stays certain without those within any circle of this radius: a poster may have
+# been moved.
 _SURE, _LEAST_SURE, _CAMERA_TILT_MOST, _NEAR_M = 3.0, 4, 0.6, 0.5
 
 
 class CameraTilt(NamedTuple):
     """
-    By how much a camera's tilt is larger, and it leans to its right, than was assumed; radians.
+    Correction of the camera's tilt (upwards) and roll (to its right), rad.
 
-    `matches` is how many tell so, wrong heights left out; `roll_sigma_rad` is the roll's sigma;
-    `sure` tells whether they are most of all, and whether those say so as well that are left
-    without any one thing on a wall.
+    `matches` is the number of matches that support it, without wrong heights; `roll_sigma_rad` is
+    the sigma of the roll; `sure` is whether the roll is certain, also without any one object on a
+    wall.
     """
 
     tilt_rad: float = 0.0
@@ -49,12 +49,12 @@ class CameraTilt(NamedTuple):
 
     @property
     def is_roll(self) -> bool:
-        """Whether there surely is a roll, and more than an uneven floor causes."""
+        """Whether there is certainly a roll, and more than an uneven floor causes."""
         return self.sure and abs(self.roll_rad) > _TILTED_RAD
 
 
 def estimate_camera_tilt(heights: RowResiduals) -> CameraTilt:
-    """Estimate tilt and roll of a camera of which nothing is known, without wrong heights."""
+    """Estimate unknown tilt and roll of a camera from the rows of matches."""
     fits = ~heights.wrong(_ANY_RAD)
     count = int(fits.sum())
     if count < _LEAST_HEIGHTS:
@@ -68,28 +68,28 @@ def estimate_camera_tilt(heights: RowResiduals) -> CameraTilt:
     if sure:
         near = np.linalg.norm(points[:, None] - points, axis=-1) < _NEAR_M
         for out in np.unique(near, axis=0):
-            # Least squares without some rows differ from those with all by their rank.
+            # Least squares without some rows are a low-rank change of those with all.
             less = np.linalg.solve(inverse[np.ix_(out, out)], weighted[out]).T
-            (_, without), doubt = _solved(
+            (_, without), sigma_without = _solved(
                 information - less @ weighted[out], projected - less @ (inverse @ off_px)[out]
             )
-            sure &= bool(without * np.sign(roll) > _SURE * doubt)
+            sure &= bool(without * np.sign(roll) > _SURE * sigma_without)
     return CameraTilt(float(tilt), float(roll), float(sigma), count, sure)
 
 
 def _solved(information: FloatArray, projected: FloatArray) -> tuple[FloatArray, float]:
-    """Tilt and roll (2,) of least squares, and the sigma of the roll."""
+    """Least-squares tilt and roll (2,), and the sigma of the roll."""
     spread = np.linalg.inv(information)
     return spread @ projected, float(np.sqrt(spread[1, 1]))
 
 
-# A landmark is looked for in so many images: those that should show it nearest to their middle.
+# Number of images in which a landmark is searched: those that show it nearest to their middle.
 _VIEWS = 2
 # Sigmas (m, m, rad) of a hypothesis, and of the first fix found from it.
 _SIGMAS = ((0.08, 0.08, 0.025), (0.02, 0.02, 0.008))
-# Of the landmarks expected so many must agree on a tilt that is searched; a search so high, sigma.
+# Share of the expected landmarks that must agree on a tilt; largest vertical sigma of its search.
 _MOST, _TALLEST_PX = 0.4, 50.0
-# Virtual landmarks depend on the heading: so many iterations.
+# Iterations, as virtual landmarks depend on the heading.
 _HEADING_PASSES = 3
 
 
@@ -98,8 +98,8 @@ class CarriedFrames:
     """
     Images with the poses of the base by odometry.
 
-    `poses_last_base` (n, 3) are in the base frame of the time `stamp_ns`; `variances` (n, 3) are
-    theirs: along, across and heading.
+    `poses_last_base` (n, 3) are in the base frame at `stamp_ns`; `variances` (n, 3) are those
+    along, across and of the heading.
     """
 
     stamp_ns: int
@@ -108,7 +108,7 @@ class CarriedFrames:
     variances: FloatArray
 
     def levelled(self, camera_tilt: CameraTilt) -> CarriedFrames:
-        """Return them with the tilt and roll of the camera corrected."""
+        """Return the images with corrected tilt and roll of the camera."""
         frames = [
             replace(
                 frame,
@@ -126,8 +126,8 @@ class Verification:
     A verified hypothesis.
 
     `ids` (n,) are the landmarks found, `bearing_rad` (n,) their bearings at the estimated pose,
-    `sigma_without_m` (n,) the sigma of the pan axis (root of the trace) without each of them.
-    `expected` is how many should have been found.
+    `sigma_without_m` (n,) the position sigma of the pan axis (root of the trace) without each of
+    them. `expected` is the number of landmarks that should have been found.
     """
 
     estimate: PoseEstimate
@@ -138,7 +138,7 @@ class Verification:
 
     @property
     def share(self) -> float:
-        """How many of the expected landmarks were found."""
+        """Share of the expected landmarks that were found."""
         return len(self.ids) / self.expected
 
 
@@ -161,16 +161,16 @@ def verify(
     tilt_sigma_rad: float = 0.0,
 ) -> Verification | Refusal:
     """
-    Look for all landmarks that should be seen from a pose, and triangulate from those found.
+    Search all landmarks that should be visible from a pose, and triangulate from those found.
 
-    A tilt and roll that all images share are estimated from the rows where they were found.
+    A tilt and roll common to all images are estimated from the rows of the matches.
 
     Parameters
     ----------
     pose_map_base : ndarray, shape (3,)
-        Hypothesis: the base at the images' common time, good to some 10 cm and 2 degrees.
+        Hypothesis: pose of the base at the common time, within about 10 cm and 2 degrees.
     tilt_sigma_rad : float
-        How far tilt and roll of the camera may be off; a small roll is found without.
+        Sigma of tilt and roll of the camera; a small roll is found with 0 too.
     """
     estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
     if tilt_sigma_rad:
@@ -217,7 +217,7 @@ def _look(
     mount: PanTiltMount,
     looking: LookingConfig,
 ) -> tuple[_Bearings, int, RowResiduals]:
-    """Return the bearings found, how many landmarks were expected, and the rows of the matches."""
+    """Return the bearings found, the number of expected landmarks, and the rows of matches."""
     priors = [
         PoseEstimate(frame.stamp_ns, np.asarray(pose), prior.covariance + np.diag(drift))
         for frame, pose, drift in zip(
@@ -268,7 +268,7 @@ def _look(
 
 
 def _tall(looking: LookingConfig, tilt_sigma_rad: float, frame: CameraFrame) -> LookingConfig:
-    """Parameters of a search far above and below."""
+    """Parameters of a search with a larger vertical sigma."""
     height_px = min(tilt_sigma_rad * frame.camera.fy, _TALLEST_PX)
     return replace(looking, detection=replace(looking.detection, vertical_sigma_px=height_px))
 
@@ -284,9 +284,9 @@ def _solve(
     """
     Triangulate the pan axis at the last image from bearings taken at different places.
 
-    A bearing from an earlier place is taken as one to a virtual landmark, shifted by how far the
-    axis has moved since (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009). The
-    errors of odometry count as errors of the virtual landmark.
+    A bearing from an earlier pose is one to a virtual landmark, shifted by the motion of the axis
+    since then (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009). Errors of
+    odometry are errors of the virtual landmark.
     """
     axis = np.array([*mount.axis_xyz[:2], 0.0])
     moved = se2.relative(axis, se2.compose(carried.poses_last_base, axis))[found.frame]
@@ -314,9 +314,9 @@ def _drift(sight: FloatArray, variances: FloatArray) -> FloatArray:
     """
     Covariance (2n, 2n) of virtual landmarks by the errors of odometry.
 
-    These add up from the last image backwards, so two bearings share those of the later one. An
+    They accumulate from the last image backwards, so two bearings share those of the later one. An
     error of the turn moves a landmark across the line of sight `sight` (n, 2), in proportion to
-    its range.
+    the range.
     """
     across = np.stack([-sight[:, 1], sight[:, 0]], -1).reshape(-1)
     turn = np.minimum.outer(variances[:, 2], variances[:, 2])

@@ -1,15 +1,14 @@
 """
-The bearing model: what a landmark's bearing is, how it changes, and the pan axis' lever arm.
+The bearing model with its derivatives, the pose from three bearings, and least squares.
 
-Bearings are seen from the pan axis, counter-clockwise from ``base_link`` +x, so a bearing's pose
-is that of the axis with the orientation of the base.
+A bearing is measured at the pan axis, counter-clockwise from ``base_link`` +x. The pose that
+belongs to it is that of the axis with the orientation of the base.
 
-Three bearings in closed form: the power centre of the three circles of constant angle.
-
-Pierlot and Van Droogenbroeck, A New Three Object Triangulation Algorithm for Mobile Robot
-Positioning, IEEE T-RO 30(3), 2014, eqs. 21 to 34. Their cotangents become infinite where two
-landmarks lie at 0 or 180 degrees from each other. Here each circle is multiplied by the sine of
-its angle instead, so its centre is a homogeneous point and that case is like any other.
+Three bearings give the pose in closed form: the power centre of the three circles of constant
+angle (Pierlot and Van Droogenbroeck, A New Three Object Triangulation Algorithm for Mobile Robot
+Positioning, IEEE T-RO 30(3), 2014, eqs. 21 to 34). Their cotangents become infinite where two
+landmarks are 0 or 180 degrees apart. Here each circle is multiplied by the sine of its angle, so
+that its centre is a homogeneous point and this case needs no special treatment.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def bearing_residuals(
     Returns
     -------
     ndarray, shape (..., n)
-        About pi where a closed form met the bearing's opposite: the modulo-pi ambiguity.
+        About pi where a closed form solved for the opposite direction: the modulo-pi ambiguity.
     """
     pose = np.asarray(poses, dtype=np.float64)[..., None, :]
     delta = np.asarray(positions, dtype=np.float64) - pose[..., :2]
@@ -56,24 +55,24 @@ def bearing_residuals(
 
 def bearing_gradients(pose: npt.ArrayLike, positions: npt.ArrayLike) -> FloatArray:
     """
-    Derivative (..., n, 2) of the bearings to landmarks (..., n, 2) by the axis' x and y.
+    Derivatives (..., n, 2) of the bearings to landmarks (..., n, 2) by x and y of the axis.
 
-    The derivative by heading is -1, the one by the landmark's x and y is the opposite.
+    The derivative by the heading is -1; that by x and y of the landmark has the opposite sign.
     """
     center = np.asarray(pose, dtype=np.float64)[..., None, :2]
     delta = np.asarray(positions, dtype=np.float64) - center
     x, y = delta[..., 0], delta[..., 1]
-    # Filled in, not stacked: most calls are for a few landmarks, and many.
+    # np.stack is slower, and calls are many, each for a few landmarks.
     gradients = np.empty_like(delta)
     gradients[..., 0], gradients[..., 1] = y, -x
-    # On a landmark, to a micrometre, there is no bearing.
+    # Within a micrometre of a landmark its bearing is undefined.
     gradients /= np.maximum(x * x + y * y, 1e-12)[..., None]
     return gradients
 
 
 def map_share(gradients: FloatArray, covariance: FloatArray) -> FloatArray:
     """
-    Covariance (n, n) that the landmarks' joint covariance (2n, 2n) gives to n bearings.
+    Covariance (n, n) of n bearings caused by the landmarks' joint covariance (2n, 2n).
 
     It is G Sigma_L G^T with G the block diagonal of minus the bearing `gradients` (n, 2).
     """
@@ -84,9 +83,9 @@ def map_share(gradients: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[float, float]:
     """
-    Distance of a point from the circle through three landmarks, where bearings fix nothing.
+    Distance of a point from the circle through three landmarks, on which no pose can be computed.
 
-    Everything is finite for collinear landmarks too, whose circle is their line.
+    The result is finite for collinear landmarks too, whose circle is their line.
 
     Parameters
     ----------
@@ -100,7 +99,8 @@ def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[flo
     distance : float
         From the circle or line, metres.
     relative : float
-        The same over the circle's radius or the farthest landmark's range, the smaller of them.
+        The same over the radius of the circle or the range of the farthest landmark, whichever is
+        smaller.
     """
     delta = np.asarray(landmarks, dtype=np.float64) - np.asarray(point, dtype=np.float64)
     square = np.sum(delta * delta, -1)
@@ -118,11 +118,11 @@ def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[flo
 
 @lru_cache(maxsize=256)
 def triples(n: int, limit: int) -> npt.NDArray[np.intp]:
-    """Index triples (m, 3) out of n, evenly thinned to `limit`."""
+    """Index triples (m, 3) out of n, at most `limit`, evenly spaced in the list of all."""
     found = np.array(list(combinations(range(n), 3)), dtype=np.intp).reshape(-1, 3)
     if len(found) > limit:
         found = found[np.linspace(0, len(found) - 1, limit).astype(np.intp)]
-    found.flags.writeable = False  # it is remembered
+    found.flags.writeable = False  # the array is cached
     return found
 
 
@@ -142,13 +142,13 @@ def _shifted(estimate: PoseEstimate, lever: FloatArray) -> PoseEstimate:
     return PoseEstimate(estimate.stamp_ns, compose(estimate.pose, lever), covariance)
 
 
-# Triplets worked on at a time: their intermediate arrays stay in the cache.
+# Triplets computed at a time: the intermediate arrays stay in the cache.
 _BLOCK = 8192
 
 
 def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> FloatArray:
     """
-    Poses out of three bearings each.
+    Poses from three bearings each.
 
     Parameters
     ----------
@@ -160,9 +160,9 @@ def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> Floa
     Returns
     -------
     ndarray, shape (..., 3)
-        x, y [m] and heading [rad]. On the circle through the landmarks nothing is determined: not
-        finite there or, by rounding, anything (`danger_distance`). The equations hold for a
-        landmark's opposite direction too: check `bearing_residuals` before use.
+        x, y [m] and heading [rad]. On the circle through the landmarks (`danger_distance`) the
+        pose is undetermined: not finite or, by rounding, arbitrary. The equations also hold for
+        the opposite direction of a landmark: check `bearing_residuals` before use.
     """
     position = np.asarray(positions, dtype=np.float64)
     bearing = np.asarray(bearings, dtype=np.float64)
@@ -177,7 +177,7 @@ def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> Floa
 
 
 def _power_center(position: FloatArray, bearing: FloatArray) -> FloatArray:
-    """Poses (m, 3) of landmarks (m, 3, 2) and bearings (m, 3)."""
+    """Poses (m, 3) from landmarks (m, 3, 2) and bearings (m, 3)."""
     (x1, y1), (x2, y2), (x3, y3) = (np.ascontiguousarray(p.T) for p in np.moveaxis(position, 1, 0))
     b1, b2, b3 = np.ascontiguousarray(bearing.T)
     b12, b23 = b2 - b1, b3 - b2
@@ -198,8 +198,8 @@ def _power_center(position: FloatArray, bearing: FloatArray) -> FloatArray:
     with np.errstate(divide='ignore', invalid='ignore'):
         scale = k31 / determinant
         x, y = scale * normal_x, scale * normal_y
-        # Heading: direction of the sum of range * exp(i (azimuth - bearing)), bearings counted
-        # from the second. What is far away shows more of it.
+        # Heading: direction of the sum of range * exp(i (azimuth - bearing)), with bearings
+        # relative to the second. Far landmarks determine it better.
         xa -= x
         ya -= y
         xc -= x
@@ -211,10 +211,10 @@ def _power_center(position: FloatArray, bearing: FloatArray) -> FloatArray:
     return poses
 
 
-# Triples tried as starts: all of them up to 12 landmarks.
+# Triples tried as starts: all of them for up to 12 landmarks.
 _MAX_STARTS = 220
 _MAX_STEPS = 20
-# Least share of its information that is left of a direction.
+# Least share of the information that remains in a direction when bearings are removed.
 _LEAST_EIGENVALUE = 1e-9
 _UNDETERMINED = Refusal('degenerate geometry', 'the bearings leave a direction undetermined')
 
@@ -231,15 +231,15 @@ class Solution:
 
     @property
     def chi_square(self) -> float:
-        """Of the residuals."""
+        """Chi-square of the residuals."""
         return float(self.residual @ self.weight @ self.residual)
 
     def covariance_without(self, rows: BoolArray) -> FloatArray:
-        """Covariance (3, 3) that the pose would have without some of the bearings, `rows` (n,)."""
+        """Covariance (3, 3) of the pose without the bearings selected by `rows` (n,)."""
         weighted = (self.weight @ self.jacobian)[rows]
         lost = weighted.T @ np.linalg.solve(self.weight[np.ix_(rows, rows)], weighted)
-        # In units of the covariance rounding does not matter; what is left undetermined then has
-        # a large variance, not none.
+        # In units of the covariance, rounding does not matter; a direction that is undetermined
+        # without them gets a large variance.
         root = np.linalg.cholesky(self.covariance)
         value, vector = np.linalg.eigh(np.eye(3) - root.T @ lost @ root)
         back = root @ vector
@@ -249,7 +249,7 @@ class Solution:
 def best_start(
     position: FloatArray, bearing: FloatArray, variance: FloatArray, start: PoseEstimate | None
 ) -> FloatArray | None:
-    """Pose (3,) of the triple, or the prior, at which the bearings agree best, outliers aside."""
+    """Pose (3,) out of those of triples and the prior with the least robust cost of bearings."""
     index = triples(len(bearing), _MAX_STARTS)
     poses = triangulate_three(position[index], bearing[index])
     if start is not None:
@@ -257,7 +257,7 @@ def best_start(
     poses = poses[np.isfinite(poses).all(axis=-1)]
     if not len(poses):
         return None
-    # Cauchy's cost: an outlier weighs by the logarithm of its residual.
+    # Cauchy's cost: an outlier counts with the logarithm of its residual only.
     square = bearing_residuals(poses, position, bearing) ** 2 / variance
     return np.asarray(poses[np.argmin(np.sum(np.log1p(square / 9.0), axis=-1))])
 
@@ -269,7 +269,7 @@ def solve(
     map_cov: FloatArray,
     start: FloatArray,
 ) -> Solution | Refusal:
-    """Gauss-Newton with weights renewed at every iterate and steps of at most 1 m and 1 rad."""
+    """Gauss-Newton with weights updated in each iteration and steps of at most 1 m and 1 rad."""
     pose, jacobian = start.copy(), np.full((len(bearing), 3), -1.0)
     for _ in range(_MAX_STEPS):
         gradient = bearing_gradients(pose, position)
@@ -277,7 +277,7 @@ def solve(
         jacobian[:, :2] = gradient
         weight = np.asarray(np.linalg.inv(np.diag(variance) + map_share(gradient, map_cov)))
         normal = jacobian.T @ weight @ jacobian
-        # A normal matrix scaled to unit diagonal separates rank from units.
+        # Scaled to a unit diagonal, the rank of the normal matrix does not depend on units.
         scale = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-100))
         scaled = normal * scale[:, None] * scale
         if not np.isfinite(scaled).all():
@@ -290,7 +290,7 @@ def solve(
         step = covariance @ (jacobian.T @ (weight @ residual))
         step /= max(1.0, float(np.hypot(step[0], step[1])), abs(float(step[2])))
         pose = pose + step
-        # The next would be a hundred times smaller at least.
+        # The next step would be at least a hundred times smaller.
         if np.abs(step).max() < 1e-8:
             pose[2] = wrap_rad(pose[2])
             return Solution(pose, covariance, jacobian, residual, weight)
@@ -298,7 +298,7 @@ def solve(
 
 
 def w_statistics(solved: Solution) -> FloatArray:
-    """Residuals (n,) in units of what each would be off by if it alone were wrong."""
+    """Normalized residuals (n,): the w-statistic of each bearing (Baarda, 1968)."""
     weighted = solved.weight @ solved.residual
     spread = solved.weight @ solved.jacobian
     variance = np.diag(solved.weight - spread @ solved.covariance @ spread.T)

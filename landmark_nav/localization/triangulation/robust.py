@@ -1,8 +1,8 @@
 """
-A pose out of bearings to known landmarks, with its first-order covariance, or why there is none.
+The pose from bearings to known landmarks, with its first-order covariance, or why there is none.
 
-The unknown is the pose of the pan axis with the orientation of the base; `base_from_axis` turns
-it into the base's pose.
+The unknown is the pose of the pan axis with the orientation of the base; `base_from_axis` gives
+the pose of the base.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from landmark_nav.localization.triangulation.model import (
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, PoseEstimate, Refusal
 
-# Chi-square level of the distance from the prior.
+# Chi-square level of the test against the prior.
 _START_PROBABILITY = 0.9999
-# Least distance of a three-bearing fix from the circle through its landmarks, relative to its
-# radius or to the range (0.075 is 0.15 of the squared radius as power).
+# Least distance of a fix from the circle through its three landmarks, relative to its radius or
+# to the range (0.075 corresponds to a power of 0.15 squared radii).
 _DANGER_MARGIN = 0.075
 
 
@@ -39,10 +39,11 @@ class TriangulationConfig(Config):
     """
     When a fix is accepted.
 
-    Chosen by hand: a fix is for people and for starts, the estimator does without.
+    The values are chosen by hand. Fixes are shown to people and start the search; the estimator
+    does not use them.
     """
 
-    # Chi-square level up to which bearings count as meeting.
+    # Chi-square level of the test that all bearings fit one pose.
     fit_probability: float = 0.999
     # Largest predicted position sigma (root of the trace), m.
     max_sigma_m: float = 0.3
@@ -60,11 +61,11 @@ class Fix:
     pose : ndarray, shape (3,)
         x, y [m] of the pan axis and heading [rad] of the base, map frame.
     covariance : ndarray, shape (3, 3)
-        First order, with the map's error.
+        First-order covariance, with the errors of the map.
     used : ndarray of bool, shape (n,)
-        Which bearings the pose rests on.
+        Bearings that were used, without outliers.
     solution : Solution
-        Of these bearings.
+        Least-squares solution of these bearings.
     """
 
     pose: FloatArray
@@ -74,11 +75,11 @@ class Fix:
 
     @property
     def chi_square(self) -> float:
-        """Of the residuals, with ``used.sum() - 3`` degrees of freedom."""
+        """Chi-square of the residuals, with ``used.sum() - 3`` degrees of freedom."""
         return self.solution.chi_square
 
     def at(self, stamp_ns: int) -> PoseEstimate:
-        """Return it as a pose estimate of that time."""
+        """Return the pose as an estimate of that time."""
         return PoseEstimate(stamp_ns, self.pose, self.covariance)
 
 
@@ -91,7 +92,7 @@ def triangulate(
     config: TriangulationConfig | None = None,
 ) -> Fix | Refusal:
     """
-    Weighted least squares with outlier rejection, started by the closed form of every triple.
+    Weighted least squares with outlier rejection, started from the closed form of each triple.
 
     Weights are ``(S_b + G Sigma_L G^T)^-1`` with G the derivative of the bearings by the
     landmarks. An outlier is the bearing with the largest w-statistic (Baarda, A Testing Procedure
@@ -122,7 +123,7 @@ def triangulate(
     solved: Solution | Refusal | None = None
     if start is not None:
         solved = solve(position, bearing, variance, map_cov, start.pose)
-    # A prior from which all of them meet needs no better start.
+    # No other start is needed if all bearings fit a pose near the prior.
     if not isinstance(solved, Solution) or solved.chi_square > _limit(n, config):
         pose = best_start(position, bearing, variance, start)
         if pose is None:
@@ -143,7 +144,7 @@ def _without_outliers(
     used: npt.NDArray[np.bool_],
     config: TriangulationConfig,
 ) -> Solution | Refusal:
-    """Solve from a pose (3,); clears `used` (n,) of the bearings that do not meet the others."""
+    """Solve from a pose (3,); sets `used` (n,) to False for outliers."""
     while True:
         index = np.flatnonzero(used)
         rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
@@ -153,7 +154,7 @@ def _without_outliers(
         if isinstance(solved, Refusal):
             if len(index) <= 4:
                 return solved
-            # Pulled away by outliers: the start, which is not, shows the worst of them.
+            # Outliers spoiled the solution: remove the worst of them as seen from the start.
             residual = bearing_residuals(pose, position[index], bearing[index])
             used[index[np.argmax(residual**2 / variance[index])]] = False
             continue
@@ -171,8 +172,8 @@ def _without_outliers(
 
 
 def _limit(count: int, config: TriangulationConfig) -> float:
-    """Chi-square up to which so many bearings meet."""
-    # Three meet exactly or not at all; one degree of freedom stands for rounding.
+    """Chi-square limit for a number of bearings."""
+    # Three bearings have no redundancy; one degree of freedom allows for rounding.
     return float(chdtri(max(count - 3, 1), 1.0 - config.fit_probability))
 
 
@@ -203,7 +204,7 @@ def _checked(
 def _refusal(
     fix: Fix, position: FloatArray, start: PoseEstimate | None, config: TriangulationConfig
 ) -> Refusal | None:
-    """Why a solved fix is not accepted; None if it is."""
+    """Return why a fix is not accepted; None if it is."""
     nearest = float(np.min(np.hypot(*(position - fix.pose[:2]).T)))
     if nearest < config.min_range_m:
         return Refusal('too close to a landmark', f'{nearest:.2f} m')

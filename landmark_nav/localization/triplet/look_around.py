@@ -1,4 +1,4 @@
-"""Where a camera looks that does not know where it is: all around, view by view."""
+"""Where the camera looks while the pose is unknown: all around, view by view."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ import numpy as np
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import PoseEstimate
 
-# What two views that follow each other share, of their width.
+# Overlap of consecutive views, relative to their width.
 _OVERLAP = 0.25
-# A joint that is so near has arrived.
+# A joint this near to its target has arrived.
 _ARRIVED_RAD = 0.03
-# A joint that has not arrived by then, s, is left where it is stuck.
+# A joint that has not arrived after this time, s, is stuck: the next view follows.
 _PATIENCE_S = 5.0
 
-# Sigmas from which a pose is not known: of the position (root of the trace), of the heading.
+# A pose with larger sigmas is unknown: of the position (root of the trace), of the heading.
 _LOST_SIGMA_M = 0.5
 _LOST_SIGMA_RAD = 0.5
 
 
 @dataclass(frozen=True)
 class LookAroundConfig(Config):
-    """When the camera looks around for the place, and how long at each view."""
+    """When the camera looks around, and how long at each view."""
 
     enabled: bool = parameter(
         True, 'turn the camera all around, view by view, where the pose is not known'
     )
-    # How long the pose must not have been known before, s.
+    # Time for which the pose must have been unknown before, s.
     after_s: float = 2.0
-    # How long the camera rests at each view, s.
+    # Time at each view, s.
     dwell_time_s: float = 0.5
 
 
 def is_known(pose: PoseEstimate) -> bool:
-    """Whether a pose is known well enough to choose where to look."""
+    """Whether a pose is certain enough to choose triplets by it."""
     variance = np.diag(pose.covariance)
     return bool(
         variance[0] + variance[1] <= _LOST_SIGMA_M**2 and variance[2] <= _LOST_SIGMA_RAD**2
@@ -46,9 +46,10 @@ def views_around(
     limits_rad: tuple[float, float], fov_rad: float, pan_rad: float
 ) -> tuple[float, ...]:
     """
-    Pans that together see all that the joint reaches, each once, within its limits.
+    Pans that together cover all that the joint can reach.
 
-    They begin at the one next to `pan_rad` and go on to the nearer end, then over the others.
+    The first is the one nearest to `pan_rad`; then come those up to the nearer limit, then the
+    others.
     """
     low, high = limits_rad
     step = (1.0 - _OVERLAP) * fov_rad
@@ -64,27 +65,27 @@ def views_around(
 
 
 class LookAround:
-    """Leads the camera around for as long as the pose is not known."""
+    """Turns the camera from view to view while the pose is unknown."""
 
     def __init__(self, config: LookAroundConfig, limits_rad: tuple[float, float]) -> None:
         self._config, self._limits = config, limits_rad
         self._left: list[float] = []
         self._target: float | None = None
-        self._since_s: float | None = None  # when the pose was known last
+        self._since_s: float | None = None  # since when the pose is unknown
         self._turned_s = self._arrived_s = 0.0
 
     def end(self) -> None:
-        """The pose is known, or somebody else turns the camera."""
+        """Stop: the pose is known, or something else turns the camera."""
         self._left, self._target, self._since_s = [], None, None
 
     def pan_at(self, now_s: float, pan_rad: float, fov_rad: float) -> float | None:
         """
-        Where to turn while the pose is not known; None before that has lasted long enough.
+        Pan to turn to while the pose is unknown; None until that has lasted for `after_s`.
 
         Parameters
         ----------
         now_s : float
-            Time by a clock that is never set.
+            Time by a monotonic clock.
         """
         if self._since_s is None:
             self._since_s = now_s
@@ -97,7 +98,7 @@ class LookAround:
         return self._target
 
     def _seen(self, now_s: float, pan_rad: float) -> bool:
-        """Whether the camera has rested at its target for long enough, or will not reach it."""
+        """Whether the camera has rested at its target long enough, or is stuck."""
         assert self._target is not None
         if abs(pan_rad - self._target) > _ARRIVED_RAD:
             self._arrived_s = now_s

@@ -1,9 +1,7 @@
 """
-What can be seen from where the robot probably is, and in which views.
+Which landmarks can be seen from the expected pose, at which pans, and how long the turn takes.
 
-Views that take in three landmarks, and how long the pan-tilt unit needs to turn to them.
-
-A landmark is seen whole while the pan is within its reach of its azimuth.
+A landmark is whole in view while the pan is within its reach of the landmark's azimuth.
 """
 
 from __future__ import annotations
@@ -34,10 +32,10 @@ _TURN = 2.0 * np.pi
 
 class Tours(NamedTuple):
     """
-    How triplets (t,) are looked at.
+    Views of triplets (t,).
 
-    `pan_rad` (t,) sees all three; `cost` (t,) is the time of a look and of the turn to it,
-    relative to that of a look: infinite where no view holds them.
+    At `pan_rad` (t,) all three are in view; `cost` (t,) is the time of a look and the turn to it,
+    relative to that of a look: infinite where no view holds all three.
     """
 
     pan_rad: FloatArray
@@ -45,7 +43,7 @@ class Tours(NamedTuple):
 
 
 def travel_s(way_rad: npt.ArrayLike, rate_rad_s: float, acceleration_rad_s2: float) -> FloatArray:
-    """Time of a turn (...): speeding up, at the full rate, slowing down."""
+    """Duration (...) of a turn with a trapezoidal profile of the rate."""
     way = np.maximum(np.asarray(way_rad, dtype=np.float64), 0.0)
     ramps = rate_rad_s**2 / acceleration_rad_s2
     short = 2.0 * np.sqrt(np.minimum(way, ramps) / acceleration_rad_s2)
@@ -55,18 +53,18 @@ def travel_s(way_rad: npt.ArrayLike, rate_rad_s: float, acceleration_rad_s2: flo
 @dataclass(frozen=True, eq=False)
 class PanWindows:
     """
-    Pans that see landmarks whole, m of them: one for each turn of the axis that sees one.
+    Intervals of pan (m,) in which a landmark is whole in view, one for each turn of the axis.
 
     Parameters
     ----------
     place : ndarray of int, shape (m,)
-        Which landmark each belongs to.
+        Index of the landmark.
     lower, upper : ndarray, shape (m,)
         Least and greatest pan.
     pan_rad : float or None
-        Where the camera looks now, if that is to count.
+        Pan now, if the time of turns counts.
     config : TripletConfig
-        The unit's speed.
+        Speed of the pan unit.
     """
 
     place: IndexArray
@@ -90,9 +88,9 @@ class PanWindows:
         Parameters
         ----------
         azimuth_rad : ndarray, shape (n,)
-            Of the landmarks, in the frame of the pan axis, within (-pi, pi].
+            Azimuth of the landmarks in the frame of the pan axis, within (-pi, pi].
         reach_rad : ndarray, shape (n,)
-            How far the pan may be off a landmark's azimuth and still hold it whole.
+            Greatest difference of pan and azimuth at which the landmark is whole in view.
         limits_rad : tuple of float
             Least and greatest pan.
         pan_rad, config
@@ -107,22 +105,22 @@ class PanWindows:
 
     def costs(self) -> FloatArray:
         """
-        Cost (m, m) of looking at two, relative to one look without a turn.
+        Cost (m, m) of looking at two landmarks, relative to a look without a turn.
 
-        A triplet costs the most of its pairs. Infinite for windows of the same landmark, and
-        where no view holds both.
+        The cost of a triplet is the largest of its pairs. It is infinite for two windows of one
+        landmark, and where no view holds both.
         """
         near = np.minimum(self.upper[:, None], self.upper)
         far = np.maximum(self.lower[:, None], self.lower)
         return np.where(self.place[:, None] != self.place, self._cost(near, far), np.inf)
 
     def tours(self, triplets: IndexArray) -> Tours:
-        """Return how to see each of the triplets (t, 3)."""
+        """Return the view of each triplet (t, 3)."""
         near, far = self.upper[triplets].min(axis=-1), self.lower[triplets].max(axis=-1)
         return Tours(0.5 * (far + near), self._cost(near, far))
 
     def _cost(self, near: FloatArray, far: FloatArray) -> FloatArray:
-        """Cost (...) of a turn to where windows overlap, `far` to `near`; infinite: nowhere."""
+        """Cost (...) of a turn to the overlap of windows, `far` to `near`; infinite if none."""
         way = np.zeros_like(near)
         if self.pan_rad is not None:
             way = np.maximum(far - self.pan_rad, self.pan_rad - near)
@@ -130,19 +128,19 @@ class PanWindows:
         return np.where(far <= near, 1.0 + seconds / self.config.dwell_time_s, np.inf)
 
 
-# Greatest share of half the view that a wide prior may claim as margin.
+# Greatest margin for an uncertain prior, relative to half the field of view.
 _MAX_MARGIN = 0.25
 
 
 @dataclass(frozen=True)
 class CameraState:
     """
-    Where the camera looks and how far it turns.
+    Where the camera looks and how far it can turn.
 
     Parameters
     ----------
     pan_rad : float or None
-        Pan now: turning away from it takes time. None if that should not count.
+        Pan now: turning away from it takes time. None if that does not count.
     tilt_rad : float
         Tilt, positive upwards.
     limits_rad : tuple of float
@@ -157,20 +155,20 @@ class CameraState:
 @dataclass(frozen=True, eq=False)
 class PlanningScene:
     """
-    A map as it is seen from a prior pose of the base.
+    A map seen from a prior pose of the base.
 
     Parameters
     ----------
     prior : PoseEstimate
-        Of the base in map; its spread widens the margins.
+        Pose of the base in map; its covariance widens the margins.
     landmark_map : LandmarkMap
-        What was learned, n landmarks.
+        n landmarks.
     camera, mount : CameraModel, PanTiltMount
-        What looks.
+        Intrinsics and extrinsics.
     config : TripletConfig
         What counts as visible.
     camera_state : CameraState
-        Where the camera looks and how far it turns.
+        Where the camera looks and how far it can turn.
     """
 
     prior: PoseEstimate
@@ -193,7 +191,7 @@ class PlanningScene:
         windows = self.windows(index)
         reachable = np.zeros(len(index), dtype=np.bool_)
         reachable[windows.place] = True
-        # Those ahead of some pan must be whole in that view: neither too high nor too low.
+        # A landmark straight ahead of a pan must be whole there: neither too high nor too low.
         azimuth = self._azimuth_and_reach[0, index]
         straight = np.clip(azimuth, *self.camera_state.limits_rad)
         ahead = np.abs(straight - azimuth) < 1e-9
@@ -210,16 +208,16 @@ class PlanningScene:
 
     @cached_property
     def _azimuth_and_reach(self) -> FloatArray:
-        """Pans straight at landmarks, and how far off these a pan may be, (2, n)."""
+        """Pan toward each landmark, and greatest deviation from it, (2, n)."""
         bearing, sigma = self.expected_bearings(np.arange(len(self.landmark_map.corners)))
         half_fov = self.camera.half_fov_rad
-        # However wide the prior, some of the image stays to be used.
+        # With any prior, some of the image remains usable.
         margin = np.minimum(self.config.margin_sigmas * sigma, _MAX_MARGIN * half_fov)
         reach = half_fov - margin - _half_width(self.axis.pose, self.landmark_map.corners)
         return np.stack([self.mount.pan_toward_rad(bearing), reach])
 
     def whole(self, corners: FloatArray, pan_rad: FloatArray) -> npt.NDArray[np.bool_]:
-        """Whether views (m,) hold their patches' corners (m, 4, 3)."""
+        """Whether views (m,) contain the corners (m, 4, 3) of their patches."""
         return fully_in_view(
             corners,
             self.prior.pose,

@@ -1,4 +1,4 @@
-"""What came of the contest of triplets: which won, and why the others did not."""
+"""The ranking of triplets: which was chosen, and why the others were not."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from landmark_nav.types import FloatArray, Refusal, Triplet
 
-# A rival is called worse in something from so many times the winner's on.
+# A criterion counts as the reason if it is worse than that of the chosen triplet by this factor.
 _MUCH_WORSE = 1.05
 
 
@@ -30,7 +30,7 @@ _LANDMARK = np.dtype([('id', '<u4'), ('reason', '<u1')])
 
 
 class LandmarkVisibility(IntEnum):
-    """Whether a landmark takes part, or why not."""
+    """Whether a landmark can be part of a triplet, or why not."""
 
     USABLE = 0
     NO_IMAGE = 1
@@ -86,26 +86,26 @@ _VERDICTS = {
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """
-    The chosen triplet, or why none, and the m best, in the order of preference.
+    The chosen triplet, or why there is none, and the m best in order of preference.
 
     Parameters
     ----------
     chosen : Triplet or Refusal
-        The first.
+        The best one.
     visibility : ndarray of int, shape (n,)
         `LandmarkVisibility` of each landmark of the map.
     ids : ndarray of int, shape (m, 3)
         Landmarks of the triplets.
     covariances : ndarray, shape (m, 3, 3)
-        Predicted ones of a fix of the pan axis with the orientation of the base.
+        Predicted covariance of a fix: pan axis with the orientation of the base.
     chance : ndarray, shape (m,)
-        That all three are found.
+        Probability that all three are found.
     travel_s : ndarray, shape (m,)
-        Time to turn there.
+        Time to turn to them.
     pan_rad : ndarray, shape (m,)
-        That sees all three.
+        Pan at which all three are in view.
     score : ndarray, shape (m,)
-        Variance by chance, times the time relative to that of a look; m^2.
+        Variance over chance, times the time relative to that of a look; m^2.
     """
 
     chosen: Triplet | Refusal
@@ -130,7 +130,7 @@ class Ranking:
         return np.asarray(np.sqrt(np.trace(self.covariances[:, :2, :2], axis1=1, axis2=2)))
 
     def table(self) -> npt.NDArray[np.void]:
-        """One row (m,) a triplet, for other tools; `reason` is a `Verdict`."""
+        """One row for each triplet (m,), for other tools; `reason` is a `Verdict`."""
         rows = np.zeros(len(self.score), dtype=_ROW)
         rows['id'], rows['pan'], rows['sigma'] = self.ids, self.pan_rad[:, None], self.sigma_m
         rows['chance'], rows['travel'], rows['score'] = self.chance, self.travel_s, self.score
@@ -139,13 +139,13 @@ class Ranking:
         return rows
 
     def landmark_table(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
-        """Row (n,) of each landmark in the map, `ids` (n,); `reason` is a `LandmarkVisibility`."""
+        """One row for each landmark (n,) of the map; `reason` is a `LandmarkVisibility`."""
         rows = np.zeros(len(ids), dtype=_LANDMARK)
         rows['id'], rows['reason'] = ids, self.visibility
         return rows
 
     def excluded(self) -> dict[str, int]:
-        """How many landmarks take no part, by the reason."""
+        """Number of landmarks that are not usable, by reason."""
         kinds, counts = np.unique(self.visibility, return_counts=True)
         return {
             LandmarkVisibility(kind).words: int(count)
@@ -154,8 +154,8 @@ class Ranking:
         }
 
     def verdicts(self) -> list[Verdict]:
-        """Why each of the m triplets is where it is."""
-        # Where none is chosen the first is less accurate than it has to be.
+        """Reason for the rank of each of the m triplets."""
+        # If none is chosen, even the best is not accurate enough.
         refused = isinstance(self.chosen, Refusal)
         first = Verdict.LESS_ACCURATE if refused else Verdict.CHOSEN
         return [self._verdict(k) if k else first for k in range(len(self.score))]

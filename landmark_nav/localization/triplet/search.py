@@ -1,16 +1,14 @@
 """
-The best triplets out of all, without looking at all.
+Branch and bound over triplets of landmarks: the best ones, without computing all of them.
 
-The variance of a fix is at least what any two of its three landmarks allow, so
-pairs that alone are worse than triplets already known are left out, and with them most
-triplets; of the others the viewpoints are computed one after the other, and a triplet is given up
-once what it has and what it must still get are too much. What is left out is provably worse: the
-result is that of looking at all.
+Any two of the three landmarks bound the variance of a fix from below. Pairs whose bound is worse
+than the best triplets so far are left out, and with them most triplets. The others are computed
+viewpoint by viewpoint, and dropped once their sum and the bound of the remaining viewpoints exceed
+the limit. The result is the same as that of a full search.
 
-What three landmarks are worth: the predicted covariance of a fix, for any number of triplets.
-
-Everything works on the gradients ``h_k`` of the bearings, the landmarks' inverse points turned by
-a right angle. The difference of two bearings does not depend on the heading:
+The predicted covariance is computed from the gradients ``h_k`` of the bearings: the landmarks'
+inverse points, rotated by a right angle. The difference of two bearings does not depend on the
+heading:
 ``(h_i - h_j) . dp = e_i - e_j``. So the position's covariance follows from two tables over pairs
 of landmarks, the variance E of ``e_i - e_j`` and the squared distance D of ``h_i`` and ``h_j``:
 E / D is the position's variance along ``h_i - h_j``, whatever the third landmark, and a lower
@@ -32,7 +30,7 @@ from landmark_nav.types import FloatArray, LandmarkMap
 
 class PairTables(NamedTuple):
     """
-    What pairs out of n landmarks are worth from viewpoints (...).
+    Information of pairs out of n landmarks, seen from viewpoints (...).
 
     `gradient` (..., 2, n) of the bearings by x and y of the viewpoint; `error` (..., n, n) is the
     variance of the difference of two bearings, `distance` (..., n, n) the squared distance of
@@ -47,7 +45,7 @@ class PairTables(NamedTuple):
 def pair_tables(
     viewpoints: FloatArray, landmark_map: LandmarkMap, index: IndexArray, bearing_sigma: float
 ) -> PairTables:
-    """Return what pairs of the landmarks `index` (n,) are worth from viewpoints (..., 2)."""
+    """Return the information of pairs of the landmarks `index` (n,) from viewpoints (..., 2)."""
     gradient, own, shared = _bearing_models(viewpoints, landmark_map, index, bearing_sigma)
     common = shared @ np.swapaxes(shared, -1, -2)
     total = own + np.einsum('...ii->...i', common)
@@ -63,7 +61,7 @@ def position_variance(
 ) -> FloatArray:
     """Trace (..., t) of the position covariance of fixes from landmarks i, j, k; inf if none."""
     n = tables.error.shape[-1]
-    # One index instead of two: twice as quick.
+    # One flat index instead of two is twice as fast.
     pairs = (n * i + j, n * i + k, n * j + k)
     error_ij, error_ik, error_jk = (_taken(tables.error, pair) for pair in pairs)
     side_ij, side_ik, side_jk = (_taken(tables.distance, pair) for pair in pairs)
@@ -88,7 +86,7 @@ def fix_covariances(
     """
     First-order covariances (t, 3, 3) of x, y and heading of fixes from triplets (t, 3).
 
-    Of the pose of the pan axis at `viewpoint` (2,), with the orientation of the base.
+    The pose is that of the pan axis at `viewpoint` (2,), with the orientation of the base.
     """
     used, place = np.unique(triplets, return_inverse=True)
     gradient, own, shared = _bearing_models(viewpoint, landmark_map, used, bearing_sigma)
@@ -104,10 +102,9 @@ def _bearing_models(
     viewpoints: FloatArray, landmark_map: LandmarkMap, index: IndexArray, bearing_sigma: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
-    Gradient (..., n, 2) of n bearings and their errors.
+    Gradients (..., n, 2) of n bearings, their own variances (..., n), and loadings (..., n, m).
 
-    Those are variances (..., n) of their own and loadings (..., n, m) of the map's unit-variance
-    common factors.
+    Loadings are of the map's shared factors, which have unit variance.
     """
     gradient = bearing_gradients(viewpoints, landmark_map.positions[index, :2])
     loading = landmark_map.shared_loadings[index, :2]
@@ -117,13 +114,13 @@ def _bearing_models(
     return gradient, bearing_sigma**2 + np.maximum(variance, 0.0), shared
 
 
-# Pairs completed at a time: the arrays of their triplets stay in the cache.
+# Pairs extended to triplets at a time: the arrays stay in the cache.
 _PAIRS = 1500
-# Pairs that are completed in every way for a first bound.
+# Pairs combined with every third landmark for a first bound.
 _FIRST_PAIRS = 16
-# Bounds are compared with so much room for rounding.
+# Margin for rounding when bounds are compared.
 _ROUNDING = 1.0 + 1e-9
-# Triplets that can't be combined have a score of infinity.
+# Limit before any triplet is known: all finite scores are below.
 _NO_TRIPLET = 1e300
 
 
@@ -137,24 +134,24 @@ def best_triplets(
     tables: PairTables, factor: FloatArray, cost: FloatArray, count: int
 ) -> tuple[FloatArray, IndexArray]:
     """
-    Triplets with the least score: variance times the landmarks' factors times the cost.
+    Triplets with the lowest score: variance times the landmarks' factors times the cost.
 
     Parameters
     ----------
     tables : PairTables
         Of n landmarks from viewpoints (p,), over which the variance is averaged.
     factor : ndarray, shape (n,)
-        Of each landmark, at least 1.
+        Factor of each landmark, at least 1.
     cost : ndarray, shape (n, n)
-        Of each pair, at least 1, symmetric; a triplet costs the most of its pairs. Infinite for
-        pairs that can't be combined.
+        Cost of each pair, at least 1, symmetric; infinite for pairs that can't be combined. The
+        cost of a triplet is the largest of its pairs.
 
     Returns
     -------
     scores : ndarray, shape (m,)
         Ascending; fewer than `count` if there are no more.
     triplets : ndarray of int, shape (m, 3)
-        Each ascending.
+        Indices of each, ascending.
     """
     with np.errstate(divide='ignore', invalid='ignore'):
         least = tables.error / tables.distance
@@ -171,7 +168,7 @@ def best_triplets(
 
 
 class _Search:
-    """The best triplets so far, and the score that a new one must not exceed."""
+    """The best triplets so far, and the highest score that a new one may have."""
 
     def __init__(
         self,
@@ -188,11 +185,11 @@ class _Search:
         self.triplets: IndexArray = np.empty((0, 3), dtype=np.intp)
 
     def expect(self, least: FloatArray) -> None:
-        """Learn what each viewpoint adds at least, to any triplet with a pair, (p, n, n)."""
+        """Set the lower bound that each viewpoint adds to triplets with a pair, (p, n, n)."""
         self._to_come = np.cumsum(least[::-1], axis=0)[::-1] / len(least)
 
     def add(self, triplets: IndexArray) -> None:
-        """Look at triplets (3, t)."""
+        """Compute triplets (3, t) and keep the best."""
         i, j, k = triplets
         weight = self._factor.take(i) * self._factor.take(j) * self._factor.take(k)
         weight *= _largest(self._cost, i, j, k)
@@ -220,7 +217,7 @@ class _Search:
 
 
 def first_of_each(triplets: IndexArray) -> IndexArray:
-    """Places where each of the triplets (t, 3) of a list comes first, in ascending order."""
+    """Index of the first occurrence of each distinct triplet out of (t, 3)."""
     n = triplets.max(initial=0) + 1
     return np.unique(triplets @ np.array([n * n, n, 1]), return_index=True)[1]
 
@@ -232,7 +229,7 @@ def _largest(table: FloatArray, i: IndexArray, j: IndexArray, k: IndexArray) -> 
 
 
 def _around_best_pairs(bound: FloatArray) -> IndexArray:
-    """Triplets (t, 3) of the best pairs with every third."""
+    """Triplets (t, 3) of the best pairs with every third landmark."""
     n = len(bound)
     once = np.where(np.tri(n, dtype=np.bool_), np.inf, bound)
     count = min(_FIRST_PAIRS, once.size - 1)
@@ -246,13 +243,13 @@ def _around_best_pairs(bound: FloatArray) -> IndexArray:
 
 def _triangles(good: npt.NDArray[np.bool_]) -> Iterator[IndexArray]:
     """Batches (3, t) of triplets whose three pairs are all `good` (n, n)."""
-    # Those with few partners first: each landmark then has few later ones.
+    # Landmarks with few partners come first: each then has few later partners.
     order = np.argsort(good.sum(axis=0), kind='stable')
     later = np.triu(good[np.ix_(order, order)], 1)
     first, second = np.nonzero(later)
     for start in range(0, len(first), _PAIRS):
         i, j = first[start : start + _PAIRS], second[start : start + _PAIRS]
-        # A flat search and a division are quicker than a search by row and column.
+        # A flat search and a division are faster than a search by row and column.
         found = np.flatnonzero(later[i] & later[j])
         pair = found // len(order)
         third = found - pair * len(order)

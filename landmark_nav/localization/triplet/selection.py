@@ -1,13 +1,12 @@
 """
-Triplet selection: the three landmarks that are expected to give the most certain pose for the time
-they take.
+Triplet selection: the three landmarks expected to give the most information in the least time.
 
 Madsen and Andersen, Optimal landmark selection for triangulation of robot position, Robotics and
 Autonomous Systems 23(4), 1998: propagate the measurement noise through the triangulation for every
-triplet that fits one view. Here the map's errors count too, those that landmarks share as such; so
-do the prior's spread, the chance that all three are found, and the time to turn to them.
+triplet that fits one view. Here the errors of the map count too, with those that landmarks share;
+so do the covariance of the prior, the probability that all three are found, and the time to turn.
 
-The score is variance x time / chance: the inverse of the information to be expected in a second.
+The score is variance x time / chance: the inverse of the expected information per second.
 """
 
 from __future__ import annotations
@@ -33,11 +32,12 @@ from landmark_nav.localization.triplet.search import (
 from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.types import Detections, FloatArray, LandmarkMap, PoseEstimate, Refusal, Triplet
 
-# How many of the best triplets are looked at more closely, at first.
+# Number of best triplets whose patches are checked for being whole, at first.
 _SHORTLIST = 24
-# A spread of that share of the nearest landmark's range changes variances by its square.
+# A prior narrower than this share of the nearest range counts as a point: the variance changes by
+# the square of the share only.
 _SMALL = 0.05
-# How many are reported.
+# Number of triplets in a ranking.
 _RANKED = 8
 
 
@@ -57,21 +57,22 @@ def rank_triplets(
     Parameters
     ----------
     prior : PoseEstimate
-        Of the base in map; its spread widens the margins and averages the expected covariance.
+        Pose of the base in map; its covariance widens the margins, and the expected covariance is
+        averaged over it.
     config : TripletConfig
         What counts as visible, and what time costs.
     camera_state : CameraState, optional
         Where the camera looks and how far it turns; a full turn at no cost by default.
     previous : Triplet, optional
-        What is being looked at; kept unless another is better by `config.hysteresis`.
+        The triplet looked at now; kept unless another is better by `config.hysteresis`.
     found_rate : array_like, shape (n,), optional
-        How often each landmark of the map was found when looked for, (0, 1].
+        Share of attempts in which each landmark of the map was found, (0, 1].
 
     Returns
     -------
     Ranking
-        Of the chosen triplet `sigma_rad` is the spread of the expected bearings by prior and map,
-        `covariance` that of the base's pose, and `pan_rad` where to look.
+        In the chosen triplet, `sigma_rad` are the sigmas of the expected bearings by prior and
+        map, `covariance` is that of the base's pose, and `pan_rad` where to look.
     """
     scene = PlanningScene(
         prior, landmark_map, camera, mount, config, camera_state or CameraState()
@@ -86,7 +87,7 @@ def rank_triplets(
 
 
 class _TripletSearch:
-    """Triplets of the landmarks `index` (n,), by the windows of pan that see them."""
+    """Search among triplets of the landmarks `index` (n,) and the pans at which they are seen."""
 
     def __init__(self, scene: PlanningScene, index: IndexArray, chance: FloatArray) -> None:
         self._scene, self._map, self._config = scene, scene.landmark_map, scene.config
@@ -100,13 +101,13 @@ class _TripletSearch:
         self._tables: PairTables = pair_tables(points, self._map, self._index, sigma)
 
     def judge(self, previous: Triplet | None, visibility: npt.NDArray[np.int8]) -> Ranking:
-        """Find the best and compare it with what is being looked at."""
+        """Find the best triplet and compare it with the one looked at now."""
         triplets, tours, score = self._best(self._windows_of(previous))
         favoured = score.copy()
         favoured[self._are(previous, triplets)] /= 1.0 + self._config.hysteresis
         order = np.argsort(favoured, kind='stable')
         order = order[np.isfinite(score[order])]
-        # Each once, in its best turn of the axis.
+        # Each triplet once, with the pan turn that costs least.
         once = first_of_each(np.sort(self._index[triplets[order]]))
         order = order[np.sort(once)[:_RANKED]]
         if not len(order):
@@ -117,10 +118,10 @@ class _TripletSearch:
 
     def _best(self, kept: IndexArray) -> tuple[IndexArray, Tours, FloatArray]:
         """
-        Return triplets (t, 3) that hold the best one beside those `kept`, tours and scores.
+        Return triplets (t, 3), with the best one and those `kept`; their tours and scores.
 
-        The search does not look whether patches are whole; it is asked for more until what it
-        has not given must be worse than the best there is.
+        The search does not check whether patches are whole in view. It is repeated for more
+        triplets until all that it left out must be worse than the best one found.
         """
         factor, cost = 1.0 / self._chance, self._windows.costs()
         count = _SHORTLIST
@@ -149,7 +150,7 @@ class _TripletSearch:
         return np.asarray(variance / chance * tours.cost)
 
     def _windows_of(self, previous: Triplet | None) -> IndexArray:
-        """The previous triplet (t, 3) in all turns of the axis that see it; none if one can't."""
+        """The previous triplet (t, 3) in all pan turns that see it; empty if none does."""
         if previous is None:
             return np.empty((0, 3), dtype=np.intp)
         ids = self._map.ids[self._index]
@@ -171,7 +172,7 @@ class _TripletSearch:
         score: FloatArray,
         visibility: npt.NDArray[np.int8],
     ) -> Ranking:
-        """Report triplets (m, 3) in order, the chosen one first."""
+        """Return the ranking of triplets (m, 3), which are in order."""
         axis = self._scene.axis
         chosen = self._index[triplets]
         covariance = fix_covariances(
@@ -207,7 +208,7 @@ class _TripletSearch:
 
 
 def _viewpoints(axis: PoseEstimate, nearest_m: float) -> FloatArray:
-    """Positions (p, 2) that stand for the prior's spread; the middle alone where it is small."""
+    """Positions (p, 2) that represent the prior; its mean alone where its covariance is small."""
     value, vector = np.linalg.eigh(axis.covariance[:2, :2])
     steps = (vector * np.sqrt(2.0 * np.maximum(value, 0.0))).T
     if np.hypot(*steps[1]) < _SMALL * nearest_m:
@@ -215,15 +216,15 @@ def _viewpoints(axis: PoseEstimate, nearest_m: float) -> FloatArray:
     return np.asarray(axis.pose[:2] + np.concatenate([steps, -steps]))
 
 
-# A landmark begins as if it had been found so often, and in so many looks.
+# Prior of a landmark's rate of detection, in images in which it was found, and should have been.
 _FOUND_BEFORE = 4.0
 _LOOKED_BEFORE = 4.2
-# A look counts so much less after each later one: posters are exchanged and come back.
+# Weight of an image relative to the next one: posters are exchanged and come back.
 _MEMORY = 0.98
 
 
 class FoundRecord:
-    """How often each of n landmarks was found when it should have been in view."""
+    """Rate at which each of n landmarks is found when it should be in view."""
 
     def __init__(self, n: int) -> None:
         self._found = np.full(n, _FOUND_BEFORE)
@@ -231,30 +232,30 @@ class FoundRecord:
 
     @property
     def rate(self) -> FloatArray:
-        """Of each landmark, (n,), in (0, 1)."""
+        """Rate of each landmark (n,), in (0, 1)."""
         return np.asarray(self._found / self._looked)
 
     def note(self, missed: BoolArray, found: BoolArray) -> None:
-        """Count an image: whether each (n,) was missed or found in it."""
+        """Count an image in which landmarks (n,) were missed or found."""
         looked = missed | found
         self._found[looked] = _MEMORY * self._found[looked] + found[looked]
         self._looked[looked] = _MEMORY * self._looked[looked] + 1.0
 
 
 class ActiveCamera:
-    """Chooses triplets, one after the other, and the pan for each moment."""
+    """Chooses one triplet after the other, and the pan that shows it."""
 
     def __init__(
         self, landmark_map: LandmarkMap, mount: PanTiltMount, config: TripletConfig
     ) -> None:
         self._map, self._config = landmark_map, config
-        # As far as it is known by now: whoever learns it sets it.
+        # The current estimate; the caller updates it.
         self.mount = mount
         self.record = FoundRecord(len(landmark_map.landmarks))
         self._chosen: Triplet | None = None
 
     def saw(self, detections: Detections) -> None:
-        """Take note of what was found in an image, and what was missed."""
+        """Count what was found in an image, and what was missed."""
         missed, found = (
             (self._map.ids[:, None] == ids).any(axis=1)
             for ids in (detections.missed, detections.ids)
@@ -264,7 +265,7 @@ class ActiveCamera:
     def choose(
         self, prior: PoseEstimate, camera: CameraModel, camera_state: CameraState
     ) -> Ranking:
-        """Decide what to look at now."""
+        """Choose what to look at now."""
         ranking = rank_triplets(
             prior, self._map, camera, self.mount, self._config, camera_state, self._chosen,
             self.record.rate,

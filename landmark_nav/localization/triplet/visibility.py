@@ -1,4 +1,4 @@
-"""Which landmarks can be seen well from a place, and which of them a view takes in whole."""
+"""Which landmarks look as learned from a place, and which of them are whole in a view."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ class TripletConfig(Config):
     """
     Which landmarks count as visible, and how a triplet is rated.
 
-    Kinds of choice were compared (docs/decisions.md, where to look); numbers are chosen by hand.
+    docs/decisions.md (where to look) compares ways to choose; the numbers are chosen by hand.
     """
 
     # Expected measurement sigma of a bearing, rad.
     bearing_sigma_rad: float = 4e-4
     # Least sampling of a patch relative to its reference view.
     min_sampling: float = 0.5
-    # Greatest sampling relative to the reference view: Livatino and Madsen allow 2; an image that
-    # is blurred as the patch is shows it from nearer.
+    # Greatest sampling relative to the reference view. Livatino and Madsen allow 2; here the image
+    # is blurred to the resolution of the patch, which allows nearer views.
     max_sampling: float = 4.0
     # Least distance, m.
     min_range_m: float = 0.5
     max_range_m: float = parameter(
         12.0, 'greatest distance of a landmark that is looked at', minimum=0.1, maximum=1000.0
     )
-    # Rim of the image that a patch must not touch, pixels.
+    # Border of the image that a patch must not touch, pixels.
     border_px: float = 4.0
-    # Predicted bearing sigmas a patch must stay inside the view.
+    # Margin of a patch to the edge of the view, in sigmas of the predicted bearing.
     margin_sigmas: float = 3.0
-    # A new triplet must score so much better than the one looked at.
+    # Relative improvement for which a new triplet replaces the one looked at.
     hysteresis: float = 0.3
-    # Time of a look, beside which that of turning counts, s.
+    # Time of a look, s; the time of turning is weighed against it.
     dwell_time_s: float = 1.0
     # Rate of the pan unit, rad/s.
     pan_rate_rad_s: float = 1.0
@@ -62,12 +62,12 @@ def visible_landmarks(
     config: TripletConfig,
 ) -> npt.NDArray[np.intp]:
     """
-    Landmarks to be expected whole in a given view.
+    Landmarks expected to be whole in a given view.
 
     Returns
     -------
     ndarray of int, shape (m,)
-        Places in the map.
+        Their indices in the map.
     """
     seen = observable(axis_position(prior.pose, mount), landmark_map, config)
     index = np.flatnonzero(seen)
@@ -84,7 +84,7 @@ def visible_landmarks(
 
 
 def axis_position(pose_map_base: FloatArray, mount: PanTiltMount) -> FloatArray:
-    """Pan axis (3,) in map."""
+    """Position (3,) of the pan axis in map."""
     x, y, _ = mount.axis_pose_map(pose_map_base)
     return np.array([x, y, mount.axis_xyz[2]])
 
@@ -102,10 +102,9 @@ def landmark_visibilities(
     viewer: FloatArray, landmark_map: LandmarkMap, config: TripletConfig
 ) -> npt.NDArray[np.int8]:
     """
-    `LandmarkVisibility` of the landmarks (n,) seen from a viewer (3,): area, range, no wall
-    between.
+    `LandmarkVisibility` of the landmarks (n,) from a viewer (3,): observation area, range, walls.
 
-    Those without a size are points that other sensors see: no image of them was learned.
+    Landmarks without a size are points of other sensors: there is no image of them.
     """
     position = landmark_map.positions
     away = position[:, :2] - viewer[:2]
@@ -129,8 +128,8 @@ def landmark_visibilities(
     left = np.flatnonzero(visibility == LandmarkVisibility.USABLE)
     if landmark_map.walls and len(left):
         room, points = _room(landmark_map.walls), position[left, :2]
-        # What was seen through a wall when it was learned (a door, a window, a mirror, a gap in
-        # what was found) is seen through it again.
+        # A wall does not hide a landmark that was learned through it: there is a door, a window,
+        # a mirror, or a gap between the facades found.
         opaque = ~room.hiding(landmark_map.viewpoints[left, :2], points)
         hidden = (room.hiding(viewer[:2], points) & opaque).any(axis=-1)
         visibility[left[hidden]] = LandmarkVisibility.HIDDEN
@@ -147,9 +146,9 @@ def fully_in_view(
     border_px: float,
 ) -> npt.NDArray[np.bool_]:
     """
-    Whether views (m,) hold all of their points (m, k, 3).
+    Whether views (m,) contain all of their points (m, k, 3).
 
-    `pan_rad` gives each its own pan (m,), or all the same.
+    `pan_rad` is one pan for each view (m,), or one for all.
     """
     rotation, center = mount.camera_pose_map(pose_map_base, pan_rad, tilt_rad)
     points = (points_map - center[..., None, :]) @ rotation
