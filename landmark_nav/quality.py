@@ -12,7 +12,7 @@ _MAX_LISTED = 4
 
 @dataclass(frozen=True)
 class CalibrationTerm:
-    """Correction of camera or mount by a sweep (SI units, radians, or relative), with its sigma."""
+    """Correction of camera or mount by a sweep (SI units, radians, or relative), and its sigma."""
 
     name: str
     value: float
