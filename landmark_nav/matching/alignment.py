@@ -369,9 +369,9 @@ def _relative_blur(normal: FloatArray, image_products: FloatArray) -> FloatArray
     regression from the products of `_rows` with each other (n, 5, 5) and with the image (n, 5).
     """
     power, reference = normal[:, 2, 2], image_products[:, 2]
-    gradient_gain = normal[:, 3:, 2] / power[:, None]
-    curvature = normal[:, 3:, 3:] - gradient_gain[:, :, None] * normal[:, None, 2, 3:]
-    seen = image_products[:, 3:] - gradient_gain * reference[:, None]
+    projection = normal[:, 3:, 2] / power[:, None]
+    curvature = normal[:, 3:, 3:] - projection[:, :, None] * normal[:, None, 2, 3:]
+    seen = image_products[:, 3:] - projection * reference[:, None]
     # Regularised: a texture that is constant along one axis does not determine its blur.
     curvature += 1e-3 * (curvature[:, 0, 0] + curvature[:, 1, 1])[:, None, None] * np.eye(2)
     coefficients = (_inverse(curvature) @ seen[..., None])[..., 0]
