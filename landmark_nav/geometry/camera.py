@@ -118,8 +118,8 @@ class CameraModel:
         if self.model != 'equidistant' and max(*sides, *rims) > _MAX_TANGENT:
             wide = math.degrees(max(sum(map(math.atan, ends)) for ends in (sides, rims)))
             raise LandmarkNavError(
-                f'{what} is {wide:.0f} deg wide: no lens is; K is of another image or in another '
-                'unit'
+                f'{what} is {wide:.0f} deg wide, more than any lens: K is of another image or in '
+                'another unit'
             )
         if self._used_share < _MIN_USED_SHARE:
             raise LandmarkNavError(f'camera_info: {self.restriction}: calibrate it')

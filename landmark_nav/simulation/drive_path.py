@@ -109,7 +109,7 @@ def plan_tour(
         reach = np.flatnonzero(np.isfinite(cost))
         goals = reach[cost[reach] > min(_LEAST_LEG_M, 0.6 * float(cost[reach].max()))]
         if not len(goals):
-            raise LandmarkNavError('the robot is shut in: there is nowhere to drive')
+            raise LandmarkNavError('the robot has no free path to any other position')
         ways = [grid.way(before, at, int(goal)) for goal in rng.choice(goals, _GOALS_TRIED)]
         points = min(ways, key=lambda way: _turn(path, way))
         length += float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

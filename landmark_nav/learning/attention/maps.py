@@ -335,7 +335,7 @@ def conspicuity_map(
     feature: Float32Array, center_sigma: float, surround_sigma: float, side: int = 0
 ) -> Float32Array:
     """
-    Where a feature stands out from its surround, in [0, 1].
+    Conspicuity: contrast of a feature with its surround, in [0, 1].
 
     Difference of Gaussians, rectified, then N(m) = m (1 - mean of the local maxima)^2, which
     lets a map with one peak pass and suppresses one with many equal peaks. Itti, Koch and

@@ -211,7 +211,7 @@ class SweepCapture(Generic[FrameT]):
             raise LandmarkNavError(
                 f'sweep interrupted at frame {min(kept + 1, total)} of {total}{at_deg}: '
                 f'{self._fault}; {kept} frames are kept: call capture_sweep '
-                + ('here to go on' if kept else 'to try again')
+                + ('here to continue' if kept else 'to try again')
             )
 
     def stop(self, reason: str) -> None:
@@ -277,7 +277,7 @@ class SweepCapture(Generic[FrameT]):
             )
         else:
             _LOG.warning(
-                'the pan joint stops at %.1f deg on its way to %.1f deg: taken for its limit',
+                'the pan joint stops at %.1f deg on its way to %.1f deg: assumed to be its limit',
                 np.degrees(last.pan_rad),
                 np.degrees(step.target_rad),
             )
@@ -321,7 +321,7 @@ class SweepCapture(Generic[FrameT]):
                 self._refuse(step, blurred, now_ns)
                 return None
             _LOG.warning(
-                'the view at %.1f deg stays less sharp than its neighbours: taken as it is',
+                'the frame at %.1f deg stays less sharp than its neighbours: kept nevertheless',
                 np.degrees(best.joints.pan_rad),
             )
         is_new = self._album.keep(number, best)

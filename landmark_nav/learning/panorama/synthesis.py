@@ -33,7 +33,7 @@ _MIN_FOR_MEDIAN = 3
 @dataclass(frozen=True)
 class PanoramaConfig(Config):
     """
-    How frames become a panorama.
+    Configuration of panorama synthesis.
 
     Kinds of `blend` were compared (docs/decisions.md, sweeps and panoramas).
     """

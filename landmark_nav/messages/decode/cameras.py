@@ -129,7 +129,7 @@ def camera_info(msg: Any) -> CameraInfo:
     if abs(skew) * int(msg.height) > 2.0 * _LARGEST_SKEW_PX * abs(float(k[4])):
         raise LandmarkNavError(
             f'camera_info has a skew of {skew:g} (K[1]), which no model of ROS corrects: '
-            'calibrate the camera without'
+            'calibrate the camera without skew'
         )
     info = CameraInfo(
         (int(msg.width), int(msg.height)),
@@ -174,8 +174,8 @@ def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
     best = min(others, key=off_centre, default=usual)
     if off_centre(usual) > _MAX_OFF_CENTRE and off_centre(best) < 0.5 * off_centre(usual):
         _LOG.warning(
-            'camera_info (%s): its K is taken as that of the image of %d x %d, by its principal '
-            'point',
+            'camera_info (%s): by its principal point, K is assumed to be that of the image of '
+            '%d x %d',
             info.described,
             width,
             height,
@@ -183,8 +183,8 @@ def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
         usual = best
     elif others and off_centre(best) < _MAX_OFF_CENTRE:
         _LOG.warning(
-            'camera_info (%s): its K is taken as that of the whole sensor, as ROS defines it, '
-            'though it could be that of the small image',
+            'camera_info (%s): K is assumed to be that of the whole sensor, as ROS defines it, '
+            'though it could be that of the reduced image',
             info.described,
         )
     camera = CameraModel(width, height, *usual, info.model, info.distortion)
@@ -193,7 +193,7 @@ def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
     if min(camera.reduced_size) < 1:
         raise LandmarkNavError(
             f'camera_info: {width} x {height} px with a focal length of {camera.fx:.3g} x '
-            f'{camera.fy:.3g} px sees next to nothing: calibrate it'
+            f'{camera.fy:.3g} px has almost no field of view: calibrate it'
         )
     return camera
 

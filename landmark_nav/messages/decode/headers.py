@@ -28,7 +28,7 @@ def stamp_ns(header: Any) -> int:
     sec, nanosec = _integer(header.stamp.sec), _integer(header.stamp.nanosec)
     if sec < 0 or not 0 <= nanosec < _SECOND_NS:
         raise LandmarkNavError(
-            f'the stamp is {sec} s and {nanosec} ns, which is no time: fix its publisher'
+            f'the stamp is {sec} s and {nanosec} ns, not a valid time: fix its publisher'
         )
     return sec * _SECOND_NS + nanosec
 
