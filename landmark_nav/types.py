@@ -461,7 +461,7 @@ class Detections:
     point_covariance : ndarray, shape (n, 2, 2)
         Covariance of `points`.
     near : ndarray, shape (3,), optional
-        Pose found by global localization in this image, if the prior was too uncertain.
+        Pose of the base found in this image by a search within the prior, if that was uncertain.
     """
 
     stamp_ns: int
