@@ -54,7 +54,7 @@ class Layout:
 
 
 # `point` is in normalised image coordinates by camera_info; a covariance of zero means that there
-# is none. All rows repeat the assumed joint delay (a parameter of the node) and `near`: the pose
+# is none. All rows repeat the joint delay that the node assumes, and `near`: the pose
 # of the base found in this image by a search within an uncertain prior, zero without a search.
 DETECTIONS = Layout(
     'detections',
