@@ -1,4 +1,4 @@
-"""The package's root error, the one line that a user reads of it, and the release it is of."""
+"""The root error of the package, its text in one line, and the installed release."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 import reprlib
 
-# A line for a user, and what a path or a value in it keeps at least.
+# Largest length of a line, and smallest length to which a path or value in it is shortened.
 _LINE_LENGTH, _PART_LENGTH = 200, 60
-# More is not looked at.
+# Longer texts are cut off.
 _MAX_LENGTH = 10_000
 
 _REPR = reprlib.Repr()
@@ -19,25 +19,25 @@ _REPR.maxstring = _REPR.maxother = _REPR.maxlong = 50
 
 class LandmarkNavError(Exception):
     """
-    Bad input that a user can mend.
+    Bad input that a user can fix.
 
     The message is one line that says what is wrong, where, and what to do. Commands print it on
-    stderr and exit with status 1; services answer it with ``success: false``. What is merely to
-    be expected (too few landmarks, a degenerate triplet) is a typed result instead.
+    stderr and exit with status 1; services return it with ``success: false``. Normal failures (too
+    few landmarks, a degenerate triplet) are not errors, but a `Refusal`.
     """
 
     def __str__(self) -> str:
-        """Message without control characters, whatever file or message they came from."""
+        """Message without control characters, which files and messages may contain."""
         return _printable(super().__str__())
 
 
 class UsageError(LandmarkNavError):
-    """An argument of the command line that can not be: exit status 2, as of argparse."""
+    """An invalid argument on the command line: exit status 2, as by argparse."""
 
 
 @contextmanager
 def inside(where: object) -> Iterator[None]:
-    """Errors in the block say where they are: in a file, a field, a bag."""
+    """Prefix errors in the block with their place: a file, a field, a bag."""
     try:
         yield
     except LandmarkNavError as error:
@@ -53,18 +53,18 @@ def release() -> str:
 
 
 def why(error: Exception) -> str:
-    """What is wrong with a file: the system's words, without number and temporary name."""
+    """Text of an error of the operating system, without its number and the file name."""
     return getattr(error, 'strerror', None) or str(error)
 
 
 def shown(value: object) -> str:
-    """Value out of a file or message, as an error shows it: on one line, of bounded length."""
+    """Text of a value from a file or message for an error: one line of bounded length."""
     return _shortened(_REPR.repr(value), _PART_LENGTH)
 
 
 def one_line(text: str) -> str:
-    """Text as one line for a user: nothing but printable characters, 200 of them at most."""
-    # Where it is too long, paths, values and lists are: between colons.
+    """Text as one line of at most 200 printable characters."""
+    # Paths, values and lists between colons are shortened, the longest first.
     parts = _printable(text).split(': ')
     while (excess := len(': '.join(parts)) - _LINE_LENGTH) > 0:
         k = max(range(len(parts)), key=lambda i: len(parts[i]))
@@ -82,7 +82,7 @@ def _printable(text: str) -> str:
 
 
 def _shortened(text: str, length: int) -> str:
-    """Text without its middle; more of the end stays, as there is the name in a path."""
+    """Text without its middle; more of the end is kept, where a path has the file name."""
     if len(text) <= length:
         return text
     head = length // 3

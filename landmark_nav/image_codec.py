@@ -1,4 +1,4 @@
-"""PNG and JPEG: the size from the header, and bytes to pixels and back, without files."""
+"""PNG and JPEG in memory: size from the header, decoding and encoding."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 
-# An image of 8K video; larger ones are refused before memory is taken for them.
+# Size of 8K video; larger images are refused before memory is allocated.
 MAX_PIXELS = 7680 * 4320
 
-# Each scan of a progressive JPEG is a pass over all pixels, however few bytes it has.
+# Limit of scans: each scan of a progressive JPEG is a pass over all pixels, even if it is short.
 _MAX_SCANS = 100
 
 _PNG = b'\x89PNG\r\n\x1a\n'
-# JPEG markers: those that begin a frame hold its size; those in `_LONE` have no content.
+# JPEG markers: those of frames are followed by the size; those in `_LONE` have no content.
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _LONE = frozenset({0x01, *range(0xD0, 0xD9)})
 _SCAN, _END = 0xDA, 0xD9
@@ -29,9 +29,9 @@ def image_size(data: bytes | npt.NDArray[np.uint8]) -> tuple[int, int]:
     Width and height of a PNG or JPEG, from its header alone.
 
     Source: PNG (ISO/IEC 15948) 11.2.2, JPEG (ITU-T T.81) B.1 and B.2. Bytes between two segments
-    of a JPEG are skipped, as libjpeg does: the size is the one that it will decode.
+    of a JPEG are skipped, as in libjpeg: the result is the size that it decodes.
 
-    Raises `LandmarkNavError`: the data is neither, or ends before its size.
+    Raises `LandmarkNavError`: the data is neither, or ends before the size.
     """
     content = data if isinstance(data, bytes) else data.tobytes()
     if content[:8] == _PNG and content[12:16] == b'IHDR' and len(content) >= 24:
@@ -46,7 +46,7 @@ def image_size(data: bytes | npt.NDArray[np.uint8]) -> tuple[int, int]:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
-    """Width and height of the first frame; 0, 0 where there is none."""
+    """Width and height of the first frame; 0, 0 if there is none."""
     at = 2
     while (at := data.find(b'\xff', at)) >= 0 and at + 9 <= len(data):
         marker = data[at + 1]
@@ -70,7 +70,7 @@ def decode_image(
     max_pixels: int = MAX_PIXELS,
 ) -> npt.NDArray[np.generic]:
     """
-    Pixels of a PNG or JPEG, as `cv2.imdecode` gives them in `mode`.
+    Decode a PNG or JPEG with `cv2.imdecode` in `mode`.
 
     Raises `LandmarkNavError`: the data is neither, is damaged, or has more than `max_pixels`.
     """
@@ -98,12 +98,12 @@ def encode_image(
     options: Sequence[int] = (),
 ) -> npt.NDArray[np.uint8]:
     """
-    Bytes (n,) of an image as a file with `suffix` (``.png``, ``.jpg``) holds it.
+    Encode an image in the format of a suffix (``.png``, ``.jpg``): bytes (n,).
 
     Raises
     ------
     ValueError
-        OpenCV can not write this shape or type so.
+        OpenCV cannot encode this shape or type in that format.
     """
     done, data = cv2.imencode(suffix, image, list(options))
     if not done:

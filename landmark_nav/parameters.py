@@ -2,8 +2,8 @@
 Parameters: fields of frozen dataclasses with a description and a range.
 
 The same dataclass configures a stage offline and is declared as ROS parameters by its node. Fields
-without a description are settings that only code changes, such as a test. Names have a dot for
-each dataclass in a dataclass: ``capture.frames``.
+without a description can be changed by code only, for example in tests. Names of parameters in
+nested dataclasses have dots: ``capture.frames``.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from landmark_nav.errors import LandmarkNavError, shown
 
 T = TypeVar('T')
 
-# Metadata of a field whose dataclass `robot.yaml` gives: it holds no parameters.
+# Metadata of a field whose values come from `robot.yaml`: it holds no parameters.
 OF_ROBOT = {'of_robot': True}
-# The end of a name is its unit.
+# Suffixes of names and their units.
 _UNITS = {
     '_rad_s': 'rad/s',
     '_m_s': 'm/s',
@@ -31,8 +31,8 @@ _UNITS = {
     '_hz': 'Hz',
     '_px': 'px',
 }
-# Longer ones were not mistyped.
-_LONGEST_NAME = 100
+# For longer names no similar one is searched.
+_MAX_NAME_LENGTH = 100
 _KINDS = {
     bool: 'true or false',
     int: 'a whole number',
@@ -50,7 +50,7 @@ def parameter(
     maximum: float | None = None,
     choices: Sequence[str] | None = None,
 ) -> T:
-    """Dataclass field with a description and what it may be (inclusive range or choices)."""
+    """Dataclass field with a description and its allowed values (inclusive range or choices)."""
     return dataclasses.field(
         default=default,
         metadata={
@@ -64,13 +64,13 @@ def parameter(
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """Base of all that has parameters: each is checked against its metadata."""
+    """Base class of dataclasses with parameters; values are checked against their metadata."""
 
     def __post_init__(self) -> None:
         """
         Check every field.
 
-        Raises `LandmarkNavError`: a value is not a number, outside its range, or none of its
+        Raises `LandmarkNavError`: a value is not finite, outside its range, or not one of the
         choices.
         """
         for field in dataclasses.fields(self):
@@ -94,7 +94,7 @@ class Config:
 
 
 def leaves(config: Any, prefix: str = '') -> Iterator[tuple[str, dataclasses.Field[Any], Any]]:
-    """Name, field and value of each parameter."""
+    """Yield name, field and value of each parameter."""
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if field.metadata == OF_ROBOT:
@@ -107,9 +107,9 @@ def leaves(config: Any, prefix: str = '') -> Iterator[tuple[str, dataclasses.Fie
 
 def changed(config: T, values: Mapping[str, Any]) -> T:
     """
-    Return a copy with other values of parameters, by their names.
+    Return a copy with other values of some parameters.
 
-    Raises `LandmarkNavError`: no such parameter, or a value that it may not take.
+    Raises `LandmarkNavError`: there is no such parameter, or the value is not allowed.
     """
     known = {name: value for name, _, value in leaves(config)}
     changes: dict[str, Any] = {}
@@ -131,7 +131,7 @@ def changed(config: T, values: Mapping[str, Any]) -> T:
 
 
 def _converted(value: Any, old: Any, name: str) -> Any:
-    """Value of the type of the one it replaces; an integer will do for a float."""
+    """Convert a value to the type of the old one: int to float, list to tuple."""
     if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if isinstance(old, tuple) and isinstance(value, list):
@@ -142,19 +142,19 @@ def _converted(value: Any, old: Any, name: str) -> Any:
 
 
 def resembling(name: str, known: Collection[str]) -> str:
-    """Question after a name that is not known: which one was meant; '' if none is like it."""
-    short = len(name) <= _LONGEST_NAME
+    """Text "did you mean …?" for an unknown name; '' if no known name is similar."""
+    short = len(name) <= _MAX_NAME_LENGTH
     like = difflib.get_close_matches(name, list(known), 1) if short else []
     return f': did you mean {like[0]}?' if like else ''
 
 
 def unit_of(name: str) -> str:
-    """Unit of a parameter, which its name ends with; '' for counts, shares, ratios and words."""
+    """Unit of a parameter by the suffix of its name; '' for counts, ratios and words."""
     if '_per_' in name:
         return ''
     return next((unit for end, unit in _UNITS.items() if name.endswith(end)), '')
 
 
 def unit_hint(name: str) -> str:
-    """What to say of the unit of a parameter out of its range: angles are mistaken for degrees."""
+    """Remark on the unit of a parameter out of its range: angles are often given in degrees."""
     return '; it is in radians' if name.endswith('_rad') else ''

@@ -1,4 +1,4 @@
-"""What a sweep says of its camera and mount, and how good its panorama is."""
+"""Quality of a panorama, and the calibration estimated from its sweep."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Pans that a line names at most.
-_LISTED = 4
+# Largest number of pans in a message.
+_MAX_LISTED = 4
 
 
 @dataclass(frozen=True)
 class CalibrationTerm:
-    """What a sweep says of camera or mount: a correction (SI, radians, or relative), its sigma."""
+    """Correction of camera or mount by a sweep (SI units, radians, or relative), and its sigma."""
 
     name: str
     value: float
@@ -20,7 +20,7 @@ class CalibrationTerm:
     used: bool
 
     def __str__(self) -> str:
-        """For a person: degrees, millimetres, per cent."""
+        """Text in degrees, millimetres or per cent."""
         if self.name in ('tilt', 'roll', 'axis_roll', 'axis_pitch'):
             factor, unit = 57.29577951308232, 'deg'
         elif self.name in ('forward', 'left'):
@@ -34,13 +34,25 @@ class CalibrationTerm:
 @dataclass(frozen=True)
 class PanoramaQuality:
     """
-    How good a panorama is, and what its sweep showed of camera and mount.
+    Quality of a panorama, and the calibration estimated from its sweep.
 
-    `sharpness` is its Tenengrad, the mean squared gradient in grey levels squared a pixel squared;
-    `closure_rad` by how much the turn fails to close, None for a part of a turn, and for a full
-    one in which too little is to be matched at the pans `gaps_rad`; `residual_px` how far the
-    frames disagree in the median, `before_px` before calibration; `vignetting` the light lost in
-    the corners that was made up for, `gain_spread` the spread of exposures.
+    Parameters
+    ----------
+    sharpness : float
+        Tenengrad: mean squared gradient, grey levels squared per pixel squared.
+    closure_rad : float or None
+        Closure error; None for a part of a turn, and for a full turn in which too little can be
+        matched at the pans `gaps_rad`.
+    gaps_rad : tuple of float
+        Pans at which too little can be matched.
+    residual_px, before_px : float
+        Median disagreement of overlapping frames after and before calibration.
+    vignetting : float
+        Share of light lost in the corners, which was corrected.
+    gain_spread : float
+        Relative standard deviation of the exposures.
+    calibration : tuple of CalibrationTerm
+        Corrections.
     """
 
     sharpness: float = 0.0
@@ -53,21 +65,21 @@ class PanoramaQuality:
     calibration: tuple[CalibrationTerm, ...] = ()
 
     def of(self, sharpness: float, vignetting: float, gain_spread: float) -> PanoramaQuality:
-        """The same with what the image shows."""
+        """Return a copy with the values measured in the image."""
         return replace(self, sharpness=sharpness, vignetting=vignetting, gain_spread=gain_spread)
 
     @property
     def closure(self) -> str:
-        """By how much the turn fails to close, or why nobody knows; nothing for a part of one."""
+        """Text of the closure error, or why it is unknown; empty for a part of a turn."""
         if self.closure_rad is not None:
             return f'closure error {abs(np.degrees(self.closure_rad)):.4f} deg'
-        pans = ', '.join(f'{np.degrees(pan):.0f}' for pan in self.gaps_rad[:_LISTED])
-        if len(self.gaps_rad) > _LISTED:
-            pans += f' and {len(self.gaps_rad) - _LISTED} more'
+        pans = ', '.join(f'{np.degrees(pan):.0f}' for pan in self.gaps_rad[:_MAX_LISTED])
+        if len(self.gaps_rad) > _MAX_LISTED:
+            pans += f' and {len(self.gaps_rad) - _MAX_LISTED} more'
         return f'closure unknown: nothing to match near pan {pans} deg' if pans else ''
 
     def __str__(self) -> str:
-        """For a person, in one line."""
+        """Text in one line."""
         parts = [f'sharpness {self.sharpness:.0f}']
         if self.closure:
             parts.append(self.closure)

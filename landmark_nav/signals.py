@@ -1,9 +1,9 @@
-"""SIGINT and SIGTERM end a program quietly, from its first line on."""
+"""Handling of SIGINT and SIGTERM: programs end without a traceback, even while they import."""
 
 from __future__ import annotations
 
-# Executables import this first of all, and nothing else before: each import is time in which a
-# signal ends the program as Python does by itself.
+# Executables import this module first. Until it is imported, a signal ends the program with a
+# traceback; so it must import little.
 import os
 import signal
 
@@ -17,9 +17,9 @@ ENDING = (signal.SIGINT, signal.SIGTERM)
 
 def end_at_once(status: int | None = None) -> None:
     """
-    End the process at a signal, whatever it does: while it imports it has nothing to lose.
+    Install handlers that exit the process at once; for the time of imports.
 
-    A KeyboardInterrupt would do harm there: imports turn it into other errors, or lose it.
+    A KeyboardInterrupt would be lost in imports, or turned into other errors.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def end_at_once(status: int | None = None) -> None:
 
     for number in ENDING:
         signal.signal(number, end)
-    # Whoever started this program may have held signals back until now.
+    # The parent process may have blocked the signals.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
 
@@ -40,25 +40,25 @@ class interrupting:  # noqa: N801
     """
     Context manager: raise KeyboardInterrupt at a signal, with its number, so that work cleans up.
 
-    A second signal does what it did before the block. Outside of the main thread, where signals
-    do not arrive, the block is as any other.
+    The previous handlers are restored at the first signal. Outside of the main thread, where no
+    signals arrive, it does nothing.
     """
 
     def __enter__(self) -> None:
-        """From here on a signal interrupts."""
-        # Not on top: what executables import first of all is to be short.
+        """Install the handlers."""
+        # Imported here because this module must import fast.
         from threading import current_thread, main_thread
 
         if current_thread() is not main_thread():
             self._before: dict[signal.Signals, Any] = {}
             return
-        # None is a handler of a library written in C, which Python cannot set again.
+        # None means a handler set from C, which Python cannot restore.
         self._before = {n: signal.getsignal(n) or signal.SIG_DFL for n in ENDING}
         for number in ENDING:
             signal.signal(number, self._interrupt)
 
     def __exit__(self, *error: object) -> None:
-        """Signals are again what they were before."""
+        """Restore the previous handlers."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
 

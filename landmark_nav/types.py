@@ -1,7 +1,7 @@
 """
-What crosses the stages: frozen values, SI units, radians, integer nanoseconds.
+Types that stages exchange: immutable, SI units, radians, stamps in integer nanoseconds.
 
-Frames are in the names: ``pose_map_base`` is the pose of ``base_link`` in ``map``.
+Names hold the frames: ``pose_map_base`` is the pose of ``base_link`` in ``map``.
 """
 
 from __future__ import annotations
@@ -45,22 +45,22 @@ __all__ = [
 
 
 class RefusalCode(Enum):
-    """Reasons that other stages act on."""
+    """Reasons of a refusal that callers handle differently."""
 
     OTHER = auto()
     UNRECOGNISED = auto()
-    """No pose shows the landmarks that should be seen from it."""
+    """The landmarks that should be in view from the hypotheses are not found."""
     LOW_CORRELATION = auto()
-    """A texture looks different."""
+    """The correlation of a template is below the threshold."""
     CLOCK_SET_BACK = auto()
 
 
 @dataclass(frozen=True)
 class Refusal:
     """
-    Something to be expected did not work out: a short `reason` and what was measured.
+    Result of a stage that cannot give one: a short `reason`, and measured values in `detail`.
 
-    Programs look at the `code`; the wording is for people and may change.
+    Programs use the `code`; the wording is for people and may change.
     """
 
     reason: str
@@ -68,13 +68,13 @@ class Refusal:
     code: RefusalCode = RefusalCode.OTHER
 
     def __str__(self) -> str:
-        """Both in one line."""
+        """Reason and detail in one line."""
         return f'{self.reason}: {self.detail}' if self.detail else self.reason
 
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """A planar pose (3,), x [m], y [m], heading [rad], at a time, with its covariance (3, 3)."""
+    """Planar pose (3,) at a time: x [m], y [m], heading [rad], with its covariance (3, 3)."""
 
     stamp_ns: int
     pose: FloatArray
@@ -84,32 +84,36 @@ class PoseEstimate:
 @dataclass(frozen=True, eq=False)
 class Expectation(PoseEstimate):
     """
-    Pose of the base at a time, and the calibration: what a search for landmarks needs.
+    Expected pose of the base at a time, and calibration, for the search for landmarks.
 
-    The covariance is that of the pan axis in the direction of the camera: errors of heading and
-    pan zero that cancel are left out.
+    The covariance is that of the pan axis with the azimuth of the camera: errors of heading and
+    pan zero that cancel are not part of it.
 
     Parameters
     ----------
     calibration : Calibration
-        Its standard deviations count, not its correlations.
+        Calibration; only its standard deviations are used, not the correlations.
     tilt_sigma_rad : float
-        How well it is known how high the camera looks: of base, axis and camera together.
+        Standard deviation of the elevation of the view: of base, axis and camera together.
     """
 
     calibration: Calibration
     tilt_sigma_rad: float
 
     def pan_sigma_rad(self, pan_rate_rad_s: float) -> float:
-        """How well the pan is known at this rate, beside the pan zero."""
+        """Standard deviation of the pan at this rate, without that of the pan zero."""
         delay = abs(pan_rate_rad_s) * self.calibration['joint_delay'][1]
         return math.hypot(delay, self.calibration.base.pan_sigma_rad)
 
     def stepped(self, sigma_m: float, sigma_rad: float, sigma_s: float) -> Expectation:
         """
-        Return what is expected if base, camera or joint delay have changed by so much.
+        Return the expectation after possible steps of the pose, extrinsics or joint delay.
 
-        What is exact stays.
+        Parameters
+        ----------
+        sigma_m, sigma_rad, sigma_s : float
+            Standard deviations of the steps of positions, angles and the joint delay. Values of
+            the calibration that are exact do not change.
         """
         known = self.calibration
         steps = {'camera_roll': sigma_rad, 'camera_tilt': sigma_rad, 'axis_yaw': sigma_rad}
@@ -127,10 +131,10 @@ class Expectation(PoseEstimate):
 @dataclass(frozen=True, eq=False)
 class PlaceChain:
     """
-    Poses of the base (v, 3) where sweeps were taken, in the frame of the first one.
+    Poses (v, 3) of the base at v sweeps, in the frame of the first one.
 
-    `covariance` (3 v, 3 v) is joint: errors of one way go on in all later poses. `source` names
-    what measured them.
+    `covariance` (3 v, 3 v) is their joint covariance: an error of one motion is part of all later
+    poses. `source` is the name of the sensor.
     """
 
     poses: FloatArray
@@ -151,9 +155,9 @@ class OdometrySample:
 @dataclass(frozen=True)
 class JointSample:
     """
-    Measured angles of the pan-tilt unit, radians, and how fast it pans.
+    Measured angles of the pan-tilt unit, radians, and the rate of the pan.
 
-    `pan_sigma_rad` is what interpolation adds to the error of the pan, `pan_track` the pan a while
+    `pan_sigma_rad` is the error of the pan by interpolation, `pan_track` the pan in an interval
     before and after.
     """
 
@@ -168,10 +172,10 @@ class JointSample:
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
     """
-    One image with the joint angles it was taken at.
+    One image with the joint angles at its stamp.
 
-    `image` is BGR (height, width, 3) or grey (height, width), uint8. `roll_rad` turns the camera
-    about its optical axis: 0 on a pan-tilt unit, unless calibration finds otherwise.
+    `image` is BGR (height, width, 3) or grey (height, width), uint8. `roll_rad` is an additional
+    rotation about the optical axis, from calibration.
     """
 
     stamp_ns: int
@@ -188,9 +192,9 @@ class CameraFrame:
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """
-    The frames of one turn of the camera at one place, sorted by time.
+    The frames of one turn of the camera at one pose of the base, sorted by time.
 
-    `pose_map_base` is set if the place is known from elsewhere (``sweep/pose``).
+    `pose_map_base` is set if that pose was given (``sweep/pose``).
     """
 
     stamp_ns: int
@@ -201,32 +205,33 @@ class Sweep:
 @dataclass(frozen=True, eq=False)
 class Panorama:
     """
-    A cylindrical view of the room and where it was taken.
+    A cylindrical image of the room with its pose.
 
     Parameters
     ----------
     stamp_ns : int
-        Start of its sweep.
+        Start of the sweep.
     image : ndarray, shape (height, width, 3)
         BGR, uint8.
     mask : ndarray of bool, shape (height, width)
-        Which pixels some frame covered.
+        Pixels that at least one frame covers.
     cylinder : Cylinder
         Geometry; azimuth 0 is ``base_link`` +x.
     center_map : ndarray, shape (3,)
-        The viewpoint (pan axis at the height of the optical centre) in map, metres.
+        Viewpoint (pan axis at the height of the optical centre) in map, metres.
     heading_rad : float
         Heading of the base in map.
     covariance : ndarray, shape (4, 4)
-        Of x, y, z, heading.
+        Covariance of x, y, z, heading.
     quality : PanoramaQuality, optional
-        Where it was made here: it does not travel.
+        Quality of the panorama; messages do not hold it.
     calibration : Calibration, optional
-        As far as it is known after the sweep. It does not travel either.
+        Calibration after the sweep; messages do not hold it.
     made_with : ndarray, shape (15,), optional
-        Values of the calibration that the image was made with.
+        Values of the calibration with which the image was synthesized.
     by_calibration : ndarray, shape (4, 15), optional
-        Derivative of x, y, z, heading by the calibration; papers locate the camera itself: 0.
+        Derivatives of x, y, z, heading by the calibration; 0 if anchor papers located the camera
+        itself.
     """
 
     stamp_ns: int
@@ -250,7 +255,7 @@ class Panorama:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A patch about a pixel of a panorama, as attention proposes it; `saliency` 1 is the best."""
+    """A patch around a pixel of a panorama, proposed by attention; the best `saliency` is 1."""
 
     column: float
     row: float
@@ -273,24 +278,26 @@ class Landmark:
     covariance : ndarray, shape (3, 3)
         Total covariance of `position`.
     shared_loading : ndarray, shape (3, m)
-        What all landmarks of a map have in common, mostly the pose errors of the panoramas: the
-        covariance between landmarks k and l is ``L_k @ L_l.T``. Columns are unit-variance
-        factors; `m` is the same for the whole map.
+        Loadings of the shared map factors, mostly the pose errors of the panoramas: the covariance
+        between landmarks k and l is ``L_k @ L_l.T``. Factors have unit variance; `m` is the same
+        for the whole map.
     normal : ndarray, shape (3,)
-        Unit, horizontal, into the room.
+        Unit normal, horizontal, into the room.
     width_m, height_m : float
         Size of the patch on the wall.
     patch : ndarray, shape (rows, columns)
         Grey texture in wall coordinates, uint8: columns run to the right as seen from inside the
         room, rows downwards, centre of the array at `position`, square texels.
     viewpoint : ndarray, shape (3,)
-        Where it was learned from, in map: sets the observation area.
+        Viewpoint of the reference view in map; it determines the observation area.
     threshold : float
-        Least normalized cross-correlation that counts as found.
-    wall_id, saliency
-        Of the wall that carries it (empty for one on a plane of its own), of its candidate.
+        Smallest normalized cross-correlation that counts as found.
+    wall_id : str
+        Wall that carries the patch; empty if the patch has a plane of its own.
+    saliency : float
+        Saliency of its candidate.
     views : tuple of PatchView
-        What other panoramas show of it; old maps do not hold it.
+        The patch in other panoramas; old maps have none.
     """
 
     id: int
@@ -311,10 +318,10 @@ class Landmark:
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
     """
-    What was learned, and where; the arrays are stacked over `landmarks` in their order.
+    Landmarks and provenance; arrays are stacked over `landmarks` in their order.
 
-    `prior` is the calibration that ``robot.yaml`` gave at learning, `calibration` what was learned
-    of it; maps of schema 1 and of others' data have none.
+    `prior` is the calibration in ``robot.yaml`` at learning, `calibration` the estimate by
+    learning. Maps of schema 1 and of other sources have neither.
     """
 
     landmarks: tuple[Landmark, ...]
@@ -327,9 +334,9 @@ class LandmarkMap:
 
     def calibration_from(self, given: Calibration) -> Calibration:
         """
-        What is known before a drive with ``robot.yaml`` as `given`.
+        Calibration before a drive, with `given` from the current ``robot.yaml``.
 
-        That is what learning made of it; another ``robot.yaml`` than at learning counts itself.
+        It is the estimate by learning, or `given` if ``robot.yaml`` has changed since learning.
         """
         if self.prior is None or self.calibration is None or not given.same_as(self.prior):
             return given
@@ -337,7 +344,7 @@ class LandmarkMap:
 
     @property
     def has_own_frame(self) -> bool:
-        """Whether its frame and scale are its own, as it was learned without a plan."""
+        """Whether the map was learned without a plan and has a frame and scale of its own."""
         return 'frame' in self.provenance
 
     @cached_property
@@ -346,7 +353,7 @@ class LandmarkMap:
         return np.array([k.id for k in self.landmarks], dtype=np.int64)
 
     def indices(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-        """Places in `landmarks` of ids (n,) that the map holds."""
+        """Indices in `landmarks` of ids (n,), all of which must be in the map."""
         order = np.argsort(self.ids)
         return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)], dtype=np.intp)
 
@@ -362,7 +369,7 @@ class LandmarkMap:
 
     @cached_property
     def viewpoints(self) -> FloatArray:
-        """Where each was learned from, (n, 3)."""
+        """Reference viewpoints, (n, 3)."""
         return np.array([k.viewpoint for k in self.landmarks], dtype=np.float64).reshape(-1, 3)
 
     @cached_property
@@ -382,33 +389,33 @@ class LandmarkMap:
 
     @cached_property
     def shared_loadings(self) -> FloatArray:
-        """What they have in common, (n, 3, m)."""
+        """Loadings of the shared map factors, (n, 3, m)."""
         loadings = [k.shared_loading for k in self.landmarks]
         return np.array(loadings, dtype=np.float64) if loadings else np.zeros((0, 3, 0))
 
     @cached_property
     def joint_covariance_xy(self) -> FloatArray:
-        """Joint covariance of all (x, y), (2n, 2n), with the part that landmarks share."""
+        """Joint covariance of all (x, y), (2n, 2n), with the shared map factors."""
         n = len(self.landmarks)
         loading = self.shared_loadings[:, :2].reshape(2 * n, self.shared_loadings.shape[2])
         joint = (loading @ loading.T).reshape(n, 2, n, 2)
         joint[range(n), :, range(n)] = self.covariances[:, :2, :2]
         return np.asarray(joint.reshape(2 * n, 2 * n))
 
-    def joint_covariance_of(self, places: npt.NDArray[np.integer]) -> FloatArray:
-        """Joint covariance (2m, 2m) of the (x, y) of some landmarks (m,), by their places."""
-        rows = np.stack([2 * places, 2 * places + 1], -1).reshape(-1)
+    def joint_covariance_of(self, indices: npt.NDArray[np.integer]) -> FloatArray:
+        """Joint covariance (2m, 2m) of the (x, y) of the landmarks at indices (m,)."""
+        rows = np.stack([2 * indices, 2 * indices + 1], -1).reshape(-1)
         return np.asarray(self.joint_covariance_xy[np.ix_(rows, rows)])
 
 
 @dataclass(frozen=True, eq=False)
 class Triplet:
     """
-    Three landmarks to look at, chosen by their expected covariance.
+    The three landmarks to look at, chosen by the expected covariance of the fix.
 
-    `bearing_rad` (3,) are expected at the pan axis, counter-clockwise from ``base_link`` +x, with
-    standard deviations `sigma_rad` (3,); `covariance` (3, 3) is the predicted one of the fix;
-    `pan_rad` is where the camera should look.
+    `bearing_rad` (3,) are the expected bearings at the pan axis, counter-clockwise from
+    ``base_link`` +x, with standard deviations `sigma_rad` (3,); `covariance` (3, 3) is the
+    predicted covariance of the fix; `pan_rad` is the pan at which all three are in view.
     """
 
     stamp_ns: int
@@ -422,18 +429,39 @@ class Triplet:
 @dataclass(frozen=True, eq=False)
 class Detections:
     """
-    Landmarks found in one image, arrays over the n found.
+    Landmarks found in one image; arrays over the n found.
 
-    `bearing_rad` (n,) is seen from the pan axis, counter-clockwise from ``base_link`` +x;
-    `variance_rad2` (n,) is its own measurement variance, without the map's share and without
-    what all bearings of an image share (the pan angle's error); `score` (n,) is the normalized
-    cross-correlation; `uv_px` (n, 2) the place in the image and `covariance_px2` (n, 2, 2) its
-    covariance, empty where bearings came from elsewhere. `missed` (m,) are the ids of those
-    that should be in view, were looked for and not found. `points` (n, 2) are the places in the
-    normalised image, x/z to the right and y/z down, as camera_info has it, `point_covariance`
-    (n, 2, 2) theirs; both are empty where only bearings are known. `near` (3,) is the pose that
-    the image itself shows, where hardly any was known before. The pan and its sigma
-    are of the `JointSample` `joint_delay_s` after the stamp, as azimuths in ``base_link``.
+    Parameters
+    ----------
+    stamp_ns : int
+        Stamp of the image.
+    ids : ndarray of int, shape (n,)
+        Landmarks that were found.
+    bearing_rad : ndarray, shape (n,)
+        Bearings at the pan axis, counter-clockwise from ``base_link`` +x.
+    variance_rad2 : ndarray, shape (n,)
+        Measurement variances, without the errors of the map and without the error of the pan,
+        which all bearings of an image share.
+    score : ndarray, shape (n,)
+        Normalized cross-correlation.
+    uv_px : ndarray, shape (n, 2)
+        Pixels.
+    missed : ndarray of int, shape (m,)
+        Landmarks that should be in view, were searched and were not found.
+    pan_sigma_rad, pan_rad : float
+        Pan of the `JointSample` at `joint_delay_s` after the stamp, as azimuth in ``base_link``,
+        and its standard deviation.
+    joint_delay_s : float
+        Assumed joint delay.
+    covariance_px2 : ndarray, shape (n, 2, 2)
+        Covariance of `uv_px`; empty for bearings of another source.
+    points : ndarray, shape (n, 2)
+        Normalised image coordinates by camera_info: x/z to the right, y/z down; empty where only
+        bearings are known.
+    point_covariance : ndarray, shape (n, 2, 2)
+        Covariance of `points`.
+    near : ndarray, shape (3,), optional
+        Pose of the base found in this image by a search within the prior, if that was uncertain.
     """
 
     stamp_ns: int
@@ -452,11 +480,11 @@ class Detections:
     near: FloatArray | None = None
 
     def __len__(self) -> int:
-        """Return how many were found."""
+        """Number of landmarks found."""
         return len(self.ids)
 
     def chosen(self, which: npt.NDArray[np.bool_]) -> Detections:
-        """Some of them: `which` (n,) says whether to keep each."""
+        """Return the detections selected by the mask `which` (n,)."""
         names = ['ids', 'bearing_rad', 'variance_rad2', 'score', 'uv_px']
         names += ['covariance_px2'] if len(self.covariance_px2) else []
         names += ['points', 'point_covariance'] if len(self.points) else []

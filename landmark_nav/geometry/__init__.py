@@ -1,1 +1,1 @@
-"""Angles, planar poses, camera, cylinder and walls: no images, no state."""
+"""Angles, planar poses, camera, cylinder, patches and walls: pure functions and values."""

@@ -1,4 +1,4 @@
-"""Angles in radians, counter-clockwise positive, and a pan about a time."""
+"""Angles in radians, positive counter-clockwise, and the pan as a function of time."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy.typing as npt
 from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 
-# No pan or tilt joint turns faster.
-_FASTEST_RAD_S = 10.0
+# Bound of the rate of any pan or tilt joint.
+_MAX_RATE_RAD_S = 10.0
 
 
 def wrap_rad(angle_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -34,12 +34,12 @@ def wrap_rad(angle_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def wrap_one_rad(angle_rad: float) -> float:
-    """Wrap a single angle to (-pi, pi], in a small part of the time that an array takes."""
+    """Wrap a single angle to (-pi, pi]; much faster than `wrap_rad`."""
     return math.pi - (math.pi - angle_rad) % math.tau
 
 
 def check_one_turn(pans_rad: npt.ArrayLike, where: str) -> None:
-    """Refuse pan angles (n,) of one turn of the camera that must have been given in degrees."""
+    """Raise `LandmarkNavError` if pan angles (n,) of one turn seem to be in degrees."""
     span = float(np.ptp(pans_rad))
     if span > 4.0 * np.pi:
         raise LandmarkNavError(f'{where}: the pan goes over {span:.0f} rad: are these degrees?')
@@ -47,27 +47,27 @@ def check_one_turn(pans_rad: npt.ArrayLike, where: str) -> None:
 
 def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """
-    Angles of a joint without the jumps of a driver that reports it within +-pi.
+    Remove the jumps of a driver that reports the angle of a joint within +-pi.
 
-    A step of more than half a turn is a jump where no joint turns as fast; one that counts its
-    turns has none.
+    A step of more than half a turn is a jump if it is faster than any joint. The angles of a
+    driver that counts turns do not change.
 
     Parameters
     ----------
     stamps_ns : array_like, shape (k,)
-        Their times, ascending or descending.
+        Times of the angles, ascending or descending.
     angles_rad : array_like, shape (k,)
         Measured angles, radians.
 
     Returns
     -------
     ndarray, shape (k,)
-        The first as it was measured, the others whole turns off at most.
+        Angles that differ from the measured ones by whole turns; the first is unchanged.
     """
     angles = np.array(angles_rad, dtype=np.float64)
     steps = np.diff(angles)
     seconds = 1e-9 * np.abs(np.diff(np.asarray(stamps_ns, dtype=np.int64)))
-    jumps = np.abs(steps) > np.maximum(np.pi, _FASTEST_RAD_S * seconds)
+    jumps = np.abs(steps) > np.maximum(np.pi, _MAX_RATE_RAD_S * seconds)
     turns = np.where(jumps, np.rint(steps / (2.0 * np.pi)), 0.0)
     angles[1:] -= 2.0 * np.pi * np.cumsum(turns)
     return angles
@@ -80,10 +80,10 @@ _WEIGHTS /= _WEIGHTS.sum()
 
 class LaggedPan(NamedTuple):
     """
-    Pan at an uncertain time: its value, derivative, and standard deviation about that line.
+    Pan at an uncertain time: value, derivative, and standard deviation from that line.
 
-    Statistical linearization: slope and deviation are those over the distribution of the time
-    (Gelb, Applied Optimal Estimation, 1974, section 6.2), as a pan may begin or cease to turn
+    Statistical linearization (Gelb, Applied Optimal Estimation, 1974, section 6.2): derivative and
+    deviation are averages over the distribution of the time, because the joint may start or stop
     within it.
     """
 
@@ -94,18 +94,18 @@ class LaggedPan(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PanTrack:
-    """Pan `pans_rad` (k,) at times `seconds` (k,), ascending, after some moment."""
+    """Pan `pans_rad` (k,) at ascending times `seconds` (k,), relative to a reference time."""
 
     seconds: FloatArray
     pans_rad: FloatArray
 
     def at(self, seconds: npt.ArrayLike) -> FloatArray:
-        """Pan at times (m,); beyond the first and the last it stays."""
+        """Pan at times (m,), interpolated; constant beyond the first and the last sample."""
         times = np.asarray(seconds, dtype=np.float64)
         return np.interp(times, self.seconds, self.pans_rad)
 
     def lagged(self, seconds: float, sigma_s: float) -> LaggedPan:
-        """Pan at a time that is known with a standard deviation."""
+        """Pan at a time with a standard deviation."""
         offsets = sigma_s * _NODES
         pan, *pans = self.at([seconds, *(seconds + offsets)]).tolist()
         moved = np.array(pans) - pan

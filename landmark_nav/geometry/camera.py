@@ -1,5 +1,5 @@
 """
-Camera model (pixel <-> ray) and the pan-tilt mount that carries it.
+Camera model (pixel <-> ray) and pan-tilt mount (joint angles -> pose of the camera).
 
 Pixel centres lie at integer coordinates, as in OpenCV and ROS `CameraInfo`. Optical frames are
 x right, y down, z forward (REP-103).
@@ -20,29 +20,30 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, rot_y, rot_z, rotation_rpy
 
-# How many distortion coefficients each ROS distortion model carries. OpenCV distinguishes its
-# polynomials apart by that number alone: drivers write all of them under the names of the first
-# two.
+# Largest number of distortion coefficients of each ROS distortion model. OpenCV distinguishes its
+# polynomial models by the number of coefficients only, and drivers use the first two names for all
+# of them.
 _COEFFICIENTS = {'plumb_bob': 12, 'rational_polynomial': 12, 'equidistant': 4}
 
-# Numerical setting: images are reduced to this resolution as they arrive, so that time and memory
-# do not grow with what the camera delivers. Bearings are good to a part of a pixel already.
+# Resolution to which images are reduced on arrival. It bounds time and memory for any camera;
+# bearings are more accurate than a pixel anyway.
 MAX_PX_PER_RAD = 600.0
 
-# A lens is used as far as its radius grows at least so fast, and up to this angle.
-_LEAST_SLOPE, _WIDEST_RAD = 0.2, float(np.radians(85.0))
-# That must leave this share of the image; and so much must be seen to both sides.
-_LEAST_SHARE, _LEAST_HALF_FOV_RAD = 0.5, float(np.radians(1.5))
-# Of a perspective image no lens gives more: its border is stretched 30 times there.
-_MOST_TANGENT = math.tan(math.radians(80.0))
+# A lens is used up to the angle where its distorted radius grows more slowly than this, relative
+# to the undistorted one, and up to this angle at most.
+_MIN_SLOPE, _MAX_ANGLE_RAD = 0.2, float(np.radians(85.0))
+# Smallest usable share of the image, and smallest view to either side of the principal point.
+_MIN_USED_SHARE, _MIN_HALF_FOV_RAD = 0.5, float(np.radians(1.5))
+# Largest tangent at the border of a perspective image: it is stretched 30 times there.
+_MAX_TANGENT = math.tan(math.radians(80.0))
 
-# Enough for 1e-9 px with any lens, as far as it is used; most take three.
+# Limit of Newton iterations: enough for 1e-9 px with any usable lens; most take three.
 _POLISH_ITERATIONS = 30
 
 # Spacing of the rays that `ray_grid` computes exactly.
 _GRID_PX = 8
-# Of them so many along each side give those between.
-_NEAREST = 6
+# Number of nearest grid nodes, along each axis, between which rays are interpolated.
+_NODES = 6
 
 # Optical frame (x right, y down, z forward) -> body frame (x forward, y left, z up).
 _BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -53,8 +54,8 @@ class CameraModel:
     """
     A calibrated camera.
 
-    Raises `LandmarkNavError`: unknown model, wrong number of coefficients, values that are not a
-    camera, or a lens that folds back within most of the image.
+    Raises `LandmarkNavError`: unknown model, too many coefficients, values that are impossible for
+    a camera, or a lens model that folds back within most of the image.
 
     Parameters
     ----------
@@ -65,9 +66,9 @@ class CameraModel:
     model : str
         ROS distortion model: ``plumb_bob``, ``rational_polynomial`` or ``equidistant``.
     distortion : tuple of float
-        Coefficients in the order of ROS and OpenCV (with those of thin prisms); empty means none.
+        Coefficients in the order of ROS and OpenCV (thin prism terms last); empty: none.
     full_size : (int, int), optional
-        Width and height of the image that this one was reduced from.
+        Width and height of the original image, if this camera is that of a reduced one.
     """
 
     width: int
@@ -81,7 +82,7 @@ class CameraModel:
     full_size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        """Check the values."""
+        """Check model, coefficients, intrinsics and size."""
         if self.model not in _COEFFICIENTS:
             raise LandmarkNavError(
                 f'camera model {self.model!r} is not supported: '
@@ -104,7 +105,7 @@ class CameraModel:
         self._check_view()
 
     def _check_view(self) -> None:
-        """Refuse what sees too little, or of which too little can be used."""
+        """Raise `LandmarkNavError` if the view is impossible or too little of it is usable."""
         what = f'camera_info: {self.width} x {self.height} with fx {self.fx:g}, fy {self.fy:g}'
         row_near = -self.height <= self.cy <= 2 * self.height
         if not (0.0 <= self.cx <= self.width - 1.0 and row_near):
@@ -114,18 +115,18 @@ class CameraModel:
             )
         sides = (self.cx + 0.5) / self.fx, (self.width - 0.5 - self.cx) / self.fx
         rims = (self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy
-        if self.model != 'equidistant' and max(*sides, *rims) > _MOST_TANGENT:
+        if self.model != 'equidistant' and max(*sides, *rims) > _MAX_TANGENT:
             wide = math.degrees(max(sum(map(math.atan, ends)) for ends in (sides, rims)))
             raise LandmarkNavError(
-                f'{what} is {wide:.0f} deg wide: no lens is; K is of another image or in another '
-                'unit'
+                f'{what} is {wide:.0f} deg wide, more than any lens: K is of another image or in '
+                'another unit'
             )
-        if self._used_share < _LEAST_SHARE:
+        if self._used_share < _MIN_USED_SHARE:
             raise LandmarkNavError(f'camera_info: {self.restriction}: calibrate it')
         angle, _, distorted = self._lens
         aside = min(self.cx + 0.5, self.width - 0.5 - self.cx) / self.fx
         seen = float(np.interp(aside, distorted, angle))
-        if seen < _LEAST_HALF_FOV_RAD:
+        if seen < _MIN_HALF_FOV_RAD:
             raise LandmarkNavError(
                 f'{what}, cx {self.cx:g} sees {math.degrees(seen):.2g} deg to one side of its '
                 'principal point: calibrate it'
@@ -133,14 +134,14 @@ class CameraModel:
 
     @property
     def restriction(self) -> str:
-        """Why a part of the image is not used; empty if all is."""
+        """Why a part of the image is not used; empty if all of it is."""
         if self._used_share == 1.0:
             return ''
-        tangent, distorted = self._reach
+        tangent, distorted = self._usable_border
         angle = math.degrees(math.atan(tangent))
         lens = ', '.join(f'{value:.3g}' for value in self.distortion[:3])
         why = f'the lens ({self.model} {lens}) folds back'
-        if angle > math.degrees(_WIDEST_RAD) - 1.0:
+        if angle > math.degrees(_MAX_ANGLE_RAD) - 1.0:
             why = f'fx {self.fx:g} for {self.width} x {self.height} sees too wide'
         return (
             f'{why} at {angle:.0f} deg, {distorted * self.fx:.0f} px from the centre; '
@@ -149,27 +150,27 @@ class CameraModel:
 
     @cached_property
     def _used_share(self) -> float:
-        """Share of the image inside of `_reach`."""
+        """Share of the image inside the usable radius of the lens."""
         u = (np.linspace(-0.5, self.width - 0.5, 33) - self.cx) / self.fx
         v = (np.linspace(-0.5, self.height - 0.5, 33) - self.cy) / self.fy
-        return float(np.mean(np.hypot(u, v[:, None]) <= self._reach[1]))
+        return float(np.mean(np.hypot(u, v[:, None]) <= self._usable_border[1]))
 
     @cached_property
-    def _reach(self) -> tuple[float, float]:
-        """Tangent of the widest angle that is used, and its distorted radius."""
+    def _usable_border(self) -> tuple[float, float]:
+        """Tangent of the largest usable angle, and its distorted radius."""
         _, tangent, distorted = self._lens
         return float(tangent[-1]), float(distorted[-1])
 
     @cached_property
     def _lens(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Angles, their tangents and distorted radii, (n,), as far as the lens is used."""
-        angle = np.linspace(0.0, _WIDEST_RAD, 1025)
+        """Table of angles, their tangents and distorted radii, (n,), within the usable part."""
+        angle = np.linspace(0.0, _MAX_ANGLE_RAD, 1025)
         tangent = np.tan(angle)
         with np.errstate(all='ignore'):
             distorted = self._distorted(tangent)
             slope = np.diff(distorted) / np.diff(angle if self._is_fisheye else tangent)
-            # Whatever is not a number is not greater.
-            folds = np.flatnonzero(~(slope > _LEAST_SLOPE))
+            # Negated, so that NaN counts as folded.
+            folds = np.flatnonzero(~(slope > _MIN_SLOPE))
         end = int(folds[0]) + 1 if len(folds) else len(angle)
         return angle[:end], tangent[:end], distorted[:end]
 
@@ -178,7 +179,7 @@ class CameraModel:
         return self.model == 'equidistant'
 
     def _distorted(self, tangent: FloatArray) -> FloatArray:
-        """Distorted radii (n,), in focal lengths, at tangents (n,) of angles, radially alone."""
+        """Radii (n,) after radial distortion, in focal lengths, at tangents (n,) of angles."""
         if self._is_fisheye:
             angle = np.arctan(tangent)
             k1, k2, k3, k4 = self.coefficients
@@ -189,7 +190,7 @@ class CameraModel:
         return np.asarray(tangent * self._radial(tangent * tangent))
 
     def _radial(self, square: FloatArray) -> FloatArray:
-        """Factor (n,) of the polynomial at squared radii (n,)."""
+        """Radial distortion factor (n,) at squared radii (n,)."""
         k1, k2, _, _, k3, k4, k5, k6 = self._polynomial[:8]
         radial = 1.0 + square * (k1 + square * (k2 + square * k3))
         if k4 or k5 or k6:
@@ -197,7 +198,7 @@ class CameraModel:
         return np.asarray(radial)
 
     def resized(self, width: int, height: int) -> CameraModel:
-        """Camera of the same image with other, smaller or larger, pixels."""
+        """Camera of the same image, resampled to another size."""
         across, down = width / self.width, height / self.height
         return replace(
             self,
@@ -205,7 +206,7 @@ class CameraModel:
             height=height,
             fx=self.fx * across,
             fy=self.fy * down,
-            # Pixel centres are integers: these are the places of the same ray.
+            # Pixel centres are integers: borders lie half a pixel outside.
             cx=(self.cx + 0.5) * across - 0.5,
             cy=(self.cy + 0.5) * down - 0.5,
             full_size=self.full_size or (self.width, self.height),
@@ -213,18 +214,18 @@ class CameraModel:
 
     @property
     def reduced_size(self) -> tuple[int, int]:
-        """Width and height at no more than `MAX_PX_PER_RAD`; 0 where it sees next to nothing."""
+        """Width and height at `MAX_PX_PER_RAD` at most; 0 if the field of view is tiny."""
         scale = min(1.0, MAX_PX_PER_RAD / max(self.fx, self.fy))
         return round(self.width * scale), round(self.height * scale)
 
     @cached_property
     def reduced(self) -> CameraModel:
-        """The camera at no more than `MAX_PX_PER_RAD`."""
+        """The camera at `MAX_PX_PER_RAD` at most."""
         size = self.reduced_size
         return self if size == (self.width, self.height) else self.resized(*size)
 
     def in_full_image(self, pixels: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of this image in the one that it was reduced from."""
+        """Pixels (..., 2) of this image in the original image that it was reduced from."""
         if self.full_size is None:
             return pixels
         scale = np.array(self.full_size) / [self.width, self.height]
@@ -237,7 +238,7 @@ class CameraModel:
 
     @cached_property
     def coefficients(self) -> FloatArray:
-        """Distortion coefficients with zeros behind, as many as OpenCV takes (4, 5, 8 or 12)."""
+        """Distortion coefficients, padded with zeros to a length of OpenCV (4, 5, 8 or 12)."""
         counts = {'equidistant': [4], 'plumb_bob': [5, 8, 12], 'rational_polynomial': [8, 12]}
         padded = np.zeros(next(n for n in counts[self.model] if n >= len(self.distortion)))
         padded[: len(self.distortion)] = self.distortion
@@ -245,7 +246,7 @@ class CameraModel:
 
     @cached_property
     def _polynomial(self) -> list[float]:
-        """All twelve coefficients, zeros behind those that there are."""
+        """Distortion coefficients, padded with zeros to twelve."""
         return [*self.coefficients.tolist(), *[0.0] * 7][:12]
 
     @cached_property
@@ -265,7 +266,7 @@ class CameraModel:
 
     def project(self, points_optical: npt.ArrayLike) -> FloatArray:
         """
-        Pixels (..., 2) of points (..., 3) in the optical frame; NaN where not in front.
+        Pixels (..., 2) of points (..., 3) in the optical frame; NaN behind or far outside.
 
         Brown, Decentering distortion of lenses, 1966; Kannala and Brandt, PAMI 28(8), 2006.
         """
@@ -273,7 +274,7 @@ class CameraModel:
         flat = points.reshape(-1, 3)
         depth = flat[:, 2]
         radius = np.hypot(flat[:, 0], flat[:, 1])
-        widest = min(1.05 * self._max_radius, self._reach[0])
+        widest = min(1.05 * self._max_radius, self._usable_border[0])
         good = (depth > 1e-9) & (radius < widest * depth)
         if good.any() and good.all():
             return self._project_unchecked(flat).reshape((*points.shape[:-1], 2))
@@ -286,7 +287,7 @@ class CameraModel:
         """
         Rays (..., 3) with z = 1 in the optical frame, of pixels (..., 2).
 
-        Pixels beyond the part of the image that is used get the ray at its border.
+        Pixels outside the usable part of the image get the ray at its border.
         """
         uv = np.asarray(pixels, dtype=np.float64)
         flat = uv.reshape(-1, 2)
@@ -299,7 +300,8 @@ class CameraModel:
         wanted *= np.minimum(1.0, distorted[-1] / radius)
         radius = np.minimum(radius, distorted[-1])
         flat = center + wanted * focal
-        # Radially first, by the table; then Newton's method with the slopes along and across.
+        # First the radial distortion, by the table. Then Newton's method with approximate radial
+        # and tangential derivatives.
         angles = np.interp(radius, distorted, angle)
         slope = np.interp(angles, angle, np.gradient(distorted, angle))
         along, across = slope * np.cos(angles) ** 2, radius / np.maximum(np.tan(angles), 1e-12)
@@ -322,7 +324,7 @@ class CameraModel:
             inside = np.ascontiguousarray(points).reshape(-1, 1, 3)
             found = cv2.fisheye.projectPoints(inside, zero, zero, self.matrix, self.coefficients)
             return np.asarray(found[0], dtype=np.float64).reshape(-1, 2)
-        # cv2.projectPoints computes derivatives too, and takes three times as long.
+        # cv2.projectPoints also computes derivatives, and takes three times as long.
         _, _, p1, p2, *_ = self._polynomial
         x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
         square = x * x + y * y
@@ -338,7 +340,7 @@ class CameraModel:
 
     @property
     def ray_grid(self) -> npt.NDArray[np.float32]:
-        """Normalised ray x/z, y/z of every pixel, (height, width, 2); computed once a camera."""
+        """Normalised ray x/z, y/z of every pixel, (height, width, 2); cached."""
         return _ray_grid(self)
 
     def contains(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
@@ -361,9 +363,9 @@ class CameraModel:
 
 @lru_cache(maxsize=4)
 def _ray_grid(camera: CameraModel) -> npt.NDArray[np.float32]:
-    # Cached by value: every message brings a camera of its own, equal to the one before. Exact
-    # rays on a grid, polynomials between them: within 1e-3 px, 0.02 px at the rim of a fisheye, in
-    # a small part of the time.
+    # Cached by value: every message creates a new camera, equal to the one before. Rays are exact
+    # on a grid and interpolated by polynomials between: errors are below 1e-3 px, 0.02 px at the
+    # border of a fisheye.
     (u, across), (v, down) = _interpolation(camera.width), _interpolation(camera.height)
     coarse = camera.unproject(np.stack(np.meshgrid(u, v), -1))
     return np.stack([down @ coarse[..., k] @ across.T for k in (0, 1)], -1).astype(np.float32)
@@ -373,14 +375,14 @@ def _interpolation(size: int) -> tuple[FloatArray, FloatArray]:
     """
     Nodes (n,) along `size` pixels, and weights (size, n) that interpolate between them.
 
-    Polynomials of Lagrange through the nearest nodes, so that a ray far off, as at the rim of a
-    fisheye, spoils its surroundings alone.
+    The weights are those of Lagrange polynomials through the nearest nodes, so that steep changes
+    at the border of a fisheye affect only pixels nearby.
     """
-    nodes = np.linspace(0.0, size - 1.0, max(_NEAREST, size // _GRID_PX))
+    nodes = np.linspace(0.0, size - 1.0, max(_NODES, size // _GRID_PX))
     place = np.linspace(0.0, len(nodes) - 1.0, size)
-    first = np.floor(place).astype(np.intp) + 1 - _NEAREST // 2
-    first = np.clip(first, 0, len(nodes) - _NEAREST)[:, None]
-    step = np.arange(_NEAREST)
+    first = np.floor(place).astype(np.intp) + 1 - _NODES // 2
+    first = np.clip(first, 0, len(nodes) - _NODES)[:, None]
+    step = np.arange(_NODES)
     away = place[:, None] - first - step
     weights = np.zeros((size, len(nodes)))
     for k in step:
@@ -393,27 +395,30 @@ def _interpolation(size: int) -> tuple[FloatArray, FloatArray]:
 @dataclass(frozen=True)
 class PanTiltMount:
     """
-    Where the turning camera sits on the robot.
+    Geometry of the pan-tilt unit on the robot.
 
-    Raises `LandmarkNavError`: the least pan is not less than the largest.
+    Raises `LandmarkNavError`: the lower pan limit is not below the upper one.
 
     Parameters
     ----------
     axis_xyz : tuple of float
-        Pan axis in ``base_link``, metres.
+        Lever arm: position of the pan axis in ``base_link``, metres.
     axis_rpy : tuple of float
-        Orientation of the axis frame at pan 0, radians.
+        Orientation of the axis frame at pan 0 in ``base_link``, radians.
     optical_center_offset : tuple of float
-        Optical centre from the axis, metres, in the frame that turns with pan and tilt
-        (x along the view, y left, z up).
+        Vector from the axis to the optical centre, metres, in the frame that turns with pan and
+        tilt (x along the view, y left, z up).
     camera_roll_rad : float
-        Turn of the camera about its optical axis, clockwise as it looks: pi upside down.
+        Rotation of the camera about its optical axis, clockwise in the direction of view; pi if it
+        is mounted upside down.
     pan_sigma_rad : float
-        Error of the measured joint angles, which all of an image share.
+        Standard deviation of the measured joint angles; the error is common to one image.
+    base_frame, pan_joint, tilt_joint : str
+        Names of the base frame and of the joints.
     pan_min_rad, pan_max_rad : float
         Limits of the pan joint.
     pan_rate_rad_s, pan_acceleration_rad_s2 : float
-        How fast it turns, by which moves are timed and views are chosen.
+        Rate and acceleration of the pan joint, for the duration of moves.
     """
 
     axis_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -447,25 +452,25 @@ class PanTiltMount:
 
     @cached_property
     def pan_sense(self) -> float:
-        """1 where larger pans look farther left and larger tilts higher; -1 if the unit hangs."""
+        """1 if larger pans look farther left and larger tilts higher; -1 if the unit hangs."""
         return math.copysign(1.0, self._axis_rotation[2, 2])
 
     @cached_property
-    def _ahead_base_rad(self) -> float:
+    def _pan_zero_base_rad(self) -> float:
         """Azimuth of pan 0 in ``base_link``."""
         return math.atan2(self._axis_rotation[1, 0], self._axis_rotation[0, 0])
 
     def azimuth_base_rad(self, pan_rad: npt.ArrayLike) -> FloatArray:
-        """Azimuths (...) in ``base_link`` where the camera looks at pans (...), not wrapped."""
-        return np.asarray(self._ahead_base_rad + self.pan_sense * np.asarray(pan_rad))
+        """Azimuths (...) of the view in ``base_link`` at pans (...), not wrapped."""
+        return np.asarray(self._pan_zero_base_rad + self.pan_sense * np.asarray(pan_rad))
 
     def pan_toward_rad(self, azimuth_base_rad: npt.ArrayLike) -> FloatArray:
         """Pans (...) at which the camera looks at azimuths (...) in ``base_link``."""
-        ahead = np.asarray(azimuth_base_rad) - self._ahead_base_rad
+        ahead = np.asarray(azimuth_base_rad) - self._pan_zero_base_rad
         return np.asarray(wrap_rad(self.pan_sense * ahead))
 
     def axis_pose_map(self, pose_map_base: npt.ArrayLike) -> FloatArray:
-        """Pan axis with the orientation of the base, planar, (..., 3), for bases at poses."""
+        """Planar poses (..., 3) of the pan axis, with the orientation of the base."""
         return compose(pose_map_base, [*self.axis_xyz[:2], 0.0])
 
     def camera_pose_base(
@@ -482,7 +487,7 @@ class PanTiltMount:
         pan_rad, tilt_rad : array_like, shape (...)
             Joint angles; pan positive to the left, tilt positive upwards, in the axis frame.
         roll_rad : float or array_like, shape (...)
-            Further turn of the camera about its optical axis, clockwise as it looks.
+            Additional rotation about the optical axis, clockwise in the direction of view.
 
         Returns
         -------
@@ -503,7 +508,7 @@ class PanTiltMount:
         tilt_rad: npt.ArrayLike = 0.0,
         roll_rad: npt.ArrayLike = 0.0,
     ) -> tuple[FloatArray, FloatArray]:
-        """As `camera_pose_base`, in map, of a base at a pose (3,)."""
+        """Pose of the optical frame in map, as `camera_pose_base`, for a base at a pose (3,)."""
         rotation, center = self.camera_pose_base(pan_rad, tilt_rad, roll_rad)
         x, y, heading = pose_map_base
         turn = rot_z(heading)

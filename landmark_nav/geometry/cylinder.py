@@ -17,10 +17,10 @@ from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 
-# Rows end here, 60 degrees above and below the horizon: the poles are infinitely far away, and
-# what is seen so steeply on a wall is too oblique to be recognised.
+# Largest tangent of elevation (60 degrees): the cylinder does not reach the poles, and walls seen
+# more steeply are too oblique to be recognised.
 STEEPEST_TANGENT = math.sqrt(3.0)
-# Columns times rows; with each pixel in eight frames or so, a sweep takes ten bytes and more.
+# Largest number of pixels; a sweep takes more than ten bytes for each.
 _MAX_PIXELS = 16_000_000
 
 
@@ -50,9 +50,9 @@ class Cylinder:
     @classmethod
     def with_resolution(cls, px_per_rad: float, tan_min: float, tan_max: float) -> Cylinder:
         """
-        Square-pixel cylinder of about `px_per_rad` that covers tangents of elevation.
+        Square-pixel cylinder of about `px_per_rad` that covers a range of tangents of elevation.
 
-        Raises `LandmarkNavError`: it would have too many pixels to hold.
+        Raises `LandmarkNavError`: it would have too many pixels.
         """
         ends = np.clip([tan_min, tan_max], -STEEPEST_TANGENT, STEEPEST_TANGENT)
         if not 0.0 <= 2.0 * np.pi * px_per_rad * px_per_rad * np.ptp(ends) <= _MAX_PIXELS:
@@ -108,26 +108,26 @@ class Cylinder:
         return np.stack([column, row], -1)
 
 
-# Angles that a text names at most.
-_LISTED = 4
+# Largest number of angles in a message.
+_MAX_LISTED = 4
 
 
-def _some_of(words: Sequence[str], between: str) -> str:
-    """The first few of some words in one line, and how many more there are."""
-    more = len(words) - _LISTED
-    return between.join(words[:_LISTED]) + (f' and {more} more' if more > 0 else '')
+def _first_few(words: Sequence[str], between: str) -> str:
+    """Join the first words, and append how many more there are."""
+    more = len(words) - _MAX_LISTED
+    return between.join(words[:_MAX_LISTED]) + (f' and {more} more' if more > 0 else '')
 
 
 def unseen_arcs(pan_rad: npt.ArrayLike, half_fov_rad: float) -> list[tuple[float, float]]:
     """
-    Arcs (from, to), counter-clockwise, radians, that no frame sees.
+    Arcs (from, to), counter-clockwise, radians, that no frame covers.
 
     Parameters
     ----------
     pan_rad : array_like, shape (n,)
-        Where frames look, in any order, on any turn.
+        Pans of the frames, in any order, not necessarily wrapped.
     half_fov_rad : float
-        How far each sees to both sides.
+        Half the horizontal field of view.
     """
     pan = np.unique(np.mod(np.asarray(pan_rad, dtype=np.float64), 2.0 * np.pi))
     if not len(pan):
@@ -142,16 +142,16 @@ def describe_coverage(
     pan_rad: npt.ArrayLike, half_fov_rad: float, missing_rad: npt.ArrayLike = ()
 ) -> str:
     """
-    What a sweep lacks, in words; nothing if it has all frames and sees the full turn.
+    Message about the gaps of a sweep; empty if no frame is missing and the turn is complete.
 
     Parameters
     ----------
     pan_rad : array_like, shape (n,)
-        Where the frames look.
+        Pans of the frames.
     half_fov_rad : float
-        How far each sees to both sides.
+        Half the horizontal field of view.
     missing_rad : array_like, shape (m,)
-        Where frames were taken that are not there.
+        Pans of the missing frames.
     """
     missing = [f'{np.degrees(pan):.0f}' for pan in np.asarray(missing_rad, dtype=np.float64)]
     arcs = [
@@ -160,11 +160,11 @@ def describe_coverage(
     ]
     words = []
     if missing:
-        listed = _some_of(missing, ', ')
+        listed = _first_few(missing, ', ')
         frames = '1 frame is' if len(missing) == 1 else f'{len(missing)} frames are'
         words.append(f'{frames} missing, at pan {listed} deg')
     if arcs:
-        words.append(f'nothing is seen {_some_of(arcs, " and ")}')
+        words.append(f'nothing is seen {_first_few(arcs, " and ")}')
     elif missing:
         words.append('their neighbours see it all')
     return '; '.join(words)

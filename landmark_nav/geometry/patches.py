@@ -1,12 +1,11 @@
 """
-Flat patches on vertical walls: their axes, and the way from rays to texels.
+Flat patches on vertical walls: axes, corners, homographies and observation areas.
 
-Observation area of a wall patch: from where it looks enough like it did when it was learned.
-
-A patch keeps its looks while its horizontal and its vertical sampling stay within a factor of
-two of the reference view's (Livatino and Madsen). In plan that is the annulus
-``rho0 / 2 <= rho <= 2 rho0`` between the two circles that touch the wall at the patch and have
-the diameters ``rho0 / (2 cos beta0)`` and ``2 rho0 / cos beta0``: closed form, no search.
+The observation area is the floor from where a patch looks similar to its reference view: where its
+horizontal and vertical sampling are within a factor of two of those of that view (Livatino and
+Madsen). In plan that is the annulus ``rho0 / 2 <= rho <= 2 rho0`` between the two circles that
+touch the wall at the patch and have the diameters ``rho0 / (2 cos beta0)`` and
+``2 rho0 / cos beta0``.
 """
 
 from __future__ import annotations
@@ -18,17 +17,17 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray
 
-# Where corners are, to the right and down: clockwise from the upper left.
+# Signs of the corners to the right and down, clockwise from the upper left.
 _SIDES = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class PatchView:
     """
-    What a panorama shows of a patch.
+    The texture of a patch in one panorama.
 
-    `patch` (rows, columns) is its grey texture in wall coordinates, uint8, as fine as that
-    panorama shows it; `viewpoint` (3,) is where it was taken, in map.
+    `patch` (rows, columns) is the grey texture in wall coordinates, uint8, in the resolution of
+    that panorama; `viewpoint` (3,) is the viewpoint of the panorama in map.
     """
 
     viewpoint: FloatArray
@@ -37,7 +36,7 @@ class PatchView:
 
 def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """
-    Right and down, as seen from inside the room, of patches with horizontal normals.
+    Unit vectors to the right and down, seen from inside the room, of patches on upright walls.
 
     Parameters
     ----------
@@ -103,9 +102,9 @@ def relative_sampling(
     viewers: npt.ArrayLike,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Sampling of wall patches as a viewer sees them, relative to the view they were learned from.
+    Sampling of wall patches from a viewpoint, relative to their reference view.
 
-    Both views are taken on upright cylinders, so ranges and incidences are those of the plan:
+    Both images are upright cylinders, so ranges and angles of incidence are those in plan:
     ``s_v = rho0 / rho`` and ``s_h = s_v cos(beta) / cos(beta0)``.
 
     Parameters
@@ -113,12 +112,12 @@ def relative_sampling(
     points, normals, viewpoints : array_like, shape (n, 3)
         Patch centres, unit normals into the room and reference viewpoints, map frame, metres.
     viewers : array_like, shape (..., 3)
-        Where one looks from.
+        Viewpoints, map frame, metres.
 
     Returns
     -------
     horizontal, vertical : ndarray, shape (..., n)
-        1 is the sampling of the reference view; `horizontal` is negative from behind the wall.
+        Relative sampling, 1 in the reference view; `horizontal` is negative behind the wall.
     """
     point = np.asarray(points, dtype=np.float64)[:, :2]
     normal = np.asarray(normals, dtype=np.float64)[:, :2]
@@ -142,17 +141,19 @@ def observed_well(
     maximum: float = 2.0,
 ) -> npt.NDArray[np.bool_]:
     """
-    Whether viewers stand inside the patches' observation areas; arguments as above.
+    Whether viewpoints are inside the observation areas of patches.
 
     Parameters
     ----------
+    points, normals, viewpoints, viewers
+        See `relative_sampling`.
     minimum, maximum : float
         Accepted relative sampling, horizontal and vertical.
 
     Returns
     -------
     ndarray of bool, shape (..., n)
-        False from behind the wall and on the wall itself.
+        False behind the wall and on the wall itself.
     """
     horizontal, vertical = relative_sampling(points, normals, viewpoints, viewers)
     return np.asarray(

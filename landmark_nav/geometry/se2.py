@@ -31,7 +31,7 @@ def compose(pose_a_b: npt.ArrayLike, pose_b_c: npt.ArrayLike) -> FloatArray:
     first = np.asarray(pose_a_b, dtype=np.float64)
     second = np.asarray(pose_b_c, dtype=np.float64)
     if first.ndim == second.ndim == 1:
-        # Most are single poses, which `math` is quicker with.
+        # Fast path: most calls are for single poses.
         x, y, theta = first.tolist()
         forward, left, turn = second.tolist()
         c, s = math.cos(theta), math.sin(theta)
@@ -95,7 +95,7 @@ def squared_distance(pose: FloatArray, other: FloatArray, covariance: FloatArray
 
 
 def transform_points(pose_a_b: npt.ArrayLike, points_b: npt.ArrayLike) -> FloatArray:
-    """Points (..., 2) given in b, expressed in a."""
+    """Transform points (..., 2) from b to a."""
     pose = np.asarray(pose_a_b, dtype=np.float64)
     points = np.asarray(points_b, dtype=np.float64)
     return np.asarray(points @ rotation(pose[2]).T + pose[:2])
@@ -129,7 +129,7 @@ def rot_z(angle: Any) -> FloatArray:
 
 
 def _rotation_about(axis: int, angle: Any) -> FloatArray:
-    # Most are single angles, which `math` is quicker with.
+    # Fast path: most calls are for single angles.
     single = np.ndim(angle) == 0
     cos, sin = (math.cos(angle), math.sin(angle)) if single else (np.cos(angle), np.sin(angle))
     first, second = (axis + 1) % 3, (axis + 2) % 3

@@ -1,4 +1,4 @@
-"""The wall map: vertical rectangles, rays against them, papers there and their colours."""
+"""The wall map: vertical rectangles, ray casting, anchor papers and their colours."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy.typing as npt
 from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.errors import LandmarkNavError, shown
 
-# A point on a wall is seen past that wall: what hangs on it may be so far off, and the wall by so
-# many of its standard deviations.
-_SLACK_M, _SLACK_SIGMAS = 0.08, 3.0
+# Tolerance when a wall is tested for hiding a point: thickness of what hangs on a wall, and number
+# of standard deviations of the wall's position.
+_THICKNESS_M, _SLACK_SIGMAS = 0.08, 3.0
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Wall:
     """
     A wall from `start` to `end` (x, y in map, metres); the room lies to its left.
 
-    `sigma_m` says how far off it may be, if that is known; without it walls are measured well.
+    `sigma_m` is the standard deviation of its position; None for accurately measured walls.
     """
 
     id: str
@@ -52,7 +52,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Paper:
-    """A coloured paper of the reference area: centre (x, y, z in map) and size, metres."""
+    """An anchor paper of the reference area: centre (x, y, z in map) and size, metres."""
 
     color: str
     center: tuple[float, float, float]
@@ -63,10 +63,10 @@ class Paper:
 @dataclass(frozen=True)
 class Room:
     """
-    Walls and reference papers in the map frame.
+    Walls and anchor papers in the map frame.
 
-    Raises `LandmarkNavError`: no walls, a wall without length, an open outline or walls that
-    cross.
+    Raises `LandmarkNavError`: fewer than 3 walls, a wall without length or height, two walls of
+    one name, an open outline, walls that cross or run clockwise.
     """
 
     walls: tuple[Wall, ...]
@@ -107,13 +107,13 @@ class Room:
         def cross(u: FloatArray, v: FloatArray) -> FloatArray:
             return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
-        # Strict crossing of segment i and j: the ends of each lie on both sides of the other.
+        # Segments i and j cross if the ends of each lie on different sides of the other.
         start_side = cross(side[:, None], a[None] - a[:, None])
         end_side = cross(side[:, None], b[None] - a[:, None])
         splits = start_side * end_side < -1e-9
         for i, j in zip(*np.nonzero(splits & splits.T), strict=True):
             raise LandmarkNavError(
-                f'walls {self.walls[i].id} and {self.walls[j].id} cross: mend room.yaml'
+                f'walls {self.walls[i].id} and {self.walls[j].id} cross: fix room.yaml'
             )
         area = 0.5 * float(np.sum(cross(a, b)))
         if area <= 0.0:
@@ -137,9 +137,9 @@ class Room:
 
     @cached_property
     def slack_m(self) -> FloatArray:
-        """How far from each wall things of it may be, (walls,)."""
+        """Tolerance of each wall when it is tested for hiding a point, (walls,)."""
         sigma = np.array([wall.sigma_m or 0.0 for wall in self.walls])
-        return _SLACK_M + _SLACK_SIGMAS * sigma
+        return _THICKNESS_M + _SLACK_SIGMAS * sigma
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -155,9 +155,9 @@ class Room:
         Parameters
         ----------
         origin_xy : array_like, shape (..., 2)
-            Where the rays start, map frame, metres.
+            Origins of the rays, map frame, metres.
         azimuth_rad : array_like, shape (...)
-            Their directions in map.
+            Directions of the rays in map.
 
         Returns
         -------
@@ -175,7 +175,7 @@ class Room:
     def _wall_hits(
         self, origin_xy: npt.ArrayLike, along_x: FloatArray, along_y: FloatArray
     ) -> FloatArray:
-        """Where rays along (...) hit each wall, (..., walls) in units of their length, or inf."""
+        """Distance (..., walls) to each wall in units of the ray vector's length; inf: no hit."""
         x, y = np.asarray(along_x)[..., None], np.asarray(along_y)[..., None]
         side_x, side_y = (self._ends - self._starts).T
         offset = self._starts - np.asarray(origin_xy, dtype=np.float64)[..., None, :]
@@ -188,17 +188,17 @@ class Room:
         return np.where(hit, along_ray, np.inf)
 
     def shares_wall(self, walls: Sequence[Wall], within_m: float) -> bool:
-        """Whether one of `walls` starts and ends `within_m` of where one of the room does."""
+        """Whether start and end of one of `walls` are `within_m` of those of a wall here."""
         ends = np.array([(*wall.start, *wall.end) for wall in walls]).reshape(-1, 1, 2, 2)
         gaps = np.linalg.norm(ends - np.stack([self._starts, self._ends], 1), axis=-1)
         return bool(np.any(gaps.max(-1) < within_m))
 
     def visible(self, origin_xy: npt.ArrayLike, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Whether no wall stands between origins (..., 2) and points (..., 2)."""
+        """Whether no wall is between origins (..., 2) and points (..., 2)."""
         return np.asarray(~self.hiding(origin_xy, points_xy).any(axis=-1))
 
     def hiding(self, origin_xy: npt.ArrayLike, points_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Which walls stand between origins (..., 2) and points (..., 2), (..., walls)."""
+        """Which walls are between origins (..., 2) and points (..., 2), (..., walls)."""
         delta = np.asarray(points_xy, dtype=np.float64) - np.asarray(origin_xy, dtype=np.float64)
         x, y = delta[..., 0], delta[..., 1]
         reach = np.maximum(np.hypot(x, y), 1e-12)
@@ -243,11 +243,11 @@ NAMED_HUES_DEG = {
     'pink': 335,
 }
 
-# How vivid and bright a paper is that is only named.
+# Saturation and value of a colour given by name.
 _NAMED_SATURATION, _NAMED_VALUE = 0.75, 0.75
 
-# With less than that, light of another colour would change the hue at will.
-_LEAST_SATURATION = 0.3
+# Smallest saturation; below it, coloured light changes the hue too much.
+_MIN_SATURATION = 0.3
 
 _HSV = re.compile(r'hsv\(\s*([\d.]+)\s*,\s*([\d.]+)%?\s*,\s*([\d.]+)%?\s*\)')
 _HEX = re.compile(r'#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})')
@@ -274,7 +274,7 @@ def paper_bgr(color: str) -> tuple[float, float, float]:
             f'paper colour {shown(color)} is not known: take one of {", ".join(NAMED_HUES_DEG)}, '
             "'#rrggbb' in quotes, or hsv(degrees, percent, percent)"
         )
-    if max(rgb) - min(rgb) < _LEAST_SATURATION * max(rgb) or max(rgb) < 0.1:
+    if max(rgb) - min(rgb) < _MIN_SATURATION * max(rgb) or max(rgb) < 0.1:
         raise LandmarkNavError(
             f'paper colour {shown(color)} is too grey or too dark to be recognised by its hue: '
             'hang a more vivid paper'

@@ -1,9 +1,10 @@
 """
-Damped least squares for all of learning, and covariances that are positive by construction.
+Damped least squares, and covariances that are positive by construction.
 
-A step of Gauss-Newton is taken as it is where it lowers the cost; where it does not, it is damped
-until it does (Levenberg, 1944; Marquardt, 1963). Where data say nothing, as little is added to the
-diagonal as a Cholesky factor needs, which is a weak prior: no matrix is singular.
+A Gauss-Newton step is used undamped if it lowers the cost, else with increasing damping
+(Levenberg, 1944; Marquardt, 1963). If data do not determine all values, the smallest ridge that
+the Cholesky factorisation needs is added to the diagonal: a weak prior, so that no matrix is
+singular.
 """
 
 from __future__ import annotations
@@ -16,20 +17,21 @@ from scipy.linalg import solve_triangular
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
-# Share of the diagonal that is added where a matrix is not positive by rounding, at first.
+# First ridge, relative to the diagonal.
 _RIDGE = 1e-14
-# Damping at first, by what it grows and falls, and where a step is given up.
-_FIRST, _GROWS, _FALLS, _MOST = 1e-4, 10.0, 0.1, 1e8
-# A cost that is the same but for rounding has not grown.
+# First damping, factors of its growth and decay, and the damping at which no step is found.
+_FIRST_DAMPING, _GROWTH, _DECAY, _MAX_DAMPING = 1e-4, 10.0, 0.1, 1e8
+# Relative tolerance for rounding when costs are compared.
 _ROUNDING = 1e-9
-_ITERATIONS, _CONVERGED = 20, 1e-3
+# Largest number of iterations, and the decrease of the cost that ends them.
+_ITERATIONS, _MIN_DECREASE = 20, 1e-3
 
 
 def root_of(matrix: FloatArray) -> FloatArray:
     """
-    Lower triangular root L (n, n) of a symmetric matrix (n, n) that is not negative: ``L L^T``.
+    Cholesky factor L (n, n), lower triangular, of a positive semidefinite matrix (n, n).
 
-    Raises `LandmarkNavError`: values that are not numbers.
+    Raises `LandmarkNavError`: a value is not finite.
     """
     if not np.isfinite(matrix).all():
         raise LandmarkNavError('the sweeps do not determine an adjustment: take them again')
@@ -41,13 +43,13 @@ def root_of(matrix: FloatArray) -> FloatArray:
         try:
             root = np.linalg.cholesky(scaled + ridge * np.eye(len(scaled)))
         except np.linalg.LinAlgError:
-            ridge = max(_GROWS * ridge, _RIDGE)
+            ridge = max(_GROWTH * ridge, _RIDGE)
         else:
             return np.asarray(scale[:, None] * root)
 
 
 def solve_positive(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve ``matrix x = right`` (n, ...) for a matrix (n, n) as in `root_of`."""
+    """Solve ``matrix x = right`` (n, ...) for a positive semidefinite matrix (n, n)."""
     root = root_of(matrix)
     half = solve_triangular(root, right.reshape(len(root), -1), lower=True)
     return np.asarray(solve_triangular(root, half, lower=True, trans='T').reshape(right.shape))
@@ -61,23 +63,22 @@ def covariance_of(information: FloatArray) -> FloatArray:
 
 def checked_covariance(covariance: FloatArray, most_sigma: FloatArray, what: str) -> FloatArray:
     """
-    Covariance (n, n) that was given, made symmetric.
+    Check a given covariance (n, n), and return it symmetric.
 
-    Raises `LandmarkNavError`: values that are not numbers, variances that are negative or too
-    large.
+    Raises `LandmarkNavError`: values are not numbers, or variances are negative or too large.
 
     Parameters
     ----------
     covariance : ndarray, shape (n, n)
-        As it came.
+        Covariance from outside.
     most_sigma : ndarray, shape (n,)
-        Standard deviations beyond which it is of no use.
+        Largest useful standard deviations.
     what : str
-        Whose it is, to begin the message with.
+        Begin of the message: what has this covariance.
     """
     even = 0.5 * (covariance + covariance.T)
     if not np.isfinite(even).all():
-        raise LandmarkNavError(f'{what} has a covariance that is not a number: mend its publisher')
+        raise LandmarkNavError(f'{what} has a covariance that is not a number: fix its publisher')
     variance = np.diag(even)
     if (variance > most_sigma**2).any():
         listed = ', '.join(f'{s:.3g}' for s in np.sqrt(np.maximum(variance, 0.0)))
@@ -87,15 +88,15 @@ def checked_covariance(covariance: FloatArray, most_sigma: FloatArray, what: str
         )
     least = float(np.linalg.eigvalsh(even)[0])
     if least < -_ROUNDING * float(np.sum(np.abs(variance))):
-        raise LandmarkNavError(f'{what} has a negative variance, {least:.3g}: mend its publisher')
+        raise LandmarkNavError(f'{what} has a negative variance, {least:.3g}: fix its publisher')
     return np.asarray(even)
 
 
 class Damping:
-    """Damping of the steps of one problem: none as long as each lowers the cost."""
+    """Damping of the steps of one problem; zero while undamped steps lower the cost."""
 
     def __init__(self) -> None:
-        self._by = 0.0
+        self._damping = 0.0
 
     def lowers(self, cost_with: Callable[[float], float], cost: float) -> bool:
         """
@@ -104,19 +105,19 @@ class Damping:
         Parameters
         ----------
         cost_with : callable
-            Takes a step with a damping, which is a share of the diagonal of the normal equations,
-            and returns the cost after it. The last step that it took is the one to keep.
+            Makes a step with a damping, relative to the diagonal of the normal equations, and
+            returns the cost after it. The caller keeps the last step.
 
         Returns
         -------
         bool
-            False where no step does.
+            False if no step lowers the cost.
         """
-        while self._by < _MOST:
-            if cost_with(self._by) <= cost * (1.0 + _ROUNDING) + _ROUNDING:
-                self._by = _FALLS * self._by if self._by > _FIRST else 0.0
+        while self._damping < _MAX_DAMPING:
+            if cost_with(self._damping) <= cost * (1.0 + _ROUNDING) + _ROUNDING:
+                self._damping = _DECAY * self._damping if self._damping > _FIRST_DAMPING else 0.0
                 return True
-            self._by = max(_GROWS * self._by, _FIRST)
+            self._damping = max(_GROWTH * self._damping, _FIRST_DAMPING)
         return False
 
 
@@ -129,9 +130,9 @@ def levenberg_marquardt(
     Parameters
     ----------
     linearize : callable
-        Residuals (m,) in standard deviations at a state (n,), and their derivatives (m, n).
+        Computes residuals (m,) in standard deviations at a state (n,), and the Jacobian (m, n).
     start : ndarray, shape (n,)
-        Where to begin.
+        First state.
 
     Returns
     -------
@@ -144,23 +145,23 @@ def levenberg_marquardt(
     state, here = start, linearize(start)
     for _ in range(_ITERATIONS):
         cost = float(here[0] @ here[0])
-        tried, there = _tried(linearize, state, here, damping)
+        tried, there = _next_state(linearize, state, here, damping)
         if there is None:
             break
         state, here = tried, there
-        if cost - here[0] @ here[0] < _CONVERGED:
+        if cost - here[0] @ here[0] < _MIN_DECREASE:
             break
     residuals, jacobian = here
     return state, float(residuals @ residuals), jacobian.T @ jacobian
 
 
-def _tried(
+def _next_state(
     linearize: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
     state: FloatArray,
     here: tuple[FloatArray, FloatArray],
     damping: Damping,
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray] | None]:
-    """The next state, and what `linearize` gives there; None where no step lowers the cost."""
+    """The next state and its linearization, or None if no step lowers the cost."""
     residuals, jacobian = here
     normal, slope = jacobian.T @ jacobian, jacobian.T @ residuals
     tried, there = state, here

@@ -1,4 +1,4 @@
-"""What each stage of learning took."""
+"""Time and memory of each stage of learning."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import time
 
 @dataclass
 class StageLog:
-    """Seconds of each stage by name, and the process's peak memory at its end, megabytes."""
+    """Duration of each stage, s, and peak memory of the process at its end, megabytes."""
 
     seconds: dict[str, float] = field(default_factory=dict)
     peak_memory_mb: dict[str, float] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""A sweep out of what was recorded: measured angles on one hand, stamped images on the other."""
+"""Assembly of a recorded sweep from measured angles and stamped images."""
 
 from __future__ import annotations
 
@@ -27,19 +27,18 @@ def assemble_sweep(
     pose_map_base: PoseEstimate | None = None,
 ) -> Sweep:
     """
-    Join angles and images by their stamps; what is missing, or not seen at all, is logged.
+    Join angles and images by their stamps; missing frames and gaps are logged.
 
-    Raises `LandmarkNavError`: no angles at all, or not one image.
+    Raises `LandmarkNavError`: no angles, or no images.
 
     Parameters
     ----------
     trajectory : sequence of JointSample
-        One for each frame that was kept.
+        One sample for each kept frame.
     images : mapping
-        Stamp in nanoseconds -> image and camera; others than those of the trajectory are left
-        aside.
+        Stamp in nanoseconds -> image and camera; images with other stamps are ignored.
     pose_map_base : PoseEstimate, optional
-        Where it was taken, if that is known.
+        Pose of the base during the sweep, if known.
     """
     if not trajectory:
         raise LandmarkNavError('the sweep has no frames: take it again')

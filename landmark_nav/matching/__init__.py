@@ -1,7 +1,8 @@
 """
-Where a template lies in an image: normalized cross-correlation, then sub-pixel alignment.
+Template matching: normalized cross-correlation, then sub-pixel alignment.
 
-Both images must be of the same kind: the learner matches wall textures, the localizer images.
+Template and search image must have the same geometry: the learner matches wall textures, the
+localizer matches camera images.
 """
 
 from __future__ import annotations

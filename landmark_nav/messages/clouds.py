@@ -17,7 +17,7 @@ def bytes_array(data: Any) -> npt.NDArray[np.uint8]:
     """
     View a ``uint8[]`` field (ndarray, array.array, bytes or list) as an array (n,).
 
-    Raises `LandmarkNavError`: it holds no bytes, as a stranger defined the message.
+    Raises `LandmarkNavError`: the field does not hold bytes (a foreign definition of the message).
     """
     try:
         if isinstance(data, np.ndarray):
@@ -34,8 +34,8 @@ def bytes_array(data: Any) -> npt.NDArray[np.uint8]:
 # sensor_msgs/PointField datatype codes.
 _CODES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
 _TYPES = {code: name for name, code in _CODES.items()}
-# Far more than a map holds. The covariance of so many landmarks takes 800 MB.
-_MOST_POINTS, _MOST_BYTES = 5000, 2**28
+# Limits far above any map; the joint covariance of 5000 landmarks takes 800 MB.
+_MAX_POINTS, _MAX_BYTES = 5000, 2**28
 
 
 def pack_cloud(
@@ -49,7 +49,7 @@ def pack_cloud(
     points : ndarray of a structured dtype, shape (n,)
         Little-endian scalars or one-dimensional sub-arrays.
     dense : bool
-        Whether all points are valid, that is without NaN.
+        Whether all points are valid: none holds NaN.
     """
     fields = []
     layout: Mapping[str, Any] = points.dtype.fields or {}
@@ -83,11 +83,11 @@ def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
     """
     Read the points of a PointCloud2 as a structured array, (n,), of float64 and int64.
 
-    It has all fields of the layout, whatever their order, width and byte order in the message, and
-    none beside.
+    The result has exactly the fields of the layout. Their order, width and byte order in the
+    message are free.
 
     Raises `LandmarkNavError`: a field is missing, has another type or count, or lies outside its
-    point; or the sizes contradict each other or the bytes that are there.
+    point; or the sizes contradict each other or the length of the data.
     """
     where = f'point cloud of {layout.topic}'
     height, width, step = int(msg.height), int(msg.width), int(msg.point_step)
@@ -104,9 +104,9 @@ def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
         for name, kind, _ in layout.columns()
     ]
     count, size = width * height, sum(8 * int(np.prod(shape)) for _, _, shape in wide)
-    if count > _MOST_POINTS or max(1, count) * max(step, size) > _MOST_BYTES:
+    if count > _MAX_POINTS or max(1, count) * max(step, size) > _MAX_BYTES:
         raise LandmarkNavError(
-            f'{where} has {count} points of {step} bytes, more than any map: mend its publisher'
+            f'{where} has {count} points of {step} bytes, more than any map: fix its publisher'
         )
     points = np.zeros(count, dtype=wide)
     if count:
@@ -120,7 +120,7 @@ def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
         )
         rows = data[: height * row_step].reshape(height, row_step)[:, : width * step]
         raw = np.ascontiguousarray(rows).reshape(-1).view(as_sent)
-        # A NaN of some kinds is reported as it is widened.
+        # NumPy warns when it widens a signalling NaN.
         with np.errstate(invalid='ignore'):
             for name in sent:
                 points[name] = raw[name]
@@ -130,7 +130,7 @@ def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
 def _types_sent(
     msg: Any, layout: Layout, where: str
 ) -> dict[str, tuple[np.dtype[np.generic], int]]:
-    """Type and offset, as sent, of each field of a layout that is there; all are checked."""
+    """Type and offset in the message of each field of a layout that it has; all are checked."""
     order = '>' if msg.is_bigendian else '<'
     given = {str(f.name): f for f in msg.fields}
     if len(given) < len(msg.fields):
@@ -144,7 +144,7 @@ def _types_sent(
                     'publish it from landmark_nav'
                 )
             continue
-        # Some leave the count of a scalar at 0.
+        # Some publishers leave the count of a scalar at 0.
         count, offset = max(1, int(given[name].count)), int(given[name].offset)
         scalar = np.dtype(order + _TYPES.get(int(given[name].datatype), 'V0'))
         wanted = max(1, int(np.prod(kind.shape)))
@@ -152,7 +152,7 @@ def _types_sent(
             (scalar.kind == 'f') != (kind.base.kind == 'f')
             or not scalar.itemsize
             or (count % multiple if multiple else count != wanted)
-            or offset + count * scalar.itemsize > min(int(msg.point_step), _MOST_BYTES)
+            or offset + count * scalar.itemsize > min(int(msg.point_step), _MAX_BYTES)
         ):
             raise LandmarkNavError(
                 f'{where}: field {name} is {count} of type {scalar.name} at byte {offset} of '

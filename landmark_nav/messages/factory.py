@@ -1,4 +1,4 @@
-"""Who builds the messages: rosbags' types here, real ROS classes in `landmark_nav.ros`."""
+"""Factories of messages: those of rosbags here, those of ROS classes in `landmark_nav.ros`."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class MessageFactory(Protocol):
     """
     Builds a message by its type name, such as ``geometry_msgs/msg/Pose``.
 
-    Fields that are not given take ROS' defaults. Numeric arrays are given as one-dimensional
-    NumPy arrays of the field's own element type, whether their length is fixed or not; a factory
-    for classes that want something else (``array.array`` for ``uint8[]``, where rclpy checks every
-    element of anything else) converts them.
+    Omitted fields have the defaults of ROS. Numeric arrays are one-dimensional NumPy arrays of the
+    field's element type, whether their length is fixed or not. A factory for classes that need
+    another type converts them (``array.array`` for ``uint8[]``: rclpy checks every element of
+    other types).
     """
 
     def __call__(self, type_name: str, **fields: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Layouts on the wire: what each PointCloud2 topic carries, where covariances keep what."""
+"""Layouts of messages: the fields of each PointCloud2 topic, the axes of covariances."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from landmark_nav.types import PoseEstimate
 
-# Of x, y, heading and of x, y, z, heading in ROS' covariance of x, y, z, roll, pitch, yaw.
+# Indices of (x, y, heading) and (x, y, z, heading) in ROS' covariance of (x, y, z, roll, pitch,
+# yaw).
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 UPRIGHT = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 
@@ -18,19 +19,19 @@ UPRIGHT = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 @dataclass(frozen=True, eq=False)
 class Layout:
     """
-    What the points of a topic hold.
+    Fields of the points of a topic.
 
     Parameters
     ----------
     topic : str
-        Its name.
+        Name of the topic.
     fields : dtype
-        As it is written. Other widths of the same kind, integer or floating point, are read too.
+        Type of a point as written. Other widths of the same kind (integer, float) are read too.
     optional : tuple of str
-        Fields that older recordings lack; they are read as zero then.
+        Fields that older recordings lack; they are then read as zero.
     repeated : mapping of str to (str, int)
-        Further fields whose length differs from message to message, a multiple of the number:
-        their types. Those that are not there have no length.
+        Element type of further fields, whose length varies between messages, and the number of
+        which the length is a multiple. A missing field has length 0.
     """
 
     topic: str
@@ -39,22 +40,22 @@ class Layout:
     repeated: Mapping[str, tuple[str, int]] = field(default_factory=dict)
 
     def columns(self) -> Iterator[tuple[str, np.dtype[np.generic], int]]:
-        """Name and type of each field, and of what its length is a multiple; 0: it is fixed."""
+        """Name and type of each field, and the divisor of its length; 0: the length is fixed."""
         for name in self.fields.names or ():
             yield name, self.fields[name], 0
         for name, (scalar, multiple) in self.repeated.items():
             yield name, np.dtype((scalar, (0,))), multiple
 
     def sized(self, **lengths: int) -> np.dtype[np.void]:
-        """Type of a point in which the repeated fields are so long; without those of no length."""
+        """Type of a point with these lengths of the repeated fields; without those of length 0."""
         fixed = [(name, kind) for name, kind, multiple in self.columns() if not multiple]
         repeated = [(name, self.repeated[name][0], (n,)) for name, n in lengths.items() if n]
         return np.dtype([*fixed, *repeated])
 
 
-# Image coordinates are normalised, as camera_info has it; a covariance of zero says that there are
-# none. The same in all rows are by how much the stamps of the joints are taken to be late, as the
-# node was configured, and the pose that the image itself shows, all zero if it was not sought.
+# `point` is in normalised image coordinates by camera_info; a covariance of zero means that there
+# is none. All rows repeat the joint delay that the node assumes, and `near`: the pose
+# of the base found in this image by a search within an uncertain prior, zero without a search.
 DETECTIONS = Layout(
     'detections',
     np.dtype(
@@ -74,7 +75,8 @@ DETECTIONS = Layout(
     optional=('joint_delay', 'point', 'point_covariance', 'near'),
 )
 
-# One point: camera pose, its covariance, speeds of the base, values and sigmas of the calibration.
+# One point: pose of the base with its covariance, speeds of the base, values and sigmas of the
+# calibration.
 EXPECTATION = Layout(
     'expectation',
     np.dtype(
@@ -89,7 +91,7 @@ EXPECTATION = Layout(
     ),
 )
 
-# Covariance of the promised fix and the pan to turn to are the same in all three rows.
+# All three rows repeat the covariance of the predicted fix and the pan to turn to.
 TRIPLET = Layout(
     'triplet',
     np.dtype(
@@ -103,7 +105,7 @@ TRIPLET = Layout(
     ),
 )
 
-# Rows are landmarks; all but the first field is the same in all of them.
+# One row for each landmark; all fields but `id` are repeated.
 GLOBAL_POSE = Layout(
     'global_pose',
     np.dtype(
@@ -119,11 +121,10 @@ GLOBAL_POSE = Layout(
 
 # x, y, z must be float32: RViz draws no other point clouds.
 #
-# Beside its own values each row repeats what belongs to the map: the outline of the walls
-# (start x, y, end x, y, height of each) and their names, joined by line feeds, in UTF-8, so that
-# the one topic suffices. What other panoramas show of a landmark lies in the atlas too:
-# `viewpoints` (x, y, z of each) and `views` (x, y, width, height of each; 0 where a landmark has
-# fewer than others).
+# Each row repeats the values of the map, so that one topic suffices: the walls (start x, y, end
+# x, y, height of each) and their names in UTF-8, separated by line feeds. The atlas also holds the
+# views of a landmark in other panoramas: `viewpoints` (x, y, z of each) and `views` (x, y, width,
+# height of each in the atlas; 0 where a landmark has fewer than others).
 LANDMARKS = Layout(
     'landmarks',
     np.dtype(
@@ -163,11 +164,11 @@ LANDMARKS = Layout(
 @dataclass(frozen=True, eq=False)
 class GlobalPose(PoseEstimate):
     """
-    A pose that images gave, without any prior.
+    Result of global localization: a pose from images without a prior.
 
-    It is the pose of the base at the last of them if its joint states are in time; `ids` (m,) are
-    the landmarks it was found from. The rate of the pan there is `pan_rate_rad_s`, to the
-    left; `joint_delay_s` is that of `Detections`.
+    It is the pose of the base at the last image if its joint states are delayed by
+    `joint_delay_s`. `ids` (m,) are the landmarks it was computed from; `pan_rate_rad_s` is the
+    rate of the pan at that image, positive to the left.
     """
 
     ids: npt.NDArray[np.int64]

@@ -1,1 +1,1 @@
-"""Where to take panoramas: what they would be worth, predicted, and the best places for them."""
+"""Planning of the positions of panoramas by predicted localization errors."""

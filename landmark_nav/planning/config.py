@@ -1,4 +1,4 @@
-"""What the planner knows of camera and room beyond the wall map."""
+"""Configuration of the planner."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from landmark_nav.parameters import Config
 @dataclass(frozen=True)
 class PlanConfig(Config):
     """
-    Camera, texture to be expected, and how finely the room is looked at.
+    Camera, expected texture, and sampling of the room.
 
-    The bounds of the stages that will learn and localize are taken from their own parameters.
+    The bounds of learning and localization are those of their own parameters.
     """
 
     focal_px: float = 555.0
@@ -27,16 +27,16 @@ class PlanConfig(Config):
     height_px: int = 512
     pan_min_rad: float = -np.pi
     pan_max_rad: float = np.pi
-    # Least distance of the robot from walls.
+    # Smallest distance of the robot from walls.
     clearance_m: float = 0.4
-    # Grid of places and of wall samples, at the finest.
+    # Smallest spacing of floor points and of wall samples.
     spacing_m: float = 0.25
-    # Patches that attention proposes in a panorama.
+    # Number of patches that attention proposes in a panorama.
     candidates: int = 120
-    # Heights between which walls are taken as textured.
+    # Heights between which walls are assumed to be textured.
     texture_low_m: float = 0.8
     texture_high_m: float = 2.0
-    # Sets of random places to compare with.
+    # Number of random sets of positions for comparison.
     random_sets: int = 50
     reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
@@ -46,18 +46,18 @@ class PlanConfig(Config):
 
     @property
     def steepest(self) -> float:
-        """Greatest tangent of elevation that the panoramas show."""
+        """Largest tangent of elevation in panoramas."""
         return (0.5 * self.height_px - self.triplet.border_px) / self.focal_px
 
     @property
     def half_arc_rad(self) -> float:
-        """How far to both sides of the middle of its range the turning camera sees."""
+        """Largest azimuth that the camera sees to either side of the middle of its pan range."""
         half_fov = float(np.arctan(0.5 * self.width_px / self.focal_px))
         return min(float(np.pi), 0.5 * (self.pan_max_rad - self.pan_min_rad) + half_fov)
 
     @property
     def paper_pans_rad(self) -> tuple[float, ...]:
-        """Pans at which a sweep may have the papers ahead, tried in turn."""
+        """Pans toward the papers that are tried for a sweep."""
         if self.half_arc_rad == np.pi:
             return (0.0,)
         middle = 0.5 * (self.pan_min_rad + self.pan_max_rad)

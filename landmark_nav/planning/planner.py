@@ -1,14 +1,12 @@
 """
-Acquisition planning: where to take panoramas so that the robot will know its place everywhere.
+Acquisition planning: positions of panoramas that give the best localization on the whole floor.
 
-Livatino and Madsen announce a simulator for this; here the errors are propagated instead, from
-the papers' edges to the panoramas' poses, from there to landmarks, and on to the robot's place.
-Without papers, poses are as exact to each other as panoramas give them.
+Livatino and Madsen announce a simulator for this. Here errors are propagated instead, from the
+edges of papers to the poses of panoramas, from there to landmarks, and on to the pose of the
+robot. Without papers, the relative poses of panoramas come from the panoramas themselves.
 
-The best set of places: best pair, greedy growth, exchange.
-
-Growth starts from a pair because one panorama alone is worth nothing; what greed missed is made
-good by exchanging one place at a time (Fedorov, Theory of Optimal Experiments, 1972).
+Search: best pair (one panorama alone gives no landmarks), greedy growth, then exchange of one
+position at a time (Fedorov, Theory of Optimal Experiments, 1972).
 """
 
 from __future__ import annotations
@@ -38,39 +36,39 @@ from landmark_nav.planning.views import (
 )
 from landmark_nav.types import FloatArray
 
-# Of a set of places (n,).
+# Cost of a set of positions, by their indices (n,).
 Cost = Callable[[IndexArray], float]
 
-# Passes items through and shows how far it is: description, how many.
+# Passes items through and shows progress: items, description, number of items.
 Show = Callable[[Iterable[IndexArray], str, int], Iterator[IndexArray]]
 
 _MAX_ROUNDS = 12
 
-# A round that gains a smaller share than this is the last one.
-_LEAST_GAIN = 0.004
+# Exchange ends after a round with a smaller relative gain.
+_MIN_GAIN = 0.004
 
 
 def best_places(
     cost: Cost, xy: FloatArray, count: int, seeds: IndexArray, show: Show
 ) -> IndexArray:
     """
-    Choose places that make a cost small.
+    Choose positions with a small cost.
 
     Parameters
     ----------
     cost : callable
-        Of a set of places (n,), n >= 2; the smaller the better.
+        Cost of a set of indices (n,), n >= 2.
     xy : ndarray, shape (p, 2)
-        Where they are.
+        Possible positions.
     count : int
-        How many are wanted, 2 or more.
+        Number of positions to choose, 2 or more.
     seeds : ndarray of int, shape (k,)
-        Places of which all pairs are tried; growth and exchange try all places.
+        Positions of which all pairs are tried; growth and exchange try all positions.
 
     Returns
     -------
     ndarray of int, shape (count,)
-        From left to right.
+        Indices, from left to right.
     """
     pairs = [np.array(pair, dtype=np.intp) for pair in combinations(seeds, 2)]
     chosen, _ = _best(cost, pairs, 'pairs', show)
@@ -84,19 +82,19 @@ def exchange(
     cost: Cost, xy: FloatArray, start: IndexArray, show: Show, *, local: bool = False
 ) -> IndexArray:
     """
-    Exchange one place at a time as long as that makes the cost notably smaller.
+    Exchange one position at a time while that lowers the cost by more than `_MIN_GAIN`.
 
     Parameters
     ----------
     start : ndarray of int, shape (n,)
-        Places to start from.
+        First positions.
     local : bool
-        Try in exchange for a place only those that lie nearer to it than to the others.
+        Exchange a position only for those that are nearer to it than to the others.
 
     Returns
     -------
     ndarray of int, shape (n,)
-        From left to right: the order has no meaning, and so the same set reads the same.
+        Indices, from left to right, so that equal sets are equal arrays.
     """
     chosen, least = start, cost(start)
     around = np.linalg.norm(xy[:, None] - xy[start], axis=-1).argmin(axis=1)
@@ -104,19 +102,19 @@ def exchange(
         before = least
         for k in range(len(chosen)):
             others = np.delete(chosen, k)
-            # The one taken out comes first: among equals nothing is changed.
+            # The current position comes first, so that nothing changes among equal costs.
             near = np.flatnonzero(around == k) if local else range(len(xy))
             rest = [j for j in near if j not in chosen]
             swapped = [np.append(others, j) for j in (chosen[k], *rest)]
             best, least = _best(cost, swapped, 'exchange', show)
             chosen = np.insert(others, k, best[-1])
-        if least > (1.0 - _LEAST_GAIN) * before:
+        if least > (1.0 - _MIN_GAIN) * before:
             break
     return chosen[np.lexsort(xy[chosen].T[::-1])]
 
 
 def spread(xy: FloatArray, most: int) -> IndexArray:
-    """About `most` of points (p, 2) that lie far from each other (Gonzalez, 1985)."""
+    """Indices of at most `most` points of (p, 2) that are far from each other (Gonzalez, 1985)."""
     chosen = [int(np.argmin(xy.sum(axis=1)))]
     distance = np.full(len(xy), np.inf)
     while len(chosen) < min(most, len(xy)):
@@ -131,30 +129,30 @@ def _best(cost: Cost, sets: list[IndexArray], what: str, show: Show) -> tuple[In
     return sets[best], costs[best]
 
 
-# Least distance between two random places: nearer ones learning refuses.
-_APART_M = 0.5
+# Smallest distance between two random positions: learning refuses nearer ones.
+_MIN_DISTANCE_M = 0.5
 
 
 def left_right_layout(room: Room, count: int, share: float, config: PlanConfig) -> FloatArray:
     """
-    Places L and R, or L1, R1, L2, R2 for four and more.
+    Positions L and R, or L1, R1, L2, R2 for a count of four or more.
 
-    They lie left and right of the room's middle for someone who faces the wall with the papers,
-    or the longest one, a pair before the middle and one behind it if there are two.
+    They are left and right of the centre of the room, seen in the direction of the wall with the
+    papers, or of the longest wall; of two pairs, one is in front of the centre and one behind it.
 
     Parameters
     ----------
     room : Room
-        Walls, and papers if poses come from them.
+        Walls, and papers if there are any.
     count : int
-        How many places are planned.
+        Number of planned positions.
     share : float
-        Distance of L and of R from the middle, as a share of the room's extent.
+        Distance of L and R from the centre, relative to the extent of the room.
 
     Returns
     -------
     ndarray, shape (k, 2)
-        2 or 4 places; none if one of them is not on the free floor.
+        2 or 4 positions; empty if one of them is not on the free floor.
     """
     corners = np.array([wall.start for wall in room.walls])
     middle = 0.5 * (room.bounds[0] + room.bounds[1])
@@ -177,36 +175,36 @@ def random_sets(
     xy: FloatArray, count: int, sets: int, rng: np.random.Generator
 ) -> npt.NDArray[np.intp]:
     """
-    Random sets of places.
+    Draw random sets of positions.
 
     Parameters
     ----------
     xy : ndarray, shape (p, 2)
-        All places.
+        Possible positions.
     count, sets : int
-        How many places a set has, and how many sets.
+        Number of positions in a set, and number of sets.
 
     Returns
     -------
     ndarray of int, shape (sets, count)
-        No two places of a set are the same or, if there are others, next to each other.
+        Indices; positions of a set are different, and `_MIN_DISTANCE_M` apart if possible.
     """
     drawn = []
     for _ in range(sets):
         best = rng.choice(len(xy), count, replace=False)
         for _ in range(100):
             gaps = np.linalg.norm(xy[best][:, None] - xy[best], axis=-1)
-            if np.all(gaps[np.triu_indices(count, 1)] >= _APART_M):
+            if np.all(gaps[np.triu_indices(count, 1)] >= _MIN_DISTANCE_M):
                 break
             best = rng.choice(len(xy), count, replace=False)
         drawn.append(best)
     return np.array(drawn, dtype=np.intp)
 
 
-# How finely a room is looked at, at most: it bounds time and memory in halls.
-_MOST_PLACES = 220
-_MOST_SEEDS = 32
-_MOST_SAMPLES = 130
+# Largest numbers of positions, wall samples and floor cells, which bound time and memory in halls.
+_MAX_POSITIONS = 220
+_MAX_SEEDS = 32
+_MAX_SAMPLES = 130
 _SEARCH_SAMPLES = 70
 _SEARCH_CELLS = 70
 _REFINE_CELLS = 150
@@ -214,20 +212,20 @@ _REPORT_CELLS = 900
 _MAP_CELLS = 6000
 _MAP_SPACING_M = 0.1
 
-# Steps from a grid point towards the next one when places are refined.
+# Number of steps from a grid point to either side when positions are refined.
 _REFINEMENT = 3
 
-# Distances of L and R from the middle, shares of the room's extent, the widest first.
+# Distances of L and R from the centre that are tried, relative to the extent of the room.
 _SHARES = (0.25, 0.2, 0.15, 0.1, 0.07)
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """
-    Proposed places and what they are compared with.
+    Proposed positions, and others for comparison.
 
-    `best` is the proposal; `accuracy_map` the same on a finer floor, to be drawn; `left_right`
-    the layout of Livatino and Madsen, None where the room does not allow it; `random` are random
+    `best` is the proposal; `accuracy_map` is the same on a finer floor, for a figure; `left_right`
+    is the layout of Livatino and Madsen, None if the room does not allow it; `random` are random
     sets, the best first.
     """
 
@@ -246,22 +244,22 @@ def plan_positions(
     show: Show = lambda items, _what, _total: iter(items),
 ) -> Plan:
     """
-    Propose places for panoramas.
+    Propose positions for panoramas.
 
-    Raises `LandmarkNavError`: fewer than two places, one or two papers, or no places from which
-    papers are seen.
+    Raises `LandmarkNavError`: fewer than two positions, one or two papers, or too few positions
+    from which enough papers are in view.
 
     Parameters
     ----------
     count : int
-        How many places, 2 or more.
+        Number of positions, 2 or more.
     rng : numpy.random.Generator
         Draws the random sets; the proposal depends on it only if one of these is the best.
     show : callable
-        Shows progress: passes items through, with what is done and how many there are.
+        Shows progress, see `Show`.
     """
     _check(room, count)
-    floor = free_floor(room, config.clearance_m, config.spacing_m, _MOST_PLACES)
+    floor = free_floor(room, config.clearance_m, config.spacing_m, _MAX_POSITIONS)
     if not len(floor):
         raise LandmarkNavError(
             f'no floor is {config.clearance_m:g} m away from all walls: the room is too small '
@@ -282,7 +280,7 @@ def plan_positions(
     xy = views.pose_map_base[:, :2]
     cells = free_floor(room, config.clearance_m, config.spacing_m, _SEARCH_CELLS)
     cost = Predictor(views, samples, cells, room, config).cost_m
-    seeds = spread(_spread_out(views.pose_map_base) if len(turns) > 1 else xy, _MOST_SEEDS)
+    seeds = spread(_spread_out(views.pose_map_base) if len(turns) > 1 else xy, _MAX_SEEDS)
     chosen = views.pose_map_base[best_places(cost, xy, count, seeds, show)]
     left_right = _left_right(room, mount, count, config)
     starts = [chosen]
@@ -295,7 +293,7 @@ def plan_positions(
     sets += [views.pose_map_base[k] for k in drawn]
     cells = free_floor(room, config.clearance_m, config.spacing_m, _REPORT_CELLS)
     forecasts = forecast(sets, cells, room, mount, config)
-    # What it is compared with may be better: it was found on coarser floor.
+    # A set for comparison may be better, since the search uses a coarser floor.
     rivals = [f for f in forecasts if len(f.poses_map_base) == count]
     best = min(rivals, key=lambda f: f.cost_m)
     if not np.isfinite(best.cost_m) or not best.landmarks.sum():
@@ -320,23 +318,23 @@ def forecast(
     config: PlanConfig,
 ) -> list[Forecast]:
     """
-    Predict what sets of places are worth.
+    Predict the results of sets of poses.
 
-    Raises `LandmarkNavError`: a place does not see enough papers.
+    Raises `LandmarkNavError`: a pose does not see enough papers.
 
     Parameters
     ----------
     sets : sequence of ndarray, shape (n, 3)
         Poses of the base, two or more, all in view of the papers, if there are any.
     cells : ndarray, shape (c, 2)
-        Floor on which to predict.
+        Floor cells for which the localization error is predicted.
 
     Returns
     -------
     list of Forecast
         In the order of `sets`.
     """
-    samples = sample_walls(room, config.spacing_m, _MOST_SAMPLES)
+    samples = sample_walls(room, config.spacing_m, _MAX_SAMPLES)
     poses = np.concatenate(sets)
     views = look(poses, samples, room, mount, config)
     if len(views) < len(poses):
@@ -359,17 +357,17 @@ def _refined(
     config: PlanConfig,
     show: Show,
 ) -> FloatArray:
-    """Poses (n, 3), moved between the points of the grid that they are from."""
+    """Poses (n, 3), improved by moves smaller than the spacing of their grid."""
     turn = chosen[:, 2] - ahead_rad(chosen[:, :2], room)
     gaps = np.linalg.norm(floor[:, None] - floor, axis=-1)
     spacing = np.min(gaps, where=gaps > 0.0, initial=1.0)
     step = np.linspace(-1.0, 1.0, 2 * _REFINEMENT + 1) * spacing * (1.0 - 0.5 / _REFINEMENT)
     moves = np.stack(np.meshgrid(step, step), -1).reshape(-1, 2)
     moves = moves[np.argsort(np.linalg.norm(moves, axis=1), kind='stable')]
-    near = (moves[:, None] + chosen[:, :2]).reshape(-1, 2)  # the first are the chosen themselves
+    near = (moves[:, None] + chosen[:, :2]).reshape(-1, 2)  # begins with `chosen`
     near = sweep_poses(near, room, np.tile(turn, len(moves)))
     near = near[is_free(room, config.clearance_m, near[:, :2])]
-    samples = sample_walls(room, config.spacing_m, _MOST_SAMPLES)
+    samples = sample_walls(room, config.spacing_m, _MAX_SAMPLES)
     views = look(near, samples, room, mount, config)
     cells = free_floor(room, config.clearance_m, config.spacing_m, _REFINE_CELLS)
     cost = Predictor(views, samples, cells, room, config).cost_m
@@ -378,14 +376,14 @@ def _refined(
 
 
 def _spread_out(poses: FloatArray) -> FloatArray:
-    """Points (n, 4) for poses (n, 3): a turn by a radian is as far as a metre."""
+    """Points (n, 4) for poses (n, 3), in which a radian counts like a metre."""
     return np.column_stack([poses[:, :2], np.cos(poses[:, 2]), np.sin(poses[:, 2])])
 
 
 def _left_right(
     room: Room, mount: PanTiltMount, count: int, config: PlanConfig
 ) -> FloatArray | None:
-    """Poses (k, 3) of the widest layout of Livatino and Madsen that sees the papers."""
+    """Poses (k, 3) of the widest left-right layout that sees the papers; None if none does."""
     samples = sample_walls(room, config.spacing_m, _SEARCH_SAMPLES)
     for share in _SHARES:
         xy = left_right_layout(room, count, share, config)
@@ -409,6 +407,6 @@ def _check(room: Room, count: int) -> None:
 
 
 def _enough(room: Room) -> str:
-    """How many papers a place must see, in words."""
+    """Text: the number of papers that must be in view."""
     count = len(room.papers)
     return f'all {count}' if count == LEAST_PAPERS else f'{LEAST_PAPERS} of {count}'

@@ -1,14 +1,12 @@
 """
-What a map learned from given places would be worth: landmarks, their errors, and the robot's.
+Prediction of the accuracy of a map, and of localization, for given positions of panoramas.
 
-Everything is an expectation over where on the walls texture may be: wall samples stand for the
-landmarks to be expected there.
+The positions of textures are unknown: wall samples stand for the expected number of landmarks
+there, which scales their information.
 
-Errors to first order: from panoramas' poses to landmarks, from landmarks to the robot's place.
-
-The models are those of `learning.adjustment` (what a landmark's error has alone, and what the
-panoramas' poses give to all) and of bearings to everything that a turning camera sees, in
-plan. Landmarks come in expected numbers, which scale their information.
+Errors are propagated to first order, in plan: from poses of panoramas to landmarks by the model of
+`learning.adjustment` (an own error of each landmark, and shared errors by the poses), and from
+landmarks to the pose of the robot by bearings to all landmarks in view.
 """
 
 from __future__ import annotations
@@ -30,11 +28,11 @@ from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.views import band_share, Views, WallSamples
 from landmark_nav.types import FloatArray
 
-# x, y, heading of each panorama; after all of them, how far things hang off each wall.
+# Number of states of each panorama: x, y, heading. The offsets of walls follow after all of them.
 _POSE = 3
 
 # Landmarks that a fix needs.
-_LEAST_SEEN = 3.0
+_MIN_SEEN = 3.0
 
 
 def landmark_errors(
@@ -48,40 +46,41 @@ def landmark_errors(
     config: AdjustmentConfig,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Errors of landmarks on walls that n panoramas show and an adjustment places.
+    Errors of landmarks on walls after the adjustment of n panoramas.
 
     Parameters
     ----------
     azimuth_rad, range_m : ndarray, shape (n, s)
-        Of s points on walls from the panoramas, in map.
+        Azimuth in map and range of s points on walls from the panoramas.
     weight : ndarray, shape (n, s)
-        Information of each measurement, 1 / rad^2; 0 where there is none.
+        Information of each measurement, 1 / rad^2; 0 if there is none.
     normal : ndarray, shape (s, 2)
-        Of the walls.
+        Normals of the walls.
     wall : ndarray of int, shape (s,)
-        Which wall each is on.
+        Index of the wall of each point.
     landmarks : ndarray, shape (s,)
-        How many there are at each point.
+        Number of landmarks at each point.
     pose_covariance : ndarray, shape (3 n, 3 n)
-        Joint one of x, y and heading of the panoramas, before the adjustment.
+        Joint covariance of x, y and heading of the panoramas before the adjustment.
     config : AdjustmentConfig
-        How exactly things hang on walls.
+        Sigmas of the offsets from walls.
 
     Returns
     -------
     own : ndarray, shape (s, 2, 2)
-        Covariance of what a landmark's error has alone.
+        Covariance of the own error of a landmark.
     loading : ndarray, shape (s, 2, m)
-        The rest, as unit-variance factors that all have in common.
+        Loadings of the shared errors; the factors have unit variance.
     """
-    # Of azimuths by the landmark; by the panorama it is the opposite, by heading -1.
+    # Derivatives of azimuths by the landmark; by the panorama they have the opposite sign, by its
+    # heading they are -1.
     turned = azimuth_rad + 0.5 * np.pi
     by_point = np.stack([np.cos(turned), np.sin(turned)], -1) / range_m[..., None]
     by_pose = np.concatenate([-by_point, np.full((*range_m.shape, 1), -1.0)], -1)
     hanging = 1.0 / (config.hanging_sigma_m**2 + config.relief_sigma_m**2)
     h_xx = np.einsum('ns,nsi,nsj->sij', weight, by_point, by_point)
     h_xx += hanging * normal[:, :, None] * normal[:, None]
-    # Nothing is known along the wall where no panorama looks: 30 m are as good as nothing.
+    # A sigma of 30 m along the wall where no panorama looks, so that the matrix is not singular.
     h_xx += 1e-3 * np.eye(2)
     h_xp = np.einsum('ns,nsi,nsj->sinj', weight, by_point, by_pose)
     on_wall = np.eye(int(wall.max()) + 1)[wall]
@@ -98,7 +97,7 @@ def landmark_errors(
         config.common_hanging_sigma_m**2 + np.eye(on_wall.shape[1]) * config.wall_sigma_m**2
     )
     shared[planes, planes] = np.linalg.inv(off_walls) + hanging * np.diag(landmarks @ on_wall)
-    # Schur complement: what is left of the information once every landmark is solved for.
+    # Schur complement: information on poses and walls after elimination of the landmarks.
     factors = len(shared)
     reduction = (landmarks[:, None, None] * h_xs).reshape(-1, factors)
     shared -= reduction.T @ gain.reshape(-1, factors)
@@ -118,19 +117,19 @@ def localization_sigma(
     Parameters
     ----------
     gradient : ndarray, shape (c, s, 2)
-        Of the bearings by the viewer's x and y, at c places.
+        Gradients of the bearings by x and y of the viewer, at c floor cells.
     seen : ndarray, shape (c, s)
-        How many landmarks are seen at each of s points.
+        Number of landmarks in view at each of s points.
     own, loading : ndarray, shape (s, 2, 2), (s, 2, m)
-        Their errors, as from `landmark_errors`.
+        Errors of landmarks, see `landmark_errors`.
     bearing_sigma_rad : float
         Standard deviation of a bearing.
 
     Returns
     -------
     ndarray, shape (c,)
-        Root of the trace of the position's covariance, metres; inf where fewer than three are
-        seen or they fix no place.
+        Root of the trace of the covariance of the position, metres; inf where fewer than three
+        landmarks are in view or they do not determine it.
     """
     gx, gy = gradient[..., 0], gradient[..., 1]
     variance = gx * gx * own[:, 0, 0] + 2.0 * gx * gy * own[:, 0, 1] + gy * gy * own[:, 1, 1]
@@ -143,7 +142,7 @@ def localization_sigma(
     direct = np.stack([xx, xy, -x, xy, yy, -y, -x, -y, one], -1).reshape(-1, 3, 3)
     lx, ly = loading[:, 0], loading[:, 1]
     cross = np.stack([-(wxx @ lx + wxy @ ly), -(wxy @ lx + wyy @ ly), wx @ lx + wy @ ly], 1)
-    # Symmetric: only the upper half is worked out.
+    # Symmetric: only the upper half is computed.
     i, j = np.triu_indices(loading.shape[2])
     halves = [lx[:, i] * lx[:, j], lx[:, i] * ly[:, j] + ly[:, i] * lx[:, j], ly[:, i] * ly[:, j]]
     upper = np.concatenate([wxx, wxy, wyy], axis=1) @ np.concatenate(halves)
@@ -151,7 +150,7 @@ def localization_sigma(
     shared[:, i, j] = shared[:, j, i] = upper
     shared += np.eye(loading.shape[2])
     information = direct - cross @ np.linalg.solve(shared, np.swapaxes(cross, -1, -2))
-    return _position_sigma(information, seen.sum(axis=1) >= _LEAST_SEEN)
+    return _position_sigma(information, seen.sum(axis=1) >= _MIN_SEEN)
 
 
 def _position_sigma(information: FloatArray, enough: npt.NDArray[np.bool_]) -> FloatArray:
@@ -169,38 +168,39 @@ def _position_sigma(information: FloatArray, enough: npt.NDArray[np.bool_]) -> F
     return sigma
 
 
-# Fitted to seven simulated rooms (seeds 101 to 107, 1,356 patches): 97 % of the patches that a
-# second panorama could show were found there, without a fall up to 60 degrees of parallax, as
-# both views are resampled on the wall; where the fall lies beyond that is an assumption.
+# Probability that a patch is found in a second panorama. In seven simulated rooms (seeds 101 to
+# 107, 1,356 patches) it is 97 %, constant up to 60 degrees of parallax, since both views are
+# resampled on the wall. The decrease beyond that (parallax of half the probability, slope) is an
+# assumption.
 _MATCH_PROBABILITY = 0.97
 _MATCH_HALF_RAD, _MATCH_SLOPE_RAD = 1.4, 0.12
-# Standard deviations of a patch found again: of its place, and of how much larger it is shown.
+# Standard deviations of a match: position, pixels, and relative size.
 _MATCH_SIGMA_PX = 0.08
 _MATCH_SIGMA_SIZE = 3e-3
-# Share of the reconstructed patches that no stronger one covers.
+# Share of the reconstructed patches that no more salient one overlaps.
 _KEPT_SHARE = 0.65
-# Greater localization errors count as this much.
+# Bound to which localization errors are clipped in the cost.
 CAP_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
     """
-    What panoramas at given places would be worth.
+    Prediction for one set of positions of panoramas.
 
     Parameters
     ----------
     poses_map_base : ndarray, shape (n, 3)
-        Where the robot stands.
+        Poses of the base.
     pose_covariance : ndarray, shape (n, 3, 3)
-        Of the pan axis' x, y and heading as papers or panoramas give them.
+        Covariance of x, y and heading of the pan axis by papers or panoramas.
     landmarks : ndarray, shape (s,)
-        How many landmarks, for each wall sample.
+        Expected number of landmarks at each wall sample.
     covariance : ndarray, shape (s, 2, 2)
-        Of x and y of one there, as the map would state it.
+        Covariance of x and y of a landmark there.
     floor_xy, sigma_m : ndarray, shape (c, 2), (c,)
         Cells of the free floor, and the localization error there, root of the trace; inf where
-        it is not known.
+        too few landmarks are in view.
     """
 
     poses_map_base: FloatArray
@@ -212,7 +212,7 @@ class Forecast:
 
     @property
     def landmark_sigma_m(self) -> float:
-        """Mean error of a landmark (root of the mean squared one), inf if there are none."""
+        """RMS error of landmarks; inf if there are none."""
         if not self.landmarks.sum():
             return float('inf')
         trace = np.trace(self.covariance, axis1=1, axis2=2)
@@ -220,24 +220,24 @@ class Forecast:
 
     @property
     def cost_m(self) -> float:
-        """Mean localization error over the floor, each counted as `CAP_M` at most."""
+        """Mean localization error over the floor, clipped to `CAP_M`."""
         return float(np.mean(np.minimum(self.sigma_m, CAP_M)))
 
     def quantile_m(self, share: float) -> float:
-        """Localization error that `share` of the floor does not exceed."""
+        """Quantile `share` of the localization error over the floor."""
         return float(np.quantile(self.sigma_m, share, method='inverted_cdf'))
 
 
 class Predictor:
     """
-    Predicts for sets out of given places, seen from given cells of the floor.
+    Predicts the localization error at floor cells for subsets of given poses of panoramas.
 
     Parameters
     ----------
     views : Views
-        The places, one or more, with what they see.
+        Poses of panoramas, one or more, and what is visible from them.
     cells : ndarray, shape (c, 2)
-        Where the robot may have to find its place later.
+        Floor cells where the robot will localize itself.
     """
 
     def __init__(
@@ -248,7 +248,7 @@ class Predictor:
         room: Room,
         config: PlanConfig,
     ) -> None:
-        """Work out what does not depend on the set."""
+        """Compute what does not depend on the subset."""
         self._views, self._samples, self._config = views, samples, config
         self._cells = cells
         self._gradient = bearing_gradients(cells, samples.xy)
@@ -257,7 +257,7 @@ class Predictor:
         seen = room.visible(cells[:, None], samples.xy)
         seen &= (reach >= triplet.min_range_m) & (reach <= triplet.max_range_m)
         share = band_share(reach, float(views.eye[0, 2]), samples, config)
-        # The robot may be turned any way: of all directions the camera can look in so many.
+        # The heading of the robot is arbitrary: the camera sees only this share of all azimuths.
         share *= config.half_arc_rad / np.pi
         self._observed = np.zeros((len(views), *reach.shape), np.float32)
         self._alike = np.zeros((len(views), *views.range_m.shape), np.bool_)
@@ -270,12 +270,12 @@ class Predictor:
             )
             self._alike[p] = observed_well(*seen_before, views.eye, 1.0 / stretch, stretch)
             well = observed_well(*seen_before, cells, triplet.min_sampling, triplet.max_sampling)
-            # Of the heights that the panorama shows, those that are in the image here too.
+            # Share of the heights in the panorama that are also in the image here.
             common = np.minimum(share / np.maximum(views.share[p], 1e-6), 1.0)
             self._observed[p] = np.where(seen & well, common, 0.0)
 
     def predict(self, places: npt.NDArray[np.intp]) -> Forecast:
-        """Predict for a set of places (n,), n >= 2."""
+        """Predict for a subset of indices (n,), n >= 2."""
         by_source, sighted = self._expected(places)
         config, views = self._config, self._views
         own, loading = landmark_errors(
@@ -304,11 +304,11 @@ class Predictor:
         )
 
     def cost_m(self, places: npt.NDArray[np.intp]) -> float:
-        """Mean capped localization error of a set of places."""
+        """Mean clipped localization error for a subset of indices (n,)."""
         return self.predict(places).cost_m
 
     def _expected(self, places: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        """Landmarks (n, s) by the panorama that proposes them; where they are sighted (n, s)."""
+        """Expected landmarks (n, s) by proposing panorama, and measurements of each (n, s)."""
         config, views = self._config, self._views
         azimuth, share = views.azimuth_rad[places], views.share[places]
         parallax = np.abs(wrap_rad(azimuth[:, None] - azimuth))
@@ -322,12 +322,12 @@ class Predictor:
         found[~self._alike[places[:, None], places]] = 0.0
         itself = np.arange(len(places))
         found[itself, itself] = 0.0
-        # A patch that one panorama shows may be too high or too low for another.
+        # A patch in one panorama may be too high or too low for another.
         found *= np.minimum(share / np.maximum(share[:, None], 1e-6), 1.0)
         again = 1.0 - np.prod(1.0 - found, axis=1)
         by_source = _KEPT_SHARE * views.proposed[places] * again
         by_source *= min(1.0, config.election.max_count / max(by_source.sum(), 1e-9))
-        # The source shows its patch for sure, another panorama if it was found again there.
+        # The proposing panorama measures its patch always, another one only if it is found there.
         given = found / np.maximum(again[:, None], 1e-9)
         given[itself, itself] = 1.0
         total = np.maximum(by_source.sum(axis=0), 1e-12)
@@ -335,20 +335,20 @@ class Predictor:
 
     @property
     def _variance(self) -> float:
-        """Of a measurement's azimuth."""
+        """Variance of a measured azimuth, rad^2."""
         config = self._config
         matched = _MATCH_SIGMA_PX / config.focal_px
         return config.adjustment.azimuth_sigma_rad**2 + matched**2
 
     def _depth_sigma(self, places: npt.NDArray[np.intp], parallax_rad: FloatArray) -> FloatArray:
-        """How far off its wall two panoramas (n, n) alone would place a sample, (n, n, s)."""
+        """Depth error of a sample normal to its wall by two panoramas alone, m, (n, n, s)."""
         samples, reach = self._samples, self._views.range_m[places]
         way = self._views.eye[places, None, :2] - samples.xy
         cosine = np.sum(way * samples.normal, -1) / reach
-        # Two bearings have the inverse information of their rays' directions.
+        # By parallax: variance of the intersection of two rays.
         ray = reach[:, None] * cosine[None]
         square = (ray**2 + np.swapaxes(ray, 0, 1) ** 2) * self._variance
-        # Sizes have it in line, too.
+        # By the ratio of sizes, which also works without parallax.
         config = self._config
         size_sigma = np.hypot(_MATCH_SIGMA_SIZE, config.adjustment.nearness_sigma)
         nearness = 1.0 / np.maximum(reach * cosine, 1e-3)

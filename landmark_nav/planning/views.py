@@ -1,4 +1,4 @@
-"""What panoramas taken at given places would show of the walls."""
+"""Visibility of walls in panoramas from given positions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from landmark_nav.types import FloatArray
 
 
 class WallSamples(NamedTuple):
-    """Points `xy` (s, 2), number and normal (s, 2) of their walls, heights, lengths (s,)."""
+    """Points `xy` (s, 2) on walls: normal (s, 2), index and height of the wall, length (s,)."""
 
     xy: FloatArray
     normal: FloatArray
@@ -29,14 +29,14 @@ class WallSamples(NamedTuple):
 
 def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> FloatArray:
     """
-    Places for the robot.
+    Grid of possible positions of the robot.
 
     Parameters
     ----------
     spacing_m : float
-        Grid; wider in rooms where that gives more than `most` points.
+        Spacing of the grid; larger if there would be more than `most` points.
     most : int
-        How many points there may be.
+        Largest number of points.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> F
     if np.any(high < low):
         return np.zeros((0, 2))
     spacing = max(spacing_m, float(np.sqrt(np.prod(high - low) / most)))
-    # The ends belong to the grid: walls on all sides are looked at alike.
+    # The grid includes both ends, so that it is equally near to all walls.
     steps = np.floor((high - low) / spacing + 1e-9).astype(int) + 1
     x, y = (
         np.linspace(a, b, n) if n > 1 else np.array([0.5 * (a + b)])
@@ -58,13 +58,13 @@ def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> F
 
 
 def is_free(room: Room, clearance_m: float, xy: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether points (n, 2) lie inside, and `clearance_m` off the walls."""
+    """Whether points (n, 2) are inside the room, `clearance_m` or more from the walls."""
     clear = room.wall_distances(xy).min(axis=1) >= clearance_m - 1e-9
     return np.asarray(room.contains(xy) & clear)
 
 
 def sample_walls(room: Room, spacing_m: float, most: int) -> WallSamples:
-    """Middles of equal pieces of each wall, about `spacing_m` long, about `most` in all."""
+    """Centres of equal pieces of each wall, about `spacing_m` long, about `most` in total."""
     spacing = max(spacing_m, sum(wall.length for wall in room.walls) / most)
     parts = []
     for k, (wall, normal) in enumerate(zip(room.walls, room.normals, strict=True)):
@@ -79,33 +79,34 @@ def sample_walls(room: Room, spacing_m: float, most: int) -> WallSamples:
     )
 
 
-# Less than that of a paper is hardly found by its colour, pixels across and along.
-_LEAST_PAPER_PX = 8.0
-_MOST_PAPER_INCIDENCE_RAD = 1.2
+# Smallest visible size of a paper that is found by its colour, pixels; largest angle of incidence.
+_MIN_PAPER_PX = 8.0
+_MAX_PAPER_INCIDENCE_RAD = 1.2
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
     """
-    What p places see of s wall samples.
+    Visibility of s wall samples from p poses.
 
     Parameters
     ----------
     pose_map_base : ndarray, shape (p, 3)
-        Where the robot stands.
+        Poses of the base.
     eye : ndarray, shape (p, 3)
-        The pan axis at the height of the optical centre, in map.
+        Viewpoints: the pan axis at the height of the optical centre, in map.
     covariance : ndarray, shape (p, 3, 3)
-        Of the pan axis' x, y and heading by the papers; without any, by what panoramas share.
+        Covariance of x, y and heading of the pan axis, by papers; without papers, by the relative
+        poses of panoramas.
     by_papers : ndarray, shape (p, 3, m)
-        Of that, what all places have in common, by factors of unit variance.
+        Loadings of the errors of papers, which all poses share; the factors have unit variance.
     azimuth_rad, range_m : ndarray, shape (p, s)
-        Of the samples in map.
+        Azimuth in map and range of the samples.
     share : ndarray, shape (p, s)
-        Part of the textured band that is in the image; 0 where a sample is hidden or seen too
+        Share of the textured band that is in the image; 0 where a sample is hidden or seen too
         obliquely to be matched.
     proposed : ndarray, shape (p, s)
-        How many patches attention would propose there that can become landmarks.
+        Expected number of patches that attention proposes and that can become landmarks.
     """
 
     pose_map_base: FloatArray
@@ -118,7 +119,7 @@ class Views:
     proposed: FloatArray
 
     def __len__(self) -> int:
-        """Return how many places there are."""
+        """Number of poses."""
         return len(self.eye)
 
 
@@ -128,26 +129,26 @@ def eye_height(mount: PanTiltMount) -> float:
 
 
 def ahead_rad(floor_xy: FloatArray, room: Room) -> FloatArray:
-    """Directions (n,) in map from points (n, 2) to the papers' middle, or to the room's."""
+    """Azimuths (n,) in map from points (n, 2) to the centre of the papers, or of the room."""
     hung = [paper.center[:2] for paper in room.papers] or room.bounds
     ahead = np.mean(hung, axis=0) - floor_xy
     return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
 
 def turns_rad(mount: PanTiltMount, config: PlanConfig) -> FloatArray:
-    """How the base may be turned away from the papers' middle in a sweep, (k,)."""
+    """Headings of the base relative to the centre of the papers that are tried, (k,)."""
     return -_azimuth_base(mount, np.array(config.paper_pans_rad))
 
 
 def sweep_poses(
     floor_xy: FloatArray, room: Room, turn_rad: FloatArray | float = 0.0
 ) -> FloatArray:
-    """Poses (n, 3) of the base at points (n, 2), turned by so much from the papers' middle."""
+    """Poses (n, 3) of the base at points (n, 2), turned from the centre of the papers."""
     return np.column_stack([floor_xy, wrap_rad(ahead_rad(floor_xy, room) + turn_rad)])
 
 
 def _azimuth_base(mount: PanTiltMount, pan_rad: FloatArray) -> FloatArray:
-    """Where the camera looks at pans (k,), azimuths in the base frame."""
+    """Azimuths (k,) of the view in the base frame at pans (k,)."""
     ahead = mount.camera_pose_base(pan_rad)[0][..., 2]
     return np.asarray(np.arctan2(ahead[..., 1], ahead[..., 0]))
 
@@ -160,20 +161,20 @@ def look(
     config: PlanConfig,
 ) -> Views:
     """
-    Look around at places.
+    Compute the visibility of wall samples from poses.
 
     Parameters
     ----------
     poses_map_base : ndarray, shape (n, 3)
-        Where the robot would stand.
+        Poses of the base.
     config : PlanConfig
-        The camera, and what the learning stages accept.
+        Camera, and bounds of learning.
 
     Returns
     -------
     Views
-        Of the places that see enough papers, if there are any; the others can't be measured and
-        are left out.
+        Only for poses that see enough papers, if the room has papers: a sweep at the others cannot
+        be located.
     """
     axis = mount.axis_pose_map(poses_map_base)[:, :2]
     eye = np.column_stack([axis, np.full(len(axis), eye_height(mount))])
@@ -195,8 +196,8 @@ def look(
     share[cosine < np.cos(config.stereo.max_incidence_rad)] = 0.0
     share[~room.visible(eye[:, None, :2], samples.xy)] = 0.0
     share[~_on_arc(azimuth, middle[measured], config)] = 0.0
-    # Attention works on the image: patches are spread over azimuth, not over metres of wall.
-    # A part of the turn has not the patches of all of it: they would cover each other.
+    # Attention works on the image: patches are evenly distributed over azimuth, not over metres of
+    # wall. A part of the turn has only its part of the patches, since patches do not overlap.
     proposed = config.candidates / (2.0 * np.pi) * samples.length_m * cosine / reach * share
     proposed[cosine < np.cos(config.election.max_incidence_rad)] = 0.0
     if room.papers:
@@ -216,7 +217,7 @@ def look(
 
 
 def papers_seen(eye: FloatArray, room: Room, config: PlanConfig) -> npt.NDArray[np.bool_]:
-    """Whether panoramas from (p, 3) show papers well enough to be measured, (p, papers)."""
+    """Whether papers can be measured in panoramas from viewpoints (p, 3), (p, papers)."""
     center = np.array([paper.center for paper in room.papers])
     width, height = np.array([(paper.width, paper.height) for paper in room.papers]).T
     normal = room.normals[room.nearest_wall(center[:, :2]), :2]
@@ -227,9 +228,9 @@ def papers_seen(eye: FloatArray, room: Room, config: PlanConfig) -> npt.NDArray[
     across = width * cosine * config.focal_px / reach
     along = height * config.focal_px / reach
     return np.asarray(
-        (cosine > np.cos(_MOST_PAPER_INCIDENCE_RAD))
+        (cosine > np.cos(_MAX_PAPER_INCIDENCE_RAD))
         & (rise < config.steepest * reach)
-        & (np.minimum(across, along) >= _LEAST_PAPER_PX)
+        & (np.minimum(across, along) >= _MIN_PAPER_PX)
         & room.visible(eye[:, None, :2], center[:, :2])
     )
 
@@ -237,7 +238,7 @@ def papers_seen(eye: FloatArray, room: Room, config: PlanConfig) -> npt.NDArray[
 def _on_arc(
     azimuth_rad: FloatArray, middle_rad: FloatArray, config: PlanConfig
 ) -> npt.NDArray[np.bool_]:
-    """Which azimuths (n, k) in map sweeps that look to `middle_rad` (n,) show, (n, k)."""
+    """Whether azimuths (n, k) in map are within the arc of sweeps around `middle_rad` (n,)."""
     off = np.abs(wrap_rad(azimuth_rad - middle_rad[:, None]))
     return np.asarray(off <= config.half_arc_rad)
 
@@ -245,7 +246,7 @@ def _on_arc(
 def band_share(
     range_m: FloatArray, eye_height_m: FloatArray | float, samples: WallSamples, config: PlanConfig
 ) -> FloatArray:
-    """Part (..., s) of the textured band of heights that is in the image from a distance."""
+    """Share (..., s) of the textured band of heights that is in the image at a range."""
     low = min(config.texture_low_m, config.texture_high_m)
     high = np.minimum(max(config.texture_low_m, config.texture_high_m), samples.wall_height_m)
     reach = config.steepest * range_m

@@ -1,4 +1,4 @@
-"""The door to ROS 2: messages <-> types, parameters, QoS, diagnostics, main() and shutdown."""
+"""Interface to ROS 2: topics, parameters, QoS, diagnostics, executors, `main` and shutdown."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _PACKAGES = (
     'trajectory_msgs',
     'visualization_msgs',
 )
-# With more, ports after the DDS-RTPS specification, 9.6.2, go beyond 65535.
+# Largest domain: for larger ones, ports by DDS-RTPS, section 9.6.2, exceed 65535.
 _LAST_DOMAIN = 232
 
 
 def require_ros(what: str) -> None:
     """
-    Check that `what` can run here.
+    Check that ROS is available for `what`.
 
-    Raises `LandmarkNavError`: rclpy or a message package is not installed.
+    Raises `LandmarkNavError`: rclpy or a message package cannot be imported.
     """
     missing = [package for package in _PACKAGES if find_spec(package) is None]
     if missing:
@@ -49,9 +49,9 @@ def require_ros(what: str) -> None:
 
 def chosen_domain() -> int | None:
     """
-    ROS domain that the environment chooses by ``ROS_DOMAIN_ID``, None where it does not.
+    ROS domain by the environment variable ``ROS_DOMAIN_ID``; None if it is not set.
 
-    Raises `LandmarkNavError`: it is not a domain: Fast DDS would end the process.
+    Raises `LandmarkNavError`: the value is not a domain; Fast DDS would end the process.
     """
     text = os.environ.get('ROS_DOMAIN_ID', '').strip()
     if not text:

@@ -1,4 +1,4 @@
-"""Joint states; images with the calibration and the angles they were taken at."""
+"""Subscriptions to joint states and camera_info, and frames: images with camera and angles."""
 
 from __future__ import annotations
 
@@ -28,9 +28,16 @@ def listen_for_joints(
     depth: int | None = None,
 ) -> None:
     """
-    Call back with pan and tilt; with stamp, ns, and tilt, rad, where the tilt comes by itself.
+    Subscribe to joint states.
 
-    Diagnostics list which joints are named as long as that of the pan is not among them.
+    Diagnostics list the names of the joints while the pan joint is not among them.
+
+    Parameters
+    ----------
+    on_sample : callable
+        Called with each sample of pan and tilt.
+    on_tilt : callable
+        Called with stamp, ns, and tilt, rad, if the tilt joint has messages of its own.
     """
     names = decode.JointNames(mount)
 
@@ -48,22 +55,22 @@ def listen_for_joints(
     node.listen('joint_states', take, depth=depth)
 
 
-# Joint states of so long are kept, and of those that come faster one in each such step.
+# Time for which joint states are kept, and their smallest spacing; denser ones are thinned out.
 _HISTORY_NS, _STEP_NS = 3 * 10**9, 5_000_000
-# Joint states older by this are not late: the clock was set back.
+# If a stamp is older than the newest by more than this, the clock was set back.
 _CLOCK_STEP_NS = 500_000_000
-# Tilts that come by themselves are waited for, if they are no further behind the pan.
+# Largest delay of a separate tilt behind the pan for which frames wait.
 _TILT_BEHIND_NS = 150_000_000
 _POLL_S = 0.005
 
 
 class CameraFrames:
-    """Listens to ``joint_states`` and ``camera/camera_info`` and completes images by them."""
+    """Subscribes to ``joint_states`` and ``camera/camera_info``, and makes frames of images."""
 
     def __init__(self, node: LandmarkNode, mount: PanTiltMount) -> None:
         self._node = node
         self._joints: deque[JointSample] = deque()
-        # Stamps and tilts of a tilt joint that has a driver of its own.
+        # Stamps and tilts of a tilt joint with its own driver.
         self._tilts: deque[tuple[int, float]] = deque()
         listen_for_joints(node, mount, self._on_joints, self._on_tilt, depth=50)
         self._info: decode.CameraInfo | None = None
@@ -72,37 +79,37 @@ class CameraFrames:
 
     @property
     def camera(self) -> CameraModel | None:
-        """Camera of the last calibration, if any came, at the resolution of the frames."""
+        """Camera of the last camera_info at the resolution of the frames; None before one."""
         return None if self._info is None else self._info.camera.reduced
 
     @property
     def pan_rad(self) -> float | None:
-        """The last measured pan, if any came."""
+        """The last measured pan; None before the first."""
         return self._joints[-1].pan_rad if self._joints else None
 
     @property
     def tilt_rad(self) -> float:
-        """The last measured tilt, level before any came."""
+        """The last measured tilt; 0 before the first."""
         if self._tilts:
             return self._tilts[-1][1]
         return self._joints[-1].tilt_rad if self._joints else 0.0
 
     @property
     def pan_range_rad(self) -> float:
-        """How far the pan turned in the joint states that are kept."""
+        """Range of the pan in the joint states that are kept."""
         kept = tuple(self._joints)
         pans_rad = unwrap_joint([s.stamp_ns for s in kept], [s.pan_rad for s in kept])
         return float(np.ptp(pans_rad)) if kept else 0.0
 
     def reaches(self, stamp_ns: int) -> bool:
-        """Whether joint states are known that are stamped then or later."""
+        """Whether there are joint states with this stamp or later."""
         if not self._joints or self._joints[-1].stamp_ns < stamp_ns:
             return False
         tilt_ns = self._tilts[-1][0] if self._tilts else stamp_ns
         return tilt_ns >= stamp_ns or tilt_ns < self._joints[-1].stamp_ns - _TILT_BEHIND_NS
 
     def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
-        """Angles at a time of the images, interpolated; or why they are not known."""
+        """Angles at a stamp, interpolated; or why they are unknown."""
         history = JointHistory(tuple(self._joints), tuple(self._tilts))
         return history.at(stamp_ns)
 
@@ -110,15 +117,15 @@ class CameraFrames:
         self, message: Any, seconds: float, also: Callable[[int], bool], late_s: float
     ) -> CameraFrame:
         """
-        Frame of an image message.
+        Make a frame of an image message.
 
-        Waits, up to `seconds`, for joint states of its stamp, or of `late_s` after it if those are
-        late, and until `also` holds for it.
+        Waits, up to `seconds`, for joint states of its stamp plus the joint delay `late_s`, and
+        until `also(stamp)` is true.
 
-        Raises `LandmarkNavError`: no calibration of its size, or no joint states near its stamp.
+        Raises `LandmarkNavError`: no camera_info of its size, or no joint states near its stamp.
         """
         stamp = decode.stamp_ns(message.header)
-        # Meanwhile what belongs to it arrives.
+        # Decoded first, since joint states arrive meanwhile.
         view = self._view(message)
         self._wait(stamp, seconds, also, late_s)
         joints = self.joints_at(stamp)
@@ -141,11 +148,11 @@ class CameraFrames:
 
     def _on_joints(self, sample: JointSample) -> None:
         if self._joints and sample.stamp_ns < self._joints[-1].stamp_ns - _CLOCK_STEP_NS:
-            # Never empty once it was not: the thread of the images reads it meanwhile.
+            # Replaced, not cleared: the thread of the images may read it at the same time.
             self._joints = deque([sample])
             return
         if len(self._joints) > 1 and 0 <= sample.stamp_ns - self._joints[-2].stamp_ns < _STEP_NS:
-            # The newest one is always kept: it shows how far they reach.
+            # The newest one is always kept, for `reaches`.
             self._joints[-1] = max(sample, self._joints[-1], key=lambda known: known.stamp_ns)
             return
         self._joints.append(sample)
@@ -161,7 +168,7 @@ class CameraFrames:
             self._tilts.popleft()
 
     def _view(self, message: Any) -> tuple[ImageArray, CameraModel] | None:
-        """Pixels and camera of an image message; None before a calibration came."""
+        """Pixels and camera of an image message; None before the first camera_info."""
         if self._info is None:
             return None
         return decode.camera_image(message, self._info, True, self._depth)
@@ -172,7 +179,7 @@ class CameraFrames:
     def _wait(
         self, stamp_ns: int, seconds: float, also: Callable[[int], bool], late_s: float
     ) -> None:
-        """Block until there are joint states of an image, and `also` holds, or time is up."""
+        """Block until joint states reach the image and `also` is true, or the time is over."""
         deadline = time.monotonic() + seconds
         joints_ns = stamp_ns + max(0, round(1e9 * late_s))
         while time.monotonic() < deadline:

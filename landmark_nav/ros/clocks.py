@@ -1,4 +1,4 @@
-"""Clocks for timers, which fall silent for as long as their clock is set back."""
+"""Clocks for timers. A timer pauses while its clock is set back."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from rclpy.node import Node
 
 
 def steady_clock() -> Clock:
-    """The wall's time, which goes on as the system's is set, and while a bag's stands."""
+    """A monotonic clock, independent of the system time and of the clock of a bag."""
     return Clock(clock_type=ClockType.STEADY_TIME)
 
 
 def own_clock(node: Node) -> Clock:
-    """``/clock`` with `use_sim_time`, where a bag may be faster than the wall; else steady."""
+    """``/clock`` with `use_sim_time` (a bag may run at another rate), else the steady clock."""
     return node.get_clock() if node.get_parameter('use_sim_time').value else steady_clock()

@@ -1,4 +1,4 @@
-"""Runs the callbacks of a node, in one thread or in several, and work on the newest input."""
+"""Executor of callbacks in one or several threads, and a worker for the newest message."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from rclpy.executors import (
 )
 from rclpy.task import Task
 
-# Where a callback closes a subscription as another thread is about to wait for its events, rclpy
-# throws the first of these; the next wait goes without it.
+# Exceptions of waiting without a result. rclpy raises the first one if a callback closes a
+# subscription while another thread begins to wait; the next wait is without it.
 _NOTHING_TO_DO = InvalidHandle, ExternalShutdownException, ShutdownException, TimeoutException
 
 
 class CallbackExecutor(Executor):
     """
-    Runs callbacks; with several threads it hands each to one, and goes on once that has begun it.
+    Executor that passes each callback to a thread and waits until the thread has begun it.
 
-    rclpy's own `MultiThreadedExecutor` goes on at once. What no thread has begun counts as still
-    to do, so it is handed over again and again, at the cost of a core and of the threads, which
-    then begin even later: joint states of 50 Hz were not listened to for up to two seconds
-    (rclpy's issue 1452, mended in none of the versions that the package runs with).
+    The `MultiThreadedExecutor` of rclpy does not wait. A callback that no thread has begun counts
+    as ready and is passed on again and again, which takes a core and delays the threads: joint
+    states of 50 Hz were not handled for up to two seconds (issue 1452 of rclpy, not fixed in any
+    version that the package supports).
 
     Parameters
     ----------
     threads : int
-        How many callbacks may run at once.
+        Number of callbacks that may run at once.
     """
 
     def __init__(self, threads: int) -> None:
@@ -43,7 +43,7 @@ class CallbackExecutor(Executor):
         self._under_way: set[Task[Any]] = set()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait for one callback and begin it; raises what one raised."""
+        """Wait for one callback and begin it; raises exceptions of finished callbacks."""
         with suppress(*_NOTHING_TO_DO):
             task, _, _ = self.wait_for_ready_callbacks(timeout_sec=timeout_sec)
             self._under_way.add(task)
@@ -51,9 +51,9 @@ class CallbackExecutor(Executor):
         self._raise()
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """End it, after the callbacks under way; raises what one of them raised."""
+        """Shut down after the running callbacks; raises exceptions of finished callbacks."""
         if self._pool is not None:
-            # They still need what rclpy takes away.
+            # Running callbacks still need what rclpy destroys at shutdown.
             self._pool.shutdown()
         ended = super().shutdown(timeout_sec)
         self._raise()
@@ -80,14 +80,14 @@ class CallbackExecutor(Executor):
 
 class LatestOnlyWorker:
     """
-    Calls back with messages, one at a time, while the executor goes on with others.
+    Handles messages in a thread of its own, one at a time.
 
-    What waits makes way for what is newer, so nothing queues up.
+    A waiting message is replaced by a newer one, so there is no queue.
 
     Parameters
     ----------
     work : callable
-        Called with each message, in the thread; it raises nothing.
+        Called with each message in the thread; it must not raise.
     """
 
     def __init__(self, work: Callable[[Any], None]) -> None:
@@ -101,7 +101,7 @@ class LatestOnlyWorker:
 
     @property
     def dropped(self) -> int:
-        """How many messages made way."""
+        """Number of messages that were replaced."""
         return self._dropped
 
     def take(self, message: Any) -> None:
@@ -113,10 +113,9 @@ class LatestOnlyWorker:
 
     def close(self) -> None:
         """
-        End the thread, after the message that it works on.
+        End the thread after its current message.
 
-        Python aborts the process if it ends while such a thread is in a library written in C++
-        (rclpy's issue 1484).
+        Python aborts a process that ends while such a thread runs C++ code (issue 1484 of rclpy).
         """
         with self._changed:
             self._closed = True

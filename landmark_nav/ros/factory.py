@@ -1,4 +1,4 @@
-"""Real ROS message classes behind the `MessageFactory` protocol."""
+"""The `MessageFactory` of ROS message classes."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def _field_types(type_name: str) -> dict[str, str]:
 
 def ros_factory(type_name: str, **fields: Any) -> Any:
     """
-    Message of that type; fields that are not given keep their defaults.
+    Build a message of a type; omitted fields keep their defaults.
 
-    NumPy arrays are copied into `array.array` where the field is a sequence: rclpy takes those at
-    once, but looks at every element of anything else.
+    NumPy arrays are copied into `array.array` for sequences: rclpy accepts that type without a
+    check of every element.
     """
     kinds = _field_types(type_name)
     for name, value in fields.items():

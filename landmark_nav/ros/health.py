@@ -15,7 +15,7 @@ from landmark_nav.ros.topics import TOPICS
 
 
 class Level(Enum):
-    """How well a node does its work."""
+    """State of a node."""
 
     OK = DiagnosticStatus.OK
     DEGRADED = DiagnosticStatus.WARN
@@ -24,7 +24,7 @@ class Level(Enum):
 
 @dataclass(frozen=True)
 class Health:
-    """A level, the reason for it and figures that help to understand it."""
+    """State of a node, its reason, and further values."""
 
     level: Level
     reason: str
@@ -32,7 +32,7 @@ class Health:
 
 
 def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) -> None:
-    """Publish `report()` every second of the wall's time, also while a bag's clock stands."""
+    """Publish `report()` once a second by the steady clock, even while ``/clock`` stands."""
     topic = '/diagnostics'
     publisher = node.create_publisher(DiagnosticArray, topic, TOPICS[topic].qos)
 
@@ -49,7 +49,7 @@ def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) 
         array.header.stamp = node.get_clock().now().to_msg()
         publisher.publish(array)
 
-    # Not the node's own kind of timer: it reports in every state.
+    # Not `LandmarkNode.create_timer`: diagnostics are published in every lifecycle state.
     Node.create_timer(
         node,
         1.0,

@@ -1,4 +1,4 @@
-"""Images of a topic, raw or compressed, whichever is there."""
+"""Subscription to images, raw or compressed, whichever is published."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from landmark_nav.ros.node import LandmarkNode
 
 
 def image_topics(topic: str, transport: str) -> list[str]:
-    """Topics that bring the images of `topic`; either does with the transport ``auto``."""
+    """Topics with the images of `topic` by a transport; both for ``auto``."""
     topics = {'raw': topic, 'compressed': f'{topic}/compressed'}
     return [topics[transport]] if transport in topics else list(topics.values())
 
@@ -20,9 +20,9 @@ class ImageSource:
     """
     Subscription to the images of `topic` or of ``topic/compressed``.
 
-    With the transport ``auto`` both are tried. Raw images do until compressed ones come, which
-    then stay alone: an image neither travels nor is handled twice, and large messages get lost
-    on common middleware. An image that is published twice is handled once.
+    With the transport ``auto`` both are subscribed. Raw images are used until the first compressed
+    one; then the raw subscription ends: that saves bandwidth, and common middleware loses large
+    messages. A repeated image is handled once.
     """
 
     def __init__(
@@ -57,6 +57,6 @@ class ImageSource:
 
     def _keep(self, name: str | None) -> None:
         for other in list(self._subscriptions):
-            # Another thread may close them meanwhile.
+            # Another thread may close it at the same time.
             if other != name and (ended := self._subscriptions.pop(other, None)) is not None:
                 self._node.destroy_subscription(ended)

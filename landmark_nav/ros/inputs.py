@@ -1,4 +1,4 @@
-"""What arrives on the topics that a node listens to, and what is wrong with it, for people."""
+"""State of the inputs of a node, and texts about their problems for diagnostics."""
 
 from __future__ import annotations
 
@@ -14,42 +14,42 @@ from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.topics import SENSOR_DATA, Topic, TOPICS
 
-# A stream from which nothing came for so long is silent.
+# Time without messages after which a stream counts as silent.
 _SILENCE_S = 2.0
-# Two sources whose messages alternated within so long are both at work.
+# If messages of two publishers alternate within this time, both are active.
 _ALTERNATION_S = 5.0
-# Stamps of different streams differ by less, even if one lags behind on a slow machine; a bag may
-# be played at so many times its rate.
+# Largest difference of stamps of two streams by the same clock, even on a slow machine; largest
+# rate at which a bag is played.
 _CLOCK_S, _FASTEST_PLAY = 5.0, 20.0
-# Names that one line lists.
+# Largest number of names in a text.
 _LISTED = 3
-# Beside streams, nodes that listen to these can do nothing without them.
+# Topics, besides streams, without which a node that subscribes to them cannot work.
 _AWAITED = ('landmarks', 'odometry/fused')
-# Where rclpy listens for the time with `use_sim_time`.
+# Topic of the time with `use_sim_time`.
 _CLOCK = '/clock'
 
 
 class IrrelevantError(LandmarkNavError):
-    """A message is in order, but not about what the node uses: it says what it is about."""
+    """A valid message without data that the node uses; the text says what it contains."""
 
 
 class Input:
     """
-    One input of a node: a topic, or several that bring the same in different forms.
+    One input of a node: a topic, or several topics with the same data in different forms.
 
     Parameters
     ----------
     topics : mapping of str to Topic or None
-        Names, relative or not, and what is known of them.
+        Names, relative or absolute, and their types and QoS if known.
 
     Attributes
     ----------
     name : str
         Resolved name of the first topic.
     is_stream : bool
-        Whether it comes all the time, from sensors.
+        Whether it is sensor data, which arrive continuously.
     is_awaited : bool
-        Whether a node can do nothing before it is there.
+        Whether the node cannot work without it.
     """
 
     def __init__(self, node: Node, topics: Mapping[str, Topic | None]) -> None:
@@ -69,7 +69,7 @@ class Input:
         self._changes: deque[tuple[float, bytes]] = deque(maxlen=8)
 
     def arrived(self, message: Any, info: Mapping[str, Any]) -> None:
-        """Take note of a message before it is used."""
+        """Register a message before it is used."""
         self._count += 1
         self._arrived_s = time.monotonic()
         source = bytes((info.get('publisher_gid') or {}).get('data', b''))
@@ -81,16 +81,16 @@ class Input:
             self._stamp_ns = int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
     def used(self) -> None:
-        """Take note that the last message was of use."""
+        """Register that the last message was used."""
         self._used_s = time.monotonic()
 
     def of_no_use(self, why: str) -> None:
-        """Take note that the last message was about something else."""
+        """Register that the last message was irrelevant."""
         self._irrelevant = why
 
     @property
     def publisher(self) -> str:
-        """Who sent the last message: the name of a node, or what is known instead."""
+        """Name of the node that published the last message; '' before the first."""
         return self._name_of(self._last_source) if self._arrived_s is not None else ''
 
     @property
@@ -99,14 +99,14 @@ class Input:
         return self._arrived_s is None
 
     def moment(self) -> tuple[float, float] | None:
-        """Arrival and stamp of the newest message, s; None where they say nothing of now."""
+        """Arrival and stamp of the newest message, s; None if the stream is silent."""
         at_work = self._arrived_s is not None and self._silent_s() < _SILENCE_S
         return (
             (self._arrived_s or 0.0, 1e-9 * self._stamp_ns) if at_work and self._stamp_ns else None
         )
 
     def waits(self) -> str:
-        """What the node waits for, and why nothing arrives; empty while messages arrive."""
+        """Text: the topic, and why nothing arrives; '' while messages arrive."""
         if self._arrived_s is None:
             why = self._why_none()
         elif not self.is_stream or self._silent_s() < _SILENCE_S or not self._is_open():
@@ -116,7 +116,7 @@ class Input:
         return f'{self.name} ({why})' if why else ''
 
     def problems(self) -> Iterator[str]:
-        """What is wrong with the messages that come."""
+        """Yield texts about problems of the messages that arrive."""
         now_s = time.monotonic()
         unused_s = now_s - self._used_s if self._used_s is not None else _SILENCE_S
         if self._irrelevant and unused_s >= _SILENCE_S and self._silent_s() < _SILENCE_S:
@@ -126,16 +126,16 @@ class Input:
             yield f'{self.name} comes from two publishers, {" and ".join(names)}: stop one of them'
 
     def _sources(self, now_s: float) -> list[str]:
-        """Who publishes now; several only if they alternate, not if one took over from another."""
+        """Active publishers; several only if they alternate, not after a change of publisher."""
         if not self._last_source:
-            # Not every middleware gives the source of a message: all that are known count.
+            # Not every middleware gives the publisher of a message: all known ones count.
             return sorted(map(_full_name, self._endpoints()))
         recent = [source for at_s, source in self._changes if now_s - at_s < _ALTERNATION_S]
         alternate = len(set(recent)) < len(recent)
         return sorted(map(self._name_of, set(recent))) if alternate else []
 
     def report(self) -> str:
-        """State in a few words, for the values of diagnostics."""
+        """Short text of the state, for the values of diagnostics."""
         now_s = time.monotonic()
         rate_hz = (self._count - self._reported) / max(now_s - self._reported_s, 1e-3)
         self._reported, self._reported_s = self._count, now_s
@@ -154,14 +154,14 @@ class Input:
         return any(sub.topic_name in self._topics for sub in self._node.subscriptions)
 
     def _why_none(self) -> str:
-        """Why nothing came yet."""
+        """Text: why nothing has arrived yet."""
         publishers = {
             topic: self._node.get_publishers_info_by_topic(topic) for topic in self._topics
         }
         if not any(publishers.values()):
             alike = _listed(self._alike()) if self.is_stream else ''
             return 'nobody publishes it' + (f'; of its type there is {alike}' if alike else '')
-        # As the node asks for it, which `qos_overrides` may have changed.
+        # QoS of the subscriptions, which `qos_overrides` may have changed.
         asked = {sub.topic_name: sub.qos_profile for sub in self._node.subscriptions}
         for topic, found in publishers.items():
             spec = self._topics[topic]
@@ -175,7 +175,7 @@ class Input:
         return f'nothing came from {who} yet' if self._is_open() else ''
 
     def _alike(self) -> list[str]:
-        """Other topics of its type that somebody publishes, the most alike first."""
+        """Other published topics of its type, by similarity of their names."""
         types = {spec.type_name for spec in self._topics.values() if spec is not None}
         public = {self._node.resolve_topic_name(name) for name in TOPICS}
         there = [
@@ -187,7 +187,7 @@ class Input:
         return [topic for topic in there if self._node.count_publishers(topic)]
 
     def _name_of(self, source: bytes) -> str:
-        """Full name of the node behind a publisher."""
+        """Full name of the node of a publisher."""
         if source not in self._names:
             self._names |= {bytes(one.endpoint_gid): _full_name(one) for one in self._endpoints()}
         unknown = 'an unknown node' if source else _listed(self._names.values())
@@ -201,7 +201,7 @@ class Input:
 
 
 class Inputs:
-    """All inputs of a node, and what else concerns them: clocks, and a second node of its name."""
+    """All inputs of a node, with checks of clocks and of a second node of the same name."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -209,7 +209,7 @@ class Inputs:
         self._twin_looks = 0
 
     def expect(self, *names: str) -> Input:
-        """Input of these topics, which bring the same; known from now on, listened to or not."""
+        """Register and return the input of these topics, which hold the same data."""
         resolved = [self._node.resolve_topic_name(name) for name in names]
         known = next((self._by_topic[k] for k in resolved if k in self._by_topic), None)
         if known is None:
@@ -218,46 +218,46 @@ class Inputs:
         return known
 
     def origin(self, topic: str) -> str:
-        """`` from NODE``, that of the last message of a topic; nothing where none is known."""
+        """`` from NODE``: publisher of the last message of a topic; '' if it is unknown."""
         known = self._by_topic.get(self._node.resolve_topic_name(topic))
         return f' from {known.publisher}' if known is not None and known.publisher else ''
 
     def __iter__(self) -> Iterator[Input]:
-        """Each once."""
+        """Iterate over the inputs."""
         return iter(dict.fromkeys(self._by_topic.values()))
 
     def why_none(self, topic: str) -> str:
-        """`: WHY`, that nothing of use comes on a topic; nothing where that is not known."""
+        """``: REASON`` why nothing useful arrives on a topic; '' if it is unknown."""
         known = self.expect(topic)
         why = next(known.problems(), '') or known.waits()
         return f': {why}' if why else ''
 
     def waits(self) -> str:
-        """Streams that do not come, in one line; nothing where all do."""
+        """Text: the streams that do not arrive; '' if all do."""
         streams = [one for one in self if one.is_stream and one.name != _CLOCK]
         waits = [words for one in streams if (words := one.waits())]
         return f'waits for {", ".join(waits)}' if waits else ''
 
     def awaited(self) -> list[Input]:
-        """Those without which the node can do nothing."""
+        """Inputs without which the node cannot work."""
         return [one for one in self if one.is_awaited and one.name != _CLOCK]
 
     def values(self) -> dict[str, str]:
-        """State of each, by its resolved name."""
+        """State of each input, by its resolved name."""
         return {one.name: one.report() for one in self}
 
     def problems(self) -> list[str]:
-        """What is wrong, in words that say what to do; called once a second."""
+        """Texts of problems with what to do; called once a second."""
         found = [words for one in self for words in one.problems()]
         return [*found, *self._clocks(), *self._twins()]
 
     def _clocks(self) -> Iterator[str]:
-        """A clock that does not come, and streams stamped by another clock than most."""
+        """Yield texts: a missing clock, and streams with stamps of another clock than most."""
         clock = self._by_topic.get(_CLOCK)
         if clock is not None and clock.never_came and (words := clock.waits()):
             yield f'use_sim_time is set and no time comes on {words}'
         moments = {one.name: moment for one in self if (moment := one.moment()) is not None}
-        # Of two streams the one counts that the node's own clock is near.
+        # Between two streams, the clock of the node decides.
         own = time.monotonic(), 1e-9 * self._node.get_clock().now().nanoseconds
         voters = [*moments.values(), own]
 
@@ -274,7 +274,7 @@ class Inputs:
                 )
 
     def _twins(self) -> Iterator[str]:
-        """Another node of the same name; one look may be at one that is just leaving."""
+        """Yield a text about another node of the same name, if it is there twice in a row."""
         own = self._node.get_name(), self._node.get_namespace()
         several = self._node.get_node_names_and_namespaces().count(own) > 1
         self._twin_looks = self._twin_looks + 1 if several else 0
@@ -284,7 +284,7 @@ class Inputs:
 
 
 def _same_clock(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Whether two moments, arrival and stamp in s, are by one clock."""
+    """Whether two pairs of arrival and stamp, s, can be by the same clock."""
     apart_s = abs(one[0] - other[0])
     return abs(one[1] - other[1]) < _CLOCK_S + _FASTEST_PLAY * apart_s
 
@@ -298,7 +298,7 @@ def _full_name(endpoint: Any) -> str:
 
 
 def _listed(names: Any) -> str:
-    """The first names, each once."""
+    """Text: the first distinct names, and how many more there are."""
     unique = list(dict.fromkeys(names))
     more = f' and {len(unique) - _LISTED} more' if len(unique) > _LISTED else ''
     return ', '.join(unique[:_LISTED]) + more

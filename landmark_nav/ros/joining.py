@@ -1,4 +1,4 @@
-"""The way into a ROS graph."""
+"""Initialisation of ROS, and synchronised subscriptions."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from landmark_nav.ros.node import LandmarkNode
 
 def join_ros(context: Context | None = None, domain_id: int | None = None) -> int:
     """
-    Initialise ROS by the command line, signals left alone; return the domain.
+    Initialise ROS by the command line, without signal handlers; return the domain.
 
     Raises `LandmarkNavError`: ROS refuses the arguments, a parameter file or the environment.
 
     Parameters
     ----------
     context : Context, optional
-        The process's own by default.
+        Context to initialise; the default context of the process if omitted.
     domain_id : int, optional
-        That of the environment by default.
+        ROS domain; that of the environment if omitted.
     """
     domain_id = (chosen_domain() or 0) if domain_id is None else domain_id
     try:
@@ -41,14 +41,14 @@ def join_ros(context: Context | None = None, domain_id: int | None = None) -> in
     return domain_id
 
 
-# Sets that may be incomplete at once; the oldest is forgotten first.
+# Largest number of incomplete sets; the oldest is dropped first.
 _MAX_WAITING = 8
 
 
 def listen_together(
     node: LandmarkNode, topics: Sequence[str], callback: Callable[..., None]
 ) -> None:
-    """Call back with one message of each topic, in their order, once all of a stamp are there."""
+    """Call back with one message of each topic, in their order, when all of a stamp arrived."""
     waiting: dict[int, dict[str, Any]] = {}
 
     def take(topic: str, message: Any) -> None:

@@ -1,4 +1,4 @@
-"""How old things are when they are done, for ``/diagnostics``."""
+"""Latency of results, for ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ from collections import deque
 
 import numpy as np
 
-# The last ones count, some seconds of images.
+# Number of recent latencies: some seconds of images.
 _KEPT = 100
-# An age beyond that is no age: the stamps come from another clock, such as a bag's.
+# Beyond this, the stamps are of another clock, such as that of a bag.
 _OTHER_CLOCK_NS = 10**10
 
 
 class Latency:
-    """Ages of the last results: time from an image's stamp until it was used."""
+    """Latencies of the recent results: time from the stamp of an image until its use."""
 
     def __init__(self) -> None:
         self._ages_ns: deque[int] = deque(maxlen=_KEPT)
 
     def note(self, age_ns: int) -> None:
-        """Take an age; none at all if the clocks differ."""
+        """Add a latency; it is ignored if the clocks differ."""
         if abs(age_ns) < _OTHER_CLOCK_NS:
             self._ages_ns.append(age_ns)
 
     def values(self) -> dict[str, object]:
-        """Median and 95th percentile, for diagnostics."""
+        """Median and 95th percentile, for the values of diagnostics."""
         if not self._ages_ns:
             return {}
         ages_ms = 1e-6 * np.array(self._ages_ns)

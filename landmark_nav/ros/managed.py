@@ -1,4 +1,4 @@
-"""Nodes that a lifecycle manager, such as Nav2's, can run."""
+"""Lifecycle nodes, which a lifecycle manager such as that of Nav2 can control."""
 
 # rclpy is not typed in every distribution: its Node may be Any here.
 # mypy: disallow_subclassing_any=False
@@ -22,7 +22,7 @@ _KINDS = ('publisher', 'subscription', 'service', 'client', 'timer')
 
 @dataclass(frozen=True)
 class Startup(Config):
-    """Of every node."""
+    """Parameters of every node."""
 
     autostart: bool = parameter(
         True, 'configure and activate as the node starts; false: a lifecycle manager does it'
@@ -33,10 +33,9 @@ class ManagedNode(LifecycleNodeMixin, Node):
     """
     A node with the states of `rclpy.lifecycle`: unconfigured, inactive, active, finalized.
 
-    To configure is to read parameters and files and to make publishers, subscriptions, services
-    and timers (`set_up`); to clean up is to destroy these. An inactive node keeps what it has,
-    drops what arrives but for latched messages, which come once, and refuses its services.
-    There is no bond: rclpy has none.
+    Configuration reads parameters and files and creates publishers, subscriptions, services and
+    timers (`set_up`); cleanup destroys these. An inactive node keeps its state, drops messages
+    except latched ones, and refuses its services. There is no bond: rclpy does not support it.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -45,37 +44,37 @@ class ManagedNode(LifecycleNodeMixin, Node):
         self._failure: Exception | None = None
         self._destroyed = False
         Node.__init__(self, name, **options)
-        # A manager is answered while callbacks are at work.
+        # An own group, so that the manager is answered while callbacks run.
         LifecycleNodeMixin.__init__(self, callback_group=MutuallyExclusiveCallbackGroup())
 
     def set_up(self) -> None:
-        """Make all that the node works with; overridden by each."""
+        """Create what the node works with; overridden by each node."""
 
     def close_with(self, action: Callable[[], None]) -> None:
-        """Have something that was set up, such as a thread, ended before the topics are."""
+        """Register an action of cleanup, such as the end of a thread, before topics end."""
         self._closing.append(action)
 
     @property
     def state(self) -> str:
-        """Label of its state."""
-        # A machine that is destroyed ends the process of who asks it.
+        """Label of the lifecycle state."""
+        # Reading the state of a destroyed state machine crashes the process.
         return 'finalized' if self._destroyed else str(self._state_machine.current_state[1])
 
     @property
     def is_active(self) -> bool:
-        """Whether it works on what arrives."""
+        """Whether the node handles messages."""
         return self.state == 'active'
 
     @property
     def is_idle(self) -> bool:
-        """Whether nothing would be missing if all were destroyed now; overridden."""
+        """Whether cleanup is possible now; overridden."""
         return True
 
     def start(self) -> None:
         """
-        Configure and activate, unless ``autostart`` is false; raises what `set_up` raises.
+        Configure and activate, unless ``autostart`` is false; raises exceptions of `set_up`.
 
-        Until then, what the node makes is its foundation: it works in all states, and stays.
+        What the node has created before this call works in all states, and cleanup keeps it.
         """
         self._foundation = self._made()
         if declare(self, Startup(), ('autostart',)).autostart:
@@ -91,13 +90,13 @@ class ManagedNode(LifecycleNodeMixin, Node):
             self._failure = error
             self._take_down()
             if self.executor is not None:
-                # Else the node is just made, and whoever makes it hears of this.
+                # Without an executor, `start` raises the error.
                 self.get_logger().error(one_line(f'not configured: {error}'))
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take down, unless a service is at work."""
+        """Take down, unless a service call is running."""
         if not self.is_idle:
             self.get_logger().warning('not cleaned up: a service is at work')
             return TransitionCallbackReturn.FAILURE
@@ -105,18 +104,18 @@ class ManagedNode(LifecycleNodeMixin, Node):
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take down for good; the process stays until it is ended."""
+        """Take down for good; the process continues until it is ended."""
         self._take_down()
         return TransitionCallbackReturn.SUCCESS
 
     on_error = on_shutdown
 
     def destroy_node(self) -> None:
-        """Leave nobody behind who publishes."""
+        """Close what the node created, then destroy the node."""
         self._close()
         self._destroyed = True
         super().destroy_node()
-        # Else it keeps the node in the graph until Python collects both.
+        # Otherwise the node stays in the graph until garbage collection.
         self._state_machine.destroy_when_not_in_use()
 
     def _made(self) -> dict[str, list[Any]]:

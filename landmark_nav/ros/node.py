@@ -1,4 +1,4 @@
-"""What all nodes of the package share: topics by name, guarded callbacks, services, health."""
+"""Base class of the nodes: topics by name, guarded callbacks, services, diagnostics."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from landmark_nav.ros.renamed_topics import (
 )
 from landmark_nav.ros.topics import TOPICS, with_depth
 
-# Parameters that name files end so.
+# Suffixes of parameters with names of files.
 _FILES = ('_file', '_folder', 'bag')
-# What every node of rclpy publishes.
+# Topics that every node publishes.
 _OF_RCLPY = ('/rosout', '/parameter_events', '/diagnostics')
-# Different lines that a node logs of its input.
+# Largest number of different warnings of a node.
 _MOST_LOGGED = 200
 
-# Over a link that loses packets, only what is sent again arrives whole.
+# Over a lossy link, only reliable transport delivers large messages.
 _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.RELIABILITY,))
 
 
@@ -49,22 +49,22 @@ class LandmarkNode(ManagedNode):
     """
     Base of the package's nodes.
 
-    An error in a callback drops that message, is logged once and is counted in ``/diagnostics``;
-    it never ends the node. It is bad input (`LandmarkNavError`), or a fault of the program: then
-    its traceback is logged.
+    An error in a callback drops the message, is logged once and is counted in ``/diagnostics``; it
+    does not end the node. Errors are bad input (`LandmarkNavError`), or bugs, of which the
+    traceback is logged.
 
     Parameters
     ----------
     name : str
-        Name of the node, also that of its executable.
+        Name of the node and of its executable.
     subcomponent : str
-        What ``/diagnostics`` calls its work.
+        Name of its task in ``/diagnostics``.
     **options
-        Passed on to `rclpy.node.Node`, such as `context` or `parameter_overrides`.
+        Options of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
     """
 
     def __init__(self, name: str, subcomponent: str, **options: Any) -> None:
-        # rclpy subscribes to /clock as it begins.
+        # Before super().__init__: rclpy subscribes to /clock there.
         self.inputs = Inputs(self)
         self._logged: set[str] = set()
         self._dropped: Counter[str] = Counter()
@@ -79,11 +79,11 @@ class LandmarkNode(ManagedNode):
         self.start()
 
     def health(self) -> Health:
-        """How well the node does; overridden by each."""
+        """State of the node; overridden by each node."""
         raise NotImplementedError
 
     def end(self, failure: LandmarkNavError | None = None) -> None:
-        """Have `run_node` end the process; callbacks under way see `ended`."""
+        """Make `run_node` end the process; running callbacks see `ended`."""
         if self.ended.done():
             return
         if failure is None:
@@ -93,11 +93,11 @@ class LandmarkNode(ManagedNode):
 
     @property
     def is_idle(self) -> bool:
-        """Whether no service is at work."""
+        """Whether no service call is running."""
         return not self._calls
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Log what the node takes and gives, where it is running already."""
+        """Log inputs and outputs of the node, if it is in an executor already."""
         if self.executor is not None:
             self.announce()
         return super().on_activate(state)
@@ -123,13 +123,13 @@ class LandmarkNode(ManagedNode):
         self._awaits = bool(awaited)
 
     def _note_complete(self) -> None:
-        """Log once that all that the node waited for is there."""
+        """Log once that all awaited inputs have arrived."""
         if self._awaits and not any(one.waits() for one in self.inputs.awaited()):
             self._awaits = False
             self._log.info('has all that it waited for')
 
     def required(self, name: str, value: str) -> str:
-        """Value of a parameter that has no sensible default, such as the path of a file."""
+        """Value of a parameter without a default, such as the path of a file."""
         if not value:
             raise LandmarkNavError(
                 f'parameter {name} of {self.get_name()} is not set: give it as --ros-args '
@@ -138,7 +138,7 @@ class LandmarkNode(ManagedNode):
         return value
 
     def advertise(self, topic: str) -> Publisher[Any]:
-        """Publisher of a public topic; ``qos_overrides`` may change its reliability."""
+        """Create the publisher of a public topic; ``qos_overrides`` may change its reliability."""
         spec = TOPICS[topic]
         with _overriding(topic):
             return self.create_publisher(
@@ -176,7 +176,7 @@ class LandmarkNode(ManagedNode):
     def create_subscription(  # type: ignore[override]
         self, msg_type: Any, topic: str, callback: Callable[[Any], None], *args: Any, **given: Any
     ) -> Subscription[Any]:
-        """Subscribe as rclpy does, with a callback that is watched and guarded."""
+        """Subscribe as in rclpy; the callback is guarded and registered in `inputs`."""
         source = self.inputs.expect(topic)
         spec = TOPICS.get(topic)
         comes_once = spec is not None and spec.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL
@@ -201,7 +201,7 @@ class LandmarkNode(ManagedNode):
     def create_publisher(
         self, msg_type: Any, topic: str, *args: Any, **given: Any
     ) -> Publisher[Any]:
-        """Make a publisher as rclpy does; it also serves the former name of a renamed topic."""
+        """Create a publisher as in rclpy, with the former name of a renamed topic."""
         made = super().create_publisher(msg_type, topic, *args, **given)
         if topic not in FORMER_NAMES:
             return made
@@ -212,7 +212,7 @@ class LandmarkNode(ManagedNode):
     def create_timer(  # type: ignore[override]
         self, timer_period_sec: float, callback: Callable[[], None], *args: Any, **given: Any
     ) -> Timer:
-        """Make a timer as rclpy does, with a callback that is guarded and rests with the node."""
+        """Create a timer as in rclpy; the callback is guarded and runs in an active node only."""
         guarded = self.guarded(getattr(callback, '__name__', 'timer'), callback)
 
         def tick() -> None:
@@ -222,7 +222,7 @@ class LandmarkNode(ManagedNode):
         return super().create_timer(timer_period_sec, tick, *args, **given)
 
     def _stamped(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Callback whose messages have the time of arrival where they have no stamp."""
+        """Wrap a callback: messages without a stamp get the time of arrival."""
 
         def stamped(message: Any) -> None:
             if decode.is_unstamped(message):
@@ -240,10 +240,10 @@ class LandmarkNode(ManagedNode):
         group: CallbackGroup | None = None,
     ) -> None:
         """
-        Offer a Trigger service: `action` returns what it did or raises why it could not.
+        Offer a Trigger service: `action` returns the message, or raises `LandmarkNavError`.
 
-        One that waits for what other callbacks do is a coroutine in a group of its own, which
-        leaves soon once the node has `ended`.
+        An action that waits for other callbacks is a coroutine in a callback group of its own; it
+        must return soon after the node has `ended`.
         """
 
         async def answer(_request: Any, response: Any) -> Any:
@@ -273,22 +273,22 @@ class LandmarkNode(ManagedNode):
             self.calls_that_wait -= 1
 
     def drop(self, what: str, error: object) -> None:
-        """Note that something, such as a message of a topic, was not used, and why."""
+        """Report that something, such as a message of a topic, was dropped, and why."""
         self._dropped[what] += 1
         origin = self.inputs.origin(what)
         self.note(f'{what}{origin} dropped: {error}', f'{what} dropped: {error}')
 
     def note(self, text: str, essence: str = '') -> None:
         """
-        Report a problem in the next ``/diagnostics``; the same words are logged once.
+        Report a problem in the next ``/diagnostics``; each text is logged once.
 
-        Diagnostics leave it out where the node's own words hold the `essence`.
+        Diagnostics omit it if the reason of the node contains the `essence`.
         """
         self._last_problem = one_line(text), essence or text
         self._warn_once(self._last_problem[0])
 
     def fault(self, what: str, error: Exception) -> str:
-        """Words for an error of the program itself, whose traceback is logged once."""
+        """Text for a bug; the traceback is logged once."""
         self.internal_errors += 1
         where = ''.join(traceback.format_tb(error.__traceback__)[-1:])
         if self._is_new(where):
@@ -296,7 +296,7 @@ class LandmarkNode(ManagedNode):
         return one_line(f'internal error, please report it: {error!r}')
 
     def guarded(self, what: str, callback: Callable[..., None]) -> Callable[..., None]:
-        """Callback that drops bad input, survives any other error, and notes why."""
+        """Wrap a callback: errors are reported, and do not end the node."""
 
         def guarded(*given: Any) -> None:
             self._attempt(what, callback, *given)
@@ -304,7 +304,7 @@ class LandmarkNode(ManagedNode):
         return guarded
 
     def _attempt(self, what: str, action: Callable[..., None], *given: Any) -> bool:
-        """Call back; whether that went well."""
+        """Call back; return whether there was no error."""
         try:
             action(*given)
         except IrrelevantError:
@@ -322,7 +322,7 @@ class LandmarkNode(ManagedNode):
             self._log.warning('%s', words)
 
     def _is_new(self, words: str) -> bool:
-        """Whether something is to be logged; input that varies without end is not."""
+        """Whether a text was not logged before; False after too many different texts."""
         if words in self._logged or len(self._logged) >= _MOST_LOGGED:
             return False
         self._logged.add(words)
@@ -352,7 +352,7 @@ class LandmarkNode(ManagedNode):
 
 @contextmanager
 def _overriding(topic: str) -> Iterator[None]:
-    """Name the parameter that rclpy can not use."""
+    """Convert errors of rclpy about ``qos_overrides`` to `LandmarkNavError`."""
     try:
         yield
     except (RuntimeError, InvalidParameterTypeException) as error:

@@ -1,4 +1,4 @@
-"""``pan_tilt/command`` in the message type that the robot's controller takes."""
+"""``pan_tilt/command`` in the message type of the robot's controller."""
 
 from __future__ import annotations
 
@@ -23,20 +23,22 @@ _CLASSES: dict[str, Any] = {
     'JointState': JointState,
     'Float64MultiArray': Float64MultiArray,
 }
-# Controllers refuse a move that takes no time.
+# Smallest duration of a move: controllers refuse a duration of 0.
 _MIN_DURATION_S = 0.1
 
 
 class PanCommander:
     """
-    Publishes where the camera should look.
+    Publishes pan commands.
 
     Parameters
     ----------
     mount : PanTiltMount
         Names of the joints, rate of the pan.
+    kind : str
+        Message type: a key of `_CLASSES`.
     with_tilt : bool
-        Whether the tilt joint is commanded too, to stay level.
+        Whether the tilt joint is commanded too, to 0.
     """
 
     def __init__(
@@ -47,7 +49,7 @@ class PanCommander:
         self._publisher = node.create_publisher(_CLASSES[kind], _TOPIC, RELIABLE)
 
     def command(self, pan_rad: float, from_pan_rad: float | None = None) -> None:
-        """Turn to `pan_rad`; `from_pan_rad`, where known, sets the duration of the move."""
+        """Turn to `pan_rad`; `from_pan_rad`, if known, determines the duration of the move."""
         positions = [pan_rad, 0.0][: len(self._joints)]
         stamp = self._node.get_clock().now().to_msg()
         if self._kind == 'Float64MultiArray':
@@ -62,7 +64,7 @@ class PanCommander:
                 positions=positions,
                 time_from_start=Duration(sec=int(seconds), nanosec=int(seconds % 1.0 * 1e9)),
             )
-            # A stamp of zero means: start now, whatever the delay on the way.
+            # A stamp of zero means: start on arrival.
             message = JointTrajectory(joint_names=self._joints, points=[point])
         self._publisher.publish(message)
 
@@ -70,7 +72,7 @@ class PanCommander:
 def listen_for_pan(
     node: LandmarkNode, mount: PanTiltMount, kind: str, callback: Callable[[float], None]
 ) -> Subscription[Any]:
-    """Call back with the pan of every command that somebody gives."""
+    """Call back with the pan of every command."""
 
     def take(message: Any) -> None:
         if kind == 'Float64MultiArray':

@@ -23,22 +23,22 @@ _LARGEST_INTEGER = 2**63 - 1
 
 def settle(node: Node, config: Any) -> Mapping[str, Any]:
     """
-    Give parameters the values of their former names; warn of all given values that nothing reads.
+    Map former names of parameters to new ones; warn of unknown parameters.
 
     Parameters
     ----------
     node : Node
-        What values it was given, in files or on the command line.
+        Node with values from files or the command line.
     config : dataclass instance
-        All parameters, also those of other nodes: files may be for several.
+        All parameters, with those of other nodes, since files may be for several nodes.
 
     Returns
     -------
     mapping
-        Fields of `robot.yaml` that parameters of the last release gave.
+        Fields of `robot.yaml` that were parameters in the last release.
     """
-    overrides = getattr(node, '_parameter_overrides', {})  # rclpy has them nowhere else
-    # What rclpy declares itself, or as topics are made, is not ours.
+    overrides = getattr(node, '_parameter_overrides', {})  # not public in rclpy
+    # Parameters of rclpy itself are left out.
     own = {
         key: value
         for key, value in overrides.items()
@@ -59,11 +59,10 @@ def declare(node: Node, config: T, names: Collection[str]) -> T:
     """
     Declare parameters of a dataclass and return it with their values.
 
-    Values come from the node's parameter file or the command line; parameters without one keep
-    their defaults. Those that are declared already keep their values.
+    Values come from a parameter file or the command line; other parameters keep their defaults.
+    Parameters that are already declared keep their values.
 
-    Raises `LandmarkNavError`: a value has the wrong type, is out of range, or does not agree with
-    the others.
+    Raises `LandmarkNavError`: a value has the wrong type, is out of range, or contradicts others.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """
-Renamed topics: for one release, who uses the former name is served as well, with a warning.
+Renamed topics: for one release the former names work too, with a warning.
 
-A node that has an end at the new name needs none at the former one, so no message goes both ways.
+A node with an endpoint at the new name does not use the former one, so no message arrives twice.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-# Name -> that in the last release.
+# New name -> name in the last release.
 FORMER_NAMES = {
     'global_localization/pose': 'found_place',
     '~/landmark_visibility': '~/standing',
@@ -22,14 +22,14 @@ FORMER_NAMES = {
 
 class RenamedPublisher:
     """
-    Publisher that also serves those who know its topic by the former name alone.
+    Publisher that also serves nodes which subscribe to the former name only.
 
     Parameters
     ----------
     publisher, former : Publisher
-        Of the new name and of the former one.
+        Publishers at the new and at the former name.
     warn : callable
-        Takes a warning; it logs each once.
+        Logs a warning once.
     """
 
     def __init__(
@@ -42,11 +42,11 @@ class RenamedPublisher:
         self._node, self._publisher, self._former, self._warn = node, publisher, former, warn
 
     def __getattr__(self, name: str) -> Any:
-        """All but `publish` is that of the publisher of the new name."""
+        """Delegate other attributes to the publisher at the new name."""
         return getattr(self._publisher, name)
 
     def publish(self, message: Any) -> None:
-        """Publish, also by the former name if somebody knows no other."""
+        """Publish; also at the former name if a node subscribes only there."""
         self._publisher.publish(message)
         if not self._former.get_subscription_count():
             return
@@ -58,16 +58,16 @@ class RenamedPublisher:
 
 class FormerSubscription:
     """
-    Callback for the former name of a topic: takes what a node publishes by that name alone.
+    Callback for the former name of a topic, if a node publishes only there.
 
     Parameters
     ----------
     former, name : str
         Resolved names of the topic.
     callback : callable
-        Takes each message.
+        Called with each message.
     warn : callable
-        Takes a warning; it logs each once.
+        Logs a warning once.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class FormerSubscription:
         self._callback, self._warn = callback, warn
 
     def __call__(self, message: Any) -> None:
-        """Use a message."""
+        """Handle a message."""
         ends = self._node.get_publishers_info_by_topic
         if who := _only_former(ends, self._former, self._name):
             self._warn(_warning(who, 'publishes', self._former, self._name))
@@ -90,7 +90,7 @@ class FormerSubscription:
 
 
 def _only_former(ends: Callable[[str], list[Any]], former: str, name: str) -> str:
-    """First node, by name, that has an end at the former name and none at the new one, or ''."""
+    """First node with an endpoint at the former name and none at the new one, or ''."""
     old, new = (
         {f'{end.node_namespace.rstrip("/")}/{end.node_name}' for end in ends(topic)}
         for topic in (former, name)

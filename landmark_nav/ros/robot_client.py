@@ -1,4 +1,4 @@
-"""What a program that conducts the nodes needs of ROS: call, listen, drive, record."""
+"""Client for programs that control the nodes: call services, listen, drive, record."""
 
 from __future__ import annotations
 
@@ -33,18 +33,20 @@ _AGAIN_S = 0.5
 
 class ServiceDiscovery:
     """
-    Context manager that finds out whether the node of a service has discovered this one.
+    Context manager that detects whether the server of a service has discovered this node.
 
-    A client is ready once it knows the server. The server may come to know the client later, and
-    an answer that it gives before is lost (rmw_fastrtps waits 0.1 s for that; its issue 842). But
-    a node makes its ends known in the order in which it made them, by one reliable writer: who
-    answers a client made later knows the earlier ones too. So every node's ``get_parameters`` is
-    asked for nothing, until it answers.
+    A client is ready when it has discovered the server. The server may discover the client later,
+    and an earlier answer is lost (rmw_fastrtps waits 0.1 s for that; its issue 842). But a node
+    announces its endpoints in the order of their creation by one reliable writer: a server that
+    answers a client created later has discovered the earlier ones. So ``get_parameters`` of the
+    server is called without names until it answers.
 
     Parameters
     ----------
     node : Node
-        Who has made a client of that service already.
+        Node that has created a client of the service.
+    service : str
+        Name of the service.
     """
 
     def __init__(self, node: Node, service: str) -> None:
@@ -58,12 +60,12 @@ class ServiceDiscovery:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Ask no more."""
+        """Destroy the client."""
         if self._client is not None:
             self._node.destroy_client(self._client)
 
     def is_complete(self) -> bool:
-        """Whether it is; asks again now and then."""
+        """Whether the server has discovered this node; repeats the call every `_AGAIN_S`."""
         if self._client is None and (server := self._server()):
             self._client = self._node.create_client(GetParameters, f'{server}/get_parameters')
         ready = self._client is not None and self._client.service_is_ready()
@@ -73,12 +75,12 @@ class ServiceDiscovery:
         return any(answer.done() for answer in self._answers)
 
     def _server(self) -> str:
-        """Full name of the node that offers the service, '' while that is not known."""
+        """Full name of the node that offers the service; '' while it is unknown."""
         node = self._node
         for name, space in node.get_node_names_and_namespaces():
             try:
                 offered = dict(node.get_service_names_and_types_by_node(name, space))
-            except RuntimeError:  # It is gone meanwhile, or not all of it is known yet.
+            except RuntimeError:  # the node has left, or is not fully discovered yet
                 continue
             if self._service in offered:
                 return f'{space.rstrip("/")}/{name}'
@@ -86,7 +88,8 @@ class ServiceDiscovery:
 
 
 _POLL_S = 0.02
-# A node is there within that time after its start, also where a machine starts many at once.
+# Largest time until the service of a node that was just started is discovered, even if a machine
+# starts many nodes at once.
 _START_S = 30.0
 _RECORDED_DEPTH = 200
 _LEVELS = {level.value: level.name for level in Level}
@@ -94,7 +97,7 @@ _LEVELS = {level.value: level.name for level in Level}
 
 @dataclass(frozen=True)
 class NodeStatus:
-    """What a node says on ``/diagnostics``; its level is OK, DEGRADED or LOST."""
+    """State of a node by ``/diagnostics``; the level is OK, DEGRADED or LOST."""
 
     level: str = ''
     reason: str = ''
@@ -102,43 +105,43 @@ class NodeStatus:
 
     @property
     def lost(self) -> bool:
-        """Whether it can not do its work."""
+        """Whether the level is LOST."""
         return self.level == Level.LOST.name
 
 
 class _ClientNode(LandmarkNode):
     def health(self) -> Health:
-        """Always well: it would be gone otherwise."""
+        """Always OK."""
         return Health(Level.OK, 'conducting')
 
 
 class RobotClient:
     """
-    Context manager over a node; nothing runs in the background, `wait` lets messages in.
+    Context manager with a node. Nothing runs in the background: messages are handled in `wait`.
 
     Parameters
     ----------
     domain_id : int, optional
         ROS domain of the nodes; by default that of ``ROS_DOMAIN_ID``, else 0.
     watch : callable
-        Called all the time while waiting; raises to end that.
+        Called repeatedly while waiting; an exception ends the wait.
     name, namespace : str
-        Of its node; topics and services are those of the namespace.
+        Name and namespace of the node; topics and services are in this namespace.
     drives : bool
         Whether it publishes velocities and start poses.
 
     Attributes
     ----------
     status : dict
-        Node -> the last `NodeStatus` it gave of itself.
+        Node -> last `NodeStatus`.
     odometry : OdometrySample or None
-        The last one.
+        Last odometry.
     fused : PoseEstimate or None
-        The last one.
+        Last fused pose.
     fixes : int
-        How many triangulated poses came.
+        Number of triangulated poses.
     panoramas : list of Panorama
-        As they came.
+        All panoramas in the order of arrival.
     """
 
     def __init__(
@@ -151,7 +154,7 @@ class RobotClient:
     ) -> None:
         self._watch = watch
         self._context = Context()
-        # Signals stay with the caller, who has processes to end.
+        # The caller handles signals, since it has processes to end.
         self._domain_id = join_ros(context=self._context, domain_id=domain_id)
         self._node = _ClientNode(name, 'script', context=self._context, namespace=namespace)
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -187,7 +190,7 @@ class RobotClient:
 
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """
-        Let messages in until `condition` holds; `LandmarkNavError` if it takes too long.
+        Handle messages until `condition` is true; `LandmarkNavError` if it takes too long.
 
         `what` completes "waited 10 s in vain for".
         """
@@ -201,7 +204,7 @@ class RobotClient:
             self._watch()
 
     def pause(self, seconds: float) -> None:
-        """Let messages in for so long."""
+        """Handle messages for some time."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             self._executor.spin_once(timeout_sec=min(_POLL_S, seconds))
@@ -213,10 +216,10 @@ class RobotClient:
         """
         Call a Trigger service and return its message.
 
-        `meanwhile` is called while waiting for the answer.
+        `meanwhile` is called repeatedly while waiting for the answer.
 
-        Raises `LandmarkNavError`: it is not there soon, does not answer in time, or refuses; then
-        with its reason.
+        Raises `LandmarkNavError`: the service is not found or does not answer in time, or it
+        refuses; then with its reason.
         """
         client: Any = self._node.create_client(Trigger, service)
         there = f'the service {service} in ROS domain {self._domain_id}'
@@ -264,12 +267,12 @@ class RobotClient:
         self, path: Path, topics: Sequence[str], mount: PanTiltMount | None = None
     ) -> Iterator[None]:
         """
-        Record public topics, as serialised, while in the block.
+        Context manager: record public topics without deserialising them.
 
-        Given the mount, the bag holds the transforms of the robot as well.
+        With a mount, the bag also holds the transforms of the robot.
         """
         transforms = None if mount is None else RobotTransforms(mount)
-        # Transforms are made at the end: this thread steers the robot meanwhile.
+        # Transforms are computed at the end, since this thread also steers the robot.
         kept: list[tuple[str, bytes, int]] = []
         with BagWriter(path) as bag:
 
@@ -305,7 +308,7 @@ class RobotClient:
                         bag.write(name, message, stamp_ns)
 
     def _last_heard(self) -> str:
-        """Last reports of the nodes, which often hold the reason."""
+        """Text: the last reports of the nodes, which often hold the reason."""
         own = self._node.get_name()
         words = [
             f'{name}: {status.reason}'

@@ -1,4 +1,4 @@
-"""`main` of the nodes: spin until SIGINT or SIGTERM, log to ROS, end cleanly."""
+"""`main` of the nodes: spin until SIGINT or SIGTERM, forward logs to ROS, shut down."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class _Forwarder(logging.Handler):
         self._first = nodes[0].get_logger()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log at the nearest ROS severity, as the node whose name ends that of the record."""
+        """Log at the nearest ROS severity, by the node whose name ends the record's name."""
         logger = self._loggers.get(record.name.rpartition('.')[2], self._first)
         text = self.format(record)
         if record.levelno >= logging.ERROR:
@@ -40,15 +40,15 @@ class _Forwarder(logging.Handler):
 
 
 def forward_logs(nodes: Sequence[Node]) -> None:
-    """Send what the package logs to the loggers of nodes, instead of where it went before."""
+    """Send the logs of the package to the loggers of nodes only."""
     package = logging.getLogger('landmark_nav')
     package.handlers = [_Forwarder(nodes)]
     package.setLevel(logging.INFO)
     package.propagate = False
 
 
-# A stage such as learning takes seconds and can't be interrupted; what it writes appears whole or
-# not at all, so the process may end in the midst of it.
+# Time after a signal at which the process ends in any case. A stage such as learning takes seconds
+# and cannot be interrupted; files are written atomically, so that ending is safe.
 _GRACE_S = 2.0
 
 
@@ -59,20 +59,20 @@ def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
 
 def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) -> int:
     """
-    Run nodes in this process, by one executor; if one of them ends, all do.
+    Run nodes in this process with one executor; the end of one node ends all.
 
     Parameters
     ----------
     make_nodes : sequence of callable
-        Each makes one; called once ROS is initialised.
+        Functions that create the nodes after the initialisation of ROS.
     threads : int
-        How many callbacks may run at once.
+        Number of callbacks that may run at once.
 
     Returns
     -------
     int
-        Exit status: 0 after a signal or the end of a node, 1 if one could not be made or ended
-        with a failure, 2 for wrong usage.
+        Exit status: 0 after a signal or the end of a node, 1 if a node could not be created or
+        failed, 2 for wrong usage.
     """
     name = Path(sys.argv[0]).stem
     asked: Future[None] = Future()
@@ -106,34 +106,34 @@ def _usage(name: str, does: str) -> str:
 
 
 def _spin(nodes: Sequence[LandmarkNode], threads: int, shutdown_guard: ShutdownGuard) -> None:
-    """Spin to the end of a node, which is that of all."""
+    """Spin until one node ends; then end all."""
     executor = CallbackExecutor(threads)
 
     def wake(_: object) -> None:
         for node in nodes:
             node.end()
-        # A wait ends when there is something to do.
+        # A task wakes the executor up.
         executor.create_task(bool)
 
     for node in nodes:
         executor.add_node(node)
-        # Not `spin_until_future_complete`: that of Jazzy adds another callback every turn.
+        # Not `spin_until_future_complete`: in Jazzy it adds another callback in every iteration.
         node.ended.add_done_callback(wake)
     try:
-        # Calls that wait see the end, and are answered.
+        # Waiting service calls see the end, and are answered.
         while any(not node.ended.done() or node.calls_that_wait for node in nodes):
             executor.spin_once()
         for node in nodes:
             node.ended.result()
-        # Not where a node or a callback failed: the status has to say so.
+        # Not after a failure, which the exit status must show.
         shutdown_guard.expect_end()
     finally:
         for node in nodes:
             node.end()
         try:
-            # Callbacks under way are waited for, and still have publishers and services.
+            # Waits for running callbacks, which still need publishers and services.
             executor.shutdown()
         finally:
             for node in nodes:
-                # Not every rclpy does that as it shuts down.
+                # Not every version of rclpy does that at shutdown.
                 node.destroy_node()

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM, in whichever thread of the process they arrive."""
+"""Shutdown by SIGINT and SIGTERM within a time limit."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ class _TimerSpec(ctypes.Structure):
 
 class ExitTimer:
     """
-    Ends the process with status 0 some time after its start, whoever holds the interpreter's lock.
+    Ends the process with status 0 some time after `start`, without the interpreter lock.
 
-    A node that leaves while others do may hold it for tens of seconds: Fast DDS then waits for a
-    callback whose mutex it takes again and again (its issue 6513).
+    Nodes that leave at the same time may hold that lock for tens of seconds: Fast DDS waits for a
+    callback whose mutex it takes repeatedly (its issue 6513).
 
     Parameters
     ----------
     after_s : float
-        How long after `start`.
+        Time from `start` to the end of the process.
     """
 
     def __init__(self, after_s: float) -> None:
@@ -58,11 +58,11 @@ class ExitTimer:
             raise OSError('timer_create failed')
 
     def start(self) -> None:
-        """From now on the time runs."""
+        """Start the timer."""
         self._libc.timer_settime(self._id, 0, ctypes.byref(self._after), None)
 
     def stop(self) -> None:
-        """Take it back, for good."""
+        """Delete the timer."""
         self._libc.timer_delete(self._id)
 
 
@@ -71,17 +71,17 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 class ShutdownGuard:
     """
-    Context manager, for the main thread: a signal asks for the end, and sees that it comes.
+    Context manager for the main thread: a signal requests the end and limits the time to it.
 
-    A thread of its own waits for the signal, since Python's handlers do not run while the main
-    thread waits in a library written in C, and a KeyboardInterrupt may be lost in a callback.
+    A separate thread waits for the signal: handlers of Python do not run while the main thread is
+    in C code, and a KeyboardInterrupt may be lost in a callback.
 
     Parameters
     ----------
     on_signal : callable
-        Asks those in the context to leave it; called in that thread.
+        Requests the end of the block; called in the separate thread.
     grace_s : float
-        The process ends with status 0 if the context is not left by then.
+        Time after a signal at which the process ends with status 0 if the block has not ended.
     """
 
     def __init__(self, on_signal: Callable[[], None], grace_s: float) -> None:
@@ -90,7 +90,7 @@ class ShutdownGuard:
         self._thread = Thread(target=self._watch, name='end signals', daemon=True)
 
     def __enter__(self) -> ShutdownGuard:
-        """From here on nothing else acts on the signals."""
+        """Replace the handlers of the signals."""
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         self._wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
@@ -99,7 +99,7 @@ class ShutdownGuard:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Signals are again what they were before."""
+        """Restore the handlers of the signals."""
         signal.set_wakeup_fd(self._wakeup)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
@@ -109,7 +109,7 @@ class ShutdownGuard:
         self._timer.stop()
 
     def expect_end(self) -> None:
-        """The process ends if the context is not left within the grace."""
+        """Start the time limit for the end of the block."""
         self._timer.start()
 
     def _watch(self) -> None:
@@ -119,4 +119,4 @@ class ShutdownGuard:
 
 
 def _noted(_number: int, _frame: FrameType | None) -> None:
-    """Python writes to the pipe only for signals that have a handler."""
+    """Do nothing: Python writes to the wakeup pipe only for signals with a handler."""

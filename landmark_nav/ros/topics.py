@@ -1,8 +1,8 @@
 """
 The public topics: name, type and quality of service, in one place.
 
-Names are relative, so that a namespace or a remapping moves them. Both ends of a topic take its
-entry from here, hence they always match.
+Names are relative, so that namespaces and remappings apply. Publishers and subscriptions use the
+same entry, so that they always match.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ def _reliable(depth: int, durability: DurabilityPolicy) -> QoSProfile:
 
 SENSOR_DATA = qos_profile_sensor_data
 RELIABLE = _reliable(10, DurabilityPolicy.VOLATILE)
-# REP-2003 for maps: who comes later still gets the last one.
+# Maps, by REP-2003: later subscribers get the last message.
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
-# Several are needed, and one that comes soon must not push out one that is still on its way.
+# Learning needs several panoramas, so that one must not replace the one before.
 PANORAMAS = _reliable(8, DurabilityPolicy.TRANSIENT_LOCAL)
-# Deep enough for all frames of a sweep, should a bag deliver them at once.
+# Deep enough for all frames of a sweep, if a bag delivers them at once.
 SWEEP = _reliable(400, DurabilityPolicy.VOLATILE)
 
 

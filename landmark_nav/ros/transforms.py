@@ -1,4 +1,4 @@
-"""Transforms on ``/tf`` and ``/tf_static``."""
+"""Broadcast of transforms on ``/tf`` and ``/tf_static``."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from landmark_nav.ros.topics import LATCHED
 
 class TransformBroadcaster:
     """
-    Broadcasts transforms, if tf2_msgs is installed (the ROS wheels have none).
+    Broadcasts transforms if tf2_msgs is installed (it is not part of the ROS wheels).
 
-    A frame has one parent and one broadcaster: fusion sends ``map`` -> ``odom``, the robot, or the
-    simulated one, ``odom`` -> ``base_link`` and what turns on it.
+    A frame has one parent and one broadcaster: fusion sends ``map`` -> ``odom``; the robot, or the
+    simulation, sends ``odom`` -> ``base_link`` and the frames of the pan-tilt unit.
     """
 
     def __init__(self, node: Node) -> None:
@@ -27,7 +27,7 @@ class TransformBroadcaster:
         self._static: Publisher[Any] | None = None
         if find_spec('tf2_msgs') is not None:
             kind = message_class('tf2_msgs/msg/TFMessage')
-            # The depths that tf2's own broadcasters have.
+            # Queue lengths as in tf2.
             self._moving = node.create_publisher(kind, '/tf', 100)
             self._static = node.create_publisher(kind, '/tf_static', LATCHED)
 
@@ -37,6 +37,6 @@ class TransformBroadcaster:
             self._moving.publish(encode.transforms(ros_factory, stamp_ns, moving))
 
     def send_static(self, stamp_ns: int, fixed: Iterable[encode.Transform]) -> None:
-        """Send transforms that hold from now on."""
+        """Send static transforms."""
         if self._static is not None:
             self._static.publish(encode.transforms(ros_factory, stamp_ns, fixed))

@@ -1,1 +1,1 @@
-"""A seeded room, its camera and its robot."""
+"""Simulation of a random room, a camera and a robot."""

@@ -15,7 +15,7 @@ from landmark_nav.types import FloatArray
 
 @dataclass(frozen=True)
 class DriveConfig(Config):
-    """What the base can do, and how wrong its odometry is."""
+    """Limits of the base, and errors of its odometry."""
 
     max_speed_m_s: float = 0.8
     max_turn_rad_s: float = 1.8
@@ -27,7 +27,7 @@ class DriveConfig(Config):
     track_sigma: float = 0.008
     # Slip of each wheel over 1 m, a random walk.
     slip_sigma_m: float = 0.0015
-    # Way of a wheel for one count.
+    # Distance of a wheel for one encoder count.
     encoder_step_m: float = 0.00002
 
 
@@ -38,9 +38,9 @@ class DifferentialDrive:
     Parameters
     ----------
     pose_map_base : ndarray, shape (3,)
-        Where it stands.
+        Start pose.
     free : callable
-        Whether the base may stand at a place (2,); it stops before one where it may not.
+        Whether the base can be at a position (2,); it stops before positions where it cannot.
     """
 
     def __init__(
@@ -62,19 +62,19 @@ class DifferentialDrive:
         self.place(pose_map_base)
 
     def place(self, pose_map_base: npt.ArrayLike) -> None:
-        """Be carried to a pose (3,); odometry starts again from zero."""
+        """Put the base at a pose (3,); odometry restarts from zero."""
         self.pose_map_base: FloatArray = np.array(pose_map_base, dtype=np.float64)
         self.pose_odom_base: FloatArray = np.zeros(3)
         self.twist: FloatArray = np.zeros(2)
         self.measured_twist: FloatArray = np.zeros(2)
 
     def command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Aim at a speed and a turning rate; what is beyond the limits is cut to them."""
+        """Set the speed and turning rate to reach, clipped to the limits."""
         limit = np.array([self._config.max_speed_m_s, self._config.max_turn_rad_s])
         self._command = np.clip([linear_m_s, angular_rad_s], -limit, limit)
 
     def step(self, dt_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         config = self._config
         most = dt_s * np.array([config.max_acceleration_m_s2, config.max_turn_acceleration_rad_s2])
         self.twist = self.twist + np.clip(self._command - self.twist, -most, most)
@@ -86,7 +86,7 @@ class DifferentialDrive:
         self._measure(dt_s)
 
     def _measure(self, dt_s: float) -> None:
-        """Odometry out of what the wheels counted."""
+        """Update odometry by the encoder counts of the wheels."""
         config = self._config
         forward, turn = self.twist * dt_s
         rolled = forward + turn * config.track_m * np.array([-0.5, 0.5])
@@ -103,8 +103,8 @@ class DifferentialDrive:
 
 
 def _arc(step: FloatArray) -> FloatArray:
-    """Relative pose (3,) after a way and a turn (2,) along a circle."""
+    """Relative pose (3,) after a distance and a turn (2,) along a circular arc."""
     way, turn = step
-    # sinc is exact for a straight line too.
+    # sinc is also exact for a straight line.
     chord = way * np.sinc(0.5 * turn / np.pi)
     return np.array([chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn])

@@ -1,4 +1,4 @@
-"""A way to drive through a room, and a driver that keeps to it."""
+"""Planning of paths through a room, and a path follower."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ _CELL_M = 0.1
 _CLEARANCE_M = 0.42
 _LOOK_AHEAD_M = 0.45
 
-# No base fits in where there is less space.
+# Smallest clearance of a start that is part of the path.
 _TIGHT_M = 0.3
 
-# The next goal of a tour is at least this far away.
+# Smallest cost (about metres) of the path to the next goal of a tour.
 _LEAST_LEG_M = 1.5
 
-# Of so many goals the one is taken that asks for the least turn, judged over so many cells.
+# Number of random goals, of which the one with the smallest turn is used; number of cells over
+# which directions are computed.
 _GOALS_TRIED = 12
 _DIRECTION_CELLS = 6
 
 
 class _FreeGrid:
-    """Places where the robot may drive, and shortest ways between them."""
+    """Grid of free positions, and shortest paths between them."""
 
     def __init__(self, scene: Scene) -> None:
         low, high = scene.room.bounds
@@ -49,7 +50,7 @@ class _FreeGrid:
             linked = (a >= 0) & (b >= 0)
             rows.append(a[linked])
             columns.append(b[linked])
-            # Ways that keep off the walls are worth a detour.
+            # Higher cost near walls: the path may make a detour to avoid them.
             near = clearance[free][a[linked]]
             costs.append(_CELL_M * np.hypot(dx, dy) * (1.0 + 0.3 / near))
         index = (np.concatenate(rows), np.concatenate(columns))
@@ -57,18 +58,18 @@ class _FreeGrid:
         self._graph = coo_matrix((np.concatenate(costs), index), shape=size).tocsr()
 
     def nearest(self, place_xy: npt.ArrayLike) -> int:
-        """Number of the free place nearest to (2,)."""
+        """Index of the free position nearest to (2,)."""
         return int(np.argmin(np.linalg.norm(self.places - np.asarray(place_xy), axis=1)))
 
     def ways_from(self, start: int) -> tuple[FloatArray, npt.NDArray[np.int32]]:
-        """Cost (n,) of the way to each place, and the place before it (n,)."""
+        """Cost (n,) of the path to each position, and its predecessor (n,)."""
         cost, before = dijkstra(
             self._graph, directed=False, indices=start, return_predecessors=True
         )
         return np.asarray(cost), np.asarray(before)
 
     def way(self, before: npt.NDArray[np.int32], start: int, goal: int) -> FloatArray:
-        """Places (n, 2) from `start` to `goal`, given what `ways_from(start)` found."""
+        """Path (n, 2) from `start` to `goal` by the predecessors of `ways_from(start)`."""
         leg = [goal]
         while leg[-1] != start:
             leg.append(int(before[leg[-1]]))
@@ -79,21 +80,21 @@ def plan_tour(
     scene: Scene, start_xy: npt.ArrayLike, length_m: float, rng: np.random.Generator
 ) -> FloatArray:
     """
-    Plan a way through the room, from one random place to the next.
+    Plan a path through the room, from one random position to the next.
 
     Raises `LandmarkNavError`: there is no space to drive.
 
     Parameters
     ----------
     start_xy : array_like, shape (2,)
-        Where it begins, or nearby if something stands there.
+        Start; the path begins at a free position nearby if there is an obstacle.
     length_m : float
-        It is at least this long.
+        Smallest length.
 
     Returns
     -------
     ndarray, shape (n, 2)
-        Points of the way, about 5 cm apart, corners rounded.
+        Points of the path, about 5 cm apart, corners rounded.
     """
     grid = _FreeGrid(scene)
     at = grid.nearest(start_xy)
@@ -106,7 +107,7 @@ def plan_tour(
         reach = np.flatnonzero(np.isfinite(cost))
         goals = reach[cost[reach] > min(_LEAST_LEG_M, 0.6 * float(cost[reach].max()))]
         if not len(goals):
-            raise LandmarkNavError('the robot is shut in: there is nowhere to drive')
+            raise LandmarkNavError('the robot has no free path to any other position')
         ways = [grid.way(before, at, int(goal)) for goal in rng.choice(goals, _GOALS_TRIED)]
         points = min(ways, key=lambda way: _turn(path, way))
         length += float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
@@ -117,19 +118,19 @@ def plan_tour(
 
 def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> FloatArray:
     """
-    Plan the way from one place to another.
+    Plan the path from one position to another.
 
-    Raises `LandmarkNavError`: there is no way between them.
+    Raises `LandmarkNavError`: there is no path between them.
 
     Parameters
     ----------
     start_xy, goal_xy : array_like, shape (2,)
-        From where to where.
+        Start and goal.
 
     Returns
     -------
     ndarray, shape (n, 2)
-        Points of the way, about 5 cm apart, corners rounded.
+        Points of the path, about 5 cm apart, corners rounded.
     """
     grid = _FreeGrid(scene)
     start, goal = grid.nearest(start_xy), grid.nearest(goal_xy)
@@ -148,7 +149,7 @@ def _place(xy: npt.ArrayLike) -> str:
 
 
 def _turn(path: list[FloatArray], way: FloatArray) -> float:
-    """Angle by which `way` (n, 2) turns off the direction in which `path` arrives."""
+    """Angle between the final direction of `path` and the initial direction of `way` (n, 2)."""
     arrival = path[-1] - path[max(len(path) - _DIRECTION_CELLS, 0)]
     departure = way[min(_DIRECTION_CELLS, len(way) - 1)] - way[0]
     angles = np.arctan2([arrival[1], departure[1]], [arrival[0], departure[0]])
@@ -173,13 +174,13 @@ class PathFollower:
     """
     Steers a base along a path.
 
-    It aims at a point ahead on the path: Coulter, Implementation of the pure pursuit path
-    tracking algorithm, 1992; where that point lies far to the side it slows down and turns.
+    It aims at a point ahead on the path (Coulter, Implementation of the pure pursuit path tracking
+    algorithm, 1992). If that point is far to the side, it slows down or turns in place.
 
     Parameters
     ----------
     path_xy : ndarray, shape (n, 2)
-        The way, map frame, metres.
+        Path, map frame, metres.
     """
 
     def __init__(self, path_xy: FloatArray, speed_m_s: float) -> None:

@@ -1,4 +1,4 @@
-"""What hangs on the walls of a room and stands in it, drawn by chance."""
+"""Random rooms, and random things on their walls and floor."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ Generator = np.random.Generator
 
 _TARGET_SIZE_M = 0.5
 
-# Free wall between things, and beside a corner.
+# Smallest distance of things on a wall from each other, and from corners.
 _GAP_M = 0.1
 _CORNER_M = 0.12
 
-# Tags of 16 cm in their white border, and the heights at which they find a place.
+# Size of tags (16 cm) with their white border, and heights that are tried for them.
 _TAG_M, _TAG_HEIGHTS_M = 0.2, (1.5, 1.1, 1.9)
 
 _POSTERS = ('photo', 'poster')
-# Light that is left of a lamp on another day.
+# Relative power of a dimmed lamp on another day.
 _DIMMED = 0.35
 
-# Chance of each kind, and the range of its width and height, metres.
+# Probability of each kind, and ranges of its width and height, metres.
 _KINDS: dict[str, tuple[float, tuple[float, float], tuple[float, float]]] = {
     'photo': (0.45, (0.45, 0.85), (0.4, 0.7)),
     'poster': (0.32, (0.5, 0.75), (0.7, 1.05)),
@@ -35,20 +35,20 @@ _KINDS: dict[str, tuple[float, tuple[float, float], tuple[float, float]]] = {
     'blinds': (0.1, (1.1, 1.7), (0.9, 1.2)),
 }
 
-# How far before the wall faces are, metres: posters are framed, blinds hang before a window. All
-# else is pinned or painted on it.
+# Range of the distance of a face from the wall, metres: photos have frames, blinds hang before a
+# window. All other things lie on the wall.
 _BEFORE_M = {'photo': (0.01, 0.03), 'blinds': (0.02, 0.05)}
 
 
 @dataclass
 class _Strip:
-    """A wall while things are hung on it: which parts of its length are taken."""
+    """A wall, and the parts of its length that are occupied."""
 
     wall: Wall
     taken: list[tuple[float, float]]
 
     def find(self, width: float, margin: float, rng: Generator) -> float | None:
-        """Centre of a free part `width` long, or None; takes it."""
+        """Occupy a free part of length `width`; return its centre, or None if there is none."""
         low, high = margin + width / 2, self.wall.length - margin - width / 2
         if low > high:
             return None
@@ -62,12 +62,12 @@ class _Strip:
 
 def furnish(room: Room, rng: Generator, seed: int) -> Scene:
     """
-    Hang and place things.
+    Place random things on the walls and furniture on the floor.
 
     Returns
     -------
     Scene
-        Nothing on a wall overlaps anything else there; furniture keeps clear of other furniture.
+        Things on a wall do not overlap, nor do pieces of furniture.
     """
     strips = [_Strip(wall, []) for wall in room.walls]
     for paper in room.papers:
@@ -98,7 +98,7 @@ def furnish(room: Room, rng: Generator, seed: int) -> Scene:
 
 
 def move_one_box(scene: Scene, rng: Generator) -> tuple[Box, ...]:
-    """Furniture of `scene` with one piece put elsewhere; as it is if there is no place."""
+    """Furniture of `scene` with one piece moved; unchanged if there is no space for it."""
     if not scene.boxes:
         return scene.boxes
     index = int(rng.integers(len(scene.boxes)))
@@ -129,7 +129,7 @@ def another_day(scene: Scene, rng: Generator) -> Scene:
 
 
 def exchange_posters(scene: Scene, share: float, rng: Generator) -> tuple[WallItem, ...]:
-    """Items of `scene`, a share of its posters replaced by others of the same size."""
+    """Items of `scene` with a share of the posters and photos replaced by others of their size."""
     items = list(scene.items)
     posters = [k for k, item in enumerate(items) if item.kind in _POSTERS]
     for k in rng.permutation(posters)[: round(share * len(posters))]:
@@ -138,7 +138,7 @@ def exchange_posters(scene: Scene, share: float, rng: Generator) -> tuple[WallIt
 
 
 def hang_tags(scene: Scene, spacing_m: float) -> tuple[WallItem, ...]:
-    """Items of a room, and AprilTags so far apart where nothing else hangs."""
+    """Items of a room, with AprilTags at free parts of the walls, `spacing_m` apart."""
     items = list(scene.items)
     for index, wall in enumerate(scene.room.walls):
         hung = [
@@ -164,7 +164,7 @@ def hang_tags(scene: Scene, spacing_m: float) -> tuple[WallItem, ...]:
 
 
 def _longest(strips: list[_Strip], bare: list[int], rng: Generator) -> int:
-    """A wall for the target: one without papers, longer ones rather."""
+    """Random wall for the target: one without papers if possible, preferably a long one."""
     choice = bare or list(range(len(strips)))
     lengths = np.array([strips[k].wall.length for k in choice])
     return int(rng.choice(choice, p=lengths**2 / np.sum(lengths**2)))
@@ -173,7 +173,7 @@ def _longest(strips: list[_Strip], bare: list[int], rng: Generator) -> int:
 def _hang(
     items: list[WallItem], strips: list[_Strip], kind: str, index: int, rng: Generator
 ) -> None:
-    """Hang one thing on wall `index` if there is room for it."""
+    """Add one thing on wall `index` if there is space for it."""
     strip = strips[index]
     margin = _CORNER_M
     if kind == 'target':
@@ -197,7 +197,7 @@ def _hang(
 def _place_at_wall(
     boxes: list[Box], strips: list[_Strip], room: Room, rng: Generator, *, tall: bool
 ) -> None:
-    """A cupboard or sideboard with its back to a wall; a tall one takes the wall behind it."""
+    """Add furniture with its back to a wall; a tall piece occupies the wall behind it."""
     for _ in range(30):
         strip = strips[int(rng.integers(len(strips)))]
         size = (float(rng.uniform(0.6, 1.5)), float(rng.uniform(0.3, 0.6)))
@@ -226,7 +226,7 @@ def _place_at_wall(
 
 
 def _place_free(boxes: list[Box], room: Room, rng: Generator) -> None:
-    """A low piece that stands in the room, with space to pass."""
+    """Add a low piece of furniture in the room, with space to pass."""
     for center in rng.uniform(*room.bounds, (40, 2)):
         size = (float(rng.uniform(0.35, 0.6)), float(rng.uniform(0.35, 0.6)))
         box = Box(
@@ -242,7 +242,7 @@ def _place_free(boxes: list[Box], room: Room, rng: Generator) -> None:
 
 
 def _fits(box: Box, others: list[Box], room: Room, clearance_m: float) -> bool:
-    """Whether `box` stands inside the room and off the other furniture."""
+    """Whether `box` is inside the room and does not overlap other furniture."""
     step = np.linspace(0.0, 1.0, 9)[:, None]
     corners = box.footprint
     outline = np.concatenate(
@@ -265,7 +265,7 @@ def _fits(box: Box, others: list[Box], room: Room, clearance_m: float) -> bool:
 
 
 def _lamps(room: Room, items: list[WallItem], rng: Generator) -> tuple[Lamp, ...]:
-    """Panels under the ceiling, and daylight at each window."""
+    """Random panels under the ceiling, and daylight at each window."""
     corners = np.array([wall.start for wall in room.walls])
     low, high = corners.min(axis=0), corners.max(axis=0)
     height = max(wall.height for wall in room.walls)
@@ -298,7 +298,7 @@ def _lamps(room: Room, items: list[WallItem], rng: Generator) -> tuple[Lamp, ...
 
 _ATTEMPTS = 25
 
-# A room must show this many things to both places that the camera turns at.
+# Wanted number of things that are in view from both sweep positions.
 _WANTED_ITEMS = 8
 
 _PAPER_SIZE_M = (0.21, 0.297)
@@ -306,21 +306,23 @@ _PAPER_SIZE_M = (0.21, 0.297)
 
 def generate_scene(seed: int, room: Room | None = None) -> Scene:
     """
-    Furnish a room.
+    Generate a random furnished room.
 
-    Raises `LandmarkNavError`: the given room is too small or too winding for that.
+    Raises `LandmarkNavError`: the given room has no two positions from which all papers and the
+    target are in view.
 
     Parameters
     ----------
     seed : int
-        The same seed gives the same scene; no two seeds give the same.
+        Seed of the random generator.
     room : Room, optional
-        Walls and papers; by default they are drawn too.
+        Walls and papers; random by default.
 
     Returns
     -------
     Scene
-        With the specialised target and places from where it and all papers are seen well.
+        The scene has the specialised target, and two positions from which it and all papers are
+        well visible.
     """
     best: Scene | None = None
     most = -1
@@ -343,7 +345,7 @@ def generate_scene(seed: int, room: Room | None = None) -> Scene:
 
 
 def generate_room(rng: np.random.Generator) -> Room:
-    """Outline, a third of them L-shaped, and three papers wide apart on one wall."""
+    """Random room (one of three long ones is L-shaped) with three papers on one wall."""
     length = float(rng.integers(50, 91)) / 10.0
     width = float(rng.integers(40, 61)) / 10.0
     height = float(rng.integers(25, 30)) / 10.0
@@ -363,7 +365,7 @@ def generate_room(rng: np.random.Generator) -> Room:
 
 
 def _walls(outline: FloatArray, height: float) -> tuple[Wall, ...]:
-    """Walls along a counter-clockwise outline, called after the side of the room."""
+    """Walls along a counter-clockwise outline, named by the side of the room."""
     names = {(0, 1): 'south', (-1, 0): 'east', (0, -1): 'north', (1, 0): 'west'}
     used: dict[str, int] = {}
     walls = []
@@ -378,7 +380,7 @@ def _walls(outline: FloatArray, height: float) -> tuple[Wall, ...]:
 
 
 def _papers(walls: tuple[Wall, ...], rng: np.random.Generator) -> tuple[Paper, ...]:
-    """Three colours on the longest wall, in any order, 1 m apart or more."""
+    """Papers of three colours on the longest wall, in random order, 1 m apart if possible."""
     wall = max(walls, key=lambda candidate: candidate.length)
     room_for = wall.length - 1.2
     gaps = rng.uniform(1.05, 1.5, 2)

@@ -1,4 +1,4 @@
-"""A pan-tilt unit with limits, a springy head and encoder steps; where it looks on a drive."""
+"""A pan-tilt unit with limits, an elastic head and encoders, and its control on a drive."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from landmark_nav.simulation.places import item_points, view_quality
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import FloatArray
 
-# The spring is integrated in steps no longer than this.
+# Largest time step of the integration of the spring.
 _SPRING_STEP_S = 1.0 / 400.0
 
 
 @dataclass(frozen=True)
 class PanTiltConfig(Config):
-    """How quickly and how exactly the unit turns."""
+    """Limits, dynamics and resolution of the unit."""
 
     max_rate_rad_s: float = 2.1
     max_acceleration_rad_s2: float = 8.0
     pan_limit_rad: float = float(np.pi)
     tilt_limit_rad: float = 0.6
-    # Of the head that oscillates after a stop.
+    # Natural frequency of the head, which oscillates after a stop.
     natural_frequency_hz: float = 6.0
     damping_ratio: float = 0.4
     encoder_step_rad: float = 0.0002
@@ -35,14 +35,14 @@ class PanTiltConfig(Config):
 
 class PanTiltUnit:
     """
-    Two axes that follow commands.
+    Pan and tilt axes that follow commands.
 
-    The motors move along trapezoidal profiles; the head follows them through a spring, so that it
-    oscillates a little after each stop. Encoders sit at the head.
+    The motors have trapezoidal velocity profiles. The head is connected to them by a spring, so
+    that it oscillates after each stop. The encoders measure the head.
     """
 
     def __init__(self, config: PanTiltConfig) -> None:
-        """Stand still, looking ahead."""
+        """Start at rest at pan and tilt 0."""
         self._config = config
         self._limit = np.array([config.pan_limit_rad, config.tilt_limit_rad])
         self._goal = np.zeros(2)
@@ -58,36 +58,36 @@ class PanTiltUnit:
 
     @property
     def measured_rad(self) -> FloatArray:
-        """Pan and tilt as the encoders give them, (2,)."""
+        """Pan and tilt measured by the encoders, (2,)."""
         step = self._config.encoder_step_rad
         return np.array(np.rint(self._head / step) * step if step > 0.0 else self._head)
 
     @property
     def settled(self) -> bool:
-        """Whether the last command has been carried out and the head has come to rest."""
+        """Whether the head is at rest at the commanded angles."""
         there = np.abs(self._head - self._goal).max() < 5e-4
         return bool(there and np.abs(self._head_rate).max() < 2e-3)
 
     def command(self, pan_rad: float, tilt_rad: float = 0.0) -> None:
-        """Turn there as quickly as allowed; angles beyond the limits are cut to them."""
+        """Turn to angles at the largest rate; angles are clipped to the limits."""
         self._goal = np.clip([pan_rad, tilt_rad], -self._limit, self._limit)
 
     def jump(self, pan_rad: float, tilt_rad: float = 0.0) -> None:
-        """Be there at once and at rest: how a simulation starts."""
+        """Set the angles at once, at rest; for the start of a simulation."""
         self.command(pan_rad, tilt_rad)
         self._motor, self._head = self._goal.copy(), self._goal.copy()
         self._motor_rate, self._head_rate = np.zeros(2), np.zeros(2)
 
     def step(self, dt_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         config = self._config
         error = self._goal - self._motor
-        # The rate from which one can just stop at the goal, and no further than the goal.
+        # The largest rate that allows to stop at the goal and does not overshoot in this step.
         rate = np.sqrt(2.0 * config.max_acceleration_rad_s2 * np.abs(error))
         rate = np.minimum(np.minimum(rate, config.max_rate_rad_s), np.abs(error) / dt_s)
         change = np.sign(error) * rate - self._motor_rate
         usual = config.max_acceleration_rad_s2 * dt_s
-        # Stopping right at the goal may take more: less than one step's worth of rate.
+        # The last step to the goal may have a larger acceleration, so that the motor stops there.
         most = np.where(np.abs(error) < usual * dt_s, np.inf, usual)
         self._motor_rate = self._motor_rate + np.clip(change, -most, most)
         start = self._motor
@@ -102,36 +102,37 @@ class PanTiltUnit:
             self._head = self._head + self._head_rate * (dt_s / steps)
 
 
-# The camera stays this far inside its limits, so that it can follow while the base turns.
+# Distance of chosen pans from the limits, so that the camera can follow while the base turns.
 _RESERVE_RAD = 0.4
 
+# Largest angle of incidence of an item.
 _STEEPEST_DEG = 58.0
 
-# What is nearer fills the image: not much else is seen, and nothing as it was learned.
+# Nearer items fill the image, so that few others are in view, and look unlike when learned.
 _NEAR_M = 1.9
 
-# Seen worse than that, a thing is given up for a better one.
+# Below this quality, an item is abandoned for a better one.
 _LOST_QUALITY = 0.2
 
-# What lies within this angle of a thing is seen together with it.
+# Items within this angle of each other are in view together.
 _TOGETHER_RAD = 0.35
 
-# The next thing to look at is rather at least this far aside.
+# Preferred smallest angle between an item and the next one.
 _ELSEWHERE_RAD = 0.6
 
 
 class PanControl:
     """
-    Holds the camera on one thing for a while, then chooses another.
+    Points the camera at one item for some time, then chooses another.
 
     Parameters
     ----------
     pan_limit_rad : float
-        How far it turns to both sides.
+        Limit of the pan to both sides.
     rng : numpy.random.Generator
-        Which thing is next, and for how long.
+        Random choice of items and durations.
     preferred : ndarray of bool, shape (n,), optional
-        Which of the scene's items it looks at if any of them is in sight: those it knows.
+        Items of the scene that are preferred, such as known landmarks.
     """
 
     def __init__(
@@ -142,7 +143,7 @@ class PanControl:
         rng: np.random.Generator,
         preferred: npt.NDArray[np.bool_] | None = None,
     ) -> None:
-        """Look ahead until the pose of the robot is given."""
+        """Start without an item."""
         self._scene = scene
         self._mount = mount
         self._limit_rad = pan_limit_rad
@@ -154,7 +155,7 @@ class PanControl:
         self._until_s = 0.0
 
     def pan(self, time_s: float, pose_map_base: FloatArray) -> float:
-        """Pan that looks at the thing of the moment from a pose (3,); 0 if there is none."""
+        """Pan toward the current item from a pose (3,); 0 if there is none."""
         axis = transform_points(pose_map_base, self._mount.axis_xyz[:2])
         offset = self._points[:, :2] - axis
         azimuth = np.arctan2(offset[:, 1], offset[:, 0]) - pose_map_base[2]
@@ -166,7 +167,7 @@ class PanControl:
         return float(pan[self._chosen]) if self._chosen >= 0 else 0.0
 
     def _lost(self, quality: FloatArray) -> bool:
-        """Whether what it looks at is hidden, or badly seen while something else is not."""
+        """Whether the item is hidden, or has a low quality while a better one is in view."""
         now = float(quality[self._chosen])
         return now == 0.0 or now < _LOST_QUALITY <= float(quality.max())
 
@@ -176,11 +177,11 @@ class PanControl:
         return np.asarray(np.where(near, 0.1 * seen, seen))
 
     def _choose(self, time_s: float, pan: npt.NDArray[np.float64], quality: FloatArray) -> None:
-        """Rather a thing with others around it that are seen well too."""
+        """Choose an item, preferably one with other visible items around it."""
         together = np.abs(wrap_rad(pan[:, None] - pan)) < _TOGETHER_RAD
         weight = np.where(quality > 0.0, together @ (quality * self._liking), 0.0) ** 2
         if self._chosen >= 0:
-            # Look elsewhere, if there is anything.
+            # Prefer items in other directions.
             weight = weight * np.where(
                 np.abs(wrap_rad(pan - pan[self._chosen])) < _ELSEWHERE_RAD, 0.02, 1.0
             )

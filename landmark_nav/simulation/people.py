@@ -1,4 +1,4 @@
-"""People who walk through the room: flat figures that turn to the camera."""
+"""People who walk through the room: flat figures that face the camera."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _HEIGHT_M = 1.75
 _WIDTH_M = 0.62
 _CLEARANCE_M = 0.35
 
-# How near the camera's axis a person comes: nobody walks into a robot.
+# Smallest distance of people from the robot.
 _SHY_M = 0.9
 
 
 class Person:
-    """Somebody who strolls from place to place, stopping now and then."""
+    """A person who walks between random positions with pauses."""
 
     def __init__(self, scene: Scene, robot_xy: FloatArray, rng: np.random.Generator) -> None:
-        """Draw the figure and choose where it starts, off the robot."""
+        """Draw the figure and choose a start far from the robot."""
         self._scene = scene
         self._rng = rng
         self._albedo = _draw_figure(rng)
@@ -34,7 +34,7 @@ class Person:
         self._rest_s = 0.0
 
     def step(self, dt_s: float, robot_xy: FloatArray) -> None:
-        """Walk on; whoever would walk into furniture or the robot chooses another way."""
+        """Walk on; choose another goal if furniture or the robot is in the way."""
         self._rest_s -= dt_s
         if self._rest_s > 0.0:
             return
@@ -52,7 +52,7 @@ class Person:
         self._position = ahead
 
     def solid(self, viewer_xy: FloatArray) -> Solid:
-        """Flat figure as seen from `viewer_xy`."""
+        """Flat figure that faces `viewer_xy`."""
         view = self._position - viewer_xy
         view = view / max(float(np.linalg.norm(view)), 1e-6)
         right = np.array([view[1], -view[0]])
@@ -82,22 +82,22 @@ class WalkingPeople:
     Parameters
     ----------
     robot_xy : ndarray, shape (2,)
-        Where they don't begin.
+        Position of the robot, from which they start far away.
     """
 
     def __init__(
         self, scene: Scene, count: int, robot_xy: FloatArray, rng: np.random.Generator
     ) -> None:
-        """Let them in."""
+        """Create the people."""
         self._people = [Person(scene, robot_xy, child) for child in rng.spawn(count)]
 
     def step(self, dt_s: float, robot_xy: FloatArray) -> None:
-        """Let time pass; the robot stands at `robot_xy` (2,)."""
+        """Advance the time; the robot is at `robot_xy` (2,)."""
         for person in self._people:
             person.step(dt_s, robot_xy)
 
     def solids(self, viewer_xy: FloatArray) -> list[Solid]:
-        """Their figures as seen from `viewer_xy` (2,)."""
+        """Figures that face `viewer_xy` (2,)."""
         return [person.solid(viewer_xy) for person in self._people]
 
 

@@ -1,4 +1,4 @@
-"""Where a simulated robot turns its camera: places that see the papers and the target well."""
+"""Sweep positions with a good view of papers and target, visibility, and painter's order."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import FloatArray
 
-# Height of the camera that decides what low furniture hides.
+# Height of the camera; furniture below it hides nothing on walls.
 EYE_HEIGHT_M = 1.1
 
-# Height over distance that fits into the image of a usual camera, with some reserve.
+# Largest tangent of elevation in the image of a usual camera, with some reserve.
 _STEEPEST_VIEW = 0.4
 
-# Largest angle off a wall's normal at which papers, other things and the target are seen well.
+# Largest angles of incidence of papers, other items and the target.
 _STEEPEST_PAPER_DEG = 68.0
 _STEEPEST_ITEM_DEG = 62.0
 _STEEPEST_TARGET_DEG = 55.0
@@ -30,7 +30,7 @@ _CANDIDATES = 140
 
 @dataclass(frozen=True, eq=False)
 class SweepPlaces:
-    """Poses (2, 3) of the base in map, and how many things both of them see well."""
+    """Poses (2, 3) of the base in map, and the number of items in good view from both."""
 
     poses: FloatArray
     shared_items: int
@@ -38,18 +38,18 @@ class SweepPlaces:
 
 def choose_sweep_places(scene: Scene) -> SweepPlaces | None:
     """
-    Find two places for sweeps.
+    Choose two poses for sweeps.
 
     Parameters
     ----------
     scene : Scene
-        The room; its seed decides which places are tried, and the headings.
+        Furnished room; its seed determines the positions that are tried, and the headings.
 
     Returns
     -------
     SweepPlaces or None
-        The pair, 1.5 to 2.5 m apart, that shares most; None if no pair sees every paper and
-        the target.
+        The pair with the most common view, 1.5 to 2.5 m apart; None if no pair has all papers and
+        the target in view.
     """
     rng = np.random.default_rng([scene.seed, 10])
     places = rng.uniform(*scene.room.bounds, (_CANDIDATES * 4, 2))
@@ -88,13 +88,13 @@ def choose_sweep_places(scene: Scene) -> SweepPlaces | None:
 
 
 def item_points(scene: Scene) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-    """Centres (n, 3) of what hangs on the walls, and which walls (n,)."""
+    """Centres (n, 3) of the items on walls, and indices of their walls (n,)."""
     points = np.array([item.center(scene.room) for item in scene.items]).reshape(-1, 3)
     return points, np.array([item.wall for item in scene.items], dtype=np.intp)
 
 
 def seen_from_all(scene: Scene, places_xy: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-    """Whether all places (n, 2) see an item well, for each item of `scene`."""
+    """Whether an item is in good view from all positions (n, 2), for each item of `scene`."""
     points, walls = item_points(scene)
     quality = view_quality(scene, places_xy, points, walls, _STEEPEST_ITEM_DEG)
     return np.asarray((quality > 0.0).all(axis=0))
@@ -108,23 +108,24 @@ def view_quality(
     steepest_deg: float,
 ) -> FloatArray:
     """
-    How well points on walls are seen.
+    Quality of the view of points on walls.
 
     Parameters
     ----------
     places_xy : array_like, shape (n, 2)
-        From where.
+        Viewpoints, map frame.
     points : array_like, shape (m, 3)
-        Points on walls, map frame; too high over too short a way is outside the image.
+        Points on walls, map frame.
     walls : array_like of int, shape (m,)
-        Which walls.
+        Indices of the walls.
     steepest_deg : float
-        Largest angle between the line of sight and the wall's normal.
+        Largest angle of incidence.
 
     Returns
     -------
     ndarray, shape (n, m)
-        0 where it is hidden, too far, too near or too slanted, up to 1 straight before it.
+        Cosine of the angle of incidence; 0 if the point is hidden, too far, too near, too oblique,
+        or above or below the image.
     """
     places = np.asarray(places_xy, dtype=np.float64).reshape(-1, 1, 2)
     ends = np.asarray(points, dtype=np.float64).reshape(1, -1, 3)
@@ -141,7 +142,7 @@ def view_quality(
 
 _WIDEST_VIEW_RAD = np.radians(80.0)
 
-# Corners are kept in arrays of four: the two ends of a wall twice.
+# Footprints are padded to four corners: the two ends of a wall are repeated.
 _FOUR = np.arange(4)
 
 
@@ -149,27 +150,27 @@ class PainterOrder:
     """
     Back-to-front order of upright prisms, by lines that separate their footprints.
 
-    Two convex footprints that do not overlap have a line between them that runs along a side of
-    one of them. What lies on the viewer's side of it can cover the other and is never covered by
-    it. Where two are seen in the same direction that says which is painted first; among convex
-    things in less than half a turn this never goes in circles. Newell, Newell and Sancha, A
-    solution to the hidden surface problem, ACM 1972, is the general case.
+    Two convex footprints that do not overlap are separated by a line along a side of one of them.
+    The one on the viewer's side can hide the other, but is never hidden by it. This gives the
+    order of two footprints at common azimuths; for convex footprints within half a turn the order
+    has no cycles. Newell, Newell and Sancha, A solution to the hidden surface problem, ACM 1972,
+    is the general case.
 
     Parameters
     ----------
     footprints : sequence of ndarray, shape (k, 2)
-        Convex, counter-clockwise; two points make a wall.
+        Convex outlines, counter-clockwise; two points are a wall.
     """
 
     def __init__(self, footprints: Sequence[FloatArray]) -> None:
-        """Find the separating lines."""
+        """Compute the separating lines."""
         self._footprints: list[FloatArray] = []
         self._normal = np.zeros((0, 0, 2))
         self._offset = np.zeros((0, 0))
         self._extend(footprints)
 
     def extended(self, footprints: Sequence[FloatArray]) -> PainterOrder:
-        """Make an order that holds `footprints` too, after those that are there."""
+        """Return an order with additional `footprints` at the end."""
         larger = PainterOrder([])
         larger._footprints = list(self._footprints)
         larger._normal, larger._offset = self._normal, self._offset
@@ -180,14 +181,14 @@ class PainterOrder:
         self, viewer_xy: FloatArray, heading_rad: float, visible: Sequence[int]
     ) -> list[int]:
         """
-        Sort.
+        Sort footprints by their order for a viewer.
 
         Parameters
         ----------
         viewer_xy : ndarray, shape (2,)
-            Where one looks from.
+            Viewpoint.
         heading_rad : float
-            Where to; what lies more than 80 degrees aside does not matter.
+            Azimuth of the view; azimuths more than 80 degrees from it are ignored.
 
         Returns
         -------
@@ -199,7 +200,7 @@ class PainterOrder:
         side = self._normal[pairs] @ viewer_xy - self._offset[pairs]
         right, left = self._extent(index, viewer_xy, heading_rad)
         overlap = np.minimum(left[:, None], left) - np.maximum(right[:, None], right) > 1e-9
-        # Row i, column j: j stands on the viewer's side, so i is painted before j.
+        # Row i, column j: j is on the viewer's side, so i is painted before j.
         before = (side > 1e-9) & overlap
         blocked_by = before.sum(axis=0)
         remaining = list(range(len(index)))
@@ -214,19 +215,19 @@ class PainterOrder:
     def _extent(
         self, index: npt.NDArray[np.intp], viewer_xy: FloatArray, heading_rad: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Azimuths (n,) of the right and left end of footprints, from the heading, clipped."""
+        """Azimuths (n,) of the right and left end of footprints relative to the heading."""
         points = self._corners[index] - viewer_xy
         middle = points.mean(axis=1)
         center = wrap_rad(np.arctan2(middle[:, 1], middle[:, 0]) - heading_rad)
         azimuth = np.arctan2(points[..., 1], points[..., 0]) - heading_rad
-        # Less than half a turn wide, as the viewer is outside: unwrap about the middle.
+        # Narrower than half a turn, since the viewer is outside: unwrapped around the centre.
         azimuth = center[:, None] + wrap_rad(azimuth - center[:, None])
         limit = _WIDEST_VIEW_RAD
         ends = np.clip([azimuth.min(axis=1), azimuth.max(axis=1)], -limit, limit)
         return ends[0], ends[1]
 
     def _extend(self, footprints: Sequence[FloatArray]) -> None:
-        """Append footprints and their lines: row i has i on the negative, j on the positive."""
+        """Append footprints and lines; line (i, j) has i on its negative side, j beyond it."""
         known = len(self._footprints)
         self._footprints += [np.asarray(shape, dtype=np.float64) for shape in footprints]
         self._corners = np.array([shape[_FOUR % len(shape)] for shape in self._footprints])
@@ -242,7 +243,7 @@ class PainterOrder:
 
 
 def _separating_line(a: FloatArray, b: FloatArray) -> tuple[FloatArray, float]:
-    """Unit normal and offset of the line with `a` on its negative side and `b` beyond it."""
+    """Unit normal and offset of the line with `a` on its negative and `b` on its positive side."""
     normal_a, gap_a = _widest_gap(a, b)
     normal_b, gap_b = _widest_gap(b, a)
     if gap_a >= gap_b:
@@ -251,7 +252,7 @@ def _separating_line(a: FloatArray, b: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _widest_gap(a: FloatArray, b: FloatArray) -> tuple[FloatArray, float]:
-    """Side of `a` whose outward normal keeps `b` farthest off, and how far that is."""
+    """Outward normal of the side of `a` with the largest distance from `b`, and that distance."""
     side = np.roll(a, -1, axis=0) - a
     outward = np.stack([side[:, 1], -side[:, 0]], -1) / np.linalg.norm(side, axis=1)[:, None]
     gap = (b @ outward.T).min(axis=0) - np.sum(a * outward, -1)

@@ -1,4 +1,4 @@
-"""What a simulated robot would have recorded: messages of two sweeps and of a drive."""
+"""Messages of sweeps and drives of a simulated robot, for bags."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from landmark_nav.types import CameraFrame, FloatArray, JointSample
 
 _FRAME = 'camera_optical_frame'
 
-# Joint states and odometry of a drive come at this rate; physics runs at a multiple of it.
+# Rate of joint states and odometry on a drive; the physics runs at a multiple of it.
 STATE_RATE_HZ = 20
 
 _SETTLE_LIMIT_S = 3.0
 
-# Odometry's own idea of itself, as drivers publish it: constant and generous.
+# Covariance of odometry messages: constant and large, as in usual drivers.
 _ODOMETRY_COVARIANCE = np.diag([0.05, 0.05, 0.05])
 _EXACT = np.zeros((3, 3))
 
 
 class Recorded(NamedTuple):
-    """A message, its topic and its stamp, which is its log time too."""
+    """A message, its topic and its stamp, which is also its log time."""
 
     topic: str
     message: Any
@@ -38,12 +38,12 @@ def sweep_messages(
     world: RobotWorld, factory: MessageFactory, *, frames: int = 72, jpeg_quality: int = 90
 ) -> Iterator[Recorded]:
     """
-    Turn the camera once around where the robot stands.
+    Capture a sweep at the pose of the robot.
 
     Parameters
     ----------
     frames : int
-        Images of the turn, evenly spread from -180 degrees on.
+        Number of images, evenly spaced from -180 degrees on.
 
     Yields
     ------
@@ -80,16 +80,18 @@ def drive_messages(
     jpeg_quality: int = 90,
 ) -> Iterator[Recorded]:
     """
-    Drive along a path and look at the walls.
+    Drive along a path while the camera looks at the walls.
 
     Parameters
     ----------
     path_xy : ndarray, shape (n, 2)
-        The way, map frame, metres.
+        Path, map frame, metres.
+    pan_control : PanControl
+        Controls the pan.
     seconds : float
-        For how long; the robot stops where the path ends.
+        Duration; the robot stops at the end of the path.
     camera_rate_hz : float
-        Images a second: the nearest whole part of 20.
+        Rate of images, rounded to 20 Hz divided by a whole number.
 
     Yields
     ------

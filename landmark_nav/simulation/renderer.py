@@ -1,4 +1,4 @@
-"""Images of a scene through a real lens, ray by ray; what lens and sensor do to them."""
+"""Rendering of a scene with a lens model, and effects of lens and sensor."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from landmark_nav.simulation.solids import background_surfaces, box_solid, Solid
 from landmark_nav.simulation.surfaces import light_of, Pyramid, Surface, values_of
 from landmark_nav.types import FloatArray, ImageArray
 
-# Pixels are worked on in square tiles: what a tile does not show is skipped.
+# Side of the square tiles in which pixels are processed; surfaces outside a tile are skipped.
 TILE_PX = 32
 
 
 class RayTiles:
-    """The rays of all pixels, tile by tile, and tests of whole tiles."""
+    """The rays of all pixels in tiles, and visibility tests for whole tiles."""
 
     def __init__(self, camera: CameraModel) -> None:
-        """Compute the rays once."""
+        """Compute the rays."""
         self._shape = (camera.height, camera.width)
         self._focal_px = camera.fx
         self._rows = -(-camera.height // TILE_PX)
@@ -48,19 +48,19 @@ class RayTiles:
         self, forms: FloatArray, spread_px: FloatArray
     ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """
-        Which tiles (surfaces, tiles) a surface may touch, and which it covers whole.
+        Tiles (surfaces, tiles) that a surface may touch, and tiles that it covers completely.
 
-        A linear form on a tile is largest and smallest at the tile's bounding corners.
+        Extremes of a linear form on a tile are at the corners of its bounding box.
         """
         edges = edge_forms(forms, self._focal_px)
         value = edges @ self._middle.T + spread_px[..., None]
         reach = np.abs(edges[..., :2]) @ self._half.T
-        # What is seen from behind is NaN, and NaN is not greater than anything.
+        # Surfaces seen from behind are NaN, for which comparisons are false.
         touched = np.all(value + reach > -0.5, axis=1)
         return touched, np.all(value - reach > 0.5, axis=1)
 
     def assemble(self, canvas: ImageArray) -> ImageArray:
-        """Image out of tiles."""
+        """Assemble the image from tiles."""
         rows, columns = self._rows * TILE_PX, self._columns * TILE_PX
         tiles = canvas.reshape(self._rows, self._columns, TILE_PX, TILE_PX, 3)
         image = tiles.transpose(0, 2, 1, 3, 4).reshape(rows, columns, 3)
@@ -68,7 +68,7 @@ class RayTiles:
 
 
 def edge_forms(forms: FloatArray, focal_px: float) -> FloatArray:
-    """Forms (n, 4, 3) whose value on a ray is the distance inside top, right, foot, left, px."""
+    """Forms (n, 4, 3): distance of a ray inside the top, right, bottom and left edge, pixels."""
     w, a, b = forms[:, 0], forms[:, 1], forms[:, 2]
     edges = np.stack([b, w - a, w - b, a], axis=1)
     scale = focal_px / np.linalg.norm(edges[..., :2], axis=-1, keepdims=True)
@@ -78,7 +78,7 @@ def edge_forms(forms: FloatArray, focal_px: float) -> FloatArray:
 def coverage(
     form: FloatArray, spread_px: FloatArray, rays: Float32Array, focal_px: float
 ) -> Float32Array:
-    """Share (tiles, side, side) of each pixel that lies inside the rectangle."""
+    """Share (tiles, side, side) of each pixel inside the rectangle."""
     edges = edge_forms(form[None], focal_px)[0].astype(np.float32)
     inside = edges @ rays + spread_px.astype(np.float32)[:, None]
     share = np.clip(inside + 0.5, 0.0, 1.0)
@@ -87,17 +87,17 @@ def coverage(
     return np.asarray(both, dtype=np.float32).reshape(-1, TILE_PX, TILE_PX)
 
 
-# The level of detail is chosen once for each cell of this many pixels a side.
+# Side of the cells of pixels that have a common level of detail.
 _CELL_PX = 4
 
-# Levels of detail a little finer than one texel a pixel: as sharp as a good lens.
+# Offset of the level of detail, octaves: slightly finer than one texel per pixel.
 _SHARPNESS = -0.35
 
 
 def sample_texture(
     pyramid: Pyramid, form: FloatArray, rays: Float32Array, focal_px: float
 ) -> ImageArray:
-    """Colours (tiles, side, side, channels) that a surface shows to `rays` (tiles, 3, n)."""
+    """Colours (tiles, side, side, channels) of a surface at `rays` (tiles, 3, n)."""
     n, cells = len(rays), TILE_PX // _CELL_PX
     projected = form.astype(np.float32) @ rays
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -124,7 +124,7 @@ def _level_of_detail(
     pyramid: Pyramid, form: FloatArray, place: Float32Array, depth_per_px: Float32Array
 ) -> tuple[IndexArray, IndexArray, Float32Array]:
     """
-    Levels of the pyramid for cells, each (tiles, cells, cells), from how texels spread.
+    Levels of the pyramid for cells, each (tiles, cells, cells), by the texels per pixel.
 
     The derivative of (a r) / (w r) along x is (a_x - u w_x) / (w r).
     """
@@ -145,13 +145,13 @@ def _level_of_detail(
 def _look_up(
     pyramid: Pyramid, place: Float32Array, slant: IndexArray, level: IndexArray
 ) -> ImageArray:
-    """Texture at `place` (tiles, 2, cells, cell, cells, cell) in the levels of its cells."""
+    """Texture at `place` (tiles, 2, cells, cell, cells, cell) at the levels of the cells."""
     scale = np.moveaxis(pyramid.scale[slant, level], -1, 1)[:, :, :, None, :, None]
     offset = np.moveaxis(pyramid.offset[slant, level], -1, 1)[:, :, :, None, :, None]
-    # Outside the rectangle, where coverage ends: one border texel of its own level.
+    # Pixels at the border may be outside of the texture by one texel of their level.
     inside = np.clip(place, -1.0 / scale, 1.0 + 1.0 / scale)
     xy = inside * scale + offset
-    # A tile a row, as OpenCV takes no map of 32767 rows or more.
+    # One row for each tile: OpenCV does not support maps of 32767 rows or more.
     map_x, map_y = (xy[:, k].reshape(len(xy), -1) for k in (0, 1))
     texels = cv2.remap(pyramid.atlas, map_x, map_y, cv2.INTER_LINEAR)
     return np.asarray(texels, dtype=np.uint8).reshape(len(xy) * TILE_PX, TILE_PX, -1)
@@ -159,16 +159,16 @@ def _look_up(
 
 class Renderer:
     """
-    Draws a scene.
+    Renders a scene.
 
-    A pixel's ray meets a rectangle where three planes through the optical centre say so, exactly
-    and without an image in between; so a point of a wall appears where `CameraModel` projects
-    it. Rectangles are painted from the farthest to the nearest, with the share of each pixel
+    The ray of each pixel is intersected with textured rectangles by three linear forms, without an
+    intermediate image: points of walls appear exactly where `CameraModel` projects them.
+    Rectangles are painted from the farthest to the nearest, weighted by the share of each pixel
     that they cover.
     """
 
     def __init__(self, scene: Scene, camera: CameraModel) -> None:
-        """Draw the textures and light them; takes seconds."""
+        """Draw the textures; takes seconds."""
         self.scene = scene
         self.camera = camera
         self._solids = wall_solids(scene) + [box_solid(box) for box in scene.boxes]
@@ -182,7 +182,7 @@ class Renderer:
         self, rotation: FloatArray, center: FloatArray, people: Sequence[Solid] = ()
     ) -> ImageArray:
         """
-        Draw one image.
+        Render one image.
 
         Parameters
         ----------
@@ -191,7 +191,7 @@ class Renderer:
         center : ndarray, shape (3,)
             Optical centre in map, metres.
         people : sequence of Solid
-            What else is in the room at this moment.
+            Moving objects.
 
         Returns
         -------
@@ -220,7 +220,7 @@ class Renderer:
     def _paint(
         self, surfaces: list[Surface], forms: FloatArray, spread_px: FloatArray
     ) -> ImageArray:
-        """Paint surfaces in order; `forms` (n, 3, 3) and `spread_px` (n, 4) belong to them."""
+        """Paint surfaces in order, with their `forms` (n, 3, 3) and `spread_px` (n, 4)."""
         touched, covered = self._tiles.classify(forms, spread_px)
         opaque = np.array([s.albedo.shape[2] == 3 for s in surfaces])
         last = np.where(covered & opaque[:, None], np.arange(len(surfaces))[:, None], 0).max(0)
@@ -240,10 +240,10 @@ class Renderer:
         return self._tiles.assemble(canvas)
 
     def _pyramid(self, surface: Surface) -> Pyramid:
-        """Pyramid of a surface in the present light, made when it is first seen."""
+        """Illuminated pyramid of a surface, computed when it is first visible."""
         key = id(surface.albedo)
         if key not in self._pyramids:
-            # The texture is kept beside it, so that no other one gets its id.
+            # A reference to the texture is kept, so that its id is not reused.
             self._pyramids[key] = (surface.albedo, surface.illuminated(self._lamps))
         return self._pyramids[key][1]
 
@@ -255,7 +255,7 @@ def _ray_forms(
     Linear forms (n, 3, 3) of a ray r in the optical frame.
 
     With rows w, a, b the ray meets the plane at depth 1 / (w r), at texture coordinates
-    (a r) / (w r) and (b r) / (w r), which run from 0 to 1. NaN for what is seen from behind.
+    (a r) / (w r) and (b r) / (w r) in [0, 1]. NaN for surfaces seen from behind.
     """
     corner = np.array([s.corner for s in surfaces]) - center
     across = np.array([s.across for s in surfaces])
@@ -273,10 +273,10 @@ def _ray_forms(
 
 def _overlaps(surfaces: list[Surface]) -> FloatArray:
     """
-    How far (n, 4) each edge is drawn out, pixels.
+    Extension (n, 4) of each edge, pixels.
 
-    Where two surfaces share an edge the first is drawn under the second; otherwise what lies
-    behind both would shine through the seam.
+    If two surfaces share an edge, the first is extended below the second; otherwise the background
+    would be visible at the seam.
     """
     corners = np.array([s.corners for s in surfaces])
     middle = 0.5 * (corners + np.roll(corners, -1, axis=1))
@@ -287,7 +287,7 @@ def _overlaps(surfaces: list[Surface]) -> FloatArray:
 
 
 def _blend(under: ImageArray, color: ImageArray, share: Float32Array) -> ImageArray:
-    """Paint `color` over `under` where it covers; both (tiles, side, side, channels)."""
+    """Blend `color` over `under` by the covered share; both (tiles, side, side, channels)."""
     if color.shape[-1] == 4:
         share = share * (color[..., 3] * np.float32(1.0 / 255.0))
     weight = share[..., None]
@@ -297,36 +297,36 @@ def _blend(under: ImageArray, color: ImageArray, share: Float32Array) -> ImageAr
 
 @dataclass(frozen=True)
 class CameraEffectsConfig(Config):
-    """How good the camera is; brightness in grey levels of 255."""
+    """Errors of the camera; brightness in grey levels of 255."""
 
-    # Loss of light in the corners, share.
+    # Share of light lost in the corners.
     vignetting: float = 0.25
-    # How far the gain follows the mean brightness: 0 not at all, 1 all the way.
+    # Strength of auto exposure: 0 constant gain, 1 constant mean brightness.
     auto_exposure: float = 0.5
     target_brightness: float = 120.0
-    # Of lens and sensor.
+    # Gaussian point spread of lens and sensor, pixels.
     blur_sigma_px: float = 0.5
-    # Standard deviation in the dark, grey levels.
+    # Standard deviation of noise in the dark, grey levels.
     read_noise: float = 2.0
-    # Growth of the variance with brightness, grey levels.
+    # Variance of noise per brightness, grey levels.
     shot_noise: float = 0.06
 
 
 class CameraEffects:
     """
-    Turns clean images into what a camera delivers.
+    Applies blur, vignetting, exposure and noise to clean images.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        Noise. It is cut out of one large field at random places, which is much quicker than
-        drawing it anew and differs from frame to frame all the same.
+        Noise, cut out of one large field at random positions: much faster than drawing it for each
+        frame, and still different from frame to frame.
     """
 
     def __init__(
         self, camera: CameraModel, config: CameraEffectsConfig, rng: np.random.Generator
     ) -> None:
-        """Prepare the maps."""
+        """Prepare vignetting and noise."""
         self._config = config
         self._rng = rng
         square = np.sum(camera.ray_grid.astype(np.float64) ** 2, -1)
@@ -338,7 +338,7 @@ class CameraEffects:
         self._sigma = np.sqrt(config.read_noise**2 + config.shot_noise * level).astype(np.float32)
 
     def apply(self, image: ImageArray) -> ImageArray:
-        """Image (height, width, 3), BGR, as the camera delivers it."""
+        """Return the image (height, width, 3), BGR, with the effects."""
         config = self._config
         if config.blur_sigma_px > 0.0:
             sigma = config.blur_sigma_px

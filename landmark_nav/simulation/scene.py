@@ -1,7 +1,7 @@
 """
-What stands and hangs in a simulated room: a description without pixels.
+Description of a simulated room with its items, furniture and lamps, without textures.
 
-A scene is a value: the room generator makes it out of a seed, a changed room is a changed copy.
+Scenes are immutable: the generator creates one by a seed, and changes are copies.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ class WallItem:
     Parameters
     ----------
     kind : str
-        ``photo``, ``poster``, ``shelf``, ``blinds``, ``door``, ``target``, ``sheet``: a paper
-        of one colour, which the robot is not given, or ``tag``: an AprilTag.
+        ``photo``, ``poster``, ``shelf``, ``blinds``, ``door``, ``target``, ``sheet`` (a coloured
+        paper that is not in ``room.yaml``) or ``tag`` (an AprilTag).
     wall : int
-        Index of the wall that carries it.
+        Index of the wall.
     along_m : float
-        Its centre along the wall, from the wall's start.
+        Distance of its centre from the start of the wall.
     center_z_m, width_m, height_m : float
-        Height of its centre above the floor and its size.
+        Height of its centre above the floor, and size.
     seed : int
-        What it looks like; the number of a tag.
+        Seed of its texture; number of a tag.
     before_m : float
-        How far before the wall its face is: the depth of a frame.
+        Distance of its face from the wall: the depth of a frame.
     """
 
     kind: str
@@ -61,7 +61,7 @@ class Box:
     """
     A piece of furniture: an upright box on the floor.
 
-    `center_xy` and `yaw_rad` place it in map; `size_m` is its length, depth and height;
+    `center_xy` and `yaw_rad` are its pose in map; `size_m` is its length, depth and height;
     `material` is ``wood``, ``books``, ``paint`` or a colour.
     """
 
@@ -82,10 +82,10 @@ class Box:
 @dataclass(frozen=True)
 class Lamp:
     """
-    A luminous panel under the ceiling, or daylight that comes in at a window.
+    A luminous panel under the ceiling, or daylight at a window.
 
-    `position` (x, y, z) in map; `size_m` of the panel, zero for daylight, which is not drawn;
-    `power` is relative to a usual lamp; `tint` is its colour, blue, green, red.
+    `position` is (x, y, z) in map; `size_m` is the size of the panel, 0 for daylight, which is not
+    drawn; `power` is relative to a usual lamp; `tint` is its colour, blue, green, red.
     """
 
     position: tuple[float, float, float]
@@ -96,7 +96,7 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Scene:
-    """A room with everything in it; `seed` decides what its surfaces look like."""
+    """A room with its contents; `seed` is that of the textures of walls, floor and ceiling."""
 
     seed: int
     room: Room
@@ -113,14 +113,14 @@ class Scene:
         self, eye_xy: npt.ArrayLike, points_xy: npt.ArrayLike, eye_height_m: float
     ) -> npt.NDArray[np.bool_]:
         """
-        Whether points on walls are seen past walls and furniture that is higher than the eye.
+        Whether points on walls are not hidden by walls or by furniture higher than the eye.
 
         Parameters
         ----------
         eye_xy, points_xy : array_like, shape (..., 2)
-            From where to where, map frame.
+            Viewpoints and points, map frame.
         eye_height_m : float
-            Furniture below it hides nothing that hangs on walls.
+            Height of the viewpoint; lower furniture hides nothing on walls.
 
         Returns
         -------
@@ -132,7 +132,7 @@ class Scene:
         for box in self.boxes:
             if box.size_m[2] < eye_height_m:
                 continue
-            # Sutherland's clipping: a convex outline is crossed if some of the way is inside.
+            # Sutherland's clipping: the line of sight is blocked if a part of it is inside.
             enter, leave = np.zeros(way.shape[:-1]), np.ones(way.shape[:-1])
             corners = box.footprint
             for corner, side in zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True):
@@ -148,9 +148,9 @@ class Scene:
 
     def distance_to_obstacles(self, points_xy: npt.ArrayLike) -> FloatArray:
         """
-        Clearance of points (..., 2) to walls and furniture, metres, (...).
+        Distance of points (..., 2) from walls and furniture, metres, (...).
 
-        Inside a piece of furniture it is 0; outside the room it is not meant to be asked.
+        It is 0 inside furniture, and has no meaning outside the room.
         """
         points = np.asarray(points_xy, dtype=np.float64)
         start, side = self._edges

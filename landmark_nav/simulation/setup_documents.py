@@ -15,7 +15,7 @@ from landmark_nav.simulation.scene import Scene
 from landmark_nav.storage.setup_files import room_text
 from landmark_nav.types import FloatArray
 
-# How well the maker of a simulated robot knows where its camera sits: 1 mm, 0.1 degrees.
+# Standard deviations of the extrinsics of a simulated robot: 1 mm, 0.1 degrees.
 _SIGMA_M, _SIGMA_RAD = 0.001, 0.00175
 
 
@@ -28,7 +28,7 @@ def room_document(room: Room) -> str:
 
 
 def robot_document(mount: PanTiltMount) -> str:
-    """Text of ``robot.yaml``: where the turning camera sits."""
+    """Text of ``robot.yaml``: extrinsics of the camera."""
     document: dict[str, Any] = {
         'base_frame': mount.base_frame,
         'pan_joint': mount.pan_joint,
@@ -56,7 +56,7 @@ def robot_document(mount: PanTiltMount) -> str:
 
 
 def start_document(pose_map_base: FloatArray) -> str:
-    """Text of ``start.json``: where a drive begins."""
+    """Text of ``start.json``: pose at the start of a drive."""
     note = 'pose of base_link in map at the start of drive (m, m, rad)'
     pose = [float(value) for value in pose_map_base]
     return json.dumps({'note': note, 'pose': pose}, indent=1) + '\n'
@@ -64,9 +64,9 @@ def start_document(pose_map_base: FloatArray) -> str:
 
 def scene_document(scene: Scene) -> str:
     """
-    Text of ``scene.json``: what hangs where, which no robot is given.
+    Text of ``scene.json``: items on the walls, for evaluation only.
 
-    For checks of what was learned, above all whether the specialised target was.
+    It allows to check which items were learned, above all the specialised target.
     """
     items = [
         {
@@ -95,15 +95,15 @@ def as_measured(
     room: Room, mount: PanTiltMount, rng: np.random.Generator
 ) -> tuple[Room, PanTiltMount]:
     """
-    Room and mount as a person would write them down.
+    Room and mount with errors of manual measurement.
 
     Returns
     -------
     room : Room
-        Each wall moved along its normal by some millimetres, still meeting its neighbours; papers
-        along their walls and up by one.
+        Walls moved along their normals by `_WALL_M`, with closed corners; papers moved along their
+        walls and vertically by `_PAPER_M`.
     mount : PanTiltMount
-        Higher or lower by some millimetres.
+        Mount with a height changed by `_HEIGHT_M`.
     """
     off = rng.normal(0.0, _WALL_M, len(room.walls))
     ends = np.array([[wall.start, wall.end] for wall in room.walls])
@@ -122,7 +122,7 @@ def as_measured(
 
 
 def moved_paper(paper: Paper, room: Room, shift_m: FloatArray) -> Paper:
-    """Paper that hangs elsewhere on its wall: so far along it and up, (2,)."""
+    """Paper moved along its wall and up by `shift_m` (2,)."""
     wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
     x, y = paper.center[:2] + shift_m[0] * np.subtract(wall.end, wall.start) / wall.length
     return replace(paper, center=(float(x), float(y), paper.center[2] + float(shift_m[1])))
@@ -131,7 +131,7 @@ def moved_paper(paper: Paper, room: Room, shift_m: FloatArray) -> Paper:
 def _corner(
     ends: FloatArray, normals: FloatArray, off_m: FloatArray, k: int, side: int
 ) -> tuple[float, float]:
-    """Start or end of wall `k` once all walls are `off_m` (n,): where it meets its neighbour."""
+    """Start or end of wall `k` after all walls moved by `off_m` (n,) along their normals."""
     at = ends[k, side]
     shift = off_m[k] * normals[k]
     for j in range(len(ends)):

@@ -1,4 +1,4 @@
-"""The surfaces of a scene, grouped by what covers what: walls, furniture, people."""
+"""Surfaces of a scene, grouped into solids: walls and furniture."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _BOX_TEXEL_M = 0.0025
 _FLOOR_TEXEL_M = 0.004
 _CEILING_TEXEL_M = 0.008
 
-# Foreshortening of walls that their pyramids can follow: up to a factor of eight.
+# Levels of foreshortening in the pyramids of walls: up to a factor of eight.
 _WALL_SLANTS = 4
 
-# Papers are matt and evenly coloured; blue, green, red. Those of other colours are as given.
+# Colours of printed papers, blue, green, red; papers of other colours have exactly that colour.
 _PAPER_COLORS = {
     'red': (38.0, 36.0, 196.0),
     'green': (58.0, 150.0, 34.0),
@@ -35,18 +35,18 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Surfaces that are painted together, in order, and the footprint that they stand on."""
+    """Surfaces that are painted together in this order, and their common footprint."""
 
     footprint: FloatArray
     surfaces: tuple[Surface, ...]
 
 
 def wall_solids(scene: Scene) -> list[Solid]:
-    """Every wall with what hangs on it."""
+    """One solid for each wall, with its items and papers."""
     return list(_drawn_walls(scene.seed, scene.room, scene.items))
 
 
-# Drawing takes seconds, and scenes of one room in other light, or with other furniture, share it.
+# Cached: drawing takes seconds, and scenes with other lamps or furniture have the same walls.
 @lru_cache(maxsize=1)
 def _drawn_walls(seed: int, room: Room, items: tuple[WallItem, ...]) -> tuple[Solid, ...]:
     rng = np.random.default_rng([seed, 1])
@@ -82,8 +82,8 @@ def _drawn_walls(seed: int, room: Room, items: tuple[WallItem, ...]) -> tuple[So
 def _hang(
     texture: ImageArray, item: WallItem, corner: tuple[float, float], length: float, height: float
 ) -> None:
-    """Draw `item` into a wall's texture, its `corner` (x, y) given as a share of the wall."""
-    # Its place is exact to a part of a texel; only its outline is rounded to texels.
+    """Draw `item` into the texture of a wall; `corner` (x, y) is relative to the wall's size."""
+    # The content is exact to a part of a texel; only the outline is rounded to texels.
     texels = np.array(texture.shape[1::-1], dtype=np.float64)
     low = np.array(corner) * texels
     size = np.array([item.width_m / length, item.height_m / height]) * texels
@@ -124,7 +124,7 @@ def box_solid(box: Box) -> Solid:
     corners, height = box.footprint, box.size_m[2]
     surfaces = []
     for k in range(4):
-        # Seen from outside, a side of a counter-clockwise outline runs to the right.
+        # Seen from outside, sides of a counter-clockwise outline run to the right.
         side = corners[(k + 1) % 4] - corners[k]
         width = float(np.linalg.norm(side))
         texture = _box_texture(box, color, k, (width, height))
@@ -159,7 +159,7 @@ def _box_texture(
 
 
 def background_surfaces(scene: Scene) -> list[Surface]:
-    """Floor and ceiling: the outline's bounding box with a margin, all walls stand before it."""
+    """Floor and ceiling: the bounding box of the room with a margin, behind all walls."""
     low, high = scene.room.bounds[0] - 0.5, scene.room.bounds[1] + 0.5
     width, depth = (float(size) for size in high - low)
     height = max(wall.height for wall in scene.room.walls)
@@ -181,7 +181,7 @@ def background_surfaces(scene: Scene) -> list[Surface]:
 
 
 def _paint_panel(ceiling: ImageArray, lamp: Lamp, low: FloatArray) -> None:
-    """A lamp's panel in the ceiling's texture."""
+    """Draw the panel of a lamp into the texture of the ceiling."""
     if min(lamp.size_m) <= 0.0:
         return
     half = 0.5 * np.array(lamp.size_m)

@@ -1,12 +1,11 @@
 """
-Textured rectangles, their pyramids of averaged copies, and the light of lamps on them.
+Textured rectangles, their pyramids of averaged copies, and their illumination.
 
-Light of lamps on flat surfaces: cosine and distance, no shadows.
+Illumination by lamps depends on cosine and distance; there are no shadows.
 
-What a camera makes of light: values of pixels, by the curve of sRGB (IEC 61966-2-1).
-
-Lens, pixels and edges that cover a pixel in part mix light, not values: an edge that they blur
-seems to move towards its dark side.
+Light and grey levels are related by the curve of sRGB (IEC 61966-2-1). Blur, averages and partial
+coverage of pixels mix light, not grey levels: blurred edges then appear shifted towards their dark
+side.
 """
 
 from __future__ import annotations
@@ -21,31 +20,31 @@ import numpy.typing as npt
 from landmark_nav.simulation.scene import Lamp
 from landmark_nav.types import FloatArray, ImageArray
 
-# Light that walls and ceiling throw back on everything, relative to the albedo shown as it is.
+# Ambient light as a factor on the albedo.
 _AMBIENT = 0.55
 
-# One lamp of power 1 adds this to a surface that faces it from one metre away.
+# Gain of a lamp of power 1, before the decrease with distance.
 _LAMP_GAIN = 1.5
 
-# Lamps are wide: this keeps the light finite right beside one, metres.
+# Added to the squared distance, since lamps are wide: the light is finite beside one.
 _LAMP_RADIUS_M = 0.9
 
 
 def irradiance(points: npt.ArrayLike, normal: npt.ArrayLike, lamps: Sequence[Lamp]) -> FloatArray:
     """
-    Light on points of a plane.
+    Illumination of points on a plane.
 
     Parameters
     ----------
     points : array_like, shape (..., 3)
         Points on the surface, map frame, metres.
     normal : array_like, shape (3,)
-        Unit normal of its lit side.
+        Unit normal of the illuminated side.
 
     Returns
     -------
     ndarray, shape (..., 3)
-        Factor on the albedo's blue, green and red; about 1 in a usual room.
+        Factors on blue, green and red of the albedo; about 1 in a usual room.
     """
     at = np.asarray(points, dtype=np.float64)
     light = np.full(at.shape, _AMBIENT)
@@ -53,7 +52,7 @@ def irradiance(points: npt.ArrayLike, normal: npt.ArrayLike, lamps: Sequence[Lam
         offset = np.asarray(lamp.position) - at
         square = np.sum(offset**2, -1)
         cosine = np.clip(offset @ np.asarray(normal) / np.sqrt(square + 1e-9), 0.0, 1.0)
-        # A wide lamp lights grazing surfaces too: soften the cosine.
+        # A wide lamp also illuminates surfaces at grazing angles: a softened cosine.
         strength = _LAMP_GAIN * lamp.power * (0.25 + 0.75 * cosine) / (square + _LAMP_RADIUS_M)
         light += strength[..., None] * np.asarray(lamp.tint)
     return light
@@ -71,26 +70,26 @@ def _curve() -> LightArray:
 
 
 _LIGHT = _curve()
-# The value whose light is nearest.
+# Grey level with the nearest light.
 _VALUE = np.searchsorted(0.5 * (_LIGHT[1:] + _LIGHT[:-1].astype(float)), np.arange(_MOST + 1))
 _VALUE = _VALUE.astype(np.uint8)
 
 
 def light_of(values: ImageArray) -> LightArray:
-    """Light, 65535 at the most, of values of pixels (height, ..., channels); of the same shape."""
+    """Light, 0 to 65535, of grey levels (height, ..., channels); same shape."""
     flat = values.reshape(len(values), -1)
     return np.asarray(cv2.LUT(flat, _LIGHT), dtype=np.uint16).reshape(values.shape)
 
 
 def values_of(light: LightArray) -> ImageArray:
-    """Values of pixels that show this light."""
+    """Grey levels of light; same shape."""
     return np.asarray(_VALUE[light], dtype=np.uint8)
 
 
-# Border around each level, so that interpolation at its edge does not meet the next level.
+# Border around each level, so that interpolation does not reach the next level.
 _BORDER_PX = 3
 
-# The light varies slowly: it is evaluated on a grid of this step and interpolated.
+# Step of the grid on which illumination is computed; it is interpolated between.
 _LIGHT_STEP_M = 0.15
 _LEVELS = 5
 
@@ -98,18 +97,18 @@ _LEVELS = 5
 @dataclass(frozen=True, eq=False)
 class Pyramid:
     """
-    A texture averaged down by powers of two, across and down independently, in one image.
+    A texture reduced by powers of two, across and down independently, in one image.
 
-    Walls are seen at a slant: across they need coarser texels than down, which square averages
-    would blur. Level (i, j) is averaged by about 2**(j + i) across and 2**j down.
+    Walls seen obliquely need coarser texels across than down; square averages would blur them.
+    Level (i, j) is averaged over about 2**(j + i) texels across and 2**j down.
 
     Parameters
     ----------
     atlas : ndarray of uint8, shape (rows, columns, channels)
-        All levels.
+        Image with all levels.
     scale, offset : ndarray of float32, shape (i, j, 2)
-        Place (x, y) of texture coordinate c, in units of the whole texture, for pixel centres
-        at integers: ``c * scale[i, j] + offset[i, j]``.
+        Pixel (x, y) in the atlas of texture coordinate c in [0, 1], for pixel centres at integers:
+        ``c * scale[i, j] + offset[i, j]``.
     size_texels : (int, int)
         Columns and rows of the finest level.
     """
@@ -128,7 +127,7 @@ class Pyramid:
         pieces: list[tuple[int, int, ImageArray]] = []
         first, y = texture, 0
         for j in range(levels):
-            # Each level out of the next finer one: averages of averages are averages.
+            # Each level is the average of the next finer one.
             first = level = _average(first, columns >> j, rows >> j)
             x = 0
             for i in range(slants):
@@ -153,17 +152,17 @@ class Surface:
     Parameters
     ----------
     corner : ndarray, shape (3,)
-        Its top left corner as seen from its front, map frame, metres.
+        Top left corner seen from the front, map frame, metres.
     across, down : ndarray, shape (3,)
-        Unit vectors along its rows and columns of texels.
+        Unit vectors along rows and columns of texels.
     width_m, height_m : float
-        Its size.
+        Size.
     albedo : ndarray of uint8, shape (rows, columns, 3 or 4)
-        Its colours in usual light; a fourth channel is opacity.
+        Colours in usual light; a fourth channel is opacity.
     slants : int
-        How many steps of foreshortening across its pyramid holds; 1 for none.
+        Number of levels of foreshortening in the pyramid; 1 for none.
     lit : bool
-        False for things that are shown as they are.
+        Whether lamps illuminate it; otherwise the albedo is shown unchanged.
     """
 
     corner: FloatArray
@@ -177,12 +176,12 @@ class Surface:
 
     @property
     def normal(self) -> FloatArray:
-        """Unit normal towards its front, (3,)."""
+        """Unit normal of the front, (3,)."""
         return np.asarray(np.cross(self.down, self.across))
 
     @property
     def corners(self) -> FloatArray:
-        """Corners, clockwise as seen from the front, from the top left one; (4, 3)."""
+        """Corners (4, 3), clockwise seen from the front, from the top left one."""
         right, foot = self.width_m * self.across, self.height_m * self.down
         return np.asarray(self.corner + np.array([0 * right, right, right + foot, foot]))
 
@@ -194,7 +193,7 @@ class Surface:
         return Pyramid.build(texture, self.slants, _LEVELS)
 
     def _light(self, lamps: Sequence[Lamp]) -> npt.NDArray[np.float32]:
-        """Light on a coarse grid of cells (rows, columns, 3)."""
+        """Illumination on a coarse grid of cells (rows, columns, 3)."""
         shape = [max(2, round(size / _LIGHT_STEP_M)) for size in (self.height_m, self.width_m)]
         v = (np.arange(shape[0]) + 0.5) / shape[0] * self.height_m
         u = (np.arange(shape[1]) + 0.5) / shape[1] * self.width_m
@@ -203,7 +202,7 @@ class Surface:
 
 
 def _average(texture: ImageArray, columns: int, rows: int) -> ImageArray:
-    """`texture` in fewer texels, each with the mean light of what it covers."""
+    """Reduce `texture` to a size by the mean light over the area of each texel."""
     size = (max(1, columns), max(1, rows))
     if size == texture.shape[1::-1]:
         return texture
@@ -221,7 +220,7 @@ def _with_border(texture: ImageArray) -> ImageArray:
 
 
 def _shade(texture: ImageArray, light: npt.NDArray[np.float32]) -> ImageArray:
-    """Texture times light, in strips so that no large float image is made."""
+    """Texture times illumination, in strips to avoid a large float image."""
     shaded = np.empty_like(texture)
     rows, columns = texture.shape[:2]
     across = cv2.resize(light, (columns, len(light)), interpolation=cv2.INTER_LINEAR)

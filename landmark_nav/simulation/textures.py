@@ -1,4 +1,4 @@
-"""Procedural materials: plaster, wood, ceiling and the noise they are made of; BGR, uint8."""
+"""Procedural textures: noise, plaster, wood and photos; BGR, uint8."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def fractal_noise(
     Parameters
     ----------
     cell_px : (float, float)
-        Size of the coarsest grain down and across, pixels; each octave halves it.
+        Cell size of the first octave down and across, pixels; it is halved in each octave.
     persistence : float
         Amplitude of an octave relative to the coarser one.
 
@@ -49,15 +49,15 @@ def fractal_noise(
 
 
 def to_uint8(image: npt.NDArray[np.floating]) -> ImageArray:
-    """Rounded and clipped to 0 to 255."""
-    # Adding half and cutting off rounds what is not negative.
+    """Round and clip to 0 to 255."""
+    # Truncation after adding 0.5 rounds values that are not negative.
     return np.asarray(np.clip(image + 0.5, 0.0, 255.0), dtype=np.uint8)
 
 
 def random_color(
     rng: np.random.Generator, saturation: tuple[float, float], value: tuple[float, float]
 ) -> Color:
-    """A colour (blue, green, red) of any hue, in the given ranges of saturation and value."""
+    """A colour (blue, green, red) of random hue, in ranges of saturation and value."""
     hsv = [rng.uniform(0, 180), 255 * rng.uniform(*saturation), 255 * rng.uniform(*value)]
     bgr = cv2.cvtColor(np.array([[hsv]]).astype(np.uint8), cv2.COLOR_HSV2BGR)[0, 0]
     return (float(bgr[0]), float(bgr[1]), float(bgr[2]))
@@ -66,7 +66,7 @@ def random_color(
 def plaster(
     rng: np.random.Generator, shape: tuple[int, int], color: Color, texel_m: float
 ) -> ImageArray:
-    """Painted plaster (rows, columns, 3): weak, mottled texture about `color`."""
+    """Painted plaster (rows, columns, 3): weak, mottled texture around `color`."""
     mottle = fractal_noise(rng, shape, (0.5 / texel_m, 0.5 / texel_m), 5, 0.75)
     grain = fractal_noise(rng, shape, (0.012 / texel_m, 0.012 / texel_m), 2, 0.8)
     relief = 1.0 + 0.018 * mottle + 0.014 * grain
@@ -80,7 +80,7 @@ def wood(
     texel_m: float,
     plank_m: float = 0.0,
 ) -> ImageArray:
-    """Wood with its grain along the columns; laid in planks `plank_m` wide if that is given."""
+    """Wood (rows, columns, 3) with horizontal grain; planks of width `plank_m` if that is set."""
     grain = fractal_noise(rng, shape, (0.03 / texel_m, 0.9 / texel_m), 4, 0.7)
     rings = np.sin(6.0 * fractal_noise(rng, shape, (0.15 / texel_m, 2.0 / texel_m), 2, 0.4))
     relief = 1.0 + 0.09 * grain + 0.05 * rings.astype(np.float32)
@@ -96,7 +96,7 @@ Generator = np.random.Generator
 
 
 def draw_photo(rng: Generator, shape: tuple[int, int]) -> ImageArray:
-    """Draw an image (rows, columns, 3): background, hills, shaded bodies with details on them."""
+    """Draw a photo (rows, columns, 3): background, hills, and shaded bodies with details."""
     rows, columns = shape
     scale = min(shape)
     image = np.empty((rows, columns, 3), np.float32)
@@ -162,7 +162,7 @@ def _body(rng: Generator, image: np.ndarray) -> None:
 
 
 def _blossom(rng: Generator, image: np.ndarray) -> None:
-    """Petals about a centre."""
+    """Petals around a centre."""
     rows, columns = image.shape[:2]
     center = rng.uniform(0.3, 0.7, 2) * [columns, rows]
     petals = int(rng.integers(7, 16))

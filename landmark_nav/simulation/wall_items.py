@@ -1,4 +1,4 @@
-"""Procedural things that hang on walls, drawn twice as large and averaged; BGR, uint8."""
+"""Procedural textures of items on walls, drawn at twice the size and averaged; BGR, uint8."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _text_line(
     height: float,
     color: Color,
 ) -> None:
-    """Words as strokes: letters would not be read at this size."""
+    """Words as bars: letters would not be resolved at this size."""
     x, right = left, left + width * rng.uniform(0.6, 1.0)
     while x < right:
         word = min(height * rng.uniform(1.2, 5.0), right - x)
@@ -142,7 +142,7 @@ def _books(rng: Generator, shape: tuple[int, int]) -> ImageArray:
 
 
 def _target(rng: Generator, shape: tuple[int, int]) -> ImageArray:
-    """The specialised target: concentric black rings about a black disc on white."""
+    """The specialised target: concentric black rings around a black disc on white."""
     del rng  # The target is the same in every room.
     rows, columns = shape
     y, x = np.mgrid[:rows, :columns]

@@ -1,4 +1,4 @@
-"""The robot in its room, stepped through time: what a driver program talks to."""
+"""The simulated robot in its room: commands, sensors and time steps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from landmark_nav.simulation.renderer import CameraEffects, CameraEffectsConfig,
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import CameraFrame, FloatArray, JointSample, OdometrySample
 
-# Physics runs at this rate, whatever the steps that are asked for.
+# Rate of the physics, independent of the steps of `advance`.
 _RATE_HZ = 60
 _SECOND_NS = 1_000_000_000
 
@@ -34,13 +34,13 @@ class RobotWorld:
     Parameters
     ----------
     pose_map_base : array_like, shape (3,)
-        Where the robot starts.
+        Start pose of the base.
     seed : int
         Noise of wheels and sensor, and what people do.
     people : int
         How many walk about.
     renderer : Renderer, optional
-        Of another world with the same scene and camera: saves drawing its textures again.
+        Renderer of another world with the same scene and camera, whose textures are reused.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class RobotWorld:
 
     @property
     def stamp_ns(self) -> int:
-        """Time of the present state."""
+        """Time of the current state."""
         return self._start_ns + self._steps * _SECOND_NS // _RATE_HZ
 
     @property
@@ -86,7 +86,7 @@ class RobotWorld:
 
     @property
     def camera_settled(self) -> bool:
-        """Whether the camera rests where it was last commanded to look."""
+        """Whether the camera is at rest at the commanded angles."""
         return self._unit.settled
 
     @property
@@ -95,14 +95,14 @@ class RobotWorld:
         return PanTiltConfig.pan_limit_rad
 
     def set_clock(self, stamp_ns: int) -> None:
-        """Call the present moment so from now on."""
+        """Set the time of the current state."""
         self._start_ns += stamp_ns - self.stamp_ns
 
     def advance(self, dt_s: float) -> None:
-        """Let time pass, in whole steps of 1/60 s; what is left over counts the next time."""
+        """Advance the time in whole steps of 1/60 s; the remainder is added to the next call."""
         self._owed_s += dt_s
         dt = 1.0 / _RATE_HZ
-        # Half a nanosecond of mercy: sums of decimal fractions fall short of whole steps.
+        # A tolerance of 1 ns for rounding errors of sums.
         while self._owed_s >= dt - 1e-9:
             self._owed_s -= dt
             self._steps += 1
@@ -111,44 +111,44 @@ class RobotWorld:
             self._people.step(dt, self._drive.pose_map_base[:2])
 
     def command_pan(self, pan_rad: float, tilt_rad: float = 0.0) -> None:
-        """Turn the camera as quickly as the unit can."""
+        """Turn the camera to pan and tilt."""
         self._unit.command(pan_rad, tilt_rad)
 
     def command_velocity(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Drive until another command."""
+        """Set the velocity until the next command."""
         self._drive.command(linear_m_s, angular_rad_s)
 
     def place(
         self, pose_map_base: npt.ArrayLike, pan_rad: float = 0.0, tilt_rad: float = 0.0
     ) -> None:
-        """Carry the robot to a pose (3,), its camera at rest; odometry starts anew there."""
+        """Put the robot at a pose (3,) with the camera at rest; odometry restarts from zero."""
         self._drive.place(pose_map_base)
         self._unit.jump(pan_rad, tilt_rad)
 
     def frame_at(self, pose_map_base: npt.ArrayLike, pan_rad: float) -> CameraFrame:
-        """Carry the robot to a pose (3,) and take an image there."""
+        """Put the robot at a pose (3,) and capture an image there."""
         self.place(pose_map_base, pan_rad)
         self.advance(1.0 / _RATE_HZ)
         return self.camera_frame()
 
     def joint_sample(self) -> JointSample:
-        """Pan and tilt as the encoders measure them now."""
+        """Pan and tilt measured by the encoders now."""
         pan, tilt = self._unit.measured_rad
         return JointSample(self.stamp_ns, float(pan), float(tilt))
 
     def odometry_sample(self) -> OdometrySample:
-        """What the wheels measure now."""
+        """Odometry now."""
         drive = self._drive
         linear, angular = (float(value) for value in drive.measured_twist)
         return OdometrySample(self.stamp_ns, drive.pose_odom_base.copy(), linear, angular)
 
     def truth_sample(self) -> OdometrySample:
-        """True pose, in map, and speeds: for ``ground_truth/odom``."""
+        """True pose in map, and speeds, for ``ground_truth/odom``."""
         linear, angular = (float(value) for value in self.true_twist)
         return OdometrySample(self.stamp_ns, self.true_pose, linear, angular)
 
     def camera_frame(self) -> CameraFrame:
-        """Take an image now."""
+        """Capture an image now."""
         pan, tilt = self._unit.angles_rad
         turn, center = self.mount.camera_pose_map(self.true_pose, float(pan), float(tilt))
         image = self.renderer.render(turn, center, self._people.solids(center[:2]))
@@ -162,7 +162,7 @@ class RobotWorld:
         )
 
     def _free(self, position_xy: FloatArray) -> bool:
-        """Whether the base may stand there: inside, and off walls and furniture."""
+        """Whether a position is in the room, with enough distance from walls and furniture."""
         inside = bool(self.scene.room.contains(position_xy))
         clearance = float(self.scene.distance_to_obstacles(position_xy))
         return inside and clearance >= _ROBOT_RADIUS_M

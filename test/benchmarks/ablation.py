@@ -56,7 +56,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     },
     'refusal of what is ambiguous': {f'{_LEARN}attention.attend:refusal': _nothing},
     'contrast along the row': {
-        f'{_LEARN}attention.selection:_MOST_BEARING_SIGMA_PX': BEST,
+        f'{_LEARN}attention.selection:_MAX_BEARING_SIGMA_PX': BEST,
     },
     'point symmetry': {f'{_ATTENTION}weight_symmetry': 0.0},
     'radial symmetry': {f'{_ATTENTION}weight_radial_symmetry': 0.0},

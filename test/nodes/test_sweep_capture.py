@@ -223,7 +223,7 @@ def test_it_is_interrupted_goes_on_begins_anew_and_tells(
     )
     frames = len(small.images)
     assert not small.trajectories
-    assert f'gone on after {frames} frames' in client.call('capture_sweep', 60.0)
+    assert f'continued after {frames} earlier frames' in client.call('capture_sweep', 60.0)
     check_frames(small, client)
 
     # Another sweep, of a robot that drives away; then one of a joint that stops on its way.

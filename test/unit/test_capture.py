@@ -1,4 +1,4 @@
-"""A sweep is taken of a camera that overshoots and fails, within its limits, and gone on with."""
+"""A sweep is taken of a camera that overshoots and fails, within its limits, and continued."""
 
 from __future__ import annotations
 
@@ -389,12 +389,12 @@ def test_an_image_that_outran_its_joint_state_is_not_frozen_for_ever():
     log, track = FrameLog(config), JointTrack(config)
     track.add(JointSample(0, -0.9))
     # It shows -1.0 already, of which the joint states do not know yet.
-    assert not log.seen_elsewhere(b'image', 20_000_000, track)
+    assert not log.seen_at_other_pan(b'image', 20_000_000, track)
     for k in range(1, 4):
         track.add(JointSample(20_000_000 * k, -1.0))
-        assert not log.seen_elsewhere(b'image', 20_000_000 * k, track)
+        assert not log.seen_at_other_pan(b'image', 20_000_000 * k, track)
     track.add(JointSample(10_000_000_000, 0.5))
-    assert log.seen_elsewhere(b'image', 10_000_000_000, track)
+    assert log.seen_at_other_pan(b'image', 10_000_000_000, track)
 
 
 def test_an_image_whose_pan_was_never_known_is_not_frozen():
@@ -402,12 +402,12 @@ def test_an_image_whose_pan_was_never_known_is_not_frozen():
     log, track = FrameLog(config), JointTrack(config)
     track.add(JointSample(0, -0.9))
     # It shows 0.5, where the joint came while its states were lost.
-    assert not log.seen_elsewhere(b'image', 200_000_000, track)
+    assert not log.seen_at_other_pan(b'image', 200_000_000, track)
     for stamp_ns in (10_000_000_000, 10_020_000_000):
         track.add(JointSample(stamp_ns, 0.5))
-        assert not log.seen_elsewhere(b'image', stamp_ns, track)
+        assert not log.seen_at_other_pan(b'image', stamp_ns, track)
     track.add(JointSample(20_000_000_000, -0.9))
-    assert log.seen_elsewhere(b'image', 20_000_000_000, track)
+    assert log.seen_at_other_pan(b'image', 20_000_000_000, track)
 
 
 def test_it_goes_on_where_it_was_interrupted():
@@ -464,15 +464,15 @@ def test_a_call_goes_on_or_begins_anew_and_reports_it():
     robot.sweep.stop('no reason')
     again, note = begin_or_resume(robot.sweep, config, inspect, robot.now)
     assert again is robot.sweep
-    assert note == 'gone on after 3 frames of before'
+    assert note == 'continued after 3 earlier frames'
     robot.x = 1.0
     with pytest.raises(LandmarkNavError):
         robot.tick()
     anew, note = begin_or_resume(robot.sweep, config, inspect, robot.now)
     assert not anew.kept
-    assert note.startswith('begun anew without 3 frames of before: the robot moved 100.0 cm')
+    assert note.startswith('begun anew without 3 earlier frames: the robot moved 100.0 cm')
     robot = Robot()
-    # A sweep that is complete is not gone on with.
+    # A sweep that is complete is not continued.
     anew, note = begin_or_resume(robot.run(), config, inspect, robot.now)
     assert (anew is robot.sweep, note) == (False, '')
 

@@ -170,7 +170,7 @@ def test_the_negative_of_a_patch_aligns_with_nothing() -> None:
     template = Texture(5).sample(32, 28, 12.0, 12.0)
     search = Texture(5).sample(56, 52)
     of_both = align([search, 255.0 - search], [template] * 2, [(12.0, 12.0)] * 2, [(0.0, 0.0)] * 2)
-    assert of_both.place == [0]
+    assert of_both.indices == [0]
     np.testing.assert_allclose(of_both.xy[0], [27.5, 25.5], atol=1e-3)
 
 

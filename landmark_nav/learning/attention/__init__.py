@@ -1,4 +1,4 @@
-"""Where to look: features, conspicuity, saliency, hierarchical selection."""
+"""Attention: features, conspicuity, saliency, hierarchical selection of candidates."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig
 from landmark_nav.learning.attention.selection import refusal, select
 from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
 
-# Patches about features are so far apart, as a share of their size.
-_APART = 0.5
+# Smallest distance of patches around matched features, relative to their size.
+_MIN_DISTANCE = 0.5
 # A patch keeps this far from uncovered pixels, whose neighbours are blurred by interpolation.
 _MARGIN_PX = 2
 
@@ -24,14 +24,14 @@ _MARGIN_PX = 2
 @dataclass(frozen=True, eq=False)
 class Attention:
     """
-    What attention found in a panorama.
+    Result of attention to a panorama.
 
     Parameters
     ----------
     candidates : tuple of Candidate
-        Strongest first.
+        Most salient first.
     refused : tuple of (Candidate, Refusal)
-        Attended as well, but a neighbouring place could be mistaken for them.
+        Attended patches that are ambiguous or too weak.
     """
 
     candidates: tuple[Candidate, ...]
@@ -42,10 +42,10 @@ def attend(
     panorama: Panorama, config: AttentionConfig, matched: FloatArray | None = None
 ) -> Attention:
     """
-    Select candidates and say why others were refused.
+    Select candidates, and return why others were refused.
 
-    Features at pixels `matched` (n, 2), which another panorama shows as well, are proposed, too,
-    until there are `candidates` with such a feature.
+    Features at pixels `matched` (n, 2), which were matched with another panorama, are added until
+    `config.candidates` candidates contain such a feature.
 
     Raises `LandmarkNavError`: the panorama is smaller than a patch.
     """
@@ -62,15 +62,17 @@ def attend(
     first = max((c.saliency for c in accepted), default=1.0)
     if matched is not None:
         least = min((c.saliency for c in accepted), default=1.0)
-        also = _about(matched, accepted, gray, _inside(panorama.mask), least, config)
-        accepted = (*accepted, *also)
+        around_features = _around_features(
+            matched, accepted, gray, _inside(panorama.mask), least, config
+        )
+        accepted = (*accepted, *around_features)
     return Attention(
         tuple(replace(c, saliency=c.saliency / first) for c in accepted),
         tuple((replace(c, saliency=c.saliency / first), why) for c, why in refused),
     )
 
 
-def _about(
+def _around_features(
     pixels: FloatArray,
     taken: Sequence[Candidate],
     gray: ImageArray,
@@ -78,13 +80,13 @@ def _about(
     saliency: float,
     config: AttentionConfig,
 ) -> list[Candidate]:
-    """Candidates about pixels (n, 2) that are not of one of those taken, and distinct."""
+    """Candidates around pixels (n, 2) that are distinct and far enough from those taken."""
     height, width = gray.shape
     size = config.size_max_px
     centers = [(c.column, c.row) for c in taken]
     found: list[Candidate] = []
     away = np.abs(np.array(centers).reshape(-1, 1, 2) - pixels).max(-1)
-    wanted = config.candidates - int((away.min(-1, initial=np.inf) < _APART * size).sum())
+    wanted = config.candidates - int((away.min(-1, initial=np.inf) < _MIN_DISTANCE * size).sum())
     for column, row in np.floor(pixels) + 0.5 * (1 - size % 2):
         if len(found) >= wanted:
             break
@@ -94,7 +96,7 @@ def _about(
         if centers:
             away = np.abs(np.array(centers) - (column, row))
             away[:, 0] = np.minimum(away[:, 0], width - away[:, 0])
-            if (away.max(1) < _APART * size).any():
+            if (away.max(1) < _MIN_DISTANCE * size).any():
                 continue
         left = int(column - 0.5 * (size - 1))
         across = np.arange(left, left + size) % width
@@ -112,7 +114,7 @@ def _to_gray(image: ImageArray) -> ImageArray:
 
 
 def _fill_uncovered(gray: ImageArray, mask: npt.NDArray[np.bool_]) -> ImageArray:
-    """Continue the image into uncovered areas, whose rims would be edges otherwise."""
+    """Continue the image into uncovered areas, so that their borders are not edges."""
     if mask.all() or not mask.any():
         return gray
     labels = cv2.distanceTransformWithLabels(
@@ -124,7 +126,7 @@ def _fill_uncovered(gray: ImageArray, mask: npt.NDArray[np.bool_]) -> ImageArray
 
 
 def _inside(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Covered pixels with covered pixels around, round the seam too."""
+    """Covered pixels surrounded by covered pixels, also across the seam."""
     columns = np.arange(-_MARGIN_PX, mask.shape[1] + _MARGIN_PX) % mask.shape[1]
     kernel = np.ones((2 * _MARGIN_PX + 1, 2 * _MARGIN_PX + 1), np.uint8)
     shrunk = cv2.erode(mask.take(columns, axis=1).astype(np.uint8), kernel)

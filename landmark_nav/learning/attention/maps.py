@@ -1,13 +1,10 @@
 """
-From a grey panorama to its saliency: features -> conspicuity -> weighted mean.
+Saliency of a grey panorama: feature maps -> conspicuity maps -> weighted mean.
 
-Feature maps: intensity, edges, vertical edges and corners, each float32 in [0, 1].
-
-All but intensity live on Canny edge pixels only, so that noise on a bare wall has no features.
-
-Local symmetry about a point and about vertical lines, float32 in [0, 1].
-
-Both work at half resolution: symmetry of a patch of some 30 px shows nothing below 2 px.
+Feature maps are float32 in [0, 1]: intensity, edges, vertical edges, corners, and local symmetry
+about points and about vertical lines. All but intensity and line symmetry use Canny edge pixels
+only, so that noise on a bare wall is no feature. Symmetry is computed at half resolution, which is
+fine enough for patches of about 30 px.
 """
 
 from __future__ import annotations
@@ -39,17 +36,17 @@ FEATURES = (
 @dataclass(frozen=True)
 class AttentionConfig(Config):
     """
-    What attracts attention, what size is cut out, and what is refused.
+    Weights of features, sizes of patches, and which patches are refused.
 
-    The weights are in proportion to what each feature proposes, alone, that is found again more
-    often than chance, in simulated rooms kept for tuning (docs/decisions.md).
+    The weight of a feature is proportional to the number of patches, proposed by it alone, that
+    are found again beyond chance in the simulated rooms for tuning (docs/decisions.md).
     """
 
     # Weight of bright areas.
     weight_intensity: float = 0.0
     # Weight of Canny edges.
     weight_edges: float = 0.25
-    # Weight of vertical edges, which fix a bearing.
+    # Weight of vertical edges, which determine bearings.
     weight_vertical_edges: float = 0.0
     # Weight of corners.
     weight_corners: float = 0.2
@@ -59,20 +56,20 @@ class AttentionConfig(Config):
     weight_radial_symmetry: float = 0.2
     # Weight of symmetry about vertical lines.
     weight_line_symmetry: float = 0.1
-    # Least width and height of a patch, px.
+    # Smallest width and height of a patch, px.
     size_min_px: int = 28
     # Largest width and height of a patch, px.
     size_max_px: int = 32
     # Step between sizes, px.
     size_step_px: int = 2
     candidates: int = parameter(120, 'patches per panorama at most', minimum=1, maximum=10000)
-    # Stop where the response falls below this share of the first.
+    # Smallest response, relative to the first.
     least_response: float = 0.1
-    # Patches per sector at most.
+    # Largest number of patches in a sector of azimuth.
     candidates_per_sector: int = 12
-    # How far to either side a patch may be mistaken.
+    # Neighbourhood to either side in which no similar patch may be, px.
     neighborhood_columns_px: int = 60
-    # How far up and down a patch may be mistaken.
+    # Neighbourhood up and down in which no similar patch may be, px.
     neighborhood_rows_px: int = 16
 
     @property
@@ -82,7 +79,7 @@ class AttentionConfig(Config):
 
     def alone(self, feature: str) -> AttentionConfig:
         """
-        Let one of `FEATURES` alone attract attention.
+        Return the configuration in which only one of `FEATURES` has a weight.
 
         Raises `LandmarkNavError`: unknown feature.
         """
@@ -95,22 +92,23 @@ class AttentionConfig(Config):
 
     @property
     def sizes_px(self) -> tuple[int, ...]:
-        """Widths and heights to choose from, rising."""
+        """Possible widths and heights, ascending."""
         return tuple(range(self.size_min_px, self.size_max_px + 1, self.size_step_px))
 
 
-# Scales of the ring that collects edges about a point, in px of the full image; it weighs most
-# at sqrt(2) times as much.
+# Scales of the ring that collects edges around a point, px of the full image; the weight is
+# largest at a radius of sqrt(2) sigma.
 _RING_SIGMAS_PX = (4.0, 8.0, 16.0)
-# Mean edge strength, as a share of a strong edge everywhere, below which a ring is empty.
+# Mean edge strength of an almost empty ring, relative to strong edges everywhere.
 _EMPTY = 0.02
-# Radii of the circles that edges vote for, in px of the full image.
+# Radii of the circles that edges vote for, px of the full image.
 _RADII_PX = (4, 8, 16)
-# Votes that make a point fully symmetric, and how strictly they must come from all sides: Loy and
-# Zelinsky's values, and strict enough to leave straight edges out.
+# Number of votes of full symmetry, and exponent of radial strictness (Loy and Zelinsky); it
+# excludes straight edges.
 _FULL_VOTES = 9.9
 _STRICTNESS = 2
-# Half the width and height over which two sides of a vertical line are compared, full px.
+# Half the width and height of the window in which two sides of a vertical line are compared, px of
+# the full image.
 _HALF_WIDTH_PX = 16
 _HALF_HEIGHT_PX = 16
 
@@ -157,7 +155,7 @@ def _ring_symmetry(
     total = ring(strength, 1.0)
     circular = ring(real, -1.0) + cv2.sepFilter2D(imaginary, -1, first, first)
     linear = np.sqrt(ring(real, 1.0) ** 2 + ring(imaginary, 1.0) ** 2)
-    # Divided by what a full ring would hold, so that a few stray edges are no symmetry.
+    # A few stray edges in an almost empty ring are no symmetry.
     certainty = total / (total + np.float32(_EMPTY))
     total = np.maximum(total, np.float32(1e-6))
     symmetry = np.maximum(circular, 0.0) * np.maximum(total - linear, 0.0) / (total * total)
@@ -166,7 +164,7 @@ def _ring_symmetry(
 
 def radial_symmetry_map(gradients: EdgeGradients) -> Float32Array:
     """
-    Symmetry about a point at half resolution: edges vote for what they lie on a circle around.
+    Symmetry about a point at half resolution: edges vote for centres of circles.
 
     Each edge pixel votes for the points that lie one radius up and one down its gradient, with
     opposite signs: bright and dark centres collect votes of one sign, from all sides; points
@@ -202,14 +200,14 @@ def line_symmetry_map(intensity: Float32Array, contrast: float) -> Float32Array:
     """
     Symmetry about vertical lines at half resolution: correlation of both sides, one mirrored.
 
-    Row means are taken away first, since horizontal edges are symmetric about any vertical line.
+    Row means are subtracted first, since horizontal edges are symmetric about any vertical line.
 
     Parameters
     ----------
     intensity : ndarray of float32, shape (height, width)
         Full resolution.
     contrast : float
-        Contrast below which there is nothing to compare, in the units of `intensity`.
+        Contrast that counts as weak, in the units of `intensity`.
     """
     half = halve(intensity)
     reach, rise = _HALF_WIDTH_PX // 2, _HALF_HEIGHT_PX // 2
@@ -230,16 +228,16 @@ def line_symmetry_map(intensity: Float32Array, contrast: float) -> Float32Array:
 
 
 def halve(image: Float32Array) -> Float32Array:
-    """Mean over 2 x 2 pixels; height and width are even."""
+    """Mean over 2 x 2 pixels; height and width must be even."""
     size = (image.shape[1] // 2, image.shape[0] // 2)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-# A Sobel kernel adds up eight times the slope.
+# Response of the Sobel kernel to a unit gradient.
 _SOBEL_GAIN = 8.0
-# Over how far the gradients of a corner are collected, px.
+# Gaussian window over which the gradients of a corner are averaged, px.
 _CORNER_SIGMA_PX = 2.5
-# The share of edge pixels that is as strong as an edge needs to be to count fully.
+# Percentile of the magnitude of edge pixels that counts as a strong edge.
 _STRONG_EDGE_PERCENT = 90.0
 
 
@@ -267,8 +265,8 @@ def edge_gradients(gray: ImageArray, low: float, high: float, side: int = 0) -> 
     Gradients on the Canny edges of a grey image (height, width).
 
     `low` and `high` are the thresholds of the hysteresis in grey levels per px; `side` columns at
-    either end are there twice, and count once. Canny, A Computational Approach to Edge
-    Detection, PAMI 8(6), 1986.
+    either end are repetitions and do not count in statistics. Canny, A Computational Approach to
+    Edge Detection, PAMI 8(6), 1986.
     """
     smooth = cv2.GaussianBlur(gray, (0, 0), 1.0)
     sobel_x = cv2.Sobel(smooth, cv2.CV_16S, 1, 0)
@@ -278,7 +276,7 @@ def edge_gradients(gray: ImageArray, low: float, high: float, side: int = 0) -> 
     ).astype(bool)
     dx = np.where(edge, sobel_x, 0).astype(np.float32) / np.float32(_SOBEL_GAIN)
     dy = np.where(edge, sobel_y, 0).astype(np.float32) / np.float32(_SOBEL_GAIN)
-    # Not cv2.magnitude: its last bit depends on where the arrays lie in memory.
+    # Not cv2.magnitude: its last bit depends on the alignment of the arrays in memory.
     magnitude = np.sqrt(dx * dx + dy * dy)
     turn = slice(side, edge.shape[1] - side)
     found = magnitude[:, turn][edge[:, turn]]
@@ -300,7 +298,7 @@ def vertical_edge_map(gradients: EdgeGradients) -> Float32Array:
     """
     Contrast of edges within 45 degrees of the vertical: |g| max(0, cos 2 angle).
 
-    They are what fixes a bearing: shifted along the row, they no longer match.
+    They determine bearings: shifted along the row, they do not match.
     """
     dx, dy, magnitude = gradients.dx, gradients.dy, gradients.magnitude
     slope = (dx * dx - dy * dy) / np.maximum(magnitude, np.float32(1e-3))
@@ -311,7 +309,7 @@ def corner_map(gradients: EdgeGradients) -> Float32Array:
     """
     Corners by the covariance of the gradients on edge pixels: root of its smaller eigenvalue.
 
-    Zero along straight lines, also several parallel ones. Foerstner and Guelch, A Fast Operator
+    Zero along straight lines, even several parallel ones. Foerstner and Guelch, A Fast Operator
     for Detection and Precise Location of Distinct Points, 1987.
     """
     dx, dy = gradients.dx, gradients.dy
@@ -320,7 +318,7 @@ def corner_map(gradients: EdgeGradients) -> Float32Array:
         for product in (dx * dx, dy * dy, dx * dy)
     )
     smaller = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-    # An ideal corner has an edge pixel of either direction per px inside the window.
+    # An ideal corner has one edge pixel of either direction per px in the window.
     full = gradients.strong / np.sqrt(2.0 * np.sqrt(2.0 * np.pi) * _CORNER_SIGMA_PX)
     return _unit(np.sqrt(np.maximum(smaller, 0.0)) / np.float32(full))
 
@@ -329,15 +327,15 @@ def _unit(values: npt.NDArray[np.floating]) -> Float32Array:
     return np.asarray(np.clip(values, 0.0, 1.0), dtype=np.float32)
 
 
-# A map that rises less has nothing in it but rounding.
-_LEAST_PEAK = 1e-3
+# Smallest peak of a map; below, it holds only rounding errors.
+_MIN_PEAK = 1e-3
 
 
 def conspicuity_map(
     feature: Float32Array, center_sigma: float, surround_sigma: float, side: int = 0
 ) -> Float32Array:
     """
-    Where a feature stands out from its surround, in [0, 1].
+    Conspicuity: contrast of a feature with its surround, in [0, 1].
 
     Difference of Gaussians, rectified, then N(m) = m (1 - mean of the local maxima)^2, which
     lets a map with one peak pass and suppresses one with many equal peaks. Itti, Koch and
@@ -347,16 +345,16 @@ def conspicuity_map(
     ----------
     feature : ndarray of float32, shape (height, width)
     center_sigma, surround_sigma : float
-        In pixels of `feature`.
+        Gaussian sigmas, pixels of `feature`.
     side : int
-        Columns at either end that are there twice, and count once.
+        Number of repeated columns at either end, which do not count in statistics.
     """
     turn = slice(side, feature.shape[1] - side)
     center = cv2.GaussianBlur(feature, (0, 0), center_sigma)
     surround = cv2.GaussianBlur(feature, (0, 0), surround_sigma)
     stands_out = np.maximum(center - surround, 0.0)
     peak = float(stands_out[:, turn].max())
-    if peak < _LEAST_PEAK:
+    if peak < _MIN_PEAK:
         return np.zeros_like(feature)
     stands_out /= np.float32(peak)
     reach = 2 * int(np.ceil(surround_sigma)) + 1
@@ -374,19 +372,19 @@ def fuse(conspicuities: Mapping[str, Float32Array], weights: Mapping[str, float]
     return np.asarray(fused, dtype=np.float32)
 
 
-# Difference of Gaussians between what is at a place and around it, px of the panorama.
+# Sigmas of the difference of Gaussians, px of the panorama.
 CENTER_SIGMA_PX, SURROUND_SIGMA_PX = 4.0, 16.0
-# Gradients at which an edge goes on and starts, grey levels per px: chosen by hand.
+# Thresholds of the hysteresis of Canny edges, grey levels per px: chosen by hand.
 _EDGE_LOW, _EDGE_HIGH = 4.0, 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class AttentionMaps:
     """
-    Every step to saliency, float32 in [0, 1].
+    All maps of attention, float32 in [0, 1].
 
-    `features` and `conspicuities` by name, for weights above 0, at half resolution and with
-    `side` columns of the turn repeated on either side; `saliency` is as large as the panorama.
+    `features` and `conspicuities` are by name, for weights above 0, at half resolution and with
+    `side` repeated columns at either end; `saliency` has the size of the panorama.
     """
 
     features: dict[str, Float32Array]
@@ -397,12 +395,12 @@ class AttentionMaps:
 
 def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> AttentionMaps:
     """
-    Compute what attracts attention in a grey panorama.
+    Compute feature, conspicuity and saliency maps of a grey panorama.
 
     Parameters
     ----------
     panorama_gray : ndarray of uint8, shape (height, width)
-        Of a full turn: the last column borders on the first.
+        Full turn: the last column borders on the first.
     """
     weights = {name: weight for name, weight in config.weights.items() if weight > 0.0}
     height, width = panorama_gray.shape
@@ -421,7 +419,7 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
 
 
 def _feature_maps(gray: ImageArray, names: list[str], side: int) -> dict[str, Float32Array]:
-    """Feature maps at half resolution, what they share computed once."""
+    """Feature maps at half resolution."""
     gradients = edge_gradients(gray, _EDGE_LOW, _EDGE_HIGH, side)
     intensity = intensity_map(gray)
     compute: dict[str, Callable[[], Float32Array]] = {

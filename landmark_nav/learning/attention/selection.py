@@ -1,9 +1,9 @@
 """
-Hierarchical winner-take-all: which rectangles of a saliency map are attended, one after another.
+Hierarchical winner-take-all: selection of rectangles of a saliency map.
 
 Culhane and Tsotsos, An Attentional Prototype for Early Vision, ECCV 1992: units with rectangular
 receptive fields of several sizes compete at the top; the beam of the winner is narrowed layer by
-layer; what was attended is inhibited, and the competition is run again.
+layer; the attended area is inhibited, and the competition is repeated.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Examine = Callable[[Candidate], 'Refusal | None']
 
 # Distance between units in the layers of the pyramid, top first, px.
 _PITCHES_PX = (4, 2, 1)
-# Sectors of azimuth, each of which has so many candidates at most.
+# Number of sectors of azimuth; `candidates_per_sector` limits each.
 _SECTORS = 18
-# Area that is inhibited after attending, in patch widths.
+# Inhibited area around an attended patch, in patch sizes.
 _INHIBITION = 1.25
-# A unit that sees an uncovered pixel loses against any other.
+# Saliency of uncovered pixels: a unit that contains one loses against any other.
 _FORBIDDEN = np.float32(-1e4)
-# Among equal means the larger field wins, but one that dilutes its content does not.
+# Exponent of the area in the response: among equal means the larger field wins.
 _SIZE_EXPONENT = 0.25
 
 
@@ -39,16 +39,16 @@ def select(
     examine: Examine,
 ) -> tuple[tuple[Candidate, ...], tuple[tuple[Candidate, Refusal], ...]]:
     """
-    Attend to one rectangle after another until there are enough or nothing stands out any more.
+    Select rectangles until there are enough or the response is too low.
 
     Parameters
     ----------
     saliency : ndarray of float32, shape (height, width)
-        Of a full turn: the last column borders on the first.
+        Saliency of a full turn: the last column borders on the first.
     covered : ndarray of bool, shape (height, width)
-        A rectangle lies on these pixels only.
+        Pixels that rectangles may contain.
     examine : callable
-        Says why an attended rectangle is of no use, or None.
+        Returns why a rectangle is refused, or None.
 
     Returns
     -------
@@ -78,12 +78,12 @@ def select(
         accepted.append(winner)
         taken[sector] += 1
         if taken[sector] == config.candidates_per_sector:
-            units.close(sector / _SECTORS, (sector + 1) / _SECTORS)
+            units.exclude(sector / _SECTORS, (sector + 1) / _SECTORS)
     return tuple(accepted), tuple(refused)
 
 
 class _Units:
-    """The units that compete, over what is left of the saliency map."""
+    """The competing units, and the saliency map without inhibited areas."""
 
     def __init__(
         self, saliency: Float32Array, covered: BoolArray, config: AttentionConfig
@@ -96,7 +96,7 @@ class _Units:
         self._reach = sizes[-1] // 2 + 1
         self._border = self._reach + 2 * _PITCHES_PX[0]
         self._height, self._width = saliency.shape
-        self._left = np.pad(
+        self._remaining = np.pad(
             np.where(covered, saliency, _FORBIDDEN),
             ((self._border, self._border), (0, 0)),
             constant_values=_FORBIDDEN,
@@ -107,13 +107,13 @@ class _Units:
         self._top = self._respond(self._rows, self._columns)[0]
 
     def strongest(self) -> tuple[float, int, int]:
-        """Response and place (row, column) of the winner of the top layer."""
+        """Response and position (row, column) of the winner of the top layer."""
         at = int(np.argmax(self._top))
         row, column = np.unravel_index(at, self._top.shape)
         return float(self._top.flat[at]), int(self._rows[row]), int(self._columns[column])
 
     def narrow(self, row: int, column: int) -> Candidate:
-        """Follow the beam of a top unit down to the rectangle that made it win."""
+        """Narrow the beam of a top unit to the rectangle with the largest response."""
         field, response = 0, 0.0
         for above, pitch in pairwise(_PITCHES_PX):
             offsets = np.arange(-above, above + 1, pitch)
@@ -133,7 +133,7 @@ class _Units:
         )
 
     def inhibit(self, attended: Candidate) -> None:
-        """Take the attended area out of the map and let the units that saw it respond anew."""
+        """Inhibit the attended area and update the responses of the units that overlap it."""
         half_width = 0.5 * _INHIBITION * attended.width_px
         half_height = 0.5 * _INHIBITION * attended.height_px
         away = self._columns_away(np.arange(self._width), attended.column)
@@ -141,7 +141,7 @@ class _Units:
         first = max(0, int(np.ceil(attended.row - half_height))) + self._border
         last = min(self._height - 1, int(attended.row + half_height)) + self._border
         area = np.ix_(np.arange(first, last + 1), columns)
-        self._left[area] = np.minimum(self._left[area], 0.0)
+        self._remaining[area] = np.minimum(self._remaining[area], 0.0)
 
         away = self._columns_away(self._columns, attended.column)
         saw_column = np.flatnonzero(np.abs(away) <= half_width + self._reach)
@@ -151,8 +151,8 @@ class _Units:
         responses[:, ~self._open[saw_column]] = -np.inf
         self._top[np.ix_(saw_row, saw_column)] = responses
 
-    def close(self, begin: float, end: float) -> None:
-        """Let no unit between two shares of the turn win any more."""
+    def exclude(self, begin: float, end: float) -> None:
+        """Exclude the units between two azimuths, relative to the turn, from winning."""
         share = (self._columns + 0.5) / self._width
         self._open &= (share < begin) | (share >= end)
         self._top[:, ~self._open] = -np.inf
@@ -163,16 +163,16 @@ class _Units:
 
     def _respond(self, rows: IndexArray, columns: IndexArray) -> tuple[FloatArray, IndexArray]:
         """
-        Largest response over the sizes of units at rows x columns, and which size it was.
+        Largest response over the sizes of units at rows x columns, and index of that size.
 
-        A unit sees the mean of its field and that of the middle quarter, in equal parts: so the
-        winner is centred on what made it win.
+        The response averages the mean over the field and the mean over its middle quarter, so that
+        winners are centred on salient content.
         """
         top, left = int(rows.min()) - self._reach, int(columns.min()) - self._reach
         across = np.arange(left, int(columns.max()) + self._reach + 1) % self._width
         down = slice(self._border + top, self._border + int(rows.max()) + self._reach + 1)
-        table = cv2.integral(self._left[down].take(across, axis=1), sdepth=cv2.CV_64F)
-        # Sums between the upper and the lower rim of a field, up to each column of the table.
+        table = cv2.integral(self._remaining[down].take(across, axis=1), sdepth=cv2.CV_64F)
+        # Sums between the upper and the lower border of a field, up to each column of the table.
         heights = {h for _, height in self._fields for h in (height, height // 2)}
         above = {h: rows - top - h // 2 for h in heights}
         bands = {h: table[first + h] - table[first] for h, first in above.items()}
@@ -193,14 +193,14 @@ def _sums(band: FloatArray, columns: IndexArray, width: int) -> FloatArray:
     return np.asarray(band[:, before + width] - band[:, before])
 
 
-# A neighbour closer than this share of the patch is the patch itself, merely shifted.
+# Smallest distance of another match, relative to the patch size; nearer ones are the patch itself.
 _SAME_PLACE = 0.25
 # Largest predicted noise of a match along the row, px.
-_MOST_BEARING_SIGMA_PX = 0.05
-# Largest correlation with another place near by (docs/decisions.md, attention).
-_MOST_ALIKE = 0.75
-# Noise of one frame, standard deviation in grey levels: about that of the simulated camera at
-# middle brightness, sqrt(2^2 + 0.06 x 120) = 3.3.
+_MAX_BEARING_SIGMA_PX = 0.05
+# Largest correlation with a neighbouring position (docs/decisions.md, attention).
+_MAX_SIMILARITY = 0.75
+# Noise of a frame, standard deviation in grey levels: about that of the simulated camera at
+# medium brightness, sqrt(2^2 + 0.06 x 120) = 3.3.
 _NOISE_GRAY = 3.0
 # Standard deviation of the Gaussian before gradients are taken, px.
 _SMOOTHING_PX = 1.0
@@ -208,17 +208,17 @@ _SMOOTHING_PX = 1.0
 
 def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> Refusal | None:
     """
-    Say why a patch of a panorama could be mistaken, or None if it is distinct.
+    Return why a patch of a panorama is ambiguous or too weak; None if it is distinct.
 
     Parameters
     ----------
     gray : ndarray of uint8, shape (height, width)
-        Of a full turn: the last column borders on the first.
+        Full turn: the last column borders on the first.
     """
     window, column, row = _neighborhood(candidate, gray, config)
     patch = window[row : row + candidate.height_px, column : column + candidate.width_px]
     sigma_px = _bearing_sigma_px(patch)
-    if sigma_px > _MOST_BEARING_SIGMA_PX:
+    if sigma_px > _MAX_BEARING_SIGMA_PX:
         found = f'a match would vary by {sigma_px:.2f} px' if np.isfinite(sigma_px) else 'noise'
         return Refusal('too little contrast along the row', found)
     score = cv2.matchTemplate(window, np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)
@@ -229,7 +229,7 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     )
     score = np.where(elsewhere & np.isfinite(score), score, -1.0)
     at = np.unravel_index(int(np.argmax(score)), score.shape)
-    if score[at] > _MOST_ALIKE:
+    if score[at] > _MAX_SIMILARITY:
         return Refusal(
             'looks like a place near by',
             f'correlation {score[at]:.2f} at {at[1] - column:+d} columns, {at[0] - row:+d} rows',
@@ -240,7 +240,7 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
 def _neighborhood(
     candidate: Candidate, gray: ImageArray, config: AttentionConfig
 ) -> tuple[ImageArray, int, int]:
-    """Cut out what surrounds a patch; return it and where in it the patch begins."""
+    """Cut out the neighbourhood of a patch; return it and the patch's column and row in it."""
     height, width = gray.shape
     left = round(candidate.column - (candidate.width_px - 1) / 2.0)
     top = round(candidate.row - (candidate.height_px - 1) / 2.0)
@@ -255,9 +255,9 @@ def _bearing_sigma_px(patch: ImageArray) -> float:
     """
     Noise along the row of a least-squares match between two images of a patch, px.
 
-    The Cramer-Rao bound sqrt(2) noise / |gradients|, with the shift along the column unknown
-    too: a patch of one slanted edge fixes neither. The gradients are taken from a smoothed patch
-    and cleared of what noise adds to them, since noise is not found again.
+    It is the Cramer-Rao bound sqrt(2) noise / |gradients|, with the shift along the column unknown
+    too: one slanted edge determines neither. The gradients are those of a smoothed patch, less the
+    expected contribution of noise.
     """
     image = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), _SMOOTHING_PX)
     dx = 0.5 * (image[1:-1, 2:] - image[1:-1, :-2])

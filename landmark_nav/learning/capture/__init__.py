@@ -1,4 +1,4 @@
-"""Taking a sweep: turn the camera step by step, let it settle, keep one good frame, go on."""
+"""Capture of a sweep: for each step, turn the camera, let it settle and keep one good frame."""
 
 from __future__ import annotations
 

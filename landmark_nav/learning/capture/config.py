@@ -14,9 +14,9 @@ from landmark_nav.types import FloatArray
 @dataclass(frozen=True)
 class CaptureConfig(Config):
     """
-    How a sweep is taken.
+    How a sweep is captured.
 
-    Chosen by hand: 72 frames, 5 degrees apart, are a full turn.
+    By default 72 frames, 5 degrees apart, are a full turn; chosen by hand.
     """
 
     start_rad: float = parameter(
@@ -29,9 +29,9 @@ class CaptureConfig(Config):
         maximum=1.0,
     )
     frames: int = parameter(72, 'frames of a sweep', minimum=1, maximum=1440)
-    # Least pan of the joint, rad; steps beyond it are left out.
+    # Lower limit of the pan joint, rad; steps beyond it are left out.
     pan_min_rad: float = -np.pi
-    # Largest pan of the joint, rad; steps beyond it are left out.
+    # Upper limit of the pan joint, rad; steps beyond it are left out.
     pan_max_rad: float = np.pi
     # Distance from the commanded pan that counts as arrived, rad.
     arrival_tolerance_rad: float = 0.01
@@ -41,15 +41,15 @@ class CaptureConfig(Config):
         minimum=0.1,
         maximum=600.0,
     )
-    # Refused frames of one step before giving up.
+    # Largest number of refused frames in one step.
     retakes: int = 10
     # Pause before a frame is taken again, s.
     retake_pause_s: float = 0.2
-    # How far the stamps of images and joint states may be apart, s.
+    # Largest difference between the stamps of an image and of joint states, s.
     stamp_gap_s: float = 0.3
 
     def __post_init__(self) -> None:
-        """Check that the joint can reach any of the angles."""
+        """Check that the joint can reach at least one of the steps."""
         super().__post_init__()
         if np.isnan(self.targets(self.pan_min_rad, self.pan_max_rad)).all():
             last = self.start_rad + (self.frames - 1) * self.step_rad
@@ -61,9 +61,9 @@ class CaptureConfig(Config):
 
     def targets(self, low_rad: float, high_rad: float) -> FloatArray:
         """
-        Pan of each step, (frames,), on whichever turn lies between two limits; NaN beyond them.
+        Pan of each step, (frames,), shifted by whole turns into two limits; NaN if impossible.
 
-        Where several do it is that nearest to `start_rad` counted on by `step_rad`.
+        If several turns are possible, the pan is the nearest to `start_rad` + k `step_rad`.
         """
         wanted = self.start_rad + self.step_rad * np.arange(self.frames)
         reached = np.full(self.frames, np.nan)

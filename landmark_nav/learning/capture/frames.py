@@ -1,10 +1,9 @@
 """
-Frames of a sweep: which are refused at sight, which are less sharp than their neighbours.
+Frames of a sweep: checks of their stamps and content, and their sharpness.
 
-How sharp an image is beside others that show the same part of the room.
-
-Sharpness alone shows nothing: a blank wall has none. So gradients are kept by direction, and two
-images are compared where both look, whatever is there.
+The sharpness of an image is relative to others of the same part of the room: its absolute value
+says nothing, since a blank wall has no gradients. So gradients are kept by azimuth, and two images
+are compared where they overlap.
 """
 
 from __future__ import annotations
@@ -24,22 +23,22 @@ from landmark_nav.learning.capture.joints import JointTrack
 from landmark_nav.types import FloatArray, ImageArray, JointSample
 
 _BIN_RAD = float(np.radians(1.0))
-# Common directions that a comparison needs.
-_LEAST_BINS = 4
-# An image whose grey levels span no more shows nothing: covered, dark, or overexposed.
+# Smallest overlap for a comparison, bins of azimuth.
+_MIN_BINS = 4
+# Largest range of grey levels of an image without content: covered, dark, or overexposed.
 _FLAT_LEVELS = 2
-# Energy that counts as little: what noise of two or three grey levels makes.
-_NOTHING = 5e-3
+# Gradient energy caused by noise of two to three grey levels.
+_NOISE_ENERGY = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
     """
-    What an image shows, as far as its quality goes.
+    Gradients of an image by azimuth, for the comparison of sharpness.
 
-    `azimuth_rad` (n,) rises evenly and is relative to the pan; `energy` (2, n) is the mean squared
-    gradient there, across and down, over the squared mean brightness; `flat` says that there is no
-    contrast at all.
+    `azimuth_rad` (n,) are evenly spaced azimuths relative to the pan; `energy` (2, n) is the mean
+    squared gradient there, across and down, relative to the squared mean brightness; `flat` means
+    that there is no contrast at all.
     """
 
     azimuth_rad: FloatArray
@@ -49,7 +48,7 @@ class Look:
 
 def look_at(image: ImageArray, camera: CameraModel, camera_roll_rad: float = 0.0) -> Look:
     """
-    Measure an image, BGR (height, width, 3) or grey (height, width), of a camera that is rolled.
+    Measure the gradients of an image, BGR (height, width, 3) or grey (height, width).
 
     The gradient is Sobel's, as in Tenenbaum's measure of focus (Krotkov, IJCV 1, 1987).
     """
@@ -60,7 +59,7 @@ def look_at(image: ImageArray, camera: CameraModel, camera_roll_rad: float = 0.0
     brightness = cv2.reduce(grey, 0, cv2.REDUCE_AVG, dtype=cv2.CV_32F).ravel()
 
     pixels = np.stack([np.arange(camera.width), np.full(camera.width, camera.cy)], -1)
-    # About the pan axis, however that is mounted.
+    # In the frame of the pan axis, independent of how that is mounted.
     turn, _ = PanTiltMount(camera_roll_rad=camera_roll_rad).camera_pose_base(0.0)
     rays = camera.unproject(pixels) @ turn.T
     azimuth = np.unwrap(np.arctan2(rays[:, 1], rays[:, 0]))
@@ -79,28 +78,32 @@ def look_at(image: ImageArray, camera: CameraModel, camera_roll_rad: float = 0.0
 
 def relative_sharpness(look: Look, other: Look, turned_rad: float) -> float | None:
     """
-    Gradient energy of one image over that of another in the directions that both show.
+    Gradient energy of one image relative to that of another at the azimuths that both show.
 
-    Across or down, whichever is less: a shaken camera blurs one way only. Each is the median over
-    directions, by how much there is to see there: people who pass hardly count.
+    It is the smaller of the ratios across and down: a shaking camera blurs along one axis only.
+    Each ratio is a median over azimuths, weighted by gradient energy, so that people who walk by
+    have little influence.
 
     Parameters
     ----------
     turned_rad : float
-        Pan of the first less that of the other.
+        Pan of the first minus that of the other.
 
     Returns
     -------
     float or None
-        About 1 if both are equally sharp; None if they have too little in common.
+        About 1 if both are equally sharp; None if they overlap too little.
     """
     at = look.azimuth_rad + turned_rad
     both = (at >= other.azimuth_rad[0]) & (at <= other.azimuth_rad[-1])
-    if np.count_nonzero(both) < _LEAST_BINS:
+    if np.count_nonzero(both) < _MIN_BINS:
         return None
     ratios = []
     for own, its in zip(look.energy, other.energy, strict=True):
-        here, there = own[both] + _NOTHING, np.interp(at[both], other.azimuth_rad, its) + _NOTHING
+        here, there = (
+            own[both] + _NOISE_ENERGY,
+            np.interp(at[both], other.azimuth_rad, its) + _NOISE_ENERGY,
+        )
         ratios.append(_weighted_median(here / there, np.sqrt(here * there)))
     return min(ratios)
 
@@ -113,17 +116,17 @@ def _weighted_median(values: FloatArray, weights: npt.NDArray[np.float64]) -> fl
 
 FrameT = TypeVar('FrameT')
 
-# Frames whose content is remembered.
+# Number of frames whose digest is kept.
 _REMEMBERED = 5000
+# Number of nearest frames with which the sharpness is compared.
 _NEIGHBOURS = 4
-# Gradient energy, relative to that of neighbours in what both show, below which a frame counts as
-# blurred: chosen by hand.
-_LEAST_SHARPNESS = 0.75
+# Smallest sharpness relative to neighbours; below, a frame counts as blurred. Chosen by hand.
+_MIN_SHARPNESS = 0.75
 
 
 @dataclass(frozen=True)
 class Shot(Generic[FrameT]):
-    """A frame that came; `digest` is the same for the same image, and only for that."""
+    """A frame that arrived; `digest` identifies the content of its image."""
 
     frame: FrameT
     stamp_ns: int
@@ -141,18 +144,18 @@ class KeptFrame(Generic[FrameT]):
 
 
 class FrameLog:
-    """Stamps and contents of all frames that came."""
+    """Stamps and digests of all frames that arrived."""
 
     def __init__(self, config: CaptureConfig) -> None:
         self._config = config
         self._last_ns = -1
-        # When the last one came, and how old it was.
-        self._came: tuple[int, float] | None = None
+        # Time when the last frame arrived, and its age then.
+        self._last_arrival: tuple[int, float] | None = None
         self._first: dict[bytes, tuple[int, tuple[float, float] | None]] = {}
 
-    def untimely(self, stamp_ns: int, joints_ns: int, now_ns: int) -> str:
-        """Why a stamp cannot be right; nothing if it can. `joints_ns` is the newest joint's."""
-        self._came = now_ns, (joints_ns - stamp_ns) * 1e-9
+    def stamp_error(self, stamp_ns: int, joints_ns: int, now_ns: int) -> str:
+        """Why a stamp is wrong, or ''. `joints_ns` is the stamp of the newest joint sample."""
+        self._last_arrival = now_ns, (joints_ns - stamp_ns) * 1e-9
         ahead_s, after_s = (stamp_ns - joints_ns) * 1e-9, (stamp_ns - self._last_ns) * 1e-9
         if ahead_s > self._config.stamp_gap_s:
             return f'badly timed: stamp {ahead_s:.3f} s ahead of joint_states'
@@ -161,11 +164,11 @@ class FrameLog:
             return f'badly timed: stamp {-after_s:.3f} s before the last one'
         return 'duplicated: the same stamp again' if after_s == 0.0 else ''
 
-    def why_none(self, now_ns: int) -> str:
-        """Why there is no image to be taken, most likely."""
-        if self._came is None:
+    def no_image_reason(self, now_ns: int) -> str:
+        """The most likely reason why no usable image arrives."""
+        if self._last_arrival is None:
             return 'no image came: is the camera on?'
-        came_ns, age_s = self._came
+        came_ns, age_s = self._last_arrival
         since_s = (now_ns - came_ns) * 1e-9
         if since_s > 0.5 * self._config.step_timeout_s:
             return (
@@ -177,23 +180,23 @@ class FrameLog:
         )
 
     def is_first(self, digest: bytes) -> bool:
-        """Whether no other image has come before this one."""
+        """Whether the image with this digest was the first of all."""
         return next(iter(self._first)) == digest
 
     def remember(self, digest: bytes, stamp_ns: int, pans_rad: tuple[float, float] | None) -> None:
-        """Take an image that came, with the least and greatest pan it may have had, if known."""
+        """Store an image with the range of pan in which it was taken, if that is known."""
         self._first[digest] = (stamp_ns, pans_rad)
         if len(self._first) > _REMEMBERED:
             del self._first[next(iter(self._first))]
 
-    def seen_elsewhere(self, digest: bytes, stamp_ns: int, track: JointTrack) -> bool:
-        """Whether this very image came at another pan; remembers it."""
+    def seen_at_other_pan(self, digest: bytes, stamp_ns: int, track: JointTrack) -> bool:
+        """Whether the same image arrived at another pan before; stores it."""
         pans_rad = track.around(stamp_ns)
         first_ns, first_rad = self._first.get(digest, (stamp_ns, None))
-        # It may have come before the joint state of its time.
+        # The image may have arrived before the joint states of its time.
         first_rad = track.around(first_ns) or first_rad
         if first_rad is None:
-            # The joint states of its time never came, or not yet.
+            # The joint states of its time are missing, or have not arrived yet.
             self.remember(digest, stamp_ns, pans_rad)
             return False
         self.remember(digest, first_ns, first_rad)
@@ -201,7 +204,7 @@ class FrameLog:
             newest = track.last
             if newest is None or stamp_ns < newest.stamp_ns:
                 return False
-            # It came before the joint state of its time; the unit stands when that matters.
+            # It arrived before the joint states of its time; the unit stands still by then.
             pans_rad = newest.pan_rad, newest.pan_rad
         apart = max(pans_rad[0] - first_rad[1], first_rad[0] - pans_rad[1])
         return apart > self._config.arrival_tolerance_rad
@@ -211,7 +214,7 @@ class Album(Generic[FrameT]):
     """
     The frames kept so far, by step.
 
-    `suspect` holds the steps whose frame is to be taken again.
+    `suspect` are the steps whose frame will be taken again.
     """
 
     def __init__(self) -> None:
@@ -219,27 +222,27 @@ class Album(Generic[FrameT]):
         self.suspect: set[int] = set()
 
     def keep(self, step: int, frame: KeptFrame[FrameT]) -> bool:
-        """Keep a frame; False if it was there before."""
+        """Keep a frame; return False if it was kept before."""
         is_new = self.frames.get(step) is not frame
         self.frames[step] = frame
         self.suspect.discard(step)
         return is_new
 
-    def distrust(self, digest: bytes) -> None:
-        """Forget the frame with that image: nobody knows where it was taken."""
+    def remove(self, digest: bytes) -> None:
+        """Remove the frames with this image: the pan at which it was taken is unknown."""
         for step in [k for k, kept in self.frames.items() if kept.digest == digest]:
             del self.frames[step]
             self.suspect.discard(step)
 
     def blurred(self, step: int, frame: KeptFrame[FrameT]) -> str | None:
-        """Why a frame counts as blurred, or somebody passes; None if that is not known."""
+        """Why a frame counts as blurred or covered, '' if it is sharp, None if that is unknown."""
         ratio = self._sharpness(step, frame)
-        if ratio is None or ratio >= _LEAST_SHARPNESS:
+        if ratio is None or ratio >= _MIN_SHARPNESS:
             return None if ratio is None else ''
         return f'blurred or covered: {ratio:.2f} of the texture that its neighbours show'
 
     def review(self) -> list[tuple[KeptFrame[FrameT], str]]:
-        """Suspect what is less sharp than its neighbours, once there are some on both sides."""
+        """Mark frames that are less sharp than their neighbours, when all steps have a frame."""
         found = []
         for step, kept in self.frames.items():
             if reason := self.blurred(step, kept):
@@ -248,7 +251,7 @@ class Album(Generic[FrameT]):
         return found
 
     def _sharpness(self, step: int, frame: KeptFrame[FrameT]) -> float | None:
-        """Sharpness relative to the nearest frames that show the same; None if none does."""
+        """Median sharpness relative to the nearest frames that overlap; None if none does."""
         pan_rad = frame.joints.pan_rad
         others = [kept for k, kept in self.frames.items() if k != step]
         turned = [(float(wrap_rad(pan_rad - kept.joints.pan_rad)), kept) for kept in others]
@@ -260,14 +263,14 @@ class Album(Generic[FrameT]):
 
 
 def sharpest(shots: list[KeptFrame[FrameT]]) -> tuple[KeptFrame[FrameT], float]:
-    """Sharpest of frames of one direction, and how much the last three differ, relative."""
+    """Sharpest of frames at one pan, and the relative range of sharpness of the last three."""
     ratios = [relative_sharpness(shot.look, shots[0].look, 0.0) or 0.0 for shot in shots]
     last = ratios[-3:]
     return shots[int(np.argmax(ratios))], float(np.ptp(last) / max(np.max(last), 1e-9))
 
 
 class Phase(Enum):
-    """What a step waits for."""
+    """Phase of a step: what it waits for."""
 
     SETTLING = 'the pan joint to stand at the commanded angle'
     EXPOSING = 'an image'
@@ -277,9 +280,9 @@ class Phase(Enum):
 @dataclass
 class Step(Generic[FrameT]):
     """
-    The step under way; stamps are the robot's, other times the caller's.
+    The current step. Stamps are those of messages; other times are by the caller's clock.
 
-    `number` is None while nothing is left but to see that the joint can still move.
+    `number` is None if all frames are kept and only the motion of the joint is to be checked.
     """
 
     number: int | None

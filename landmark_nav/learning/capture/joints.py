@@ -1,4 +1,4 @@
-"""What the joint states show of the pan-tilt unit: standing still, where, and how far it gets."""
+"""State of the pan-tilt unit by joint states: whether it stands still, angles and limits."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from landmark_nav.geometry.angles import unwrap_joint, wrap_one_rad, wrap_rad
 from landmark_nav.learning.capture.config import CaptureConfig
 from landmark_nav.types import FloatArray, JointSample, OdometrySample
 
-# Samples are kept for so long, and no closer to each other.
+# Time for which samples are kept, and their smallest spacing.
 _HISTORY_NS = 3_000_000_000
 _APART_NS = 4_000_000
-_LEAST_SAMPLES = 3
-# Way and turn by odometry that end a sweep, m and rad: chosen by hand.
+_MIN_SAMPLES = 3
+# Motion by odometry that ends a sweep, m and rad: chosen by hand.
 _MOVED_M, _MOVED_RAD = 0.01, 0.01
-# The unit stands where it turns no faster than this, rad/s, over this time or longer, s: chosen by
-# hand, so that three joint states at 25 Hz suffice and 0.8 mrad of noise do no harm.
+# The unit stands still if its rate is below this, rad/s, for at least this time, s. Chosen by
+# hand: three joint states at 25 Hz are enough, and noise of 0.8 mrad is tolerated.
 _SETTLED_RAD_S, _SETTLED_S = 0.01, 0.08
 
 
 class JointTrack:
-    """The last joint samples, by time."""
+    """The recent joint samples, by time."""
 
     def __init__(self, config: CaptureConfig) -> None:
         self._config = config
@@ -36,7 +36,7 @@ class JointTrack:
         return self._samples[-1] if self._samples else None
 
     def add(self, sample: JointSample) -> bool:
-        """Take a sample; False if it is not later than the newest, or hardly."""
+        """Add a sample; return False if it is not later than the newest by `_APART_NS`."""
         if self._samples and sample.stamp_ns < self._samples[-1].stamp_ns + _APART_NS:
             return False
         self._samples.append(sample)
@@ -44,16 +44,16 @@ class JointTrack:
             self._samples.popleft()
         return True
 
-    def stands(self, after_ns: int, since_ns: int, target_rad: float | None = None) -> bool:
+    def stands_still(self, after_ns: int, since_ns: int, target_rad: float | None = None) -> bool:
         """
-        Whether the unit has stood still, at `target_rad` if given, from `since_ns` or before.
+        Whether the unit has stood still, at `target_rad` if given, since `since_ns` at least.
 
-        Only samples after `after_ns` count. It stands still if over some stretch up to now, not
-        shorter than `_SETTLED_S`, it did not move further than the rate limit allows; over a
-        longer one a coarse encoder may flicker by one step.
+        Only samples after `after_ns` count. The unit stands still if in some interval that ends
+        now and is not shorter than `_SETTLED_S` it moved less than the rate limit allows. Long
+        intervals tolerate a coarse encoder that flickers by one step.
         """
         recent = [sample for sample in self._samples if sample.stamp_ns > after_ns][::-1]
-        if len(recent) < _LEAST_SAMPLES:
+        if len(recent) < _MIN_SAMPLES:
             return False
         stamps = np.array([sample.stamp_ns for sample in recent], dtype=np.int64)
         pans_rad = unwrap_joint(stamps, [sample.pan_rad for sample in recent])
@@ -62,14 +62,14 @@ class JointTrack:
         span_s = (stamps[0] - stamps) * 1e-9
         still = moved.max(axis=1) <= _SETTLED_RAD_S * span_s
         still &= (span_s >= _SETTLED_S) & (stamps <= since_ns)
-        still[: _LEAST_SAMPLES - 1] = False
+        still[: _MIN_SAMPLES - 1] = False
         if target_rad is not None:
             off = np.maximum.accumulate(np.abs(wrap_rad(pans_rad - target_rad)))
             still &= off <= self._config.arrival_tolerance_rad
         return bool(still.any())
 
     def around(self, stamp_ns: int) -> tuple[float, float] | None:
-        """Least and greatest pan around a stamp; None if no sample is kept on either side."""
+        """Range of the pan between the samples around a stamp; None if one of them is missing."""
         stamps = [sample.stamp_ns for sample in self._samples]
         after = bisect_left(stamps, stamp_ns)
         if after < len(stamps) and stamps[after] == stamp_ns:
@@ -102,10 +102,10 @@ class JointTrack:
 
 class PanReach:
     """
-    Which steps the pan joint can reach: within its limits, and where it stops before them.
+    Steps that the pan joint can reach, by its configured limits and by observed stops.
 
-    Where it stops short is taken for a limit, but unconfirmed until the joint has moved again: it
-    might be stuck. A joint that has not moved at all is.
+    A stop before the target counts as a limit. It is unconfirmed until the joint moves again: it
+    might be stuck. A joint that has not moved at all counts as stuck.
     """
 
     def __init__(self, config: CaptureConfig) -> None:
@@ -120,15 +120,15 @@ class PanReach:
 
     @property
     def unconfirmed_limit_rad(self) -> float | None:
-        """The pan at which it stopped, if it has not moved since."""
+        """Pan of the last stop if the joint has not moved since; else None."""
         return self._unconfirmed_limit_rad
 
     def nearest(self, pan_rad: float) -> float:
-        """The pan within its limits that is nearest to one."""
+        """Return the pan clipped to the limits."""
         return float(np.clip(pan_rad, self._low, self._high))
 
     def add(self, pan_rad: float) -> None:
-        """Take a measured pan: one that moves is not stuck."""
+        """Add a measured pan; a joint that moves is not stuck."""
         tolerance = self._config.arrival_tolerance_rad
         if self._first_rad is None:
             self._first_rad = pan_rad
@@ -141,7 +141,7 @@ class PanReach:
             self._unconfirmed_limit_rad = None
 
     def stop(self, pan_rad: float, target_rad: float) -> bool:
-        """Take it that the joint stops at a pan on its way to a target; False if it is stuck."""
+        """Record a stop on the way to a target as a limit; return False if the joint is stuck."""
         if self._unconfirmed_limit_rad is not None or not self._has_moved:
             return False
         self._unconfirmed_limit_rad = pan_rad
@@ -158,27 +158,27 @@ class PanReach:
         self.targets = self._config.targets(self._low, self._high)
 
 
-class Place:
-    """Where the frames so far were taken, by odometry; without any the robot stands."""
+class BaseMotion:
+    """Motion of the base since the first frame, by odometry; without odometry it stands still."""
 
     def __init__(self) -> None:
         self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
 
     def add(self, sample: OdometrySample, *, anew: bool) -> None:
-        """Take the robot's pose; `anew` says that there is no frame yet."""
+        """Add a pose of the base; with `anew` the motion is relative to this pose."""
         self._last = sample
         if anew or self._first is None:
             self._first = sample
 
     @property
     def known(self) -> bool:
-        """Whether odometry shows it."""
+        """Whether there is odometry."""
         return self._last is not None
 
     @property
     def moved(self) -> str:
-        """How far it has gone in words; nothing if it stands."""
+        """Text of the motion since the first frame; '' if the base stands still."""
         if self._first is None or self._last is None:
             return ''
         way = se2.relative(self._first.pose_odom_base, self._last.pose_odom_base)

@@ -1,4 +1,4 @@
-"""Whether a call goes on with the sweep that was interrupted or begins another."""
+"""Continuation of an interrupted sweep, and texts about a sweep."""
 
 from __future__ import annotations
 
@@ -22,27 +22,29 @@ def begin_or_resume(
     now_ns: int,
 ) -> tuple[SweepCapture[FrameT], str]:
     """
-    Go on with a sweep if something is missing and the robot still stands there, or begin one.
+    Continue an incomplete sweep if the base has not moved since; else begin a new one.
 
     Returns
     -------
     sweep : SweepCapture
     note : str
-        What became of the frames of before; nothing if there were none.
+        Text: whether earlier frames are used, or why not; '' if there are none.
     """
     note = ''
     if before is not None and not before.done and before.kept:
         frames, why = len(before.kept), before.why_not_resumed(now_ns)
         if not why:
             before.resume(now_ns)
-            unknown_place = '' if before.place.known else ' (no odom: did the robot stand still?)'
-            return before, f'gone on after {frames} frames of before{unknown_place}'
-        note = f'begun anew without {frames} frames of before: {why}'
+            no_odometry = (
+                '' if before.base_motion.known else ' (no odom: did the robot stand still?)'
+            )
+            return before, f'continued after {frames} earlier frames{no_odometry}'
+        note = f'begun anew without {frames} earlier frames: {why}'
     return SweepCapture(config, inspect, now_ns), note
 
 
 def describe_progress(sweep: SweepCapture[Any], now_ns: int) -> str:
-    """How far it is: "frame 12 of 72, at 35.0 deg, 62 s to go"."""
+    """Text of the progress: "frame 12 of 72, at 35.0 deg, 62 s to go"."""
     kept = sweep.kept
     words = f'frame {len(kept)} of {sweep.total}'
     if kept:
@@ -52,7 +54,7 @@ def describe_progress(sweep: SweepCapture[Any], now_ns: int) -> str:
 
 
 def describe_sweep(sweep: SweepCapture[Any], half_fov_rad: float) -> str:
-    """Which part of the turn it covers, why not more, and what was taken again."""
+    """Text: the covered part of the turn, stops of the joint, and refused frames."""
     lacks = describe_coverage([kept.joints.pan_rad for kept in sweep.kept], half_fov_rad)
     words = [f'a partial sweep, {lacks}' if lacks else 'the full turn']
     if stops := sweep.reach.stops_rad:

@@ -1,9 +1,9 @@
 """
-One sweep under way.
+The state machine that captures one sweep.
 
-Event-driven and free of clocks: the caller reports joint samples, frames and odometry as they come
-and asks for the next command. Arrival and settling are seen in the joint angles; the time limits
-only serve to give up with a reason.
+It is event-driven and has no clock: the caller adds joint samples, frames and odometry on arrival,
+and requests the next command. Arrival and settling are detected in the joint angles; time limits
+are only used to stop with a reason.
 """
 
 from __future__ import annotations
@@ -27,18 +27,20 @@ from landmark_nav.learning.capture.frames import (
     Shot,
     Step,
 )
-from landmark_nav.learning.capture.joints import JointTrack, PanReach, Place
+from landmark_nav.learning.capture.joints import BaseMotion, JointTrack, PanReach
 from landmark_nav.types import JointSample, OdometrySample
 
 FrameT = TypeVar('FrameT')
 
 _LOG = logging.getLogger(__name__)
 
-# Frames of one direction that are all alike but less sharp than its neighbours show how it looks.
-_ALIKE = 0.1
+# If this number of frames at one pan agree in sharpness (relative range), they are kept although
+# their neighbours are sharper.
+_MAX_SHARPNESS_RANGE = 0.1
 _SIMILAR_FRAMES = 3
+# Number of frames of which the sharper one is kept where no neighbour overlaps.
 _TO_COMPARE = 2
-# An interrupted sweep is gone on with up to this age: light and things change. Chosen by hand.
+# Largest age of a sweep that is continued: light and objects change. Chosen by hand.
 _RESUME_S = 600.0
 
 
@@ -49,18 +51,18 @@ class SweepCapture(Generic[FrameT]):
     Parameters
     ----------
     inspect : callable
-        Measures a frame; raises `LandmarkNavError` for one that can't be used.
+        Measures a frame; raises `LandmarkNavError` for one that cannot be used.
     now_ns : int
-        The caller's clock; only differences count, so it need not be that of the stamps.
+        Time by the caller's clock, which need not be that of the stamps.
 
     Attributes
     ----------
     refused : Counter
-        How many frames were refused, by reason.
+        Number of refused frames by reason.
     reach : PanReach
-        Where the joint gets.
-    place : Place
-        Whether the robot stands.
+        Steps that the joint can reach.
+    base_motion : BaseMotion
+        Motion of the base since the first frame.
     """
 
     def __init__(
@@ -70,12 +72,12 @@ class SweepCapture(Generic[FrameT]):
         self._inspect = inspect
         self._album: Album[FrameT] = Album()
         self._reviewed = False
-        self.place = Place()
+        self.base_motion = BaseMotion()
         self.refused: Counter[str] = Counter()
         self.resume(now_ns)
 
     def resume(self, now_ns: int) -> None:
-        """Begin, or go on with the steps that are missing."""
+        """Begin, or continue with the missing steps."""
         self.reach = PanReach(self._config)
         self._track = JointTrack(self._config)
         self._log = FrameLog(self._config)
@@ -94,7 +96,7 @@ class SweepCapture(Generic[FrameT]):
 
     @property
     def total(self) -> int:
-        """How many frames it will have, as far as is known."""
+        """Expected number of frames: those kept and those that can be reached."""
         return len(self._album.frames) + len(self._missing())
 
     @property
@@ -103,21 +105,21 @@ class SweepCapture(Generic[FrameT]):
         return self._step is None and bool(self._album.frames)
 
     def seconds_to_go(self, now_ns: int) -> float | None:
-        """How long the rest will take at the pace so far."""
+        """Remaining time at the rate so far; None before the first frame."""
         if not self._run_frames:
             return None
         pace_s = (now_ns - self._run_start_ns) * 1e-9 / self._run_frames
         return pace_s * (len(self._missing()) + len(self._album.suspect))
 
     def why_not_resumed(self, now_ns: int) -> str:
-        """Why the frames so far are of no use for going on; nothing if they are."""
+        """Why the sweep cannot be continued; '' if it can."""
         age_s = (now_ns - self._heard_ns) * 1e-9
-        if moved := self.place.moved:
+        if moved := self.base_motion.moved:
             return f'the robot moved {moved}'
         return f'{age_s:.0f} s have passed' if age_s > _RESUME_S else ''
 
     def command(self, now_ns: int) -> float | None:
-        """Pan to command now, if a command is due: a new one, or again if it was not heeded."""
+        """Pan to command now, if a command is due: a new one, or one that had no effect."""
         step = self._step
         if self._fault or step is None:
             return None
@@ -129,33 +131,35 @@ class SweepCapture(Generic[FrameT]):
         return step.target_rad
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Take the robot's place: the frames of a sweep must come from one."""
-        self.place.add(sample, anew=not self._album.frames)
-        if not self.done and (moved := self.place.moved):
+        """Add a pose of the base; motion interrupts the sweep."""
+        self.base_motion.add(sample, anew=not self._album.frames)
+        if not self.done and (moved := self.base_motion.moved):
             self.stop(f'the robot moved {moved}')
 
     def add_frame(self, shot: Shot[FrameT], now_ns: int) -> None:
-        """Offer a frame; it is taken if the camera stood still before it was exposed."""
+        """Add a frame; it is a candidate if the camera stood still before its stamp."""
         newest, step = self._track.last, self._step
         if self._fault or newest is None or step is None:
             return
-        untimely = self._log.untimely(shot.stamp_ns, newest.stamp_ns, now_ns)
-        frozen = not untimely and self._log.seen_elsewhere(shot.digest, shot.stamp_ns, self._track)
+        stamp_error = self._log.stamp_error(shot.stamp_ns, newest.stamp_ns, now_ns)
+        frozen = not stamp_error and self._log.seen_at_other_pan(
+            shot.digest, shot.stamp_ns, self._track
+        )
         if step.phase is not Phase.EXPOSING or now_ns < step.again_ns:
             return
-        if untimely:
-            self._refuse(step, untimely, now_ns)
+        if stamp_error:
+            self._refuse(step, stamp_error, now_ns)
         elif shot.stamp_ns > step.settled_stamp_ns:
             if frozen and not self._is_flat(shot):
                 if self._log.is_first(shot.digest):
-                    # It may have been frozen before the joint began to turn.
-                    self._album.distrust(shot.digest)
+                    # The image may have been frozen since before the first step.
+                    self._album.remove(shot.digest)
                 self._refuse(step, 'frozen: the same image came at another pan', now_ns)
             else:
                 step.pending, step.phase = shot, Phase.CONFIRMING
 
     def add_joints(self, sample: JointSample, now_ns: int) -> KeptFrame[FrameT] | None:
-        """Take a joint sample; returns the frame that it confirms, if any."""
+        """Add a joint sample; return the frame that it confirms, if any."""
         step = self._step
         if self._fault or step is None or not self._track.add(sample):
             return None
@@ -173,7 +177,7 @@ class SweepCapture(Generic[FrameT]):
         if distance < step.distance_rad - 0.5 * self._config.arrival_tolerance_rad:
             step.distance_rad = distance
             self._progressed(step, now_ns)
-        if step.phase is Phase.SETTLING and self._stands(step, stamp, step.target_rad):
+        if step.phase is Phase.SETTLING and self._stands_still(step, stamp, step.target_rad):
             if not step.settled_stamp_ns:
                 self._progressed(step, now_ns)
             step.phase, step.settled_stamp_ns = Phase.EXPOSING, stamp
@@ -183,12 +187,12 @@ class SweepCapture(Generic[FrameT]):
 
     def check(self, now_ns: int) -> None:
         """
-        Give up if there is a reason to; what was captured is kept.
+        Stop if a time limit is exceeded; the frames are kept.
 
-        Time counts by the robot's own stamps too, as long as there are any: a simulator on a busy
-        machine may be slow. Silence counts by the caller's clock alone.
+        A limit must be exceeded by the stamps of joint states too, since a simulator on a busy
+        machine may be slow. Missing joint states are detected by the caller's clock only.
 
-        Raises `LandmarkNavError`: with what was waited for and what was measured.
+        Raises `LandmarkNavError`: the sweep was interrupted; the message has the reason.
         """
         limit_ns = self._config.step_timeout_s * 1e9
         last, step = self._track.last, self._step
@@ -200,22 +204,22 @@ class SweepCapture(Generic[FrameT]):
                     'is pan_joint its name?'
                 )
             elif last and now_ns - step.progress_ns > limit_ns and robot_ns > limit_ns:
-                self._wait_no_longer(step, last, now_ns)
+                self._time_out(step, last, now_ns)
         if self._fault:
             kept, total = len(self._album.frames), self.total
             at_deg = f', {np.degrees(step.target_rad):.1f} deg' if step is not None else ''
             raise LandmarkNavError(
                 f'sweep interrupted at frame {min(kept + 1, total)} of {total}{at_deg}: '
                 f'{self._fault}; {kept} frames are kept: call capture_sweep '
-                + ('here to go on' if kept else 'to try again')
+                + ('here to continue' if kept else 'to try again')
             )
 
     def stop(self, reason: str) -> None:
-        """Interrupt it."""
+        """Interrupt the sweep."""
         self._fault = self._fault or reason
 
     def _missing(self) -> list[int]:
-        """Steps without a frame that can be reached."""
+        """Reachable steps without a frame."""
         within = np.flatnonzero(~np.isnan(self.reach.targets))
         return [int(k) for k in within if k not in self._album.frames]
 
@@ -224,14 +228,14 @@ class SweepCapture(Generic[FrameT]):
         if not missing and not self._reviewed:
             self._reviewed = True
             for kept, reason in self._album.review():
-                self._count(reason, kept.joints.pan_rad)
+                self._count_refusal(reason, kept.joints.pan_rad)
         again = [k for k in sorted(self._album.suspect) if not np.isnan(self.reach.targets[k])]
         number = next(iter([*missing, *again]), None)
         self._step: Step[FrameT] | None = None
         if number is not None:
             target = float(self.reach.targets[number])
         elif unconfirmed_rad is not None and self._album.frames:
-            # Nothing is left but to see that the joint can still move.
+            # All frames are kept. Check that the joint still moves after the unconfirmed stop.
             target = max(
                 (k.joints.pan_rad for k in self.kept), key=lambda pan: abs(pan - unconfirmed_rad)
             )
@@ -252,17 +256,19 @@ class SweepCapture(Generic[FrameT]):
         step.progress_ns = now_ns
         step.progress_stamp_ns = self._track.last.stamp_ns if self._track.last else 0
 
-    def _stands(self, step: Step[FrameT], since_ns: int, target_rad: float | None = None) -> bool:
-        return self._track.stands(step.begin_stamp_ns or 0, since_ns, target_rad)
+    def _stands_still(
+        self, step: Step[FrameT], since_ns: int, target_rad: float | None = None
+    ) -> bool:
+        return self._track.stands_still(step.begin_stamp_ns or 0, since_ns, target_rad)
 
     def _waited(self, step: Step[FrameT]) -> str:
         return f'waited {self._config.step_timeout_s:g} s for {step.phase.value}'
 
-    def _wait_no_longer(self, step: Step[FrameT], last: JointSample, now_ns: int) -> None:
+    def _time_out(self, step: Step[FrameT], last: JointSample, now_ns: int) -> None:
         seen = f'{self._waited(step)}; the pan is {np.degrees(last.pan_rad):.2f} deg'
         if step.phase is not Phase.SETTLING:
-            self.stop(f'{seen}, {self._log.why_none(now_ns)}')
-        elif step.settled_stamp_ns or not self._stands(step, last.stamp_ns):
+            self.stop(f'{seen}, {self._log.no_image_reason(now_ns)}')
+        elif step.settled_stamp_ns or not self._stands_still(step, last.stamp_ns):
             self.stop(f'{seen} and does not come to rest')
         elif not self.reach.stop(last.pan_rad, step.target_rad):
             self.stop(
@@ -271,7 +277,7 @@ class SweepCapture(Generic[FrameT]):
             )
         else:
             _LOG.warning(
-                'the pan joint stops at %.1f deg on its way to %.1f deg: taken for its limit',
+                'the pan joint stops at %.1f deg on its way to %.1f deg: assumed to be its limit',
                 np.degrees(last.pan_rad),
                 np.degrees(step.target_rad),
             )
@@ -282,9 +288,9 @@ class SweepCapture(Generic[FrameT]):
     def _confirm(
         self, step: Step[FrameT], number: int, shot: Shot[FrameT], now_ns: int
     ) -> KeptFrame[FrameT] | None:
-        """Keep the pending frame if the joint still stood after its exposure, and it is good."""
-        if not self._stands(step, shot.stamp_ns, step.target_rad):
-            # It was only the turning point of an oscillation.
+        """Keep the pending frame if the joint stood still until after it, and it is good."""
+        if not self._stands_still(step, shot.stamp_ns, step.target_rad):
+            # The joint had not settled: this was the turning point of an oscillation.
             step.pending, step.phase = None, Phase.SETTLING
             return None
         joints = self._track.at(shot.stamp_ns)
@@ -305,17 +311,17 @@ class SweepCapture(Generic[FrameT]):
         blurred = self._album.blurred(number, step.shots[-1])
         best, spread = sharpest(step.shots)
         if blurred is None and len(step.shots) < _TO_COMPARE:
-            # Nothing else shows the same: the sharper of two will do.
+            # No neighbour overlaps: the sharper of two frames is kept.
             step.pending, step.phase = None, Phase.EXPOSING
             self._progressed(step, now_ns)
             return None
         if blurred:
-            alike = len(step.shots) >= _SIMILAR_FRAMES and spread < _ALIKE
-            if not alike and step.refusals < self._config.retakes:
+            agree = len(step.shots) >= _SIMILAR_FRAMES and spread < _MAX_SHARPNESS_RANGE
+            if not agree and step.refusals < self._config.retakes:
                 self._refuse(step, blurred, now_ns)
                 return None
             _LOG.warning(
-                'the view at %.1f deg stays less sharp than its neighbours: taken as it is',
+                'the frame at %.1f deg stays less sharp than its neighbours: kept nevertheless',
                 np.degrees(best.joints.pan_rad),
             )
         is_new = self._album.keep(number, best)
@@ -324,14 +330,14 @@ class SweepCapture(Generic[FrameT]):
         return best if is_new else None
 
     def _is_flat(self, shot: Shot[FrameT]) -> bool:
-        """Whether it shows nothing, so that it may well be the same in all directions."""
+        """Whether a frame has no contrast, so that equal images at different pans are normal."""
         try:
             return self._inspect(shot.frame).flat
         except LandmarkNavError:
             return False
 
     def _refuse(self, step: Step[FrameT], reason: str, now_ns: int) -> None:
-        self._count(reason, step.target_rad)
+        self._count_refusal(reason, step.target_rad)
         step.refusals += 1
         step.pending, step.phase = None, Phase.EXPOSING
         step.again_ns = now_ns + int(self._config.retake_pause_s * 1e9)
@@ -339,6 +345,6 @@ class SweepCapture(Generic[FrameT]):
         if step.refusals > self._config.retakes:
             self.stop(f'{step.refusals} frames refused, the last as {reason}')
 
-    def _count(self, reason: str, pan_rad: float) -> None:
+    def _count_refusal(self, reason: str, pan_rad: float) -> None:
         self.refused[reason.partition(':')[0]] += 1
         _LOG.warning('frame at %.1f deg refused, %s', np.degrees(pan_rad), reason)

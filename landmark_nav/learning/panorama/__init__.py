@@ -1,4 +1,4 @@
-"""Frames of a sweep become one cylindrical panorama."""
+"""Synthesis of a cylindrical panorama from the frames of a sweep."""
 
 from __future__ import annotations
 

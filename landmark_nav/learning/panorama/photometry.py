@@ -1,10 +1,10 @@
 """
-Exposure of each frame and vignetting of the lens, out of what frames show of the same places.
+Exposure of each frame and vignetting of the lens, estimated where frames overlap.
 
-The logarithm of what a frame shows of a place is the sum of the place's own, of the frame's gain
-and of a polynomial in the squared radius (after Goldman, PAMI 32(12), 2010). All gains and the
-polynomial are fitted at once, robustly; the places' own brightness is eliminated. Nothing is
-changed that is not significant. A sweep in the dark is brightened as a whole.
+The logarithm of a grey level is the sum of the log radiance of the scene point, the log gain of
+the frame and a polynomial in the squared radius (Goldman, PAMI 32(12), 2010). All gains and the
+polynomial are fitted robustly in one least-squares problem; the radiances are eliminated.
+Corrections that are not significant are left out. A dark sweep is brightened as a whole.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.panorama.projection import sweep_cylinder
 from landmark_nav.types import CameraFrame, FloatArray, Sweep
 
-# Frames are looked at so much smaller, at directions so far apart.
+# Factor by which frames are reduced, and sampled directions: step of azimuth, number of rows.
 _REDUCTION = 8
 _STEP_RAD = np.radians(2.5)
 _ROWS = 14
-# Darker is mostly noise, brighter may be clipped somewhere.
+# Usable grey levels: darker ones are mostly noise, brighter ones may be clipped.
 _LEVELS = (15.0, 225.0)
 
 _ROUNDS = 5
 _SIGNIFICANCE = 4.0
-# Sweeps whose brightest tenth is darker are brightened: contrast is judged in grey levels. What is
-# darker than the second is mostly noise.
+# A sweep is brightened if its 90 % quantile of grey levels is between these two: contrast is
+# judged in grey levels, and darker sweeps are mostly noise.
 _BRIGHT, _DARKEST = 120.0, 10.0
-# Nobody sees less: a grey level.
-_WORTH = 0.004
-_LEAST_SAMPLES = 200
+# Smallest relative correction: one grey level.
+_MIN_CORRECTION = 0.004
+_MIN_SAMPLES = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +41,9 @@ class Photometry:
     """
     Relative brightness: `gain` (n,) of each frame, `falloff` (2,) of the lens, `exposure` of all.
 
-    A pixel at radius r, as a share of the farthest corner's, is multiplied by
-    ``exp(falloff[0] r^2 + falloff[1] r^4)``. What is not significant is 1, or 0; `exposure` is 1
-    unless the sweep as a whole is dark.
+    The lens multiplies a pixel at radius r, relative to the farthest corner, by
+    ``exp(falloff[0] r^2 + falloff[1] r^4)``. Gains that are not significant are 1, falloffs 0;
+    `exposure` is 1 unless the whole sweep is dark.
     """
 
     gain: FloatArray
@@ -52,12 +52,12 @@ class Photometry:
 
     @classmethod
     def none(cls, count: int, exposure: float = 1.0) -> Photometry:
-        """Of `count` frames that are alike, with a perfect lens."""
+        """Photometry of `count` equal frames without vignetting."""
         return cls(np.ones(count), np.zeros(2), exposure)
 
     @property
     def vignetting(self) -> float:
-        """Share of light that the corners lose."""
+        """Share of light lost in the corners."""
         return float(-np.expm1(np.sum(self.falloff)))
 
     @property
@@ -73,42 +73,47 @@ def measure_photometry(sweep: Sweep, mount: PanTiltMount) -> Photometry:
     Parameters
     ----------
     sweep : Sweep
-        Frames that overlap, with angles right to a few pixels.
+        Frames that overlap, with angles accurate to a few pixels.
     """
     count = len(sweep.frames)
-    place, frame, square, level = _samples(sweep, mount)
+    direction, frame, square, level = _samples(sweep, mount)
     bright = float(np.quantile(level, 0.9)) if len(level) else 0.0
     exposure = bright / _BRIGHT if _DARKEST < bright < _BRIGHT else 1.0
     nothing = Photometry.none(count, exposure)
-    fine = (level > _LEVELS[0]) & (level < _LEVELS[1])
-    place, frame, square, level = place[fine], frame[fine], square[fine], level[fine]
-    if len(level) < _LEAST_SAMPLES:
+    usable = (level > _LEVELS[0]) & (level < _LEVELS[1])
+    direction, frame, square, level = (
+        direction[usable],
+        frame[usable],
+        square[usable],
+        level[usable],
+    )
+    if len(level) < _MIN_SAMPLES:
         return nothing
     for powers in (2, 1, 0):
         terms = np.stack([square, square**2], 1)[:, :powers]
-        found = _fit(place, frame, terms, np.log(level), count)
+        found = _fit(direction, frame, terms, np.log(level), count)
         if found is None:
             return nothing
         values, covariance = found
-        falloff, spread = values[count:], covariance[count:, count:]
-        # The last power must matter, and so must the light that the corners lose.
+        falloff, falloff_covariance = values[count:], covariance[count:, count:]
+        # Both the last coefficient and the falloff in the corners must be significant.
         last = np.eye(powers)[-1:] if powers else np.zeros((0, 0))
         significant = all(
-            abs(row @ falloff) > _SIGNIFICANCE * np.sqrt(row @ spread @ row)
+            abs(row @ falloff) > _SIGNIFICANCE * np.sqrt(row @ falloff_covariance @ row)
             for row in (*last, *np.ones((1, powers))[:powers])
         )
-        if significant and abs(falloff.sum()) >= (_WORTH if powers else 0.0):
+        if significant and abs(falloff.sum()) >= (_MIN_CORRECTION if powers else 0.0):
             break
     sigma = np.sqrt(np.diag(covariance)[:count])
     gain = values[:count]
-    used = (np.abs(gain) > _SIGNIFICANCE * sigma) & (np.abs(gain) > _WORTH)
+    used = (np.abs(gain) > _SIGNIFICANCE * sigma) & (np.abs(gain) > _MIN_CORRECTION)
     padded = np.zeros(2)
     padded[: len(falloff)] = falloff
     return Photometry(np.where(used, np.exp(gain), 1.0), padded, exposure)
 
 
 def even_out(sweep: Sweep, photometry: Photometry) -> Sweep:
-    """Sweep whose frames are as if all had one exposure and a lens without vignetting."""
+    """Return the sweep with exposures and vignetting corrected."""
     gains = photometry.exposure * photometry.gain
     if not photometry.falloff.any() and np.all(gains == 1.0):
         return sweep
@@ -136,7 +141,7 @@ def _flat_field(frame: CameraFrame, falloff: FloatArray) -> npt.NDArray[np.float
 
 
 def _square_radius(camera: CameraModel, u: FloatArray, v: FloatArray) -> FloatArray:
-    """Squared distance from the principal point, as a share of the farthest corner's."""
+    """Squared distance from the principal point, relative to that of the farthest corner."""
     far = max(camera.cx, camera.width - 1.0 - camera.cx) ** 2
     far += max(camera.cy, camera.height - 1.0 - camera.cy) ** 2
     return np.asarray(((u - camera.cx) ** 2 + (v - camera.cy) ** 2) / far)
@@ -145,13 +150,13 @@ def _square_radius(camera: CameraModel, u: FloatArray, v: FloatArray) -> FloatAr
 def _samples(
     sweep: Sweep, mount: PanTiltMount
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], FloatArray, FloatArray]:
-    """Place, frame, squared radius and grey level of directions that frames cover."""
+    """Direction, frame, squared radius and grey level of each sample."""
     cylinder = sweep_cylinder(sweep, mount)
     azimuth = np.arange(-np.pi, np.pi, _STEP_RAD)
     tangent = cylinder.tangent(np.linspace(0, cylinder.height - 1, _ROWS + 2)[1:-1])
     at = np.stack(np.meshgrid(azimuth, tangent), -1).reshape(-1, 2)
     rays = np.column_stack([np.cos(at[:, 0]), np.sin(at[:, 0]), at[:, 1]])
-    places, frames, squares, levels = [], [], [], []
+    directions, frames, squares, levels = [], [], [], []
     for k, frame in enumerate(sweep.frames):
         rotation, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
         seen = rays @ rotation
@@ -167,12 +172,12 @@ def _samples(
         at_small = (np.column_stack([u, v]) + 0.5) / _REDUCTION - 0.5
         column, row = at_small.astype(np.float32).T
         level = cv2.remap(np.float32(grey), column, row, cv2.INTER_LINEAR)
-        places.append(ahead[inside])
+        directions.append(ahead[inside])
         frames.append(np.full(len(u), k))
         squares.append(_square_radius(frame.camera, u, v))
         levels.append(np.ravel(level).astype(np.float64))
     return (
-        np.concatenate(places),
+        np.concatenate(directions),
         np.concatenate(frames),
         np.concatenate(squares),
         np.concatenate(levels),
@@ -180,24 +185,24 @@ def _samples(
 
 
 def _fit(
-    place: npt.NDArray[np.intp],
+    direction: npt.NDArray[np.intp],
     frame: npt.NDArray[np.intp],
     terms: FloatArray,
     brightness: FloatArray,
     count: int,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Gains of `count` frames, of mean 0, then coefficients of `terms`; and their covariance."""
-    size, places = count + terms.shape[1], int(place.max()) + 1
+    """Log gains of `count` frames (mean 0), then coefficients of `terms`; and their covariance."""
+    size, directions = count + terms.shape[1], int(direction.max()) + 1
     weight = np.ones(len(brightness))
     for _ in range(_ROUNDS):
-        total = np.maximum(np.bincount(place, weight, places), 1e-12)
-        mean = np.bincount(place, weight * brightness, places) / total
-        centred = brightness - mean[place]
-        # Sums over the samples of each place; what is common to them is the place's own.
-        own = np.zeros((places, size))
-        np.add.at(own, (place, frame), weight)
+        total = np.maximum(np.bincount(direction, weight, directions), 1e-12)
+        mean = np.bincount(direction, weight * brightness, directions) / total
+        centred = brightness - mean[direction]
+        # Sums over the samples of each direction, by which its radiance is eliminated.
+        by_direction = np.zeros((directions, size))
+        np.add.at(by_direction, (direction, frame), weight)
         for k in range(terms.shape[1]):
-            own[:, count + k] = np.bincount(place, weight * terms[:, k], places)
+            by_direction[:, count + k] = np.bincount(direction, weight * terms[:, k], directions)
         weighted = weight[:, None] * terms
         cross = np.stack(
             [np.bincount(frame, weighted[:, k], count) for k in range(terms.shape[1])], 1
@@ -205,7 +210,7 @@ def _fit(
         full = np.block(
             [[np.diag(np.bincount(frame, weight, count)), cross], [cross.T, terms.T @ weighted]]
         )
-        normal = full - own.T @ (own / total[:, None])
+        normal = full - by_direction.T @ (by_direction / total[:, None])
         normal[:count, :count] += np.mean(np.diag(normal)[:count])
         right = np.concatenate([np.bincount(frame, weight * centred, count), weighted.T @ centred])
         try:
@@ -213,8 +218,12 @@ def _fit(
         except np.linalg.LinAlgError:
             return None
         model = values[frame] + terms @ values[count:]
-        off = centred - model + (np.bincount(place, weight * model, places) / total)[place]
+        off = (
+            centred
+            - model
+            + (np.bincount(direction, weight * model, directions) / total)[direction]
+        )
         sigma = max(float(np.median(np.abs(off))) / 0.6745, 1e-4)
         weight = 1.0 / (1.0 + (off / (2.0 * sigma)) ** 2)
-    # Neighbouring samples err alike: as if each fourth counted.
+    # Errors of neighbouring samples are correlated: one of four counts.
     return values, 4.0 * sigma**2 * np.linalg.inv(normal)

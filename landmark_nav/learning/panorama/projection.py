@@ -1,8 +1,8 @@
 """
-Frames on the cylinder: which cylinder a sweep calls for, and what each frame shows of it.
+Projection of frames on a cylinder, and the cylinder for a sweep.
 
-Inverse mapping after Livatino and Madsen, section 2.2, with the lens model instead of a small
-part of each frame; or with the paper's central part alone.
+Inverse mapping by Livatino and Madsen, section 2.2, but with the lens model and whole frames; the
+central part of frames, as in the paper, is an option.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
 
-# Spacing of the exact projections; the map between them is interpolated, within 0.02 px.
+# Spacing of exact projections; the map is interpolated between them, with errors below 0.02 px.
 _GRID_PX = 8
 
-# A camera that looks farther up or down sees no walls.
-_MOST_ELEVATION_DEG = 45.0
+# Largest elevation of the camera; beyond it, it sees no walls.
+_MAX_ELEVATION_DEG = 45.0
 
 RangeOfAzimuth = Callable[[FloatArray], FloatArray]
 
@@ -33,10 +33,11 @@ RangeOfAzimuth = Callable[[FloatArray], FloatArray]
 @dataclass(frozen=True, eq=False)
 class FrameSlab:
     """
-    What one frame shows of a cylinder.
+    One frame, projected on a cylinder.
 
-    `image` starts at unwrapped column `start`; `inside` is 255 where the frame covers it, 0
-    elsewhere, where the image is made up. `middle` is the unwrapped column of its optical axis.
+    `image` starts at unwrapped column `start`; `inside` is 255 where the frame covers it and 0
+    elsewhere, where the image is extrapolated. `middle` is the unwrapped column of its optical
+    axis.
     """
 
     start: int
@@ -46,7 +47,7 @@ class FrameSlab:
 
     @property
     def width(self) -> int:
-        """Columns."""
+        """Number of columns."""
         return int(self.inside.shape[1])
 
 
@@ -54,7 +55,7 @@ def sweep_cylinder(
     sweep: Sweep, mount: PanTiltMount, crop_px: int = 0, px_per_rad: float = 0.0
 ) -> Cylinder:
     """
-    Cylinder as high as the middle columns of the frames see.
+    Cylinder with the vertical field of view of the middle columns of the frames.
 
     Raises `LandmarkNavError`: the camera looks so far up or down that it sees no walls, or the
     cylinder has too many pixels.
@@ -66,7 +67,7 @@ def sweep_cylinder(
     crop_px : int
         Side of the central square used of each frame; 0 uses all.
     px_per_rad : float
-        Columns per radian; 0 takes the camera's focal length.
+        Columns per radian; 0 means the camera's focal length.
     """
     camera = sweep.frames[0].camera
     _, top, _, bottom = frame_window(sweep.frames[0], crop_px)
@@ -85,14 +86,14 @@ def sweep_cylinder(
 
 
 def _check_level(rise: FloatArray, pan_rad: FloatArray) -> None:
-    """Refuse sweeps of which a frame looks too far up or down; `rise` (n,) is the sine of that."""
+    """Raise `LandmarkNavError` if a frame looks too far up or down; `rise` (n,) are the sines."""
     worst = int(np.argmax(np.abs(rise)))
     elevation_deg = math.degrees(math.asin(rise[worst]))
-    if abs(elevation_deg) > _MOST_ELEVATION_DEG:
+    if abs(elevation_deg) > _MAX_ELEVATION_DEG:
         where = 'up' if elevation_deg > 0.0 else 'down'
         raise LandmarkNavError(
             f'the camera looks {abs(elevation_deg):.0f} deg {where} at pan {pan_rad[worst]:.2f} '
-            f'rad, of {_MOST_ELEVATION_DEG:.0f} at most: check the tilt joint, and the rpy '
+            f'rad, of {_MAX_ELEVATION_DEG:.0f} at most: check the tilt joint, and the rpy '
             'of pan_axis in robot.yaml'
         )
 
@@ -123,13 +124,13 @@ def frame_slab(
     Parameters
     ----------
     frame : CameraFrame
-        BGR or grey; the slab is alike.
+        BGR or grey; the slab has the same channels.
     crop_px : int
         Side of the central square that is used; 0 uses all.
     range_m : callable, optional
-        Horizontal distance of what is seen at azimuths (n,) in the base frame.
+        Horizontal distance of the scene at azimuths (n,) in the base frame.
     reach_rad : float
-        How far from its optical axis the frame is used, to both sides.
+        Largest angle from the optical axis at which the frame is used, to both sides.
     """
     camera = frame.camera
     rotation, center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
@@ -137,7 +138,7 @@ def frame_slab(
     ahead = rotation[:, 2]
     middle = cylinder.cx - cylinder.fx * np.arctan2(ahead[1], ahead[0])
 
-    # Columns that the frame's border reaches, counted from its central ray.
+    # Azimuths of the border of the frame, relative to its central ray.
     rays = _border_rays(camera, (left, top, right, bottom)) @ rotation.T
     side = np.arctan2(
         ahead[0] * rays[:, 1] - ahead[1] * rays[:, 0],
@@ -147,7 +148,7 @@ def frame_slab(
     end = int(np.ceil(middle - cylinder.fx * max(float(side.min()), -reach_rad)))
     count = end - start + 1
 
-    # Exact projections on a coarse grid whose cells cv2.resize then interpolates.
+    # Exact projections on a coarse grid; cv2.resize interpolates between them.
     cells = (-(-cylinder.height // _GRID_PX) + 2, -(-count // _GRID_PX) + 2)
     rows = (np.arange(cells[0]) - 0.5) * _GRID_PX - 0.5
     columns = start + (np.arange(cells[1]) - 0.5) * _GRID_PX - 0.5
@@ -160,9 +161,9 @@ def frame_slab(
     window = (slice(_GRID_PX, _GRID_PX + cylinder.height), slice(_GRID_PX, _GRID_PX + count))
     pixels = cv2.resize(grid, size, interpolation=cv2.INTER_LINEAR)[window]
     inside = cv2.inRange(pixels, (left, top), (right, bottom))
-    # Beside what the lens can't see all of a cell is NaN, which lies in no range.
+    # Cells that touch the part that the lens cannot see are NaN, which `inRange` excludes.
     cv2.patchNaNs(pixels, -1.0)
-    # One map of both coordinates, the second left out: to split them takes as long as to remap.
+    # One map of both coordinates: splitting it would take as long as the remapping.
     image = cv2.remap(  # type: ignore[call-overload]
         frame.image, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )

@@ -1,4 +1,4 @@
-"""Panorama synthesis: the frames of a sweep, projected on one cylinder, are joined there."""
+"""Panorama synthesis: the frames of a sweep are projected on one cylinder and blended."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ from landmark_nav.learning.panorama.projection import (
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, ImageArray, Sweep
 
-# Blends, and up to which neighbour to both sides each frame is used by them: a place is then shown
-# by eight frames, the paper has seven, or by four.
+# Kinds of blending, and the neighbour to both sides up to which a frame is used: each pixel is
+# then covered by eight frames (seven in the paper), or four.
 _NEIGHBOURS = {'mean': 4, 'median': 4, 'feather': 2}
 BLENDS = tuple(_NEIGHBOURS)
 
-# Pixels that fewer frames cover have no median worth the name.
-_LEAST_FOR_MEDIAN = 3
+# Smallest number of frames for a median; pixels covered by fewer are feathered.
+_MIN_FOR_MEDIAN = 3
 
 
 @dataclass(frozen=True)
 class PanoramaConfig(Config):
     """
-    How frames become a panorama.
+    Configuration of panorama synthesis.
 
     Kinds of `blend` were compared (docs/decisions.md, sweeps and panoramas).
     """
 
-    # Mean weighs frames alike (the paper), feather takes the frames that look straight at a place
-    # (sharp), median the middle of all; fewer than three frames are feathered.
+    # `mean` weighs frames equally (the paper), `feather` prefers frames near their optical axis
+    # (sharp), `median` is the median of all, feathered where fewer than three frames cover.
     blend: str = 'median'
-    # Side of the central square used of each frame, the paper uses 350 of 512; 0 uses all.
+    # Side of the central square used of each frame (350 of 512 in the paper); 0 uses all.
     crop_px: int = 0
-    # Whether exposures and vignetting are measured and made up for.
+    # Whether exposures and vignetting are measured and corrected.
     even_out: bool = True
-    # Columns per radian; 0 takes the camera's focal length.
+    # Columns per radian; 0 means the camera's focal length.
     px_per_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class CylinderImage:
-    """A panorama before its place is known: BGR image, mask of covered pixels, geometry."""
+    """A panorama without pose: BGR image, mask of covered pixels, geometry."""
 
     image: ImageArray
     mask: npt.NDArray[np.bool_]
@@ -72,10 +72,10 @@ def synthesize_cylinder(
     sweep : Sweep
         Frames with their joint angles.
     mount : PanTiltMount
-        Where the optical centre turns.
+        Geometry of the pan-tilt unit.
     range_m : callable, optional
-        Horizontal distance of what is seen at azimuths (n,) in the base frame. It matters only
-        if the optical centre lies off the axis: each frame then sees the room from elsewhere.
+        Horizontal distance of the scene at azimuths (n,) in the base frame. It corrects the
+        parallax between frames if the optical centre does not lie on the axis.
     """
     cylinder = sweep_cylinder(sweep, mount, config.crop_px, config.px_per_rad)
     reach = _reach_rad(sweep, _NEIGHBOURS[config.blend])
@@ -89,7 +89,7 @@ def synthesize_cylinder(
             count[:, columns] += slab.inside[:, part] & 1
     if config.blend == 'median':
         image = _median(slabs, count)
-        few = (count > 0) & (count < _LEAST_FOR_MEDIAN)
+        few = (count > 0) & (count < _MIN_FOR_MEDIAN)
         rows = np.flatnonzero(few.any(axis=1))
         if len(rows):
             image[few] = _feather(slabs, reach, cylinder, rows)[few[rows]]
@@ -104,10 +104,11 @@ def synthesize_cylinder(
 
 def _reach_rad(sweep: Sweep, neighbours: int) -> FloatArray:
     """
-    How far from its optical axis each frame is used (n,): up to some neighbour to both sides.
+    Largest angle from the optical axis at which each frame is used, (n,).
 
-    A place is then covered by about twice as many frames, those that look straightest at it.
-    Frames of unequal tilt need not cover the same places, so that all of each is used.
+    It is the angle to the `neighbours`-th frame to both sides, so that each azimuth is covered by
+    about twice that number of frames. Frames of different tilts may not cover the same elevations;
+    then all of each frame is used.
     """
     tilt = np.array([frame.tilt_rad for frame in sweep.frames])
     if len(tilt) <= 2 * neighbours or np.ptp(tilt) > 0.02:
@@ -115,7 +116,7 @@ def _reach_rad(sweep: Sweep, neighbours: int) -> FloatArray:
     pan = np.array([frame.pan_rad for frame in sweep.frames])
     away = np.mod(pan[:, None] - pan, 2.0 * np.pi)
     sides = np.stack([away, away.T])
-    # Frames that look the same way, as on a second turn, are no neighbours.
+    # Frames at the same azimuth, such as on a second turn, do not count as neighbours.
     sides[np.minimum(sides, 2.0 * np.pi - sides) < 1e-2] = np.inf
     return np.asarray(np.sort(sides, axis=2)[..., neighbours - 1].max(axis=0))
 
@@ -133,7 +134,7 @@ def _wrapped(start: int, count: int, width: int) -> list[tuple[slice, slice]]:
 
 
 def _mean(slabs: list[FrameSlab], count: npt.NDArray[np.uint16]) -> ImageArray:
-    """All frames that cover a pixel, alike."""
+    """Mean over the frames that cover a pixel."""
     total = np.zeros((*count.shape, *slabs[0].image.shape[2:]), np.float32)
     for slab in slabs:
         for columns, part in _wrapped(slab.start, slab.width, count.shape[1]):
@@ -148,7 +149,7 @@ def _feather(
     cylinder: Cylinder,
     rows: npt.NDArray[np.intp],
 ) -> ImageArray:
-    """Weighted mean in some rows: each frame counts most along its optical axis."""
+    """Weighted mean in some rows; the weight of a frame falls with the angle from its axis."""
     channels = slabs[0].image.shape[2:]
     total = np.zeros((len(rows), cylinder.width, *channels), np.float32)
     weights = np.zeros((len(rows), cylinder.width), np.float32)
@@ -173,7 +174,7 @@ def _median(slabs: list[FrameSlab], count: npt.NDArray[np.uint16]) -> ImageArray
     """Median over the frames that cover a pixel."""
     width = count.shape[1]
     for slab in slabs:
-        # What a frame does not cover sorts behind all that the others show.
+        # Uncovered pixels are set to 255, so that they sort behind all others.
         channels = slab.image.size // slab.inside.size
         outside = cv2.merge([cv2.bitwise_not(slab.inside)] * channels)
         cv2.bitwise_or(slab.image, outside, dst=slab.image)
@@ -183,7 +184,7 @@ def _median(slabs: list[FrameSlab], count: npt.NDArray[np.uint16]) -> ImageArray
         layers = []
         for slab in slabs:
             offset = (left - slab.start) % width
-            # A slab wider than the turn shows a column twice.
+            # A slab wider than the turn contains a column twice.
             for first in range(offset, slab.width - (right - left) + 1, width):
                 layers.append(np.ascontiguousarray(slab.image[:, first : first + right - left]))
         if layers:
@@ -192,7 +193,7 @@ def _median(slabs: list[FrameSlab], count: npt.NDArray[np.uint16]) -> ImageArray
 
 
 def _middle(values: list[ImageArray], count: npt.NDArray[np.uint16]) -> ImageArray:
-    """Median of the `count` least of a few images, by sorting their lower half pixel by pixel."""
+    """Median of the `count` smallest values of each pixel, by sorting their lower half."""
     total = len(values)
     half = total // 2
     for i in range(half + 1):
@@ -212,5 +213,5 @@ def _middle(values: list[ImageArray], count: npt.NDArray[np.uint16]) -> ImageArr
 
 
 def _halfway(below: ImageArray, above: ImageArray) -> ImageArray:
-    """Mean of two, the second the greater: their difference fits a byte."""
+    """Mean of two images; `above` is not smaller, so that the difference fits a byte."""
     return np.asarray(above - (above - below) // 2, dtype=np.uint8)

@@ -1,8 +1,8 @@
 """
 Messages -> types.
 
-Every function takes objects that have the fields of the message, so that the same code serves
-rosbags and rclpy; numeric arrays may be NumPy arrays, array.array, bytes or lists.
+Every function accepts any object with the fields of the message, from rosbags or rclpy. Numeric
+arrays may be NumPy arrays, array.array, bytes or lists.
 """
 
 from landmark_nav.messages.decode.cameras import camera_info, camera_model, CameraInfo

@@ -1,4 +1,4 @@
-"""Camera calibration, in the pixels of the image that it comes with."""
+"""Intrinsics out of camera_info, in the pixels of the image that it belongs to."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from landmark_nav.geometry.camera import CameraModel
 
 _LOG = logging.getLogger(__name__)
 
-# Images may be larger or smaller than their calibration by whole factors up to this.
+# Largest whole factor between the size of an image and that of its calibration.
 _LARGEST_FACTOR = 8
-# Another reading of K is taken where the usual one puts the principal point so far from the centre
-# (share of the image), and it itself less than half so far.
-_FAR_OFF = 0.15
-# Pixels that a skew may move something; OpenCV's lens models have none.
+# Another interpretation of K is used if the usual one puts the principal point farther than this
+# from the centre (relative to the image size), and the other one less than half as far.
+_MAX_OFF_CENTRE = 0.15
+# Greatest displacement by a skew that is ignored, pixels; OpenCV's lens models have no skew.
 _LARGEST_SKEW_PX = 1.0
 
 
 @dataclass(frozen=True)
 class CameraInfo:
     """
-    What a sensor_msgs/CameraInfo says; which camera that is depends on the size of the image.
+    Content of a sensor_msgs/CameraInfo; the camera it means depends on the size of the image.
 
     `intrinsics` are fx, fy, cx, cy; `roi` is x, y, width, height, all in pixels.
     """
@@ -41,24 +41,24 @@ class CameraInfo:
 
     @property
     def camera(self) -> CameraModel:
-        """Camera of the image that region of interest and binning leave, before one is seen."""
+        """Camera of the image size by region of interest and binning, before an image arrives."""
         try:
             return self.for_image(*self._usual_size)
         except LandmarkNavError:
             if self.size == self._usual_size:
                 raise
-            # Sizes may be those of the small image already.
+            # The sizes may already be those of the reduced image.
             return self.for_image(*self.size)
 
     def for_image(self, width: int, height: int) -> CameraModel:
         """
         Camera of an image of some size.
 
-        K is of the whole sensor, and region of interest and binning are applied to it. Drivers
-        also publish K of the small image with them: that is taken where the principal point says
-        so. Images that are a whole factor larger or smaller are scaled.
+        By definition K refers to the whole sensor, and region of interest and binning are applied
+        to it. Some drivers publish K of the reduced image instead: the principal point decides.
+        For images that are a whole factor larger or smaller, K is scaled.
 
-        Raises `LandmarkNavError`: it is for images of another size, or no calibrated camera.
+        Raises `LandmarkNavError`: camera_info is for another size, or is not a calibrated camera.
         """
         return _camera(self, width, height)
 
@@ -72,7 +72,7 @@ class CameraInfo:
 
     def readings(self, width: int, height: int) -> Iterator[tuple[float, float, float, float]]:
         """
-        Every meaning that K may have for an image of some size, the usual one first.
+        All interpretations of K for an image of some size, the usual one first.
 
         Yields
         ------
@@ -82,7 +82,7 @@ class CameraInfo:
         fx, fy, cx, cy = self.intrinsics
         across, down = self.binning
         left, top, _, _ = self.roi
-        # Pixel centres are integers: binning moves them by half a pixel of either size.
+        # Pixel centres are integers: binning shifts them by half a pixel of either size.
         small = (
             fx / across,
             fy / down,
@@ -99,7 +99,7 @@ class CameraInfo:
 
     @property
     def described(self) -> str:
-        """Sizes, in words."""
+        """Size, region of interest and binning, for a message."""
         words = f'{self.size[0]} x {self.size[1]}'
         if any(self.roi):
             words += ', region of interest {2} x {3} at {0}, {1}'.format(*self.roi)
@@ -112,24 +112,24 @@ def camera_info(msg: Any) -> CameraInfo:
     """
     Calibration of a sensor_msgs/CameraInfo.
 
-    Equal messages give the same cameras, which keep what they computed once.
+    Equal messages give the same camera objects, which cache their tables.
 
-    Raises `LandmarkNavError`: nothing is calibrated, a model that is not supported, or a skew.
+    Raises `LandmarkNavError`: not calibrated, an unsupported model, or a skew.
     """
     k = np.asarray(msg.k, dtype=np.float64)
     if not k.any():
         raise LandmarkNavError('camera_info is all zero: calibrate the camera')
     model = str(msg.distortion_model)
-    # Drivers pad the coefficients with zeros, each to a length of its own.
+    # Drivers pad the coefficients with zeros to different lengths.
     distortion = tuple(np.trim_zeros(np.asarray(msg.d, dtype=np.float64), 'b').tolist())
     if not model and not distortion:
-        model = 'plumb_bob'  # of none, as simulators and rectified images have it
+        model = 'plumb_bob'  # simulators and rectified images name no model
     roi = msg.roi
     skew = float(k[1])
     if abs(skew) * int(msg.height) > 2.0 * _LARGEST_SKEW_PX * abs(float(k[4])):
         raise LandmarkNavError(
             f'camera_info has a skew of {skew:g} (K[1]), which no model of ROS corrects: '
-            'calibrate the camera without'
+            'calibrate the camera without skew'
         )
     info = CameraInfo(
         (int(msg.width), int(msg.height)),
@@ -139,7 +139,7 @@ def camera_info(msg: Any) -> CameraInfo:
         (max(1, int(msg.binning_x)), max(1, int(msg.binning_y))),
         (int(roi.x_offset), int(roi.y_offset), int(roi.width), int(roi.height)),
     )
-    _ = info.camera  # refuses what is none
+    _ = info.camera  # raises if this is not a camera
     return info
 
 
@@ -147,7 +147,7 @@ def camera_model(msg: Any) -> CameraModel:
     """
     Camera of a sensor_msgs/CameraInfo, in the pixels of the image that it describes.
 
-    Raises `LandmarkNavError`: as `camera_info` and `CameraInfo.for_image`.
+    Raises `LandmarkNavError`: see `camera_info` and `CameraInfo.for_image`.
     """
     return camera_info(msg).camera
 
@@ -166,25 +166,25 @@ def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
         )
 
     def off_centre(reading: tuple[float, float, float, float]) -> float:
-        """How far the principal point lies from the centre, as a share of the image."""
+        """Distance of the principal point from the centre, relative to the image size."""
         _, _, cx, cy = reading
         return max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))
 
     usual, *others = readings
     best = min(others, key=off_centre, default=usual)
-    if off_centre(usual) > _FAR_OFF and off_centre(best) < 0.5 * off_centre(usual):
+    if off_centre(usual) > _MAX_OFF_CENTRE and off_centre(best) < 0.5 * off_centre(usual):
         _LOG.warning(
-            'camera_info (%s): its K is taken as that of the image of %d x %d, by its principal '
-            'point',
+            'camera_info (%s): by its principal point, K is assumed to be that of the image of '
+            '%d x %d',
             info.described,
             width,
             height,
         )
         usual = best
-    elif others and off_centre(best) < _FAR_OFF:
+    elif others and off_centre(best) < _MAX_OFF_CENTRE:
         _LOG.warning(
-            'camera_info (%s): its K is taken as that of the whole sensor, as ROS defines it, '
-            'though it could be that of the small image',
+            'camera_info (%s): K is assumed to be that of the whole sensor, as ROS defines it, '
+            'though it could be that of the reduced image',
             info.described,
         )
     camera = CameraModel(width, height, *usual, info.model, info.distortion)
@@ -193,13 +193,13 @@ def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
     if min(camera.reduced_size) < 1:
         raise LandmarkNavError(
             f'camera_info: {width} x {height} px with a focal length of {camera.fx:.3g} x '
-            f'{camera.fy:.3g} px sees next to nothing: calibrate it'
+            f'{camera.fy:.3g} px has almost no field of view: calibrate it'
         )
     return camera
 
 
 def _whole_factor(size: tuple[int, int], image: tuple[int, int]) -> float:
-    """Pixels of an image along one of its calibration's, or 0 if that is no whole factor."""
+    """Ratio of the image size to that of the calibration; 0 if neither divides the other."""
     for factor in range(2, _LARGEST_FACTOR + 1):
         if (size[0] * factor, size[1] * factor) == image:
             return float(factor)

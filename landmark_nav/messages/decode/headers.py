@@ -1,4 +1,4 @@
-"""Stamps, and values that must be numbers within bounds."""
+"""Stamps, durations, frames, and checks of numbers, covariances and orientations."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
 
 _SECOND_NS = 1_000_000_000
-# Beyond any length, angle, rate or variance of a robot; "unknown" is reported as less.
-_MOST = 1e12
-# No clock, joint or camera is late by more.
-_MOST_DELAY_S = 10.0
-# Rounding: of a correlation matrix, whose diagonal is 1.
+# Bound of any length, angle, rate or variance; publishers use smaller values for "unknown".
+_MAX_VALUE = 1e12
+# Largest delay of a clock, joint or camera.
+_MAX_DELAY_S = 10.0
+# Tolerance for rounding in a correlation matrix, whose diagonal is 1.
 _ROUNDING = 1e-6
 
 
@@ -23,35 +23,35 @@ def stamp_ns(header: Any) -> int:
     """
     Stamp of a std_msgs/Header, integer nanoseconds.
 
-    Raises `LandmarkNavError`: it is no time: negative, or a second or more of nanoseconds.
+    Raises `LandmarkNavError`: negative seconds, or nanoseconds outside of [0, 1e9).
     """
-    sec, nanosec = _whole(header.stamp.sec), _whole(header.stamp.nanosec)
+    sec, nanosec = _integer(header.stamp.sec), _integer(header.stamp.nanosec)
     if sec < 0 or not 0 <= nanosec < _SECOND_NS:
         raise LandmarkNavError(
-            f'the stamp is {sec} s and {nanosec} ns, which is no time: mend its publisher'
+            f'the stamp is {sec} s and {nanosec} ns, not a valid time: fix its publisher'
         )
     return sec * _SECOND_NS + nanosec
 
 
 def is_unstamped(msg: Any) -> bool:
-    """Whether a message has a header whose stamp is zero: its publisher does not stamp."""
+    """Whether a message has a header with a stamp of zero: its publisher does not set it."""
     header = getattr(msg, 'header', None)
     return header is not None and not (header.stamp.sec or header.stamp.nanosec)
 
 
 def set_stamp(msg: Any, stamp_ns: int) -> None:
-    """Stamp the header of a message."""
+    """Set the stamp in the header of a message."""
     stamp = msg.header.stamp
     stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
 
 
 def same_frame(frame: str, other: str) -> bool:
-    """Whether two names are of one frame; those of ROS 1 may begin with a slash."""
+    """Whether two names mean the same frame; names of ROS 1 may begin with a slash."""
     return frame.lstrip('/') == other.lstrip('/')
 
 
 def check_frame(header: Any, frame: str, remedy: str) -> None:
-    """`LandmarkNavError` where a std_msgs/Header names another frame, with what to do then."""
+    """Raise `LandmarkNavError` with a `remedy` if a std_msgs/Header names another frame."""
     if not same_frame(header.frame_id, frame):
         raise LandmarkNavError(
             f'it is in frame {header.frame_id!r:.60}, not in frame {frame}: {remedy}'
@@ -60,14 +60,14 @@ def check_frame(header: Any, frame: str, remedy: str) -> None:
 
 def duration_ns(value: Any) -> int:
     """Convert a builtin_interfaces Duration, which may be negative, to integer nanoseconds."""
-    return _whole(value.sec) * _SECOND_NS + _whole(value.nanosec)
+    return _integer(value.sec) * _SECOND_NS + _integer(value.nanosec)
 
 
 def finite(
     values: Any,
     what: str,
     stamp: int,
-    within: float = _MOST,
+    within: float = _MAX_VALUE,
     *,
     least: float | None = None,
     count: int | None = None,
@@ -75,24 +75,30 @@ def finite(
     """
     Return values as an array of float64.
 
-    Raises `LandmarkNavError`: one is NaN, infinite or out of bounds, is no number, or the count is
-    another one.
+    Raises `LandmarkNavError`: a value is NaN, infinite, out of bounds or not a number, or the
+    count is wrong.
 
     Parameters
     ----------
     values : array-like
-        As they came: whoever defined the message may have taken any type.
+        Field of a message; a foreign definition of the message may have any type here.
+    what : str
+        Name of the values in the error.
+    stamp : int
+        Stamp of the message, nanoseconds, for the error.
+    within : float
+        Largest allowed value.
     least : float, optional
-        Least value, where that is not the negative of it.
+        Smallest allowed value; `-within` by default.
     count : int, optional
-        How many there must be.
+        Required number of values.
     """
     where = f'{what} at {stamp * 1e-9:.3f} s'
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise LandmarkNavError(
-            f'{where} is {values!r:.40}: not a number, mend its publisher'
+            f'{where} is {values!r:.40}: not a number, fix its publisher'
         ) from None
     if count is not None and array.size != count:
         raise LandmarkNavError(f'{where} has {array.size} values, not {count}')
@@ -101,13 +107,13 @@ def finite(
     if not good.all():
         worst = float(array[~good][0])
         kind = f'not within {least:g} to {within:g}' if np.isfinite(worst) else 'not a number'
-        raise LandmarkNavError(f'{where} is {worst:g}: {kind}, mend its publisher')
+        raise LandmarkNavError(f'{where} is {worst:g}: {kind}, fix its publisher')
     return array
 
 
-def seconds(values: Any, what: str, stamp: int) -> list[float]:
-    """Delays, s, of either sign; `LandmarkNavError` where nothing is as late."""
-    return [float(value) for value in finite(values, what, stamp, _MOST_DELAY_S)]
+def delays_s(values: Any, what: str, stamp: int) -> list[float]:
+    """Return delays, s, of either sign; `LandmarkNavError` if one is too large to be a delay."""
+    return [float(value) for value in finite(values, what, stamp, _MAX_DELAY_S)]
 
 
 def covariances(values: Any, what: str, stamp: int, size: int) -> FloatArray:
@@ -116,8 +122,8 @@ def covariances(values: Any, what: str, stamp: int, size: int) -> FloatArray:
 
     Zero stands for "unknown" in some messages and for "exact" in others, so it is valid.
 
-    Raises `LandmarkNavError`: it is no covariance: not symmetric, a negative variance, or a
-    correlation beyond one.
+    Raises `LandmarkNavError`: a variance is negative, or a matrix is not symmetric or not positive
+    semidefinite.
     """
     matrices = finite(values, what, stamp).reshape(-1, size, size)
     sigmas = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0.0))
@@ -126,17 +132,20 @@ def covariances(values: Any, what: str, stamp: int, size: int) -> FloatArray:
         why = 'has a negative variance'
     elif (np.abs(matrices - matrices.transpose(0, 2, 1)) > _ROUNDING * scale).any():
         why = 'is not symmetric'
-    elif np.linalg.eigvalsh(np.clip(matrices / scale, -_MOST, _MOST)).min(initial=0) < -_ROUNDING:
+    elif (
+        np.linalg.eigvalsh(np.clip(matrices / scale, -_MAX_VALUE, _MAX_VALUE)).min(initial=0)
+        < -_ROUNDING
+    ):
         why = 'is not positive semidefinite'
     else:
         return matrices
-    raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s {why}: mend its publisher')
+    raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s {why}: fix its publisher')
 
 
 def landmark_ids(
     ids: npt.NDArray[np.int64], what: str, unique: bool = True
 ) -> npt.NDArray[np.int64]:
-    """Return ids of landmarks (n,); `LandmarkNavError` where one is negative, or twice there."""
+    """Return ids of landmarks (n,); `LandmarkNavError` if one is negative or occurs twice."""
     if ids.min(initial=0) < 0 or (unique and len(np.unique(ids)) < len(ids)):
         raise LandmarkNavError(f'{what} names a landmark twice, or by a negative id')
     return ids
@@ -144,9 +153,9 @@ def landmark_ids(
 
 def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
     """
-    Heading of a geometry_msgs/Quaternion, radians; it need not be normalised exactly.
+    Heading of a geometry_msgs/Quaternion, radians; it need not be exactly normalised.
 
-    A `LandmarkNavError` says so where there is none: zero, or over on its side or its head.
+    Raises `LandmarkNavError`: the quaternion is zero, or z is tilted by 90 degrees or more.
     """
     turn = [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
     x, y, z, w = finite(turn, what, stamp, count=4).tolist()
@@ -160,9 +169,9 @@ def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
     return float(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
-def _whole(value: Any) -> int:
-    """Part of a time as an integer; a stranger's definition may have taken another type."""
+def _integer(value: Any) -> int:
+    """Part of a time as an integer; a foreign definition of the message may have another type."""
     try:
         return int(value)
     except (TypeError, ValueError, OverflowError):
-        raise LandmarkNavError(f'a time holds {value!r:.40}: mend its publisher') from None
+        raise LandmarkNavError(f'a time holds {value!r:.40}: fix its publisher') from None

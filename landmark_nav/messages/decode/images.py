@@ -1,4 +1,4 @@
-"""Images, raw and compressed, in every form that cameras send; docs/images.md lists them."""
+"""Raw and compressed images; docs/images.md lists the supported encodings."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from landmark_nav.types import ImageArray
 
 _Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
-# Bits of the analogue-to-digital converters that there are.
+# Bits of usual analogue-to-digital converters.
 _DEPTHS = (8, 10, 12, 14, 16)
 
-# First byte of a PNG; and how to decode a JPEG at a part of its size, averaged.
+# First byte of a PNG.
 _PNG = b'\x89'
+# Modes that decode a JPEG at a part of its size, averaged.
 _REDUCED = {
     2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
     4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
@@ -35,9 +36,10 @@ _REDUCED = {
 @dataclass(frozen=True)
 class _Layout:
     """
-    How pixels lie in memory, and the conversions to BGR and grey (None: nothing to convert).
+    Layout of pixels in memory, and the OpenCV conversions to BGR and grey (None: none needed).
 
-    `rows` of the buffer belong to two rows of the image; `first` takes the first channel alone.
+    `rows` is the number of rows of the buffer for two rows of the image. With `first`, only the
+    first channel is used.
     """
 
     channels: int
@@ -57,7 +59,7 @@ def _layouts() -> dict[str, tuple[str, _Layout]]:
         ('rgb{}',): _Layout(3, cv2.COLOR_RGB2BGR, cv2.COLOR_RGB2GRAY),
         ('bgra{}', '{}UC4'): _Layout(4, cv2.COLOR_BGRA2BGR, cv2.COLOR_BGRA2GRAY),
         ('rgba{}',): _Layout(4, cv2.COLOR_RGBA2BGR, cv2.COLOR_RGBA2GRAY),
-        # OpenCV calls a mosaic by its second row, from the second column on.
+        # OpenCV names a Bayer pattern by its second row, from the second column on.
         ('bayer_rggb{}',): _Layout(1, cv2.COLOR_BayerBG2BGR, cv2.COLOR_BayerBG2GRAY),
         ('bayer_bggr{}',): _Layout(1, cv2.COLOR_BayerRG2BGR, cv2.COLOR_BayerRG2GRAY),
         ('bayer_gbrg{}',): _Layout(1, cv2.COLOR_BayerGR2BGR, cv2.COLOR_BayerGR2GRAY),
@@ -86,16 +88,16 @@ _LAYOUTS = _layouts()
 @dataclass
 class BitDepth:
     """
-    Bits that a stream of 16-bit images uses, measured by the greatest value so far.
+    Number of bits that a stream of 16-bit images uses, from the largest value so far.
 
-    A camera of 10 or 12 bits fills the lower ones of `mono16`. The depth never shrinks, so that
+    A camera of 10 or 12 bits uses the lower bits of `mono16`. The depth never decreases, so that
     grey levels do not change from image to image.
     """
 
     bits: int = 8
 
     def to_bytes(self, pixels: _Pixels) -> ImageArray:
-        """Upper eight of the bits in use; images of 8 bits as they are."""
+        """Return the upper eight of the used bits; images of 8 bits unchanged."""
         if pixels.dtype == np.uint8:
             return np.asarray(pixels, dtype=np.uint8)
         needed = int(pixels.max(initial=0)).bit_length()
@@ -103,7 +105,7 @@ class BitDepth:
         return np.asarray(pixels >> (self.bits - 8), dtype=np.uint8)
 
     def lowered(self, pixels: ImageArray, bits: int) -> ImageArray:
-        """Pixels that were decoded when `bits` were known, as they are with those of now."""
+        """Rescale pixels that were decoded with a depth of `bits` to the depth known now."""
         return np.asarray(pixels >> max(self.bits - bits, 0), dtype=np.uint8)
 
 
@@ -111,8 +113,8 @@ def image(msg: Any, grey: bool = False, depth: BitDepth | None = None) -> ImageA
     """
     Pixels of a sensor_msgs/Image or CompressedImage: BGR (h, w, 3) or grey (h, w), uint8.
 
-    With `grey`, coloured ones become grey; a JPEG is then decoded in two thirds of the time.
-    `depth` is that of the stream that the image belongs to; without it, the image stands alone.
+    With `grey`, colour images are converted to grey; a JPEG is then decoded in two thirds of the
+    time. `depth` belongs to the stream of the image; without it, the image is decoded on its own.
 
     Raises `LandmarkNavError`: unknown encoding, sizes that contradict each other, or bytes that
     are not an image.
@@ -124,17 +126,17 @@ def camera_image(
     msg: Any, info: CameraInfo, grey: bool = False, depth: BitDepth | None = None
 ) -> tuple[ImageArray, CameraModel]:
     """
-    Pixels of an image, as `image`, with its camera; reduced to what `CameraModel.reduced` says.
+    Pixels of an image as in `image`, reduced to the size of `CameraModel.reduced`, and its camera.
 
     Pixels are averaged by area. The size is checked before anything is decoded.
 
-    Raises `LandmarkNavError`: as `image`, or the calibration is for images of another size.
+    Raises `LandmarkNavError`: see `image`; or the calibration is for images of another size.
     """
     width, height = _size(msg)
     full = info.for_image(width, height)
     camera = full.reduced
-    # A JPEG is decoded at a half, quarter or eighth of its size in a part of the time, exactly so
-    # if that divides its sides.
+    # A JPEG is decoded faster at a half, quarter or eighth of its size; that is exact only if the
+    # factor divides its sides.
     fits = [n for n in (8, 4, 2) if n * camera.width <= width and not (width % n or height % n)]
     share = fits[0] if fits else 1
     pixels: Any = _pixels(msg, grey, share)
@@ -146,10 +148,9 @@ def camera_image(
 
 def image_bgra(msg: Any) -> ImageArray:
     """
-    Pixels of a sensor_msgs/Image whose alpha means something, (h, w, 4).
+    Pixels of a sensor_msgs/Image with alpha, (h, w, 4).
 
-    Raises `LandmarkNavError`: another encoding than ``bgra8``, or sizes that contradict each
-    other.
+    Raises `LandmarkNavError`: the encoding is not ``bgra8``, or the sizes contradict each other.
     """
     if msg.encoding != 'bgra8':
         raise LandmarkNavError(f'panorama image is {msg.encoding!r}: publish it as bgra8')
@@ -157,10 +158,10 @@ def image_bgra(msg: Any) -> ImageArray:
 
 
 def _size(msg: Any) -> tuple[int, int]:
-    """Width and height of an image, decoded or not."""
+    """Width and height of a raw or compressed image, without decoding it."""
     if hasattr(msg, 'encoding'):
         return int(msg.width), int(msg.height)
-    with _naming(msg):
+    with _format_in_errors(msg):
         return image_size(bytes_array(msg.data))
 
 
@@ -188,7 +189,7 @@ def _converted(pixels: _Pixels, layout: _Layout, grey: bool) -> _Pixels:
 
 
 def _buffer(msg: Any) -> tuple[_Pixels, _Layout]:
-    """Channels of a raw image without the padding of its rows, (h, w[, channels]), and layout."""
+    """Channels of a raw image without the padding of rows, (h, w[, channels]), and its layout."""
     encoding = str(msg.encoding)
     if encoding not in _LAYOUTS:
         raise LandmarkNavError(
@@ -213,7 +214,7 @@ def _buffer(msg: Any) -> tuple[_Pixels, _Layout]:
 
 
 def _compressed(msg: Any, grey: bool, share: int) -> _Pixels:
-    """Decode by what the bytes are; a camera's orientation tag turns nothing, as in ROS."""
+    """Decode by the content of the data; the orientation tag is ignored, as in ROS."""
     kind = str(msg.format)
     if 'compresseddepth' in kind.lower():
         raise LandmarkNavError(f'image of format {kind[:40]!r} is not supported: publish jpeg')
@@ -223,7 +224,7 @@ def _compressed(msg: Any, grey: bool, share: int) -> _Pixels:
         mode |= cv2.IMREAD_ANYDEPTH
     elif share > 1:
         mode = _REDUCED[share] | (0 if grey else cv2.IMREAD_COLOR)
-    with _naming(msg):
+    with _format_in_errors(msg):
         pixels = decode_image(data, mode | cv2.IMREAD_IGNORE_ORIENTATION)
     mosaic = _LAYOUTS.get(kind.split(';')[0].strip(), ('', None))[1]
     if mosaic is not None and kind.startswith('bayer') and pixels.ndim == 2:
@@ -232,8 +233,8 @@ def _compressed(msg: Any, grey: bool, share: int) -> _Pixels:
 
 
 @contextmanager
-def _naming(msg: Any) -> Iterator[None]:
-    """Errors from inside name the format."""
+def _format_in_errors(msg: Any) -> Iterator[None]:
+    """Add the format of an image to errors."""
     try:
         yield
     except LandmarkNavError as error:

@@ -1,4 +1,4 @@
-"""Pan and tilt."""
+"""Pan and tilt angles."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.decode.headers import duration_ns, finite, stamp_ns
 from landmark_nav.types import JointSample
 
-# Names of joints are kept up to so many: a robot has some tens.
-_MOST_NAMES = 200
+# Number of joint names that are kept; a robot has some tens.
+_MAX_NAMES = 200
 
 
 class JointNames:
     """
-    The pan and tilt joints among the names that arrive.
+    The pan and tilt joints among the names in joint states.
 
-    A joint that has the name of ``robot.yaml`` is the one. Otherwise it is the only one whose name
-    ends with it behind a prefix, such as ``robot1/pan_joint`` or ``robot1_pan_joint``.
+    A joint with the name in ``robot.yaml`` is used. Otherwise it is the only joint whose name is
+    that name behind a prefix, such as ``robot1/pan_joint`` or ``robot1_pan_joint``.
 
     Parameters
     ----------
     mount : PanTiltMount
-        Names as ``robot.yaml`` gives them.
+        Mount with the names in ``robot.yaml``.
 
     Attributes
     ----------
     mount : PanTiltMount
-        The same with the names that arrive.
+        Mount with the names in joint states.
     """
 
     def __init__(self, mount: PanTiltMount) -> None:
@@ -38,9 +38,9 @@ class JointNames:
         self._seen: set[str] = set()
 
     def add(self, names: Iterable[str]) -> str | None:
-        """Take the names of a message; a line for people where a prefixed joint is taken."""
+        """Add the names of a message; return a line for the log if a prefixed joint is used."""
         new = set(names) - self._seen
-        if not new or len(self._seen) >= _MOST_NAMES:
+        if not new or len(self._seen) >= _MAX_NAMES:
             return None
         self._seen |= new
         wanted = self._given.pan_joint, self._given.tilt_joint
@@ -57,7 +57,7 @@ class JointNames:
 
     @property
     def missing(self) -> str:
-        """Why the pan is not known, for people, with the names that arrive."""
+        """Error text: why the pan is unknown, with the names that arrive."""
         names = sorted(self._seen)
         pan = self._given.pan_joint
         more = f' and {len(names) - 5} more' if len(names) > 5 else ''
@@ -68,7 +68,7 @@ class JointNames:
 
     @property
     def pan_is_missing(self) -> bool:
-        """Whether joints arrive, but not that of the pan."""
+        """Whether joints arrive, but not the pan joint."""
         return bool(self._seen) and not self.pan_arrives
 
     @property
@@ -78,7 +78,7 @@ class JointNames:
 
 
 def matching_name(name: str, names: Iterable[str]) -> str | None:
-    """The one of `names` that is `name`, or else the only one that ends with it."""
+    """Return `name` if it is among `names`, else the only one that is `name` with a prefix."""
     known = set(names)
     found = {name} & known or {other for other in known if _is_prefixed(other, name)}
     return found.pop() if len(found) == 1 else None
@@ -88,13 +88,13 @@ def _is_prefixed(name: str, joint: str) -> bool:
     return name.endswith(tuple(f'{separator}{joint}' for separator in '/_.:-'))
 
 
-# A joint that turns on and on may count its turns, some 160,000 of them.
-_MOST_RAD = 1e6
+# Largest joint angle: a continuous joint may count its turns, up to 160,000.
+_MAX_RAD = 1e6
 
 
 def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
     """
-    Pan and tilt in a sensor_msgs/JointState; None if it is about other joints.
+    Pan and tilt in a sensor_msgs/JointState; None if it does not hold the pan joint.
 
     Raises `LandmarkNavError`: names without positions, or positions that are not numbers.
     """
@@ -108,7 +108,7 @@ def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
     """
     Stamp, ns, and tilt, rad, in a sensor_msgs/JointState of a tilt joint with its own driver.
 
-    None if it holds the pan, too, or other joints.
+    None if the message also holds the pan, or has no tilt joint.
 
     Raises `LandmarkNavError`: names without positions, or positions that are not numbers.
     """
@@ -117,7 +117,7 @@ def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
         return None
     what = 'joint_states position'
     _check(names, msg.position, stamp, what)
-    tilt = finite(msg.position[names.index(mount.tilt_joint)], what, stamp, _MOST_RAD)
+    tilt = finite(msg.position[names.index(mount.tilt_joint)], what, stamp, _MAX_RAD)
     return stamp, float(tilt)
 
 
@@ -125,7 +125,7 @@ def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
     """
     Measured angles at the frames of a sweep, out of a trajectory_msgs/JointTrajectory.
 
-    Raises `LandmarkNavError`: it is not about the pan joint, or holds angles that are not numbers.
+    Raises `LandmarkNavError`: the pan joint is missing, or angles are not numbers.
     """
     names = list(msg.joint_names)
     joints = JointNames(mount)
@@ -152,7 +152,7 @@ def _sample(
     _check(names, positions, stamp, what)
     pan = positions[names.index(mount.pan_joint)]
     tilt = positions[names.index(mount.tilt_joint)] if mount.tilt_joint in names else 0.0
-    pan_rad, tilt_rad = finite([pan, tilt], what, stamp, _MOST_RAD).tolist()
+    pan_rad, tilt_rad = finite([pan, tilt], what, stamp, _MAX_RAD).tolist()
     return JointSample(stamp, pan_rad, tilt_rad)
 
 

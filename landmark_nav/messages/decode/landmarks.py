@@ -22,15 +22,15 @@ from landmark_nav.messages.decode.poses import FARTHEST_M
 from landmark_nav.messages.layouts import LANDMARKS
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap
 
-# Of a patch on a wall; of a threshold, a saliency or a loading.
-_LARGEST_M, _MOST = 100.0, 1e3
-# Less is no wall, m; normals travel as float32.
-_SHORTEST_M, _ROUNDING = 1e-3, 1e-3
+# Largest side of a patch, and largest threshold, saliency or loading.
+_MAX_PATCH_M, _MAX_VALUE = 100.0, 1e3
+# Smallest length and height of a wall; tolerance for rounding of normals in float32.
+_MIN_WALL_M, _ROUNDING = 1e-3, 1e-3
 
 
 def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
     """
-    Map out of ``landmarks`` and ``landmarks/atlas``; provenance does not travel.
+    Map out of ``landmarks`` and ``landmarks/atlas``; the messages do not hold its provenance.
 
     Raises `LandmarkNavError`: fields are missing, values are not numbers, or a patch lies outside
     the atlas.
@@ -55,14 +55,14 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
     positions = values('x', 'y', 'z', within=FARTHEST_M)
     normals = values('normal_x', 'normal_y', 'normal_z', within=1.0 + _ROUNDING)
     viewpoints = values('viewpoint_x', 'viewpoint_y', 'viewpoint_z', within=FARTHEST_M)
-    sizes = values('width', 'height', within=_LARGEST_M, least=0.0)
+    sizes = values('width', 'height', within=_MAX_PATCH_M, least=0.0)
     if (np.abs(np.hypot(*normals.T[:2]) - 1.0) > _ROUNDING).any():
         raise LandmarkNavError('a normal of landmarks is not horizontal, or not of length 1')
     if (sizes.any(-1) != sizes.all(-1)).any():
         raise LandmarkNavError('a patch of landmarks has a width and no height, or the reverse')
-    thresholds, saliencies = values('threshold', 'saliency', within=_MOST).T
+    thresholds, saliencies = values('threshold', 'saliency', within=_MAX_VALUE).T
     covariance = covariances(points['covariance'], 'landmark covariance', stamp, 3)
-    shared = finite(points['shared_loading'], 'shared loading', stamp, _MOST)
+    shared = finite(points['shared_loading'], 'shared loading', stamp, _MAX_VALUE)
     loadings = shared.reshape(len(points), 3, -1)
     own = covariance - loadings @ loadings.transpose(0, 2, 1)
     largest = np.linalg.norm(covariance, 2, axis=(1, 2))
@@ -93,7 +93,7 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
 
 
 def _check_area(points: npt.NDArray[np.void], atlas: ImageArray) -> None:
-    """`LandmarkNavError` where patches overlap: each is copied, so they may fill the memory."""
+    """Raise `LandmarkNavError` if patches overlap: each is copied, which could fill the memory."""
     views = points['views'].reshape(len(points), -1, 4)
     sides = [(points['atlas_width'], points['atlas_height']), (views[..., 2], views[..., 3])]
     area = sum(float((width.astype(float) * height).sum()) for width, height in sides)
@@ -102,14 +102,14 @@ def _check_area(points: npt.NDArray[np.void], atlas: ImageArray) -> None:
 
 
 def _patch(atlas: ImageArray, point: np.void) -> ImageArray:
-    if point['width'] == point['height'] == 0.0:  # a point, known by its bearing alone
+    if point['width'] == point['height'] == 0.0:  # a landmark without texture
         return np.zeros((0, 0), dtype=np.uint8)
     names = ('atlas_x', 'atlas_y', 'atlas_width', 'atlas_height')
     return _cut(atlas, point, *(int(point[name]) for name in names))
 
 
 def _views(atlas: ImageArray, point: np.void, stamp: int) -> tuple[PatchView, ...]:
-    """What other panoramas show of it."""
+    """Views of a landmark in other panoramas."""
     viewpoints = finite(point['viewpoints'], 'viewpoint', stamp, FARTHEST_M).reshape(-1, 3)
     places = point['views'].reshape(-1, 4).tolist()
     if len(places) != len(viewpoints):
@@ -146,6 +146,6 @@ def _walls(points: npt.NDArray[np.void], stamp: int) -> tuple[Wall, ...]:
         Wall(name, (x0, y0), (x1, y1), height)
         for name, (x0, y0, x1, y1, height) in zip(names, outlines.tolist(), strict=True)
     )
-    if any(wall.length < _SHORTEST_M or wall.height < _SHORTEST_M for wall in walls):
+    if any(wall.length < _MIN_WALL_M or wall.height < _MIN_WALL_M for wall in walls):
         raise LandmarkNavError('a wall of landmarks has no length or no height')
     return walls

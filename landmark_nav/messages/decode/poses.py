@@ -1,4 +1,4 @@
-"""Odometry, poses in the plane, places that were found, detections, triplets, panoramas."""
+"""Odometry, planar poses, results of global localization, detections, triplets, panoramas."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import (
     covariances,
+    delays_s,
     finite,
     landmark_ids,
-    seconds,
     stamp_ns,
     yaw_rad,
 )
@@ -39,23 +39,23 @@ from landmark_nav.types import (
     Triplet,
 )
 
-# Half around the earth, m: in UTM coordinates, too, a robot is nearer to their origin.
+# Largest coordinate: half the circumference of the earth, more than any UTM coordinate.
 FARTHEST_M = 2.0e7
-# Metres or radians per second.
-_FASTEST = 1.0e3
-# Beyond this, metres, radians or seconds, is no value or sigma of a calibration.
-_MOST_OFF = 100.0
+# Largest speed, metres or radians per second.
+_MAX_SPEED = 1.0e3
+# Largest value or sigma of a calibration, metres, radians or seconds.
+_MAX_CALIBRATION = 100.0
 
 
 def odometry(msg: Any) -> OdometrySample:
     """
     Wheel odometry of a nav_msgs/Odometry.
 
-    Raises `LandmarkNavError`: a value is not a number, or no place, heading or speed of a robot.
+    Raises `LandmarkNavError`: a position, heading or speed is not a number or out of bounds.
     """
     stamp, twist = stamp_ns(msg.header), msg.twist.twist
     speeds = [twist.linear.x, twist.angular.z]
-    forward, turn = finite(speeds, 'odometry speed', stamp, _FASTEST).tolist()
+    forward, turn = finite(speeds, 'odometry speed', stamp, _MAX_SPEED).tolist()
     return OdometrySample(stamp, _planar(msg.pose.pose, 'odometry', stamp), forward, turn)
 
 
@@ -63,7 +63,7 @@ def pose_estimate(msg: Any) -> PoseEstimate:
     """
     Planar pose of a geometry_msgs/PoseWithCovarianceStamped or a nav_msgs/Odometry.
 
-    Raises `LandmarkNavError`: a value is not a number, or no place or heading of a robot.
+    Raises `LandmarkNavError`: a value is not a number or out of bounds.
     """
     stamp = stamp_ns(msg.header)
     pose = _planar(msg.pose.pose, 'pose', stamp)
@@ -72,9 +72,10 @@ def pose_estimate(msg: Any) -> PoseEstimate:
 
 def pose_covariance(msg: Any, axes: tuple[Any, ...], what: str, stamp: int) -> FloatArray:
     """
-    Covariance of some axes, a layout, out of a message with a geometry_msgs/PoseWithCovariance.
+    Covariance of some axes in a message with a geometry_msgs/PoseWithCovariance.
 
-    Of the others anything may be given: 0, 1e6 and the largest number all stand for "unknown".
+    `axes` is `PLANAR` or `UPRIGHT`. The other axes may hold anything: 0, 1e6 and the largest
+    number all are in use for "unknown".
     """
     what = f'{what} covariance'
     full = finite(msg.pose.covariance, what, stamp, np.inf, count=36)
@@ -84,10 +85,10 @@ def pose_covariance(msg: Any, axes: tuple[Any, ...], what: str, stamp: int) -> F
 
 def global_pose(msg: Any) -> GlobalPose:
     """
-    A place and what it was found from, out of ``global_localization/pose``.
+    Result of global localization, out of ``global_localization/pose``.
 
-    Raises `LandmarkNavError`: fields are missing or of another kind, no point, or values that are
-    not numbers.
+    Raises `LandmarkNavError`: fields are missing or of another type, there is no point, or values
+    are not numbers.
     """
     points, stamp = unpack_cloud(msg, GLOBAL_POSE), stamp_ns(msg.header)
     if not len(points):
@@ -100,35 +101,35 @@ def global_pose(msg: Any) -> GlobalPose:
         finite(first['pose'], 'global_localization/pose pose', stamp, FARTHEST_M),
         covariances(first['covariance'], 'global_localization/pose covariance', stamp, 3)[0],
         landmark_ids(points['id'], 'global_localization/pose'),
-        float(finite(first['pan_rate'], 'global_localization/pose pan rate', stamp, _FASTEST)),
-        *seconds([first['joint_delay']], 'global_localization/pose delay', stamp),
+        float(finite(first['pan_rate'], 'global_localization/pose pan rate', stamp, _MAX_SPEED)),
+        *delays_s([first['joint_delay']], 'global_localization/pose delay', stamp),
     )
 
 
 def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySample]:
     """
-    Where the camera should be, and the speeds of the base, out of ``expectation``.
+    Expected pose and calibration, and the speeds of the base, out of ``expectation``.
 
-    Raises `LandmarkNavError`: fields are missing or of another kind, not one point, or values that
-    are not numbers.
+    Raises `LandmarkNavError`: fields are missing or of another type, the number of points is not
+    1, or values are not numbers.
     """
     points, stamp = unpack_cloud(msg, EXPECTATION), stamp_ns(msg.header)
     if len(points) != 1:
         raise LandmarkNavError(f'expectation has {len(points)} points, not 1')
     first = points[0]
     pose = finite(first['pose'], 'expectation pose', stamp, FARTHEST_M)
-    sigmas = finite(first['sigmas'], 'calibration sigma', stamp, _MOST_OFF, least=0.0)
-    linear, angular = finite(first['speeds'], 'expectation speed', stamp, _FASTEST).tolist()
+    sigmas = finite(first['sigmas'], 'calibration sigma', stamp, _MAX_CALIBRATION, least=0.0)
+    linear, angular = finite(first['speeds'], 'expectation speed', stamp, _MAX_SPEED).tolist()
     expected = Expectation(
         stamp,
         pose,
         covariances(first['covariance'], 'expectation covariance', stamp, 3)[0],
         Calibration(
-            finite(first['values'], 'calibration value', stamp, _MOST_OFF),
+            finite(first['values'], 'calibration value', stamp, _MAX_CALIBRATION),
             np.diag(sigmas**2),
             mount,
         ),
-        float(finite(first['tilt_sigma'], 'tilt sigma', stamp, _MOST_OFF, least=0.0)),
+        float(finite(first['tilt_sigma'], 'tilt sigma', stamp, _MAX_CALIBRATION, least=0.0)),
     )
     return expected, OdometrySample(stamp, pose, linear, angular)
 
@@ -138,51 +139,51 @@ def _planar(pose: Any, what: str, stamp: int) -> FloatArray:
     return np.array([*position, yaw_rad(pose.orientation, f'{what} orientation', stamp)])
 
 
-# Bearings may be unwrapped. No sensor is as exact as the root of this, rad.
-_MOST_RAD, _LEAST_VARIANCE = 1e4, 1e-14
-# Nothing is seen 89.9 degrees aside.
-_FARTHEST = 1e3
+# Largest bearing, which may be unwrapped, rad; smallest variance of a bearing, rad^2.
+_MAX_BEARING_RAD, _MIN_VARIANCE_RAD2 = 1e4, 1e-14
+# Largest normalised image coordinate: a ray 89.9 degrees from the optical axis.
+_MAX_COORDINATE = 1e3
 
 
 def detections(msg: Any) -> Detections:
     """
     Landmarks found in one image, and those missed in it, out of ``detections``.
 
-    Raises `LandmarkNavError`: fields are missing or of another kind, or values are not numbers
+    Raises `LandmarkNavError`: fields are missing or of another type, or values are not numbers
     within bounds.
     """
     points, stamp = unpack_cloud(msg, DETECTIONS), stamp_ns(msg.header)
-    (delay,) = seconds(points['joint_delay'][:1].tolist() or [0.0], 'detections delay', stamp)
-    # Other sensors may see a landmark twice at a time.
+    (delay,) = delays_s(points['joint_delay'][:1].tolist() or [0.0], 'detections delay', stamp)
+    # Other sensors may detect a landmark twice at a time.
     landmark_ids(points['id'], 'detections', unique=False)
     missed = np.isnan(points['bearing']) & np.isnan(points['bearing_variance'])
     found = points[~missed]
-    spread = covariances(found['point_covariance'], 'covariance of a point', stamp, 2)
-    # Who measures bearings alone has no image.
-    of_image = bool((np.diagonal(spread, axis1=1, axis2=2) > 0.0).all())
-    places = finite(found['point'], 'detections point', stamp, _FARTHEST)
+    point_covariance = covariances(found['point_covariance'], 'covariance of a point', stamp, 2)
+    # A sensor that measures bearings only publishes no points.
+    has_points = bool((np.diagonal(point_covariance, axis1=1, axis2=2) > 0.0).all())
+    image_points = finite(found['point'], 'detections point', stamp, _MAX_COORDINATE)
     near = finite(points['near'][0] if len(points) else np.zeros(3), 'near', stamp, FARTHEST_M)
     return Detections(
         stamp,
         found['id'],
-        finite(found['bearing'], 'bearing', stamp, _MOST_RAD),
-        finite(found['bearing_variance'], 'bearing variance', stamp, least=_LEAST_VARIANCE),
+        finite(found['bearing'], 'bearing', stamp, _MAX_BEARING_RAD),
+        finite(found['bearing_variance'], 'bearing variance', stamp, least=_MIN_VARIANCE_RAD2),
         finite(found['score'], 'detections score', stamp),
         finite(np.stack([found['u'], found['v']], -1), 'detections pixel', stamp),
         points['id'][missed],
         joint_delay_s=delay,
-        points=places if of_image else places[:0],
-        point_covariance=spread if of_image else spread[:0],
+        points=image_points if has_points else image_points[:0],
+        point_covariance=point_covariance if has_points else point_covariance[:0],
         near=near if near.any() else None,
     )
 
 
 def triplet(msg: Any) -> Triplet:
     """
-    The chosen three, out of ``triplet``.
+    The chosen landmarks, out of ``triplet``.
 
-    Raises `LandmarkNavError`: fields are missing or of another kind, not three points, or values
-    that are not numbers.
+    Raises `LandmarkNavError`: fields are missing or of another type, the number of points is not
+    3, or values are not numbers.
     """
     points, stamp = unpack_cloud(msg, TRIPLET), stamp_ns(msg.header)
     if len(points) != 3:
@@ -190,15 +191,15 @@ def triplet(msg: Any) -> Triplet:
     return Triplet(
         stamp,
         landmark_ids(points['id'], 'triplet'),
-        finite(points['bearing'], 'triplet bearing', stamp, _MOST_RAD),
+        finite(points['bearing'], 'triplet bearing', stamp, _MAX_BEARING_RAD),
         finite(points['bearing_sigma'], 'triplet sigma', stamp, least=0.0),
         covariances(points['covariance'][0], 'triplet covariance', stamp, 3)[0],
-        float(finite(points['pan'][0], 'triplet pan', stamp, _MOST_RAD)),
+        float(finite(points['pan'][0], 'triplet pan', stamp, _MAX_BEARING_RAD)),
     )
 
 
-# Of a focal length or a principal point.
-_MOST_PX = 1e6
+# Largest focal length or principal point.
+_MAX_PX = 1e6
 
 
 def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
@@ -219,7 +220,7 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
         raise LandmarkNavError(
             f'panorama has the camera model {info_msg.distortion_model!r:.60}, not cylindrical'
         )
-    k = finite(info_msg.k, 'panorama geometry', stamp, _MOST_PX, count=9)
+    k = finite(info_msg.k, 'panorama geometry', stamp, _MAX_PX, count=9)
     cylinder = Cylinder(int(info_msg.width), int(info_msg.height), k[4], k[2], k[5])
     if cylinder.fy <= 0.0 or abs(k[0] - cylinder.fx) > 1e-6 * cylinder.fx:
         raise LandmarkNavError(

@@ -1,8 +1,8 @@
 """
 Types -> messages: the inverse of `landmark_nav.messages.decode`.
 
-Every function takes a `MessageFactory` first, so that the same code makes rosbags' messages for
-bags and real ROS messages for topics.
+The first argument of every function is a `MessageFactory`: the same code builds messages of
+rosbags for bags and ROS messages for topics.
 """
 
 from landmark_nav.messages.encode.headers import header

@@ -1,4 +1,4 @@
-"""Stamps, vectors and poses, which many messages hold."""
+"""Parts of many messages: headers, durations, vectors and poses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.types import FloatArray
 
 _SECOND_NS = 1_000_000_000
-# Of what is not estimated, as robot_localization and others expect it: 0 would mean exact.
+# Variance of what is not estimated, as in robot_localization and others: 0 would mean exact.
 UNKNOWN_VARIANCE = 1e6
 
 
@@ -33,7 +33,7 @@ def vector(factory: MessageFactory, kind: str, x: float, y: float, z: float = 0.
 
 
 def upright(factory: MessageFactory, x: float, y: float, z: float, yaw_rad: float) -> Any:
-    """Build a geometry_msgs/Pose with a turn about z alone."""
+    """Build a geometry_msgs/Pose with a rotation about z only."""
     half = 0.5 * float(yaw_rad)
     turn = factory('geometry_msgs/msg/Quaternion', z=float(np.sin(half)), w=float(np.cos(half)))
     return factory(
@@ -50,7 +50,7 @@ def pose_with_covariance(
     """
     Build a geometry_msgs/PoseWithCovariance.
 
-    `axes` are those of `covariance`, as a layout; the others are unknown.
+    `axes` are those of `covariance` (`PLANAR`, `UPRIGHT`); the others are unknown.
     """
     full = UNKNOWN_VARIANCE * np.eye(6)
     full[axes] = covariance

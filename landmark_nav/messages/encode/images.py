@@ -1,4 +1,4 @@
-"""Images, the calibration of their camera, and panoramas."""
+"""Images, camera_info and panoramas."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def panorama(
     """
     Build ``panorama/image`` (alpha is the mask), ``panorama/camera_info`` and ``panorama/pose``.
 
-    The pose is of the optical centre, turned as the base was.
+    The pose is that of the optical centre with the orientation of the base.
     """
     alpha = np.where(view.mask, np.uint8(255), np.uint8(0))
     stamp = header(factory, view.stamp_ns, frame_id)

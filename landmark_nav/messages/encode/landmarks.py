@@ -27,9 +27,9 @@ def landmark_map(
     Parameters
     ----------
     landmarks : LandmarkMap
-        What was learned; it may be empty.
+        Map to publish; it may be empty.
     stamp_ns : int
-        When it was published: the three belong together by it.
+        Time of publication, by which receivers match the three.
     """
     members = landmarks.landmarks
     views = [view.patch for k in members for view in k.views]
@@ -88,7 +88,7 @@ def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArr
 
 
 def _pack_patches(patches: list[ImageArray]) -> tuple[npt.NDArray[np.int64], ImageArray]:
-    """Patches row by row, highest first: their corners (n, 2) as x, y and the atlas."""
+    """Place patches on shelves, highest first: upper left corners (n, 2) as x, y and the atlas."""
     corners = np.zeros((len(patches), 2), dtype=np.int64)
     width = max([_ATLAS_WIDTH, *(p.shape[1] for p in patches)])
     x = y = shelf = 0

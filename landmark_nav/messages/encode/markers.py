@@ -1,4 +1,4 @@
-"""Map, robot and view as RViz and Foxglove draw them."""
+"""Markers of map, robot and field of view for RViz and Foxglove."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ARROW, _CUBE, _SPHERE, _LINE_STRIP, _LINE_LIST, _TEXT = 0, 1, 2, 4, 5, 9
 _DELETE_ALL = 3
 
 _Rgba = tuple[float, float, float, float]
-# As in the figures: landmarks green, the fused pose blue, odometry and its like orange.
+# Colours as in the figures: landmarks green, the fused pose blue.
 _LANDMARK: _Rgba = (0.10, 0.62, 0.45, 0.9)
 _UNCERTAINTY: _Rgba = (0.95, 0.60, 0.10, 0.4)
 _TEXT_RGBA: _Rgba = (1.0, 1.0, 1.0, 1.0)
@@ -40,7 +40,7 @@ _VIEW: _Rgba = (0.60, 0.75, 0.95, 0.9)
 _NORMAL_M = 0.18
 _SWEEP_M = 0.45
 _ROBOT_M = 0.40
-# Half the field of view is drawn with so many steps, and reaches so far.
+# Number of steps in the arc of the field of view, and its radius.
 _VIEW_STEPS, _VIEW_M = 16, 1.5
 _AROUND = np.linspace(0.0, 2.0 * np.pi, 49)
 
@@ -50,8 +50,7 @@ def landmark_markers(factory: MessageFactory, landmarks: LandmarkMap, stamp_ns: 
     Build the visualization_msgs/MarkerArray of a map; it replaces the one before.
 
     Namespaces: ``walls``, ``landmarks`` (the patch on its wall), ``normals``, ``uncertainty``
-    (three sigma), ``numbers`` and ``sweeps`` (where panoramas were taken, and where the base
-    looked).
+    (three sigma), ``numbers`` and ``sweeps`` (pose of the base at each panorama).
     """
     drawing = _Drawing(factory, stamp_ns, landmarks.frame_id)
     if landmarks.walls:
@@ -88,8 +87,8 @@ def pose_markers(
     """
     Build the MarkerArray of a pose: the robot, three sigma, and the protection level.
 
-    `level` is a pose of whose covariance one sigma is the level, as
-    ``odometry_fusion/protection_level`` has it.
+    One sigma of the covariance of `level` is the protection level, as in
+    ``odometry_fusion/protection_level``.
     """
     drawing = _Drawing(factory, estimate.stamp_ns, frame_id)
     x, y, heading = estimate.pose
@@ -120,8 +119,8 @@ def view_markers(
     Build the MarkerArray of what the camera sees from a pose of the base.
 
     Namespaces: ``field_of_view``; ``triplet``, lines from the pan axis to the chosen landmarks;
-    ``bearings``, measured ones of the landmarks found, drawn as long as the landmarks are away:
-    where they end beside a landmark, pose or map is off.
+    ``bearings``, measured bearings of the landmarks found. A bearing is drawn as long as its
+    landmark is distant: if it ends beside the landmark, the pose or the map is wrong.
     """
     drawing = _Drawing(factory, pose.stamp_ns, frame_id)
     axis, height = mount.axis_pose_map(pose.pose), mount.axis_xyz[2]
@@ -136,7 +135,7 @@ def view_markers(
         chosen = triplet.ids[np.isin(triplet.ids, landmarks.ids)]
         ends = landmarks.positions[landmarks.indices(chosen)]
         drawing.add('triplet', _LINE_LIST, points=_rays(start, ends), rgba=_TRIPLET, width_m=0.03)
-    # The map may have been replaced since the image was looked at.
+    # The map may have been replaced since the image was searched.
     found = found.chosen(np.isin(found.ids, landmarks.ids))
     if len(found):
         places = landmarks.positions[landmarks.indices(found.ids)]
@@ -149,7 +148,7 @@ def view_markers(
 
 
 class _Drawing:
-    """Markers of one stamp and frame, which replace those before."""
+    """Markers of one stamp and frame; they replace those before."""
 
     def __init__(self, factory: MessageFactory, stamp_ns: int, frame_id: str) -> None:
         self._factory = factory
@@ -175,7 +174,7 @@ class _Drawing:
         points: npt.ArrayLike = (),
         text: str = '',
     ) -> None:
-        """Add one; lines through `points` (n, 2) or (n, 3) have a width, others a scale."""
+        """Add a marker; lines through `points` (n, 2) or (n, 3) have a width, others a scale."""
         factory = self._factory
         red, green, blue, alpha = rgba
         marker = factory(
@@ -194,7 +193,7 @@ class _Drawing:
 
 
 def _add_landmark(drawing: _Drawing, landmark: Landmark) -> None:
-    """Add the plate on the wall, its 3-sigma ellipsoid, its number."""
+    """Add the patch on its wall, its 3-sigma ellipsoid and its number."""
     yaw = np.arctan2(landmark.normal[1], landmark.normal[0])
     x, y, z = landmark.position
     variances, axes = np.linalg.eigh(landmark.covariance[:2, :2])
@@ -219,7 +218,7 @@ def _add_landmark(drawing: _Drawing, landmark: Landmark) -> None:
 
 
 def _wall_edges(walls: Iterable[Wall]) -> list[tuple[float, float, float]]:
-    """Ends of the edges of all walls, two by two."""
+    """End points of the edges of all walls, in pairs."""
     ends: list[tuple[float, float, float]] = []
     for wall in walls:
         low = [(*wall.start, 0.0), (*wall.end, 0.0)]
@@ -229,10 +228,10 @@ def _wall_edges(walls: Iterable[Wall]) -> list[tuple[float, float, float]]:
 
 
 def _rays(start: FloatArray, ends: FloatArray) -> FloatArray:
-    """Ends of lines from `start` (3,) to `ends` (n, 3), two by two, (2 n, 3)."""
+    """End points of lines from `start` (3,) to `ends` (n, 3), in pairs, (2 n, 3)."""
     return np.stack([np.broadcast_to(start, ends.shape), ends], 1).reshape(-1, 3)
 
 
 def _lifted(points: FloatArray, height: float) -> FloatArray:
-    """Points (n, 2) of a plan at a height, (n, 3)."""
+    """Points (n, 2) of the plan at a height, (n, 3)."""
     return np.column_stack([points, np.full(len(points), height)])

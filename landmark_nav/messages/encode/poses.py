@@ -1,4 +1,4 @@
-"""Odometry, transforms, poses in the plane, places that were found, detections, triplets."""
+"""Odometry, transforms, planar poses, results of global localization, detections, triplets."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def odometry(
     Parameters
     ----------
     sample : OdometrySample
-        Pose of the base in `frame_id`, whichever that is, and speeds.
+        Pose of the base in `frame_id`, which need not be ``odom``, and speeds.
     covariance : ndarray, shape (3, 3), optional
-        Of x, y, heading; unknown by default.
+        Covariance of x, y, heading; unknown by default.
     """
     x, y, yaw = sample.pose_odom_base
     twist = factory(
@@ -105,7 +105,7 @@ def expectation(
     speeds: OdometrySample,
     frame_id: str = 'map',
 ) -> Any:
-    """Build the PointCloud2 of ``expectation``, one point, with the speeds of its time."""
+    """Build the PointCloud2 of ``expectation``, one point, with the speeds at its time."""
     known = expected.calibration
     point = (
         expected.pose,
@@ -135,7 +135,7 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
     """
     Build the PointCloud2 of ``detections``, stamped with the image.
 
-    What was looked for and not found follows as invalid points: NaN, with a score of 0.
+    Missed landmarks follow as invalid points: NaN, with a score of 0.
     """
     points = np.zeros(len(found) + len(found.missed), dtype=DETECTIONS.fields)
     points['id'] = np.concatenate([found.ids, found.missed])
@@ -190,7 +190,7 @@ def joint_transforms(mount: PanTiltMount, joints: JointSample) -> Iterator[Trans
 
 
 def camera_transform(mount: PanTiltMount, optical_frame: str) -> Transform:
-    """Transform of the camera on the tilt link, which does not move."""
+    """Static transform of the camera on the tilt link."""
     rotation_base, _ = mount.camera_pose_base(0.0)
     rotation = rotation_rpy(mount.axis_rpy).T @ rotation_base
     _, tilt_link = _links(mount)
@@ -198,7 +198,7 @@ def camera_transform(mount: PanTiltMount, optical_frame: str) -> Transform:
 
 
 def transforms(factory: MessageFactory, stamp_ns: int, of: Iterable[Transform]) -> Any:
-    """Build a tf2_msgs/TFMessage, what ``/tf`` and ``/tf_static`` carry."""
+    """Build a tf2_msgs/TFMessage for ``/tf`` and ``/tf_static``."""
     return factory(
         'tf2_msgs/msg/TFMessage', transforms=[_stamped(factory, stamp_ns, one) for one in of]
     )
@@ -219,7 +219,7 @@ def _stamped(factory: MessageFactory, stamp_ns: int, one: Transform) -> Any:
 
 
 def _links(mount: PanTiltMount) -> tuple[str, str]:
-    """Frames that turn with the joints, as URDF files call them."""
+    """Names of the frames that turn with the joints, as usual in URDF."""
     pan, tilt = (name.removesuffix('_joint') for name in (mount.pan_joint, mount.tilt_joint))
     return f'{pan}_link', f'{tilt}_link'
 
@@ -237,7 +237,7 @@ def joint_state(factory: MessageFactory, sample: JointSample, mount: PanTiltMoun
 def sweep_trajectory(
     factory: MessageFactory, samples: Sequence[JointSample], mount: PanTiltMount
 ) -> Any:
-    """Build the trajectory_msgs/JointTrajectory that ends a sweep: one point a frame."""
+    """Build the trajectory_msgs/JointTrajectory that ends a sweep: one point for each frame."""
     start_ns = samples[0].stamp_ns
     return factory(
         'trajectory_msgs/msg/JointTrajectory',
