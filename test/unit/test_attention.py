@@ -237,14 +237,6 @@ def test_every_feature_runs_alone():
         assert attend(camera_image, alone).candidates
 
 
-def test_the_same_panorama_gives_the_same_candidates():
-    camera_image = panorama(clutter(np.random.default_rng(13)))
-    assert (
-        attend(camera_image, AttentionConfig()).candidates
-        == attend(camera_image, AttentionConfig()).candidates
-    )
-
-
 def test_unknown_feature_and_too_small_a_panorama_are_refused():
     with pytest.raises(LandmarkNavError, match='colour'):
         AttentionConfig().alone('colour')

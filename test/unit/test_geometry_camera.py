@@ -93,10 +93,6 @@ def test_contains_respects_the_margin() -> None:
     assert camera.contains(pixels, 5.0).tolist() == [True, False, False, False, False]
 
 
-def test_half_field_of_view_is_the_smaller_side() -> None:
-    assert CAMERAS['ideal'].half_fov_rad == pytest.approx(np.arctan(254.0 / 570.0))
-
-
 @pytest.mark.parametrize(
     ('change', 'message'),
     [
