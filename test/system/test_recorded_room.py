@@ -142,9 +142,7 @@ def test_images_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
 
 @pytest.mark.xfail(strict=True, reason='heading off by 0.29 degrees, which its sigma says')
 def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(
-    figures: tuple[dict[str, float], Path],
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
+    figures: tuple[dict[str, float], Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """No start is given; it looks above or below, or is rolled, from the first image on."""
     drive = displaced_drive(Bag(BAGS / 'drive'), tmp_path / 'displaced', (-1.0, 0.0, 1.5))

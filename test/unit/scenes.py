@@ -109,10 +109,7 @@ class Scene:
 
 
 def draw(
-    scene: Scene,
-    origin: FloatArray,
-    rays: FloatArray,
-    rays_of: Callable[[FloatArray], FloatArray],
+    scene: Scene, origin: FloatArray, rays: FloatArray, rays_of: Callable[[FloatArray], FloatArray]
 ) -> npt.NDArray[np.float32]:
     """
     BGR (rows, columns, 3) of an image whose pixels look along `rays`.

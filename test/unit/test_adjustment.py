@@ -170,10 +170,7 @@ def test_a_calibration_that_is_off_is_found_and_errs_as_it_states() -> None:
         joint = np.block(
             [
                 [total_covariance(found)[0], loading @ found.calibration_loading[:2].T],
-                [
-                    found.calibration_loading[:2] @ loading.T,
-                    found.calibration_covariance[:2, :2],
-                ],
+                [found.calibration_loading[:2] @ loading.T, found.calibration_covariance[:2, :2]],
             ]
         )
         both = np.concatenate([error[0], off[:2]])

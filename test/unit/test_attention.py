@@ -8,12 +8,7 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.attention import (
-    attend,
-    attention_maps,
-    AttentionConfig,
-    FEATURES,
-)
+from landmark_nav.learning.attention import attend, attention_maps, AttentionConfig, FEATURES
 from landmark_nav.types import Candidate, Panorama
 
 WIDTH, HEIGHT = 1601, 300

@@ -20,12 +20,7 @@ from turning_robot import (
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.capture import (
-    begin_or_resume,
-    CaptureConfig,
-    describe_sweep,
-    Shot,
-)
+from landmark_nav.learning.capture import begin_or_resume, CaptureConfig, describe_sweep, Shot
 from landmark_nav.learning.capture.frames import FrameLog
 from landmark_nav.learning.capture.joints import JointTrack
 from landmark_nav.types import JointSample, OdometrySample

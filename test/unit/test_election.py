@@ -290,10 +290,7 @@ def test_what_its_measurements_alone_do_not_place_is_refused(panoramas: list[Pan
     free = perfect([patch], own_covariance=(spread**2)[None])
     (outcome,) = elect_from(panoramas, [patch], free=free)
     assert isinstance(outcome, Refusal)
-    assert (outcome.reason, outcome.detail) == (
-        'too little parallax',
-        '2.5 cm sigma of its depth',
-    )
+    assert (outcome.reason, outcome.detail) == ('too little parallax', '2.5 cm sigma of its depth')
     # It is the depth that counts: along the wall nothing is drawn to anything.
     free = perfect([patch], own_covariance=(spread[::-1, ::-1] ** 2)[None])
     assert isinstance(elect_from(panoramas, [patch], free=free)[0], Landmark)
