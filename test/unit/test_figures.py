@@ -15,7 +15,7 @@ from landmark_nav.evaluation.figures import (
     draw_trajectory,
     run_figures,
 )
-from landmark_nav.evaluation.figures.style import free_labels, places_of_numbers
+from landmark_nav.evaluation.figures.style import free_labels, places_of_numbers, rows_of_labels
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
@@ -23,7 +23,14 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Wall
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation
-from landmark_nav.types import Candidate, Detections, LandmarkMap, Panorama, PoseEstimate, Refusal
+from landmark_nav.types import (
+    Candidate,
+    Detections,
+    LandmarkMap,
+    Panorama,
+    PoseEstimate,
+    Refusal,
+)
 
 WALLS = (
     Wall('south', (0.0, 0.0), (5.0, 0.0), 2.5),
@@ -94,6 +101,17 @@ def test_labels_that_are_kept_do_not_overlap_and_those_left_out_lie_on_one_kept(
     assert 1 < kept.sum() < 60
     assert np.array_equal(meet[kept][:, kept], np.eye(kept.sum(), dtype=bool))
     assert meet[~kept][:, kept].any(axis=1).all()
+
+
+def test_a_row_holds_labels_that_do_not_touch_and_no_row_is_wasted():
+    rng = np.random.default_rng(1)
+    centers, widths = rng.uniform(0.0, 8.0, 30), rng.uniform(0.2, 1.0, 30)
+    rows = rows_of_labels(centers, widths)
+    low, high = centers - widths / 2.0, centers + widths / 2.0
+    meet = (low[:, None] < high) & (low < high[:, None])
+    assert not np.any(meet & (rows[:, None] == rows) & ~np.eye(30, dtype=bool))
+    # As many rows as labels lie above some place.
+    assert rows.max() + 1 == max(np.sum((low <= place) & (place < high)) for place in low)
 
 
 @pytest.mark.parametrize('column', [100.0, 1.0, 399.0])
