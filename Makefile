@@ -35,7 +35,9 @@ install: .venv/installed
 demo: install
 	$(BIN)/landmark-nav demo --out demo --overwrite
 
-test: lint test-offline test-nodes
+# Node tests mostly wait; what is tested offline takes the time that they leave.
+test: lint
+	$(MAKE) --no-print-directory --output-sync=target -j 2 test-offline test-nodes
 
 lint: install
 	$(BIN)/ruff check .
@@ -44,12 +46,12 @@ lint: install
 
 # The longest files first, so that both processes have work until the end.
 test-offline: install
-	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
+	nice $(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
 
 # These start nodes as processes of their own, each test in a ROS domain of its own. The demo takes
 # a process for half of the time.
-test-nodes: install test-offline
-	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py test/nodes
+test-nodes: install
+	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py test/nodes
 
 bench: install
 	$(BIN)/landmark-nav bench

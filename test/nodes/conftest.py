@@ -26,7 +26,7 @@ _NUMBER = count()
 def domain_id() -> int:
     """A domain that no other test of this run uses, below the ephemeral ports."""
     worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
-    return 10 + 45 * (worker % 2) + (os.getpid() * 7 + next(_NUMBER)) % 45
+    return 10 + 22 * (worker % 4) + (os.getpid() * 7 + next(_NUMBER)) % 22
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 
 Made = TypeVar('Made', bound=Any)
 
@@ -25,6 +26,12 @@ class Graph:
         self.nodes.append(node)
         self.executor.add_node(node)
         return node
+
+    def make(self, kind: Callable[..., Made], **parameters: Any) -> Made:
+        """Make a node that is given parameters, and is not spun."""
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        self.nodes.append(kind(context=self.context, parameter_overrides=overrides))
+        return self.nodes[-1]
 
     def until(
         self,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,8 +16,7 @@ from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from rclpy.context import Context
-from rclpy.parameter import Parameter
+from graph import Graph
 
 from landmark_nav.nodes.odometry_fusion import OdometryFusionNode
 from landmark_nav.ros.factory import ros_factory
@@ -30,12 +28,8 @@ SURE = np.diag([0.02, 0.02, 0.01]) ** 2
 class Fusion:
     """A node without neighbours, its callbacks and what it publishes, on a clock of its own."""
 
-    def __init__(self, context: Context, robot: str) -> None:
-        given = {'robot_file': robot}
-        self.node: Any = OdometryFusionNode(
-            context=context,
-            parameter_overrides=[Parameter(name, value=value) for name, value in given.items()],
-        )
+    def __init__(self, graph: Graph, robot: str) -> None:
+        self.node: Any = graph.make(OdometryFusionNode, robot_file=robot)
         self.published: list[Any] = []
         self.now_ns = 0
         self.node._fused = SimpleNamespace(publish=self.published.append)
@@ -64,15 +58,10 @@ class Fusion:
 
 
 @pytest.fixture
-def fusion(domain_id: int, tmp_path: Any) -> Iterator[Fusion]:
+def fusion(graph: Graph, tmp_path: Path) -> Fusion:
     robot = tmp_path / 'robot.yaml'
     robot.write_text('pan_axis:\n  xyz: [0.0, 0.0, 1.1]\n')
-    context = Context()
-    context.init(domain_id=domain_id)
-    made = Fusion(context, str(robot))
-    yield made
-    made.node.destroy_node()
-    context.try_shutdown()
+    return Fusion(graph, str(robot))
 
 
 def test_nothing_is_written_where_the_drive_has_shown_nothing(

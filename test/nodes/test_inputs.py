@@ -255,8 +255,7 @@ def test_a_clock_that_does_not_come_is_reported(graph: Robot) -> None:
             lambda: 'no time comes' not in graph.health().reason, lambda: clock.publish(tick)
         )
     graph.until(
-        lambda: graph.listener.get_clock().now().nanoseconds == 5 * NS,
-        lambda: clock.publish(tick),
+        lambda: graph.listener.get_clock().now().nanoseconds == 5 * NS, lambda: clock.publish(tick)
     )
 
 

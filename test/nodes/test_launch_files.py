@@ -39,12 +39,6 @@ def declared(module: ast.AST) -> set[str]:
     }
 
 
-@pytest.mark.parametrize('name', ['bringup.launch.py', 'simulation.launch.py'])
-def test_defines_a_description(name: str) -> None:
-    functions = {n.name for n in tree(name).body if isinstance(n, ast.FunctionDef)}
-    assert 'generate_launch_description' in functions
-
-
 def test_bringup_gives_nodes_parameters_that_they_have() -> None:
     bringup = tree('bringup.launch.py')
     arguments = declared(bringup)
@@ -74,8 +68,3 @@ def test_the_analyzers_of_diagnostics_name_nodes_and_their_work() -> None:
     for expected in (name for group in groups for name in group.get('expected', ())):
         node, _, work = expected.partition(': ')
         assert f"super().__init__('{node}', '{work}'" in (nodes / f'{node}.py').read_text()
-
-
-def test_both_launch_files_take_the_same_arguments() -> None:
-    bringup, simulation = (declared(tree(f'{k}.launch.py')) for k in ('bringup', 'simulation'))
-    assert bringup <= simulation

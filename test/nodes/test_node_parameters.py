@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
+from graph import Graph
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 import yaml
@@ -55,11 +55,8 @@ class ConfiguredNode(LandmarkNode):
 
 
 @pytest.fixture
-def context(domain_id: int) -> Iterator[Context]:
-    made = Context()
-    made.init(domain_id=domain_id)
-    yield made
-    made.try_shutdown()
+def context(graph: Graph) -> Context:
+    return graph.context
 
 
 def test_description_range_and_default(context: Context) -> None:

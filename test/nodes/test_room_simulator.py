@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import math
 from pathlib import Path
 import time
@@ -13,8 +12,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from rclpy.context import Context
-from rclpy.parameter import Parameter
+from graph import Graph
 
 from landmark_nav.messages.decode import stamp_ns
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
@@ -26,13 +24,8 @@ CAMERA = Path(__file__).resolve().parents[1] / 'setups' / 'camera_quarter_vga.ya
 
 
 @pytest.fixture
-def robot(domain_id: int) -> Iterator[RoomSimulatorNode]:
-    context = Context()
-    context.init(domain_id=domain_id)
-    node = RoomSimulatorNode(context=context)
-    yield node
-    node.destroy_node()
-    context.try_shutdown()
+def robot(graph: Graph) -> RoomSimulatorNode:
+    return graph.make(RoomSimulatorNode, camera_file=str(CAMERA))
 
 
 def command(robot: RoomSimulatorNode, topic: str, message: Any) -> str:
@@ -71,18 +64,12 @@ def test_commands_that_are_not_finite_are_dropped_and_reported(robot: RoomSimula
     assert world.camera_frame().image.any()
 
 
-def test_the_room_and_camera_are_those_of_simulate(domain_id: int) -> None:
-    context = Context()
-    context.init(domain_id=domain_id)
-    given = {'seed': 7, 'camera_file': str(CAMERA)}
-    overrides = [Parameter(name, value=value) for name, value in given.items()]
-    node = RoomSimulatorNode(context=context, parameter_overrides=overrides)
+def test_the_room_and_camera_are_those_of_simulate(graph: Graph) -> None:
+    node = graph.make(RoomSimulatorNode, seed=7, camera_file=str(CAMERA))
     # So a map that was learned of what `simulate` writes is valid here.
     assert node._world.scene == generate_scene(7)
     assert node._world.camera == load_camera(CAMERA)
     assert node._world.camera_frame().image.shape == (240, 320, 3)
-    node.destroy_node()
-    context.try_shutdown()
 
 
 class Clocks:

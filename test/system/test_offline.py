@@ -152,7 +152,6 @@ def test_a_recording_that_broke_off_may_leave_a_single_sweep(study, tmp_path, ca
             {'format': 'h264', 'data': np.array([0, 0, 0, 1, 0x67] * 20, np.uint8)},
             ('h264', 'jpeg'),
         ),
-        ('/sweep/image/compressed', {'data': np.zeros(99, np.uint8)}, ('does not decode',)),
     ],
 )
 def test_unknown_cameras_and_encodings_are_refused_by_name(
@@ -179,24 +178,6 @@ def test_papers_given_on_the_opposite_wall_are_refused(study, tmp_path, capsys):
     bag = study.folder / 'learn'
     refused(capsys, learn(bag, study, tmp_path / 'map', str(path)), 'papers', 'opposite wall')
     assert not (tmp_path / 'map').exists()
-
-
-def test_rooms_that_are_open_or_cross_are_refused(study, tmp_path, capsys):
-    path = tmp_path / 'room.yaml'
-    for walls, words in (
-        ([0, 1, 2], ('open', 'wall')),
-        ([0, 2, 1, 3], ('cross',)),
-    ):
-        room = yaml.safe_load(Path(study.room).read_text())
-        corners = [room['walls'][k]['start'] for k in walls]
-        if len(walls) == 4:
-            for k in range(4):
-                # Copies: a list that stands twice is written as an alias.
-                room['walls'][k].update(start=[*corners[k]], end=[*corners[(k + 1) % 4]])
-        room['walls'] = room['walls'][: len(walls)]
-        path.write_text(yaml.safe_dump(room))
-        bag = study.folder / 'learn'
-        refused(capsys, learn(bag, study, tmp_path / 'map', str(path)), 'room.yaml', *words)
 
 
 def test_odometry_that_is_no_number_is_left_out(study, tmp_path, caplog):

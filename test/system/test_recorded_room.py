@@ -141,15 +141,11 @@ def test_images_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
 
 
 @pytest.mark.xfail(strict=True, reason='heading off by 0.29 degrees, which its sigma says')
-@pytest.mark.parametrize('turned_deg', [(2.0, 0.0, 0.0), (-1.0, 0.0, 1.5)])
 def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(
-    turned_deg: tuple[float, float, float],
-    figures: tuple[dict[str, float], Path],
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
+    figures: tuple[dict[str, float], Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """No start is given; it looks above or below, or is rolled, from the first image on."""
-    drive = displaced_drive(Bag(BAGS / 'drive'), tmp_path / 'displaced', turned_deg)
+    drive = displaced_drive(Bag(BAGS / 'drive'), tmp_path / 'displaced', (-1.0, 0.0, 1.5))
     evaluate = ['evaluate', str(drive), '--map', str(figures[1] / 'map')]
     evaluate += ['--robot', str(BAGS / 'robot.yaml'), '--json', str(tmp_path / 'run.json')]
     assert main(evaluate) == 0

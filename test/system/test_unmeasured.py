@@ -31,9 +31,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], P
     return json.loads((out / 'learn.json').read_text()), out
 
 
-def test_shape_is_right_and_scale_that_of_odometry(
-    learned: tuple[dict[str, Any], Path],
-) -> None:
+def test_shape_is_right_and_scale_that_of_odometry(learned: tuple[dict[str, Any], Path]) -> None:
     truth = truth_of_bag(Bag(BAGS / 'learn'))
     expected = se2.relative(truth.poses[0], truth.poses[-1])
     x, y, heading = learned[0]['sweeps'][1]['pose']

@@ -13,11 +13,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator.config import EstimatorConfig
-from landmark_nav.localization.estimator.factors import (
-    CALIBRATION,
-    ImagePoints,
-    project,
-)
+from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints, project
 from landmark_nav.localization.estimator.filter import JointFilter, Update
 from landmark_nav.localization.odometry.noise import (
     Motion,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -34,6 +35,7 @@ CORNER = (
 )
 
 
+@lru_cache(maxsize=8)
 def scene_of(room: Room, papers: tuple[Paper, ...] | None = None) -> Scene:
     walls = [
         wall_board(wall, flat_texture((g, g, g)))

@@ -37,10 +37,7 @@ MAP = learned(SCENE)
 
 
 def sweep(
-    scene: Scene,
-    pose: Sequence[float],
-    pans: FloatArray = PANS,
-    tilt_rad: float = 0.0,
+    scene: Scene, pose: Sequence[float], pans: FloatArray = PANS, tilt_rad: float = 0.0
 ) -> list[CameraFrame]:
     rng = np.random.default_rng(3)
     return [

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.types import (
@@ -107,10 +109,7 @@ class Scene:
 
 
 def draw(
-    scene: Scene,
-    origin: FloatArray,
-    rays: FloatArray,
-    rays_of: Callable[[FloatArray], FloatArray],
+    scene: Scene, origin: FloatArray, rays: FloatArray, rays_of: Callable[[FloatArray], FloatArray]
 ) -> npt.NDArray[np.float32]:
     """
     BGR (rows, columns, 3) of an image whose pixels look along `rays`.
@@ -200,19 +199,23 @@ def textured_room(room: Room, seed: int, feature_m: float = 0.035) -> Scene:
 
 def draw_cylinder(
     scene: Scene, cylinder: Cylinder, center_map: FloatArray, heading_rad: float
-) -> FloatArray:
+) -> npt.NDArray[np.float32]:
     """What a perfect panorama shows, BGR (rows, columns, 3)."""
-    turn = np.eye(3)
-    turn[:2, :2] = [
-        [np.cos(heading_rad), -np.sin(heading_rad)],
-        [np.sin(heading_rad), np.cos(heading_rad)],
-    ]
+    center = tuple(float(value) for value in center_map)
+    return _seen_around(scene, cylinder, center, float(heading_rad))
+
+
+@lru_cache(maxsize=8)
+def _seen_around(
+    scene: Scene, cylinder: Cylinder, center: tuple[float, ...], heading_rad: float
+) -> npt.NDArray[np.float32]:
+    turn = rotation_rpy((0.0, 0.0, heading_rad))
 
     def rays_of(pixels: FloatArray) -> FloatArray:
         return np.asarray(cylinder.rays(pixels) @ turn.T)
 
     grid = np.stack(np.meshgrid(np.arange(cylinder.width), np.arange(cylinder.height)), -1)
-    return draw(scene, center_map, rays_of(grid), rays_of)
+    return draw(scene, np.array(center), rays_of(grid), rays_of)
 
 
 def draw_panorama(
@@ -250,16 +253,30 @@ def draw_frame(
     sigma: float = 3.0,
 ) -> CameraFrame:
     """Image of the scene through a lens, with noise if there is `rng`."""
-    rotation, center = mount.camera_pose_map(pose_map_base, pan_rad, tilt_rad)
+    pose = tuple(float(value) for value in pose_map_base)
+    seen = _seen(scene, camera, mount, pose, float(pan_rad), float(tilt_rad))
+    return CameraFrame(stamp_ns, with_noise(seen, rng, sigma), camera, pan_rad, tilt_rad)
+
+
+# Many tests look at one scene from the same few places.
+@lru_cache(maxsize=64)
+def _seen(
+    scene: Scene,
+    camera: CameraModel,
+    mount: PanTiltMount,
+    pose: tuple[float, ...],
+    pan_rad: float,
+    tilt_rad: float,
+) -> npt.NDArray[np.float32]:
+    """BGR of an image without noise."""
+    rotation, center = mount.camera_pose_map(np.array(pose), pan_rad, tilt_rad)
 
     def rays_of(pixels: FloatArray) -> FloatArray:
         column, row = np.moveaxis(pixels.astype(np.float32), -1, 0)
         rays = cv2.remap(camera.ray_grid, column, row, cv2.INTER_LINEAR)
         return _turned(rays, rotation)
 
-    rays = _turned(camera.ray_grid, rotation)
-    camera_image = draw(scene, center, rays, rays_of)
-    return CameraFrame(stamp_ns, with_noise(camera_image, rng, sigma), camera, pan_rad, tilt_rad)
+    return draw(scene, center, _turned(camera.ray_grid, rotation), rays_of)
 
 
 def _turned(rays: npt.NDArray[np.float32], rotation: FloatArray) -> FloatArray:

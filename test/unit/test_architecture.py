@@ -93,6 +93,9 @@ def imports(module: Path) -> Iterator[str]:
             yield from names if node.module == 'landmark_nav' else [node.module]
 
 
+IMPORTS = {module: set(imports(module)) for module in MODULES}
+
+
 def is_ros(name: str) -> bool:
     top = name.partition('.')[0]
     return top in ROS_MODULES or top.endswith(('_msgs', '_srvs'))
@@ -103,7 +106,7 @@ def test_imports_run_downward() -> None:
     wrong = {
         str(module): name
         for module in MODULES
-        for name in imports(module)
+        for name in IMPORTS[module]
         if name.startswith('landmark_nav.')
         and name.split('.')[1] not in {part(module), *BELOW.get(part(module), ())}
     }
@@ -112,7 +115,7 @@ def test_imports_run_downward() -> None:
 
 def test_ros_stays_behind_its_door() -> None:
     outside = [module for module in MODULES if part(module) not in ROS_PARTS]
-    assert not {str(m): name for m in outside for name in imports(m) if is_ros(name)}
+    assert not {str(m): name for m in outside for name in IMPORTS[m] if is_ros(name)}
 
 
 def test_modules_state_what_they_are_for() -> None:

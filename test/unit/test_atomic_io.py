@@ -176,21 +176,21 @@ def test_names_that_the_locale_lacks_are_written_and_printed(tmp_path: Path) -> 
         'from test_maps import make_map\n'
         'from landmark_nav.storage.maps import save_map\n'
         'from landmark_nav.cli.main import main\n'
-        'save_map(make_map(), sys.argv[1])\n'
-        "sys.exit(main(['map', 'migrate', sys.argv[1]]))\n"
+        'for folder in sys.argv[1:]:\n'
+        '    save_map(make_map(), folder)\n'
+        "    assert main(['map', 'migrate', folder]) == 0\n"
     )
     ascii_alone = {'LC_ALL': 'C', 'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0'}
-    for name in ('m\u00e4p'.encode(), b'm\xe4p'):
-        folder = os.fsencode(tmp_path) + b'/' + name
-        done = subprocess.run(
-            [sys.executable, '-c', code, folder],
-            env={**os.environ, **ascii_alone},
-            cwd=Path(__file__).parent,
-            capture_output=True,
-        )
-        assert done.returncode == 0, done.stderr
-        assert b'landmarks, schema version' in done.stdout
-        assert len(load_map(os.fsdecode(folder)).landmarks) == 3
+    folders = [os.fsencode(tmp_path) + b'/' + name for name in ('m\u00e4p'.encode(), b'm\xe4p')]
+    done = subprocess.run(
+        [sys.executable, '-c', code, *folders],
+        env={**os.environ, **ascii_alone},
+        cwd=Path(__file__).parent,
+        capture_output=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(b'landmarks, schema version') == 2
+    assert [len(load_map(os.fsdecode(folder)).landmarks) for folder in folders] == [3, 3]
 
 
 def test_a_full_disk_is_one_line(tmp_path: Path) -> None:

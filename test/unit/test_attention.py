@@ -8,12 +8,7 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.attention import (
-    attend,
-    attention_maps,
-    AttentionConfig,
-    FEATURES,
-)
+from landmark_nav.learning.attention import attend, attention_maps, AttentionConfig, FEATURES
 from landmark_nav.types import Candidate, Panorama
 
 WIDTH, HEIGHT = 1601, 300
@@ -235,14 +230,6 @@ def test_every_feature_runs_alone():
         assert 0.0 <= saliency.min() < saliency.max() <= 1.0
         assert AttentionConfig().alone(name) == alone
         assert attend(camera_image, alone).candidates
-
-
-def test_the_same_panorama_gives_the_same_candidates():
-    camera_image = panorama(clutter(np.random.default_rng(13)))
-    assert (
-        attend(camera_image, AttentionConfig()).candidates
-        == attend(camera_image, AttentionConfig()).candidates
-    )
 
 
 def test_unknown_feature_and_too_small_a_panorama_are_refused():

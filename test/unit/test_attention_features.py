@@ -11,7 +11,6 @@ from landmark_nav.learning.attention.maps import (
     corner_map,
     edge_gradients,
     edge_map,
-    fuse,
     intensity_map,
     line_symmetry_map,
     point_symmetry_map,
@@ -76,10 +75,6 @@ def test_noise_has_no_edges():
     assert point_symmetry_map(edges).max() == 0.0
 
 
-def test_intensity_is_brightness():
-    np.testing.assert_allclose(intensity_map(rectangle())[[0, 100], 100], [60 / 255, 200 / 255])
-
-
 @pytest.mark.parametrize('slant_deg', [0.0, 30.0, 50.0])
 @pytest.mark.parametrize('dark', [False, True])
 def test_point_symmetry_peaks_at_the_centre_of_rings(slant_deg, dark):
@@ -126,8 +121,3 @@ def test_conspicuity_prefers_one_peak_to_many():
     assert conspicuity_map(one, 2.0, 8.0).max() == pytest.approx(1.0)
     assert conspicuity_map(many, 2.0, 8.0).max() < 0.15
     assert conspicuity_map(np.full_like(one, 0.7), 2.0, 8.0).max() == 0.0
-
-
-def test_fusion_is_a_weighted_mean():
-    a, b = np.full((4, 4), 0.8, np.float32), np.full((4, 4), 0.2, np.float32)
-    np.testing.assert_allclose(fuse({'a': a, 'b': b}, {'a': 3.0, 'b': 1.0}), 0.65, rtol=1e-6)

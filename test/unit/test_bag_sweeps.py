@@ -47,22 +47,6 @@ def test_a_sweep_with_missing_frames_is_used_and_the_gap_named(tmp_path, lost, f
     assert re.search(words, warnings[0])
 
 
-def test_a_frame_that_does_not_decode_is_left_out_and_named(tmp_path):
-    path = tmp_path / 'sweep'
-    with BagWriter(path) as bag:
-        write_sweep(bag, START, full_turn())
-    messages = [(e.topic, e.message, e.stamp_ns) for e in Bag(path).messages()]
-    with BagWriter(tmp_path / 'damaged') as bag:
-        for topic, message, stamp in messages:
-            if topic.endswith('sweep/image') and stamp == START + 5 * SECOND:
-                message.encoding = 'unheard_of'
-            bag.write(topic.lstrip('/'), message, stamp)
-    warnings = []
-    (sweep,) = read_sweeps(Bag(tmp_path / 'damaged', warnings.append), MOUNT)
-    assert len(sweep.frames) == 23
-    assert any(f'{(START + 5 * SECOND) * 1e-9:.3f} s' in line for line in warnings)
-
-
 def test_a_sweep_without_any_frame_is_refused(tmp_path):
     with BagWriter(tmp_path / 'none') as bag:
         write_sweep(bag, START, full_turn())

@@ -65,6 +65,11 @@ def furniture(count: int = 14, alike: bool = False) -> tuple[Board, ...]:
     return tuple(made)
 
 
+@cache
+def furnished() -> Scene:
+    return Scene((*walls(), *furniture()))
+
+
 def learned(
     scenes: Sequence[Scene], known: FloatArray = POSES, true: FloatArray = POSES
 ) -> LearningResult:
@@ -116,8 +121,7 @@ def check(result: LearningResult, boards: Sequence[Board], scale_off: float = 0.
 
 
 def test_furniture_makes_a_map_of_a_room_with_bare_walls() -> None:
-    scene = Scene((*walls(), *furniture()))
-    result = learned([scene, scene])
+    result = learned([furnished()] * 2)
     assert len(result.map.landmarks) >= 15
     assert any(not landmark.wall_id for landmark in result.map.landmarks)
     check(result, furniture())
@@ -159,18 +163,16 @@ def test_a_corridor_with_bare_walls_makes_a_right_map_or_none(ends: bool) -> Non
 def test_rooms_that_share_nothing_are_refused() -> None:
     others = tuple(board(b.center.tolist(), 200 + k) for k, b in enumerate(furniture()))
     with pytest.raises(LandmarkNavError, match='shares too little'):
-        learned([Scene((*walls(), *furniture())), Scene((*walls(), *others))])
+        learned([furnished(), Scene((*walls(), *others))])
 
 
 def test_odometry_that_slipped_aside_makes_a_right_map_or_none() -> None:
-    scene = Scene((*walls(), *furniture()))
     slipped = POSES + np.array([[0.0, 0.0, 0.0], [-0.18, 0.46, 0.0]])
-    refused = learned_or_refused(scene, furniture(), slipped, scale_off=0.5)
+    refused = learned_or_refused(furnished(), furniture(), slipped, scale_off=0.5)
     assert not refused or 'odom' in refused
 
 
 def test_two_sweeps_from_one_place_are_refused() -> None:
-    scene = Scene((*walls(), *furniture()))
     turned = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.7]])
     with pytest.raises(LandmarkNavError, match='one place'):
-        learned([scene, scene], POSES, turned)
+        learned([furnished()] * 2, POSES, turned)

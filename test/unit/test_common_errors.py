@@ -22,11 +22,7 @@ from scenes import rectangle_room
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.adjustment import adjust
-from landmark_nav.learning.reference_area import (
-    joint_covariance,
-    pose_errors,
-    ReferenceAreaConfig,
-)
+from landmark_nav.learning.reference_area import joint_covariance, pose_errors, ReferenceAreaConfig
 from landmark_nav.types import FloatArray
 
 PAPERS = tuple(

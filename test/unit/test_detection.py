@@ -22,27 +22,13 @@ from east_wall import (
 )
 import numpy as np
 import pytest
-from scenes import (
-    Board,
-    draw_frame,
-    flat_texture,
-    Scene,
-    textured_room,
-    true_landmark,
-)
+from scenes import Board, draw_frame, flat_texture, Scene, textured_room, true_landmark
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.patches import PatchView
-from landmark_nav.localization.detection import (
-    detect_landmarks,
-    DetectionConfig,
-)
+from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.detection.appearance import textures
-from landmark_nav.types import (
-    FloatArray,
-    LandmarkMap,
-    PoseEstimate,
-)
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 
 def test_landmarks_are_found_where_they_are() -> None:

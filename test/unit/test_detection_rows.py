@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection.rows import (
-    RowModel,
-    RowResiduals,
-    wrong_heights,
-)
+from landmark_nav.localization.detection.rows import RowModel, RowResiduals, wrong_heights
 from landmark_nav.localization.relocalization.verification import CameraTilt, estimate_camera_tilt
 from landmark_nav.types import FloatArray
 
@@ -54,10 +50,7 @@ def test_derivatives_are_those_of_the_camera(
         turn, _ = mount.camera_pose_base(PAN, tilt_rad, roll_rad)
         _, center = mount.camera_pose_map(pose, PAN, tilt_rad)
         heading = np.eye(3)
-        heading[:2, :2] = [
-            [np.cos(pose[2]), -np.sin(pose[2])],
-            [np.sin(pose[2]), np.cos(pose[2])],
-        ]
+        heading[:2, :2] = [[np.cos(pose[2]), -np.sin(pose[2])], [np.sin(pose[2]), np.cos(pose[2])]]
         rotation = heading @ turn
         raised = points + np.array([0.0, 0.0, higher_m])
         return camera.project((raised - center) @ rotation)[:, 1]

@@ -30,10 +30,6 @@ def test_the_half_turn_is_positive() -> None:
     np.testing.assert_array_equal(wrap_rad([np.pi, -np.pi]), [np.pi, np.pi])
 
 
-def test_shape_is_kept() -> None:
-    assert wrap_rad(np.zeros((2, 3, 4))).shape == (2, 3, 4)
-
-
 def test_a_joint_that_is_reported_within_half_a_turn_turns_on() -> None:
     stamps_ns = 50_000_000 * np.arange(400)
     true = 2.5 + np.cumsum(np.repeat([0.1, -0.08], 200))

@@ -182,10 +182,11 @@ def test_a_camera_without_noise_that_stands_goes_on() -> None:
     localizer = Localizer(MAP, KNOWN, LocalizationConfig())
     covariance = np.diag(np.square([0.05, 0.05, 0.035]))
     localizer.initialize(PoseEstimate(0, START + np.array([0.03, -0.02, 0.01]), covariance))
+    frame = camera_image(START, 0.0)
     for k in range(12):
         stamp_ns = k * 200_000_000
         localizer.add_odometry(OdometrySample(stamp_ns, np.zeros(3)))
-        update = localizer.add_frame(replace(camera_image(START, 0.0), stamp_ns=stamp_ns))
+        update = localizer.add_frame(replace(frame, stamp_ns=stamp_ns))
         assert isinstance(update, LocalizationUpdate)
         assert update.status == 'tracking'
         assert update.used >= 3

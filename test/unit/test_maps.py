@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from wire import assert_same
 import yaml
 
 from landmark_nav.calibration import Calibration, NAMES
@@ -64,29 +65,7 @@ def test_a_map_comes_back_bit_by_bit(tmp_path_factory, seed, count, factors):
     saved = make_map(seed, count, factors)
     folder = tmp_path_factory.mktemp('maps') / 'map'
     save_map(saved, folder)
-    loaded = load_map(folder)
-    assert (loaded.frame_id, loaded.walls) == (saved.frame_id, saved.walls)
-    assert loaded.provenance == saved.provenance
-    for one, other in zip(loaded.panorama_poses, saved.panorama_poses, strict=True):
-        assert one.stamp_ns == other.stamp_ns
-        np.testing.assert_array_equal(one.pose, other.pose)
-        np.testing.assert_array_equal(one.covariance, other.covariance)
-    for one, other in zip(loaded.landmarks, saved.landmarks, strict=True):
-        assert (one.id, one.wall_id, one.threshold) == (other.id, other.wall_id, other.threshold)
-        assert (one.width_m, one.height_m) == (other.width_m, other.height_m)
-        assert one.saliency == other.saliency
-        for name in (
-            'position',
-            'covariance',
-            'shared_loading',
-            'normal',
-            'patch',
-            'viewpoint',
-        ):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-        for view, saved_view in zip(one.views, other.views, strict=True):
-            np.testing.assert_array_equal(view.viewpoint, saved_view.viewpoint)
-            np.testing.assert_array_equal(view.patch, saved_view.patch)
+    assert_same(load_map(folder), saved)
 
 
 def test_the_file_is_short_lines_and_the_same_every_time(tmp_path):

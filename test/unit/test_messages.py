@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 import numpy as np
 import pytest
-from wire import both, FACTORY, MOUNT, over_the_wire, STAMP
+from wire import assert_same, both, FACTORY, MOUNT, over_the_wire, STAMP
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -16,13 +16,7 @@ from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
-from landmark_nav.messages.layouts import (
-    DETECTIONS,
-    GLOBAL_POSE,
-    GlobalPose,
-    Layout,
-    TRIPLET,
-)
+from landmark_nav.messages.layouts import DETECTIONS, GLOBAL_POSE, GlobalPose, Layout, TRIPLET
 from landmark_nav.types import (
     Detections,
     JointSample,
@@ -56,57 +50,6 @@ def test_a_tilt_comes_alone_where_its_joint_has_a_driver_of_its_own(deliver):
     msg.position = msg.position[:1]
     with pytest.raises(LandmarkNavError, match='1 values for 2 joints'):
         decode.lone_tilt(deliver(msg), MOUNT)
-
-
-@both
-def test_trajectory_comes_back(deliver):
-    samples = tuple(JointSample(STAMP + k * 700_000_000, 0.1 * k, 0.01) for k in range(5))
-    msg = deliver(encode.sweep_trajectory(FACTORY, samples, MOUNT))
-    assert decode.sweep_trajectory(msg, MOUNT) == samples
-    with pytest.raises(LandmarkNavError, match='neck'):
-        decode.sweep_trajectory(msg, PanTiltMount(pan_joint='neck'))
-
-
-@both
-def test_odometry_and_poses_come_back(deliver):
-    sample = OdometrySample(STAMP, np.array([1.0, -2.0, 3.0]), 0.2, -0.1)
-    covariance = np.diag([1.0, 2.0, 3.0]) + 0.1
-    msg = deliver(encode.odometry(FACTORY, sample, covariance, frame_id='map'))
-    decoded = decode.odometry(msg)
-    np.testing.assert_allclose(decoded.pose_odom_base, sample.pose_odom_base, atol=1e-12)
-    assert (decoded.linear_m_s, decoded.angular_rad_s) == (0.2, -0.1)
-    np.testing.assert_array_equal(decode.pose_estimate(msg).covariance, covariance)
-    estimate = PoseEstimate(STAMP, sample.pose_odom_base, covariance)
-    again = decode.pose_estimate(deliver(encode.pose(FACTORY, estimate)))
-    np.testing.assert_allclose(again.pose, estimate.pose, atol=1e-12)
-    np.testing.assert_array_equal(again.covariance, covariance)
-
-
-def test_values_that_are_no_numbers_are_refused_with_what_and_when():
-    msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.array([1.0, np.nan, 0.0])))
-    with pytest.raises(LandmarkNavError, match=r'odometry position at 5000\.000 s'):
-        decode.odometry(msg)
-    with pytest.raises(LandmarkNavError, match='pose position'):
-        decode.pose_estimate(msg)
-    msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
-    msg.pose.pose.orientation.w = 0.0
-    with pytest.raises(LandmarkNavError, match='zero quaternion'):
-        decode.odometry(msg)
-    msg.pose.pose.orientation.x = 1.0
-    with pytest.raises(LandmarkNavError, match='fallen over'):
-        decode.odometry(msg)
-    far = encode.odometry(FACTORY, OdometrySample(STAMP, np.array([0.0, 1e300, 0.0])))
-    with pytest.raises(LandmarkNavError, match='odometry position'):
-        decode.odometry(far)
-    fast = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3), 1e300, 0.0))
-    with pytest.raises(LandmarkNavError, match='odometry speed'):
-        decode.odometry(fast)
-    joints = encode.joint_state(FACTORY, JointSample(STAMP, np.inf), MOUNT)
-    with pytest.raises(LandmarkNavError, match='joint_states position'):
-        decode.joint_sample(joints, MOUNT)
-    joints.position = joints.position[:1]
-    with pytest.raises(LandmarkNavError, match='1 values for 2 joints'):
-        decode.joint_sample(joints, MOUNT)
 
 
 SCALARS = st.sampled_from(['<u4', '<i2', 'u1', '<f4', '<f8'])
@@ -144,31 +87,6 @@ def test_cloud_without_a_field_or_with_too_few_bytes_is_refused():
         unpack_cloud(msg, Layout('points', points.dtype))
 
 
-@both
-@pytest.mark.parametrize('count', [0, 4])
-def test_detections_come_back(deliver, count):
-    rng = np.random.default_rng(2)
-    found = Detections(
-        STAMP,
-        np.arange(count) + 7,
-        rng.normal(size=count),
-        rng.random(count),
-        rng.random(count),
-        rng.random((count, 2)) * 500,
-        np.array([50, 60])[: count // 2],
-        joint_delay_s=0.04,
-    )
-    again = decode.detections(deliver(encode.detections(FACTORY, found)))
-    np.testing.assert_array_equal(again.missed, found.missed)
-    np.testing.assert_array_equal(again.ids, found.ids)
-    np.testing.assert_array_equal(again.bearing_rad, found.bearing_rad)
-    np.testing.assert_array_equal(again.variance_rad2, found.variance_rad2)
-    np.testing.assert_allclose(again.uv_px, found.uv_px, rtol=1e-6)
-    assert again.stamp_ns == STAMP
-    if count:
-        assert again.joint_delay_s == 0.04
-
-
 def test_detections_of_older_recordings_know_of_no_delay():
     names = [name for name in DETECTIONS.fields.names if name not in DETECTIONS.optional]
     older = np.ones(3, dtype=[(name, DETECTIONS.fields[name]) for name in names])
@@ -177,60 +95,6 @@ def test_detections_of_older_recordings_know_of_no_delay():
     again = decode.detections(msg)
     assert len(again) == 3
     assert again.joint_delay_s == 0.0
-
-
-@pytest.mark.parametrize('value', [np.nan, -np.inf])
-@pytest.mark.parametrize('seen', [0, 3])
-def test_detections_with_a_delay_that_is_no_number_are_refused(value, seen):
-    points = np.zeros(4, dtype=DETECTIONS.fields)
-    points['id'] = range(4)
-    points['joint_delay'] = value
-    points['bearing'][seen:] = points['bearing_variance'][seen:] = np.nan
-    msg = pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'base_link'), points)
-    with pytest.raises(LandmarkNavError, match=r'detections delay at .* not a number'):
-        decode.detections(msg)
-
-
-@both
-def test_found_place_comes_back(deliver):
-    rng = np.random.default_rng(3)
-    pose, root = rng.normal(size=3), rng.normal(size=(3, 3))
-    covariance = root @ root.T
-    place = GlobalPose(STAMP, pose, covariance, np.array([4, 8, 15]), 0.7, 0.04)
-    again = decode.global_pose(deliver(encode.global_pose(FACTORY, place)))
-    assert again.stamp_ns == STAMP
-    np.testing.assert_array_equal(again.pose, pose)
-    np.testing.assert_array_equal(again.covariance, covariance)
-    np.testing.assert_array_equal(again.ids, place.ids)
-    assert (again.pan_rate_rad_s, again.joint_delay_s) == (0.7, 0.04)
-
-
-def test_found_place_without_landmarks_or_numbers_is_refused():
-    short = np.zeros(1, dtype=[(k, 'f8') for k in GLOBAL_POSE.fields.names])
-    with pytest.raises(LandmarkNavError, match='field id is 1 of type float64'):
-        decode.global_pose(pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'map'), short))
-    head, points = encode.header(FACTORY, STAMP, 'map'), np.zeros(2, dtype=GLOBAL_POSE.fields)
-    points['id'] = range(2)
-    with pytest.raises(LandmarkNavError, match='names no landmark'):
-        decode.global_pose(pack_cloud(FACTORY, head, points[:0]))
-    points['pan_rate'] = np.nan
-    with pytest.raises(LandmarkNavError, match=r'global_localization/pose pan .* not a number'):
-        decode.global_pose(pack_cloud(FACTORY, head, points))
-
-
-@both
-def test_triplet_comes_back(deliver):
-    chosen = Triplet(
-        STAMP,
-        np.array([3, 9, 1]),
-        np.array([0.1, 0.2, -0.3]),
-        np.array([0.01, 0.02, 0.03]),
-        np.diag([1e-4, 2e-4, 3e-5]),
-        0.4,
-    )
-    again = decode.triplet(deliver(encode.triplet(FACTORY, chosen)))
-    for name in ('ids', 'bearing_rad', 'sigma_rad', 'covariance', 'pan_rad'):
-        np.testing.assert_array_equal(getattr(again, name), getattr(chosen, name))
 
 
 def some_panorama():
@@ -244,19 +108,6 @@ def some_panorama():
         -2.0,
         np.diag([1.0, 2.0, 3.0, 4.0]) + 0.5,
     )
-
-
-@both
-def test_panorama_comes_back(deliver):
-    view = some_panorama()
-    messages = [deliver(m) for m in encode.panorama(FACTORY, view)]
-    again = decode.panorama(*messages)
-    np.testing.assert_array_equal(again.image, view.image)
-    np.testing.assert_array_equal(again.mask, view.mask)
-    assert again.cylinder == view.cylinder
-    np.testing.assert_array_equal(again.center_map, view.center_map)
-    np.testing.assert_allclose(again.heading_rad, view.heading_rad)
-    np.testing.assert_array_equal(again.covariance, view.covariance)
 
 
 def test_panorama_of_parts_that_do_not_belong_together_is_refused():
@@ -306,29 +157,6 @@ def some_map(count, factors):
     return LandmarkMap(tuple(landmarks), 'map', walls)
 
 
-@both
-@pytest.mark.parametrize(('count', 'factors'), [(7, 6), (1, 0)])
-def test_map_comes_back(deliver, count, factors):
-    sent = some_map(count, factors)
-    cloud, atlas, markers = encode.landmark_map(FACTORY, sent, STAMP)
-    over_the_wire(markers)
-    again = decode.landmark_map(deliver(cloud), deliver(atlas))
-    assert again.walls == sent.walls
-    np.testing.assert_array_equal(again.ids, sent.ids)
-    np.testing.assert_allclose(again.positions, sent.positions, rtol=1e-6)
-    np.testing.assert_array_equal(again.covariances, sent.covariances)
-    np.testing.assert_array_equal(again.joint_covariance_xy, sent.joint_covariance_xy)
-    for one, other in zip(again.landmarks, sent.landmarks, strict=True):
-        np.testing.assert_array_equal(one.patch, other.patch)
-        np.testing.assert_allclose(one.normal, other.normal, atol=1e-6)
-        np.testing.assert_allclose(one.viewpoint, other.viewpoint, rtol=1e-6)
-        assert one.wall_id == other.wall_id
-        assert one.threshold == pytest.approx(other.threshold)
-        for view, sent_view in zip(one.views, other.views, strict=True):
-            np.testing.assert_allclose(view.viewpoint, sent_view.viewpoint, rtol=1e-6)
-            np.testing.assert_array_equal(view.patch, sent_view.patch)
-
-
 def test_empty_map_travels_and_a_foreign_atlas_is_refused():
     cloud, atlas, _ = encode.landmark_map(FACTORY, LandmarkMap(()), STAMP)
     assert decode.landmark_map(over_the_wire(cloud), over_the_wire(atlas)).landmarks == ()
@@ -340,6 +168,86 @@ def test_empty_map_travels_and_a_foreign_atlas_is_refused():
         decode.landmark_map(cloud, atlas)
 
 
-def test_factory_refuses_fields_that_do_not_exist():
-    with pytest.raises(TypeError, match='colour'):
-        FACTORY('sensor_msgs/msg/Image', colour=1)
+RNG = np.random.default_rng(2)
+COVARIANCE = np.diag([1.0, 2.0, 3.0]) + 0.1
+JOINTS = tuple(JointSample(STAMP + k * 700_000_000, 0.1 * k, 0.01) for k in range(5))
+ODOMETRY = OdometrySample(STAMP, np.array([1.0, -2.0, 3.0]), 0.2, -0.1)
+POSE = PoseEstimate(STAMP, ODOMETRY.pose_odom_base, COVARIANCE)
+
+
+def detections(count):
+    return Detections(
+        STAMP, np.arange(count) + 7, RNG.normal(size=count), RNG.random(count) + 0.1,
+        RNG.random(count), 500 * RNG.random((count, 2)), np.array([50, 60])[: count // 2],
+        joint_delay_s=0.04 if count else 0.0,
+    )  # fmt: skip
+
+
+@both
+@pytest.mark.parametrize(
+    ('sent', 'write', 'read'),
+    [
+        (JOINTS, encode.sweep_trajectory, decode.sweep_trajectory),
+        (ODOMETRY, encode.odometry, decode.odometry),
+        (POSE, encode.pose, decode.pose_estimate),
+        (detections(0), encode.detections, decode.detections),
+        (detections(4), encode.detections, decode.detections),
+        (
+            GlobalPose(STAMP, POSE.pose, COVARIANCE, np.array([4, 8, 15]), 0.7, 0.04),
+            encode.global_pose,
+            decode.global_pose,
+        ),
+        (
+            Triplet(STAMP, np.array([3, 9, 1]), *RNG.random((2, 3)), 1e-4 * COVARIANCE, 0.4),
+            encode.triplet,
+            decode.triplet,
+        ),
+        (some_panorama(), encode.panorama, decode.panorama),
+        (some_map(7, 6), encode.landmark_map, decode.landmark_map),
+        (some_map(1, 0), encode.landmark_map, decode.landmark_map),
+        (LandmarkMap(()), encode.landmark_map, decode.landmark_map),
+    ],
+    ids=lambda value: getattr(value, '__name__', type(value).__name__),
+)
+def test_what_is_sent_comes_back(deliver, sent, write, read):
+    mount = (MOUNT,) if write is encode.sweep_trajectory else ()
+    stamp = (STAMP,) if write is encode.landmark_map else ()
+    messages = write(FACTORY, sent, *mount, *stamp)
+    messages = messages if isinstance(messages, tuple) else (messages,)
+    if write is encode.landmark_map:
+        *messages, markers = messages
+        over_the_wire(markers)
+    # Positions in images and views travel as four bytes.
+    assert_same(read(*map(deliver, messages), *mount), sent, rtol=1e-6)
+
+
+def test_a_covariance_comes_with_odometry_and_a_pan_by_its_name():
+    message = over_the_wire(encode.odometry(FACTORY, ODOMETRY, COVARIANCE, frame_id='map'))
+    np.testing.assert_array_equal(decode.pose_estimate(message).covariance, COVARIANCE)
+    with pytest.raises(LandmarkNavError, match='neck'):
+        decode.sweep_trajectory(
+            encode.sweep_trajectory(FACTORY, JOINTS, MOUNT), PanTiltMount(pan_joint='neck')
+        )
+
+
+def test_values_that_are_no_pose_are_refused_with_what_and_when():
+    message = encode.odometry(FACTORY, OdometrySample(STAMP, np.array([1.0, np.nan, 0.0])))
+    with pytest.raises(LandmarkNavError, match=r'odometry position at 5000\.000 s'):
+        decode.odometry(message)
+    message = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
+    for w, x, complaint in ((0.0, 0.0, 'zero quaternion'), (0.0, 1.0, 'fallen over')):
+        message.pose.pose.orientation.w, message.pose.pose.orientation.x = w, x
+        with pytest.raises(LandmarkNavError, match=complaint):
+            decode.odometry(message)
+    joints = encode.joint_state(FACTORY, JOINTS[0], MOUNT)
+    joints.position = joints.position[:1]
+    with pytest.raises(LandmarkNavError, match='1 values for 2 joints'):
+        decode.joint_sample(joints, MOUNT)
+
+
+def test_a_found_place_names_landmarks():
+    none = pack_cloud(
+        FACTORY, encode.header(FACTORY, STAMP, 'map'), np.zeros(0, dtype=GLOBAL_POSE.fields)
+    )
+    with pytest.raises(LandmarkNavError, match='names no landmark'):
+        decode.global_pose(none)

@@ -75,9 +75,18 @@ def test_images_are_grey_on_request(packed):
     np.testing.assert_array_equal(decode.image(msg), bgr)
 
 
-@pytest.mark.parametrize('change', [{'step': 3}, {'height': 6}, {'width': 0}])
-def test_sizes_that_contradict_each_other_are_refused(change):
-    msg = encode.image(FACTORY, np.zeros((4, 4), np.uint8), STAMP, '')
+@pytest.mark.parametrize(
+    ('encoding', 'shape', 'change'),
+    [
+        ('mono8', (4, 4), {'step': 3}),
+        ('mono8', (4, 4), {'height': 6}),
+        ('mono8', (4, 4), {'width': 0}),
+        ('nv12', (3, 6), {'height': 3}),
+        ('yuyv', (4, 5, 2), {}),
+    ],
+)
+def test_sizes_that_cannot_be_are_refused(encoding, shape, change):
+    msg = raw(np.zeros(shape, np.uint8), encoding)
     for name, value in change.items():
         setattr(msg, name, value)
     with pytest.raises(LandmarkNavError, match='broken'):
@@ -189,15 +198,6 @@ def test_the_depth_of_a_stream_never_shrinks_and_early_images_can_follow():
     assert [bits for _, bits in seen] == [8, 10, 10, 12, 12]
     for level, (pixels, bits) in zip(levels, seen, strict=True):
         np.testing.assert_array_equal(depth.lowered(pixels, bits), level >> 4)
-
-
-@pytest.mark.parametrize(('encoding', 'shape'), [('nv12', (3, 6)), ('yuyv', (4, 5, 2))])
-def test_sizes_that_an_encoding_cannot_have_are_refused(encoding, shape):
-    msg = raw(np.zeros(shape, np.uint8), encoding)
-    if encoding == 'nv12':
-        msg.height = 3
-    with pytest.raises(LandmarkNavError, match='broken'):
-        decode.image(msg)
 
 
 def compressed(data, kind='jpeg'):
@@ -318,19 +318,6 @@ def test_camera_comes_back_as_the_same_object(deliver, model, distortion):
     decoded = decode.camera_model(msg)
     assert decoded == camera
     assert decode.camera_model(deliver(msg) if deliver is over_the_wire else msg) is decoded
-
-
-def test_region_and_binning_move_the_principal_point():
-    camera = CameraModel(640, 480, 500.0, 500.0, 319.5, 239.5)
-    msg = encode.camera_info(FACTORY, camera, STAMP, '')
-    msg.binning_x = msg.binning_y = 2
-    msg.roi = FACTORY(
-        'sensor_msgs/msg/RegionOfInterest', x_offset=120, y_offset=40, width=400, height=400
-    )
-    binned = decode.camera_model(msg)
-    assert (binned.width, binned.height) == (200, 200)
-    assert (binned.cx, binned.cy) == (99.5, 99.5)
-    assert binned.fx == 250.0
 
 
 def test_unknown_camera_model_is_refused_by_name_and_so_is_an_uncalibrated_one():

@@ -91,13 +91,6 @@ def test_bad_files_are_named(
         read_mrclam(folder, 2, SIGMA)
 
 
-def test_a_packed_file_that_broke_off(folder: Path) -> None:
-    (folder / 'Barcodes.dat').unlink()
-    (folder / 'Barcodes.dat.gz').write_bytes(gzip.compress(FILES['Barcodes'].encode())[:-9])
-    with pytest.raises(LandmarkNavError, match=r'Barcodes.dat.gz: cannot be read'):
-        read_mrclam(folder, 2, SIGMA)
-
-
 def test_no_folder(tmp_path: Path) -> None:
     with pytest.raises(LandmarkNavError, match='no folder there'):
         read_mrclam(tmp_path / 'nothing', 2, SIGMA)

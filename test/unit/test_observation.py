@@ -11,11 +11,6 @@ NORMAL = np.array([[0.0, 1.0, 0.0]])
 REFERENCE = np.array([[2.0, 3.0, 1.1]])
 
 
-def test_reference_view_samples_as_itself() -> None:
-    horizontal, vertical = relative_sampling(POINT, NORMAL, REFERENCE, REFERENCE[0])
-    np.testing.assert_allclose([horizontal, vertical], 1.0)
-
-
 def test_sampling_agrees_with_the_columns_a_cylinder_gives_a_patch() -> None:
     viewer = np.array([4.0, 1.5, 1.1])
     edges = POINT[0, :2] + np.array([[-1e-4, 0.0], [1e-4, 0.0]])
@@ -59,9 +54,3 @@ def test_many_viewers_and_patches_at_once() -> None:
     assert well.shape == (2, 2, 3)
     # In front; behind the wall; on the wall; too far.
     np.testing.assert_array_equal(well[..., 0], [[True, False], [False, False]])
-
-
-def test_limits_are_parameters() -> None:
-    viewer = np.array([2.0, 1.2, 1.1])
-    assert not observed_well(POINT, NORMAL, REFERENCE, viewer)[0]
-    assert observed_well(POINT, NORMAL, REFERENCE, viewer, maximum=3.0)[0]

@@ -206,11 +206,6 @@ class TestTrack:
         )
         assert motion.blind_seconds == pytest.approx(1.0)
 
-    def test_long_pause_is_blind(self) -> None:
-        track = circle_track()
-        assert track.add(sample(3.0)) is None
-        assert track.motion(10**9, 3 * 10**9).blind_seconds == pytest.approx(2.0)
-
     @pytest.mark.parametrize(
         ('seconds', 'x', 'reason'),
         [(1.0, 0.0, 'repeated'), (0.9, 0.0, 'back in time'), (1.05, np.nan, 'not a number')],

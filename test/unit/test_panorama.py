@@ -49,12 +49,7 @@ def errors(view: CylinderImage) -> FloatArray:
 @pytest.mark.parametrize('blend', ['mean', 'median', 'feather'])
 @pytest.mark.parametrize(
     ('camera', 'tilt', 'crop', 'start'),
-    [
-        (LENS, 0.0, 0, 0.0),
-        (LENS, 0.12, 0, 2.9),
-        (LENS, -0.2, 90, -40.0),
-        (FISHEYE, 0.05, 0, 1.0),
-    ],
+    [(LENS, 0.0, 0, 0.0), (LENS, 0.12, 0, 2.9), (LENS, -0.2, 90, -40.0), (FISHEYE, 0.05, 0, 1.0)],
 )
 def test_a_cylinder_shows_what_the_frames_saw(
     blend: str, camera: CameraModel, tilt: float, crop: int, start: float

@@ -23,10 +23,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.looking import LookingConfig
-from landmark_nav.localization.relocalization import (
-    RelocalizationConfig,
-    Relocalizer,
-)
+from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
 from landmark_nav.localization.relocalization.candidate_detections import (
     CandidateDetections,
     find_candidate_detections,

@@ -27,12 +27,7 @@ from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.model import triangulate_three
-from landmark_nav.types import (
-    FloatArray,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-)
+from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEstimate
 
 SUBSETS = np.array(list(combinations(range(4), 3)))
 # Of the bearings at the known places.

@@ -227,12 +227,3 @@ def test_a_bad_calibration_is_refused_in_one_line(
     assert change[0] in CAMERA
     with pytest.raises(LandmarkNavError, match=f'^[^\n]*{message}[^\n]*$'):
         load_camera(written(tmp_path, CAMERA.replace(*change)))
-
-
-def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(LandmarkNavError, match=r'nowhere.yaml: cannot be read'):
-        load_room(tmp_path / 'nowhere.yaml')
-    binary = tmp_path / 'binary.yaml'
-    binary.write_bytes(b'\xff\xfe\x00')
-    with pytest.raises(LandmarkNavError, match=r'binary.yaml: line 1: not UTF-8 text'):
-        load_robot(binary)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 import tracemalloc
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scenes import (
     Board,
@@ -25,11 +25,9 @@ from stereo_room import (
     EAST,
     HEADINGS,
     match_at,
-    patch_at,
     ROOM,
     views_of,
 )
-from wall_views import greys_of
 
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.stereo import match_in, StereoConfig
@@ -172,13 +170,6 @@ def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it() -> None:
     assert isinstance(seen, PatchMeasurement)
 
 
-def test_too_little_parallax_is_refused(panoramas: list[Panorama]) -> None:
-    beside = replace(panoramas[1], center_map=CENTERS[0] + [0.05, 0.0, 0.0])
-    _, seen = match_at([panoramas[0], beside], np.array([6.0, 2.2, 1.1]))
-    assert isinstance(seen, Refusal)
-    assert seen.reason == 'too little parallax'
-
-
 def test_straight_ahead_sizes_gives_and_what_hangs_above_the_camera_has_parallax(
     panoramas: list[Panorama],
 ) -> None:
@@ -199,31 +190,23 @@ def test_straight_ahead_sizes_gives_and_what_hangs_above_the_camera_has_parallax
     assert [seen.azimuth_rad, seen.tangent] == pytest.approx(truth, abs=8e-4)
 
 
-def test_a_wall_between_hides(panoramas: list[Panorama]) -> None:
-    patch = patch_at(panoramas[0], np.array([6.0, 2.2, 1.1]))
-    assert isinstance(patch, WallPatch)
-    outside = replace(panoramas[1], center_map=np.array([2.0, -1.0, 1.1]))
-    seen = match_in(patch, 1, [panoramas[0], outside], greys_of(panoramas), ROOM, CONFIG)
-    assert isinstance(seen, Refusal)
-    assert seen.reason == 'hidden from the other place'
-
-
-def test_a_wall_seen_along_from_the_other_place_is_refused(panoramas: list[Panorama]) -> None:
-    patch = patch_at(panoramas[0], np.array([6.0, 2.2, 1.1]))
-    assert isinstance(patch, WallPatch)
-    along = replace(panoramas[1], center_map=np.array([5.8, 4.5, 1.1]))
-    seen = match_in(patch, 1, [panoramas[0], along], greys_of(panoramas), ROOM, CONFIG)
-    assert isinstance(seen, Refusal)
-    assert seen.reason == 'too oblique from the other place'
-
-
-def test_a_patch_that_the_other_panorama_does_not_cover_is_refused(
-    panoramas: list[Panorama],
+@pytest.mark.parametrize(
+    ('moved', 'reason'),
+    [
+        ({'center_map': CENTERS[0] + [0.05, 0.0, 0.0]}, 'too little parallax'),
+        ({'center_map': np.array([2.0, -1.0, 1.1])}, 'hidden from the other place'),
+        ({'center_map': np.array([5.8, 4.5, 1.1])}, 'too oblique from the other place'),
+        ({}, 'not covered'),
+    ],
+)
+def test_what_the_other_place_does_not_show_is_refused(
+    panoramas: list[Panorama], moved: dict[str, Any], reason: str
 ) -> None:
-    mask: npt.NDArray[np.bool_] = np.zeros_like(panoramas[1].mask)
-    _, seen = match_at([panoramas[0], replace(panoramas[1], mask=mask)], np.array([6.0, 2.2, 1.1]))
+    covered = np.full_like(panoramas[1].mask, bool(moved))
+    other = replace(panoramas[1], mask=covered, **moved)
+    _, seen = match_at([panoramas[0], other], np.array([6.0, 2.2, 1.1]))
     assert isinstance(seen, Refusal)
-    assert 'not covered' in seen.reason
+    assert reason in seen.reason
 
 
 def test_a_place_close_to_a_wall_is_searched_within_reason() -> None:

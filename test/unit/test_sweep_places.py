@@ -8,11 +8,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.sweep_places import (
-    carried_on,
-    known_places,
-    places_by_odometry,
-)
+from landmark_nav.localization.sweep_places import carried_on, known_places, places_by_odometry
 from landmark_nav.types import OdometrySample, PoseEstimate
 
 STEP_NS = 50_000_000

@@ -140,9 +140,7 @@ class TestSelection:
     def test_offset_camera_still_sees_all_three(self, rpy: tuple[float, float, float]) -> None:
         """On units that are tilted or hang."""
         mount = PanTiltMount(
-            axis_xyz=(0.1, 0.05, 1.0),
-            axis_rpy=rpy,
-            optical_center_offset=(0.06, 0.03, 0.1),
+            axis_xyz=(0.1, 0.05, 1.0), axis_rpy=rpy, optical_center_offset=(0.06, 0.03, 0.1)
         )
         landmark_map = random_map(40)
         triplet = chosen(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+from dataclasses import fields, is_dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,6 +33,20 @@ def as_rclpy(msg):
     if isinstance(msg, np.ndarray):
         return array.array(msg.dtype.char.replace('?', 'B'), msg.tobytes())
     return msg
+
+
+def assert_same(one, other, rtol=0.0):
+    """Two objects of any dataclasses hold the same, numbers to a relative tolerance."""
+    if is_dataclass(one):
+        assert type(one) is type(other)
+        one, other = ([getattr(k, f.name) for f in fields(k)] for k in (one, other))
+    if isinstance(one, tuple | list):
+        for part, counterpart in zip(one, other, strict=True):
+            assert_same(part, counterpart, rtol)
+    elif isinstance(one, np.ndarray | float):
+        np.testing.assert_allclose(one, other, rtol=rtol, atol=rtol)
+    else:
+        assert one == other
 
 
 both = pytest.mark.parametrize('deliver', [over_the_wire, as_rclpy], ids=['rosbags', 'rclpy'])
