@@ -20,7 +20,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.parameters import declare, settle
+from landmark_nav.ros.parameters import declare, follow, settle
 from landmark_nav.storage.config_files import shipped_config
 
 
@@ -44,11 +44,18 @@ class Whole(Config):
             raise LandmarkNavError('slow and rate_hz above 8 contradict each other')
 
 
+LIVE = ('kind', 'section')
+
+
 class ConfiguredNode(LandmarkNode):
     def __init__(self, config: Any, names: Any = ('count', 'kind', 'section'), **options: Any):
         super().__init__('configured', 'test', **options)
         self.robot = settle(self, config)
-        self.config = declare(self, config, names)
+        self.config = declare(self, config, names, LIVE)
+        self.close_with(follow(self, self.config, LIVE, self._take))
+
+    def _take(self, config: Any) -> None:
+        self.config = config
 
     def health(self) -> Health:
         return Health(Level.OK, 'fine')
@@ -68,13 +75,31 @@ def test_description_range_and_default(context: Context) -> None:
     assert not node.has_parameter('of_another')
     assert not node.has_parameter('section.fixed')
     rate = node.describe_parameter('section.rate_hz')
-    assert (rate.description, rate.read_only) == ('how often [Hz]', True)
+    assert (rate.description, rate.read_only) == ('how often [Hz]', False)
+    assert node.describe_parameter('count').read_only
     limits = rate.floating_point_range[0]
     assert (limits.from_value, limits.to_value) == (1.0, 10.0)
     assert node.describe_parameter('count').integer_range[0].from_value == 1
     assert node.describe_parameter('kind').additional_constraints == 'one of fast, slow'
     changed = node.set_parameters([Parameter('count', value=4)])[0]
     assert not changed.successful
+
+
+def test_what_is_live_may_be_set_and_what_it_may_not_be_is_refused(context: Context) -> None:
+    node = ConfiguredNode(Whole(), context=context)
+    given = [Parameter('section.rate_hz', value=9.0), Parameter('section.names', value=['x'])]
+    assert all(result.successful for result in node.set_parameters(given))
+    assert node.config == Whole(section=Section(9.0, ('x',)))
+    refused = {'count': (4, 'read-only'), 'kind': ('odd', 'fast, slow')}
+    refused['section.rate_hz'] = 20.0, 'range'
+    for name, (value, words) in refused.items():
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert not result.successful
+        assert words in result.reason
+    (result,) = node.set_parameters([Parameter('kind', value='slow')])
+    assert 'contradict' in result.reason
+    assert node.config.section.rate_hz == 9.0
+    assert node.get_parameter('kind').value == 'fast'
 
 
 def test_values_come_from_a_file(context: Context, tmp_path: Path) -> None:
