@@ -232,16 +232,18 @@ def _parameters() -> Iterator[str]:
         '|---|---|---|---|---|',
     )
     for name, field, value in sorted(leaves(Configuration()), key=lambda leaf: '.' in leaf[0]):
-        nodes = [
-            node
-            for node, read in READS.items()
-            if is_of(name, read)
-        ]
+        nodes = [node for node, read in READS.items() if is_of(name, read)]
         is_live = any(is_of(name, LIVE[node]) for node in nodes if node in LIVE)
         shown = f'**`{name}`**' if name in users else f'`{name}`'
         description = field.metadata['description']
         limits = _range(name, field.metadata)
-        yield _row(shown, f'`{_shown(value)}`', limits, _names(nodes) + is_live * ', **live**', description)
+        yield _row(
+            shown,
+            f'`{_shown(value)}`',
+            limits,
+            _names(nodes) + is_live * ', **live**',
+            description,
+        )
     yield from (
         '',
         '## Of the robot',
@@ -284,7 +286,7 @@ def _commands() -> Iterator[str]:
 
 
 def _calibration() -> Iterator[str]:
-    from landmark_nav.calibration import Calibration, NAMES, UNITS
+    from landmark_nav.calibration import Calibration, MEANINGS, NAMES, UNITS
     from landmark_nav.geometry.camera import PanTiltMount
     from landmark_nav.storage.robot_files import _SIGMAS
 
@@ -296,12 +298,12 @@ def _calibration() -> Iterator[str]:
         '[robot.yaml](../files.md#robot-file) that gives the standard deviation of each quantity, '
         'and the one that holds where the file has none.',
         '',
-        '| quantity | unit | field | default |',
-        '|---|---|---|---|',
+        '| quantity | unit | field | default | |',
+        '|---|---|---|---|---|',
     )
     defaults = Calibration.of_mount(PanTiltMount()).sigmas
     for name, sigma in zip(NAMES, defaults, strict=True):
-        yield _row(f'`{name}`', UNITS[name], f'`{fields[name]}`', f'{sigma:g}')
+        yield _row(f'`{name}`', UNITS[name], f'`{fields[name]}`', f'{sigma:g}', MEANINGS[name])
 
 
 def _help(*command: str) -> str:

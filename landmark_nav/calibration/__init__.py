@@ -1,5 +1,12 @@
 """How the camera is mounted, and how exactly that is known."""
 
-from landmark_nav.calibration.calibration import Calibration, NAMES, scaled, shown, UNITS
+from landmark_nav.calibration.calibration import (
+    Calibration,
+    MEANINGS,
+    NAMES,
+    scaled,
+    shown,
+    UNITS,
+)
 
-__all__ = ['NAMES', 'UNITS', 'Calibration', 'scaled', 'shown']
+__all__ = ['MEANINGS', 'NAMES', 'UNITS', 'Calibration', 'scaled', 'shown']

@@ -90,10 +90,10 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._arrived_s: float | None = None
         self._looked_s: float | None = None
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
-        self.listen('odom', self._on_odometry, depth=50)
+        self.listen('odom', self._frames.waking(self._on_odometry), depth=50)
         self.listen('odometry/fused', self._on_fused)
         self.listen('triplet', self._on_triplet)
-        self.listen('expectation', self._on_expectation)
+        self.listen('expectation', self._frames.waking(self._on_expectation))
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def _reconfigure(self, config: Configuration) -> None:

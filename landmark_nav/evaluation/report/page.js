@@ -179,8 +179,11 @@ function drawPlan() {
   const {walls, papers, sweeps} = data.map;
   const points = [...walls.flatMap((w) => w.ends), ...[...landmarks.values()].map((k) => k.at),
     ...sweeps.map((s) => s.pose), ...(run ? run.pose : [])].map(at);
-  const low = [0, 1].map((k) => Math.min(...points.map((p) => p[k])) - 40);
-  const size = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) + 40 - low[k]);
+  const ends = [0, 1].map((k) => [Math.min(...points.map((p) => p[k])), Math.max(...points.map((p) => p[k]))]);
+  // Labels beside the outermost landmarks take 28 px, also on a small screen.
+  const margin = Math.max(40, 28 * (ends[0][1] - ends[0][0]) / Math.max(byId('plan').clientWidth - 56, 100));
+  const low = ends.map((of) => of[0] - margin);
+  const size = ends.map((of) => of[1] - of[0] + 2 * margin);
   const svg = add(byId('plan'), 'svg', {class: 'plan', tabindex: 0, role: 'group',
     'aria-label': 'plan: arrow keys go from landmark to landmark, + and - zoom'});
   svg.style.aspectRatio = `${size[0]} / ${size[1]}`;
@@ -231,7 +234,8 @@ function drawPlan() {
       ...(run.lines.truth.length ? [['truth', 'line truth']] : []),
       ...(run.lines.smoothed ? [['smoothed', 'line smoothed']] : []),
       ['3 sigma', 'sigma'], ['protection level', 'level'], ['used', 'ray'], ['found, not used', 'ray refused'],
-      ['not found', 'ray missed']] : []),
+      ['not found', 'ray missed'], ['field of view', 'view']] : []),
+    ...(landmarks.size ? [['landmark', 'landmark']] : []),
     ...(sweeps.length ? [['sweep', 'sweep']] : []),
   ]);
   svg.addEventListener('keydown', (event) => {
@@ -283,8 +287,12 @@ function legend(parent, entries) {
   for (const [name, style] of entries) {
     const item = add(list, 'li');
     const sample = add(item, 'svg', {viewBox: '0 0 26 10', 'aria-hidden': 'true', class: 'sample chart'});
-    if (/sigma|band/.test(style)) add(sample, 'rect', {class: style, width: 26, height: 10});
-    else add(sample, 'path', {class: style, d: /dots/.test(style) ? 'M13 5h0' : /sweep/.test(style) ? 'M20 5L8 1L8 9Z' : 'M0 5H26'});
+    if (/sigma|band|view/.test(style)) add(sample, 'rect', {class: style, width: 26, height: 10});
+    else if (style === 'landmark') {
+      const group = add(sample, 'g', {class: style});
+      add(group, 'path', {class: 'patch', d: 'M5 5H21'});
+      add(group, 'ellipse', {cx: 13, cy: 5, rx: 12, ry: 4});
+    } else add(sample, 'path', {class: style, d: /dots/.test(style) ? 'M13 5h0' : /sweep/.test(style) ? 'M20 5L8 1L8 9Z' : 'M0 5H26'});
     item.append(name);
   }
 }

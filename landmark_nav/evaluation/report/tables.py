@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import MEANINGS
+
 ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 # States of localization as the glossary calls them.
 STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}
@@ -238,7 +240,9 @@ def _calibration_table(table: Mapping[str, Mapping[str, Any]]) -> Table:
             row['unit'], (1e2, '%')
         )
         values = (f'{factor * row[key]:.3f}' for key in ('prior', 'value', 'sigma'))
-        rows.append(_row(name, *values, unit, 'yes' if row['observed'] else 'no'))
+        rows.append(
+            _row(name, *values, unit, 'yes' if row['observed'] else 'no', why=MEANINGS[name])
+        )
     head = ('quantity', 'prior', 'estimate', 'sigma', 'unit', 'observed')
     note = 'Observed: the recording shows it; its sigma fell by 30 % or more.'
     return _table('Calibration', head, rows, note)
