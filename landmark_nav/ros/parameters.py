@@ -111,11 +111,13 @@ def follow(
     def on_set(parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
         nonlocal config
         values = {one.name: _plain(one.value) for one in parameters if is_of(one.name, live)}
-        try:
-            config = changed(config, values)
-        except LandmarkNavError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        take(config)
+        # rclpy also asks as it declares others, such as qos_overrides.
+        if values:
+            try:
+                config = changed(config, values)
+            except LandmarkNavError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            take(config)
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(on_set)
