@@ -16,8 +16,8 @@ from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
 import logging
 import os
-import re
 from pathlib import Path
+import re
 import shlex
 import signal
 import sys
