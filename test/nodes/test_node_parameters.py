@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import dataclasses
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ from rclpy.parameter import Parameter
 import yaml
 
 from landmark_nav.configuration import Configuration, READS
+from landmark_nav.configuration import LIVE as LIVE_OF_NODES
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config, leaves, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.parameters import declare, follow, settle
@@ -45,6 +47,7 @@ class Whole(Config):
 
 
 LIVE = ('kind', 'section')
+ROBOT = Path(__file__).resolve().parents[2] / 'bags' / 'robot.yaml'
 
 
 class ConfiguredNode(LandmarkNode):
@@ -168,3 +171,37 @@ def test_the_file_of_users_gives_the_defaults_of_every_node(name: str, context: 
     arguments = ['--ros-args', '--params-file', str(shipped_config('landmark_nav.yaml'))]
     node = ConfiguredNode(Configuration(), READS[name], context=context, cli_args=arguments)
     assert node.config == Configuration()
+
+
+SET = {
+    'sweep_capture': ('capture.frames', 36),
+    'landmark_learner': ('map_folder', 'elsewhere'),
+    'triplet_selector': ('yield_s', 3.0),
+    'triangulation_localizer': ('relocalization.search_s', 4.0),
+    'odometry_fusion': ('correction_time_s', 2.0),
+}
+
+
+@pytest.mark.parametrize('name', sorted(LIVE_OF_NODES))
+def test_each_node_takes_what_is_set_also_once_it_was_configured_anew(
+    name: str, context: Context
+) -> None:
+    kind = getattr(
+        import_module(f'landmark_nav.nodes.{name}'), name.title().replace('_', '') + 'Node'
+    )
+    robot = Parameter('robot_file', value=str(ROBOT))
+    node = kind(context=context, parameter_overrides=[robot])
+    what, value = SET[name]
+    for given in (value, value + value):
+        (result,) = node.set_parameters([Parameter(what, value=given)])
+        assert result.successful, result.reason
+        configured = {key: now for key, _, now in leaves(node._config)}
+        assert configured[what] == given
+        node.trigger_deactivate()
+        node.trigger_cleanup()
+        node.trigger_configure()
+        assert {key: now for key, _, now in leaves(node._config)} == configured
+        node.trigger_activate()
+    (result,) = node.set_parameters([Parameter('robot_file', value='x')])
+    assert 'read-only' in result.reason
+    node.destroy_node()
