@@ -39,6 +39,9 @@ function ellipse([xx, xy, yy], times) {
     turn: -0.5 * Math.atan2(2 * xy, xx - yy) * 180 / Math.PI};
 }
 
+/** Around what a plan shows, cm; labels beside the outermost landmarks take so many pixels, on small screens too. */
+const MARGIN = 40, LABEL_PX = 28;
+
 /** Zoom by buttons in `bar`, keys, pinch and Ctrl + wheel; pan by dragging. `cover` fills the height. */
 function zoomable(svg, bar, whole, cover, changed) {
   let box = null, fitted = true;
@@ -46,7 +49,9 @@ function zoomable(svg, bar, whole, cover, changed) {
   const shape = () => svg.clientHeight / Math.max(svg.clientWidth, 1) || 1;
   const widest = () => {
     const byHeight = whole[3] / shape();  // width of a box as high as all of it
-    return cover ? Math.min(byHeight, whole[2]) : Math.max(byHeight, whole[2]);
+    if (cover) return Math.min(byHeight, whole[2]);
+    const labelled = (k, pixels) => (whole[k] - 2 * MARGIN) * svg.clientWidth / Math.max(pixels - 2 * LABEL_PX, 1);
+    return Math.max(byHeight, whole[2], labelled(2, svg.clientWidth), labelled(3, svg.clientHeight));
   };
   const apply = () => {
     if (!svg.clientWidth) return;  // not laid out: it will be resized
@@ -179,11 +184,8 @@ function drawPlan() {
   const {walls, papers, sweeps} = data.map;
   const points = [...walls.flatMap((w) => w.ends), ...[...landmarks.values()].map((k) => k.at),
     ...sweeps.map((s) => s.pose), ...(run ? run.pose : [])].map(at);
-  const ends = [0, 1].map((k) => [Math.min(...points.map((p) => p[k])), Math.max(...points.map((p) => p[k]))]);
-  // Labels beside the outermost landmarks take 28 px, also on a small screen.
-  const margin = Math.max(40, 28 * (ends[0][1] - ends[0][0]) / Math.max(byId('plan').clientWidth - 56, 100));
-  const low = ends.map((of) => of[0] - margin);
-  const size = ends.map((of) => of[1] - of[0] + 2 * margin);
+  const low = [0, 1].map((k) => Math.min(...points.map((p) => p[k])) - MARGIN);
+  const size = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) + MARGIN - low[k]);
   const svg = add(byId('plan'), 'svg', {class: 'plan', tabindex: 0, role: 'group',
     'aria-label': 'plan: arrow keys go from landmark to landmark, + and - zoom'});
   svg.style.aspectRatio = `${size[0]} / ${size[1]}`;
