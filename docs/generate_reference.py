@@ -20,10 +20,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
-from landmark_nav.configuration import Configuration, READS
+from landmark_nav.configuration import Configuration, LIVE, READS
 from landmark_nav.demo.scenario import prepare_room
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.parameters import leaves, unit_of
+from landmark_nav.parameters import is_of, leaves, unit_of
 from landmark_nav.storage.config_files import read_parameters, shipped_config
 
 # Nodes subscribe to images while they use them.
@@ -222,23 +222,28 @@ def _parameters() -> Iterator[str]:
         'One file in the format of ROS serves all: `--params-file` of the nodes, `params_file:=` '
         'of the launch files, `--config` of `landmark-nav`. `config/landmark_nav.yaml` (installed '
         'in `share/landmark_nav/config`) holds those in **bold**, which a user may change, with '
-        'their defaults. `--ros-args -p NAME:=VALUE` gives a single one to a node. All are '
-        'read once, when a node starts. A name that nothing reads is reported, with the one that '
+        'their defaults. `--ros-args -p NAME:=VALUE` gives a single one to a node. '
+        '`ros2 param set /NODE NAME VALUE` changes those with **live** while the node runs: the '
+        'next call, image or transform goes by it. The others are read when a node starts, and '
+        'refused later. A name that nothing reads is reported, with the one that '
         'it is like; those of the last release are taken or explained.',
         '',
         '| parameter | default | range, unit | nodes | |',
         '|---|---|---|---|---|',
     )
     for name, field, value in sorted(leaves(Configuration()), key=lambda leaf: '.' in leaf[0]):
-        nodes = [
-            node
-            for node, read in READS.items()
-            if any(name == wanted or name.startswith(f'{wanted}.') for wanted in read)
-        ]
+        nodes = [node for node, read in READS.items() if is_of(name, read)]
+        is_live = any(is_of(name, LIVE[node]) for node in nodes if node in LIVE)
         shown = f'**`{name}`**' if name in users else f'`{name}`'
         description = field.metadata['description']
         limits = _range(name, field.metadata)
-        yield _row(shown, f'`{_shown(value)}`', limits, _names(nodes), description)
+        yield _row(
+            shown,
+            f'`{_shown(value)}`',
+            limits,
+            _names(nodes) + is_live * ', **live**',
+            description,
+        )
     yield from (
         '',
         '## Of the robot',
@@ -281,7 +286,7 @@ def _commands() -> Iterator[str]:
 
 
 def _calibration() -> Iterator[str]:
-    from landmark_nav.calibration import Calibration, NAMES, UNITS
+    from landmark_nav.calibration import Calibration, MEANINGS, NAMES, UNITS
     from landmark_nav.geometry.camera import PanTiltMount
     from landmark_nav.storage.robot_files import _SIGMAS
 
@@ -293,12 +298,12 @@ def _calibration() -> Iterator[str]:
         '[robot.yaml](../files.md#robot-file) that gives the standard deviation of each quantity, '
         'and the one that holds where the file has none.',
         '',
-        '| quantity | unit | field | default |',
-        '|---|---|---|---|',
+        '| quantity | unit | field | default | |',
+        '|---|---|---|---|---|',
     )
     defaults = Calibration.of_mount(PanTiltMount()).sigmas
     for name, sigma in zip(NAMES, defaults, strict=True):
-        yield _row(f'`{name}`', UNITS[name], f'`{fields[name]}`', f'{sigma:g}')
+        yield _row(f'`{name}`', UNITS[name], f'`{fields[name]}`', f'{sigma:g}', MEANINGS[name])
 
 
 def _help(*command: str) -> str:

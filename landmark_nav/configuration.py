@@ -47,6 +47,14 @@ READS: dict[str, tuple[str, ...]] = {
     'room_simulator': ('seed', 'room_file', 'robot_file', 'camera_file', 'command.type'),
     'bag_player': ('bag', 'rate'),
 }
+# Of these, what may be set while the node runs: the next call, image or transform goes by it.
+LIVE: dict[str, tuple[str, ...]] = {
+    'sweep_capture': ('capture',),
+    'landmark_learner': ('map_folder', 'attention', 'stereo', 'election', 'unmeasured'),
+    'triplet_selector': ('yield_s',),
+    'triangulation_localizer': ('max_age_s', 'relocalization'),
+    'odometry_fusion': ('correction_time_s',),
+}
 
 
 @dataclass(frozen=True)

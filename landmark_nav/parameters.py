@@ -105,6 +105,11 @@ def leaves(config: Any, prefix: str = '') -> Iterator[tuple[str, dataclasses.Fie
             yield prefix + field.name, field, value
 
 
+def is_of(name: str, sections: Collection[str]) -> bool:
+    """Whether a parameter is one of these, or in one of these sections."""
+    return name in sections or any(name.startswith(f'{section}.') for section in sections)
+
+
 def changed(config: T, values: Mapping[str, Any]) -> T:
     """
     Return a copy with other values of some parameters.

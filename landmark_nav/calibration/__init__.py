@@ -2,6 +2,7 @@
 
 from landmark_nav.calibration.calibration import (
     Calibration,
+    MEANINGS,
     NAMES,
     scaled,
     shown,
@@ -9,4 +10,4 @@ from landmark_nav.calibration.calibration import (
     UNITS,
 )
 
-__all__ = ['NAMES', 'SHOWN_IN', 'UNITS', 'Calibration', 'scaled', 'shown']
+__all__ = ['MEANINGS', 'NAMES', 'SHOWN_IN', 'UNITS', 'Calibration', 'scaled', 'shown']

@@ -18,28 +18,29 @@ from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-# Name -> unit, default sigma. A person with a tape and a spirit level is off by 2 cm and 1 degree;
-# lens, clocks and encoders by what their calibrations leave.
-_QUANTITIES: dict[str, tuple[str, float]] = {
-    'axis_x': ('m', 0.02),
-    'axis_y': ('m', 0.02),
-    'axis_z': ('m', 0.02),
-    'axis_roll': ('rad', 0.017),
-    'axis_pitch': ('rad', 0.017),
-    'axis_yaw': ('rad', 0.017),
-    'center_x': ('m', 0.02),
-    'center_y': ('m', 0.02),
-    'center_z': ('m', 0.02),
-    'camera_roll': ('rad', 0.017),
-    'camera_tilt': ('rad', 0.017),
-    'pan_scale': ('1', 0.001),
-    'focal_scale': ('1', 0.01),
-    'principal_point': ('1', 0.001),
-    'joint_delay': ('s', 0.03),
+# Name -> unit, default sigma, meaning. A person with a tape and a spirit level is off by 2 cm and
+# 1 degree; lens, clocks and encoders by what their calibrations leave.
+_QUANTITIES: dict[str, tuple[str, float, str]] = {
+    'axis_x': ('m', 0.02, 'pan axis ahead of base_link'),
+    'axis_y': ('m', 0.02, 'pan axis to the left of base_link'),
+    'axis_z': ('m', 0.02, 'pan axis above base_link'),
+    'axis_roll': ('rad', 0.017, 'pan axis leans to the right'),
+    'axis_pitch': ('rad', 0.017, 'pan axis leans ahead'),
+    'axis_yaw': ('rad', 0.017, 'direction of pan 0, to the left of ahead'),
+    'center_x': ('m', 0.02, 'optical centre ahead of the pan axis, in the frame that turns'),
+    'center_y': ('m', 0.02, 'optical centre to the left of the pan axis, in the frame that turns'),
+    'center_z': ('m', 0.02, 'optical centre above the origin of the frame that turns'),
+    'camera_roll': ('rad', 0.017, 'camera turned about its optical axis'),
+    'camera_tilt': ('rad', 0.017, 'camera tilted against its joint'),
+    'pan_scale': ('1', 0.001, 'relative error of the pan angle'),
+    'focal_scale': ('1', 0.01, 'relative error of the focal length'),
+    'principal_point': ('1', 0.001, 'principal point to the right, over the focal length'),
+    'joint_delay': ('s', 0.03, 'time by which joint_states lag the images'),
 }
 NAMES: tuple[str, ...] = tuple(_QUANTITIES)
-UNITS: dict[str, str] = {name: unit for name, (unit, _) in _QUANTITIES.items()}
-_DEFAULTS = np.array([sigma for _, sigma in _QUANTITIES.values()])
+UNITS: dict[str, str] = {name: unit for name, (unit, *_) in _QUANTITIES.items()}
+MEANINGS: dict[str, str] = {name: words for name, (*_, words) in _QUANTITIES.items()}
+_DEFAULTS = np.array([sigma for _, sigma, _ in _QUANTITIES.values()])
 
 # A calibrated mount is given to a tenth of a millimetre and to 0.006 degrees.
 _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}

@@ -46,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
             name=f'call_{os.getpid()}',
             namespace=args.namespace,
             drives=False,
+            observes=False,
         ) as client,
     ):
         print(client.call(args.service, args.timeout))

@@ -81,7 +81,10 @@ def run(args: argparse.Namespace) -> int:
     with (
         Interruption() as interruption,
         RobotClient(
-            watch=interruption.check, name=f'drive_{os.getpid()}', namespace=args.namespace
+            watch=interruption.check,
+            name=f'drive_{os.getpid()}',
+            namespace=args.namespace,
+            observes=False,
         ) as client,
         _unbuffered(),
     ):

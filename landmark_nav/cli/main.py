@@ -16,6 +16,7 @@ from io import TextIOWrapper
 import logging
 import os
 from pathlib import Path
+import re
 import shlex
 import signal
 import sys
@@ -132,6 +133,8 @@ class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line of bounded length, after the usage."""
 
     def error(self, message: str) -> NoReturn:
+        if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            message += _meant(found[1], re.findall(r'[\w-]+', found[2]))
         self.print_usage(sys.stderr)
         self.exit(2, one_line(f'{self.prog}: error: {message}') + '\n')
 

@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
     with (
         Interruption() as interruption,
-        RobotClient(watch=interruption.check, name=own, drives=False) as client,
+        RobotClient(watch=interruption.check, name=own, drives=False, observes=False) as client,
     ):
         try:
             client.wait(lambda: bool(others()), _NO_NODE_S, 'diagnostics')

@@ -19,6 +19,10 @@ from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.setup_files import load_room
 
 _POLL_S = 0.1
+# Of all nodes: time of day instead of seconds since 1970, which nobody reads.
+_LOG_FORMAT = {
+    'RCUTILS_CONSOLE_OUTPUT_FORMAT': '{date_time_with_ms} [{severity}] {name}: {message}'
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
         )
         print(f'ROS domain {chosen_domain() or 0}; robot file {robot}; room file {room or "none"}')
         print('Ctrl-C ends all. In another terminal: landmark-nav status', flush=True)
-        nodes = stack.enter_context(Supervisor(None, os.environ))
+        nodes = stack.enter_context(Supervisor(None, _LOG_FORMAT | os.environ))
         for name, command in commands.items():
             nodes.start(name, command)
         while True:

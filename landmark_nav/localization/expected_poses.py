@@ -87,7 +87,7 @@ class SpreadCorrection:
     """
 
     def __init__(self, time_constant_s: float) -> None:
-        self._time_constant_s = time_constant_s
+        self.time_constant_s = time_constant_s
         self._last: tuple[int, FloatArray] | None = None
 
     def restart(self) -> None:
@@ -113,11 +113,11 @@ class SpreadCorrection:
             Pose of ``odom`` in ``map``.
         """
         shown = pose_map_base
-        if self._last is not None and self._time_constant_s > 0.0 and stamp_ns >= self._last[0]:
+        if self._last is not None and self.time_constant_s > 0.0 and stamp_ns >= self._last[0]:
             seconds = (stamp_ns - self._last[0]) * 1e-9
             ahead = compose(self._last[1], pose_odom_base)
             remaining = pose_map_base - ahead
             remaining[2] = wrap_rad(remaining[2])
-            shown = pose_map_base - np.exp(-seconds / self._time_constant_s) * remaining
+            shown = pose_map_base - np.exp(-seconds / self.time_constant_s) * remaining
         self._last = stamp_ns, compose(shown, inverse(pose_odom_base))
         return self._last[1]

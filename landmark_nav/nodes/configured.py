@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.configuration import Configuration, READS, with_robot
+from landmark_nav.configuration import Configuration, LIVE, READS, with_robot
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.parameters import declare, settle
+from landmark_nav.ros.parameters import declare, follow, settle
 from landmark_nav.storage.robot_files import load_calibration
 
 
-def configured(node: LandmarkNode, name: str) -> Configuration:
+def configured(
+    node: LandmarkNode, name: str, take: Callable[[Configuration], None] | None = None
+) -> Configuration:
     """
     Declare the parameters that the executable `name` reads, and return their values.
 
     Raises `LandmarkNavError`: a value that a parameter may not take; a robot file that can not be
     read.
+
+    Parameters
+    ----------
+    take : callable, optional
+        Given the configuration again as values of `LIVE` are set.
     """
     former_robot = settle(node, Configuration())
-    config = replace(declare(node, Configuration(), READS[name]), former_robot=former_robot)
-    return with_robot(config) if config.robot_file else config
+    live = LIVE.get(name, ())
+    config = declare(node, Configuration(), READS[name], live)
+    config = replace(config, former_robot=former_robot)
+    config = with_robot(config) if config.robot_file else config
+    if take is not None:
+        node.close_with(follow(node, config, live, take))
+    return config
 
 
 def calibration_of(node: LandmarkNode, config: Configuration) -> Calibration:

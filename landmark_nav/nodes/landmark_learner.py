@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
+from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
@@ -40,7 +41,7 @@ class LandmarkLearnerNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; make topics and services."""
-        self._config = configured(self, 'landmark_learner')
+        self._config = configured(self, 'landmark_learner', self._reconfigure)
         self._outputs = [
             self.advertise(name) for name in ('landmarks', 'landmarks/atlas', 'landmarks/markers')
         ]
@@ -65,6 +66,12 @@ class LandmarkLearnerNode(LandmarkNode):
         self._why_none = 'no map yet'
         if self._config.load_on_start:
             self._load_at_start()
+
+    def _reconfigure(self, config: Configuration) -> None:
+        """Take what was set: the next call of a service goes by it."""
+        self._config = config
+        if self._room is None:
+            self._unmeasured.config = config
 
     def health(self) -> Health:
         """OK with a map; degraded until then."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.calibration import NAMES, UNITS
+from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.estimator import Status
 from landmark_nav.localization.expected_poses import SpreadCorrection
@@ -55,7 +56,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; make topics and services."""
-        self._config = configured(self, 'odometry_fusion')
+        self._config = configured(self, 'odometry_fusion', self._reconfigure)
         calibration = calibration_of(self, self._config)
         self._mount = calibration.mount
         self._fused = self.advertise('odometry/fused')
@@ -82,6 +83,10 @@ class OdometryFusionNode(LandmarkNode):
         self.listen('global_localization/pose', self._on_global_pose)
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
         self.offer('calibrate', self._calibrate)
+
+    def _reconfigure(self, config: Configuration) -> None:
+        """Take what was set."""
+        self._config, self._spread.time_constant_s = config, config.correction_time_s
 
     def health(self) -> Health:
         """As the fusion judges itself."""

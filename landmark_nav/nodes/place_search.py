@@ -80,7 +80,7 @@ class PlaceSearch:
     ) -> None:
         # As far as it is known by now: whoever learns it sets it.
         self.calibration = calibration
-        self._config, self._map_frame = config, map_frame
+        self.config, self._map_frame = config, map_frame
         self._fused, self._noise, self._looking = fused, odometry, looking
         self._moves = False
         self.landmarks = LandmarkMap(())
@@ -117,7 +117,7 @@ class PlaceSearch:
         A pose from which nothing is seen of the map counts as not known. Without odometry nothing
         follows from a place: the fusion waits for it.
         """
-        wanted = self._config.when_lost and self._moves and self.landmarks.landmarks
+        wanted = self.config.when_lost and self._moves and self.landmarks.landmarks
         on_its_way = 0 <= stamp_ns - self._published_ns < _FUSED_NS
         if not wanted or on_its_way:
             return
@@ -175,14 +175,14 @@ class PlaceSearch:
 
     def _new_relocalizer(self) -> Relocalizer:
         mount = self.calibration.mount
-        return Relocalizer(self.landmarks, mount, self._config, self._noise, self._looking)
+        return Relocalizer(self.landmarks, mount, self.config, self._noise, self._looking)
 
     async def _search(self) -> str:
         if not self.landmarks.landmarks:
             raise LandmarkNavError('there are no landmarks: call learn_landmarks or load_map')
         call = self._call
         if call is None:
-            call = self._call = _Call(time.monotonic() + self._config.search_s)
+            call = self._call = _Call(time.monotonic() + self.config.search_s)
             self._odometry = deque(maxlen=_BACKLOG)
             self._relocalizer = self._new_relocalizer()
         while isinstance(call.outcome, Refusal) and time.monotonic() < call.until_s:
@@ -194,7 +194,7 @@ class PlaceSearch:
             self._relocalizer = self._call = None
         if isinstance(outcome, Refusal):
             raise LandmarkNavError(
-                f'place not found within {self._config.search_s:g} s ({outcome}): call again and '
+                f'place not found within {self.config.search_s:g} s ({outcome}): call again and '
                 'turn the camera or drive meanwhile, or publish initialpose'
             )
         x, y, heading = outcome.pose

@@ -8,6 +8,7 @@ from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 
+from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.capture import describe_sweep
 from landmark_nav.messages import decode
@@ -32,7 +33,7 @@ class SweepCaptureNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; make topics and services."""
-        self._config = configured(self, 'sweep_capture')
+        self._config = configured(self, 'sweep_capture', self._reconfigure)
         mount = calibration_of(self, self._config).mount
         command = self._config.command
         self._runner = SweepRunner(
@@ -51,6 +52,10 @@ class SweepCaptureNode(LandmarkNode):
         self.listen('odom', lambda message: self._runner.add_odometry(decode.odometry(message)))
         # Calls may come while one is served: they interrupt it.
         self.offer('capture_sweep', self._capture, group=ReentrantCallbackGroup())
+
+    def _reconfigure(self, config: Configuration) -> None:
+        """Take what was set: the next sweep is taken so."""
+        self._config, self._runner.config = config, config.capture
 
     def health(self) -> Health:
         """Degraded without joint states or calibration, or with a sweep that was interrupted."""

@@ -73,7 +73,7 @@ class SweepRunner:
         output: SweepOutput,
         camera_roll_rad: float = 0.0,
     ) -> None:
-        self._config = config
+        self.config = config
         self._commander = commander
         self._output = output
         self._camera_roll_rad = camera_roll_rad
@@ -112,7 +112,7 @@ class SweepRunner:
         Raises `LandmarkNavError`: it was interrupted; the message says by what.
         """
         with self._progress:
-            sweep, note = begin_or_resume(self._sweep, self._config, self._inspect, self._now_ns())
+            sweep, note = begin_or_resume(self._sweep, self.config, self._inspect, self._now_ns())
             self._sweep, self._running = sweep, True
             _LOG.info('sweep %s', note or 'begun')
             try:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import time
 from typing import Any
 
+from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.localization.expected_poses import ExpectedPoses
 from landmark_nav.localization.late_joints import JointDelay
@@ -55,7 +56,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; make topics and services."""
-        self._config = configured(self, 'triangulation_localizer')
+        self._config = configured(self, 'triangulation_localizer', self._reconfigure)
         self._calibration = calibration_of(self, self._config)
         self._mount = self._calibration.mount
         self._detections = self.advertise('detections')
@@ -89,11 +90,15 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._arrived_s: float | None = None
         self._looked_s: float | None = None
         self._health = Health(Level.DEGRADED, 'no landmarks: call learn_landmarks or load_map')
-        self.listen('odom', self._on_odometry, depth=50)
+        self.listen('odom', self._frames.waking(self._on_odometry), depth=50)
         self.listen('odometry/fused', self._on_fused)
         self.listen('triplet', self._on_triplet)
-        self.listen('expectation', self._on_expectation)
+        self.listen('expectation', self._frames.waking(self._on_expectation))
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
+
+    def _reconfigure(self, config: Configuration) -> None:
+        """Take what was set: the next search goes by it."""
+        self._config, self._search.config = config, config.relocalization
 
     def health(self) -> Health:
         """What came of the last image, or that none comes any more or it takes too long."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.configuration import Configuration
 from landmark_nav.localization.triplet import CameraState
 from landmark_nav.localization.triplet.look_around import is_known, LookAround
 from landmark_nav.localization.triplet.ranking import Ranking
@@ -46,7 +47,7 @@ class TripletSelectorNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; make topics and services."""
-        self._config = configured(self, 'triplet_selector')
+        self._config = configured(self, 'triplet_selector', self._reconfigure)
         self._mount = calibration_of(self, self._config).mount
         self._calibrated = self._mount
         self._publisher = self.advertise('triplet')
@@ -73,6 +74,10 @@ class TripletSelectorNode(LandmarkNode):
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
         self.create_timer(_PERIOD_S, self._choose, clock=own_clock(self))
         self.create_timer(_DWELL_TIME_S, self._look_around, clock=own_clock(self))
+
+    def _reconfigure(self, config: Configuration) -> None:
+        """Take what was set."""
+        self._config = config
 
     def health(self) -> Health:
         """What was chosen last, or what a choice waits for; also while the clock stands."""

@@ -39,7 +39,7 @@ class UnmeasuredLearner:
     """
 
     def __init__(self, node: LandmarkNode, given: Calibration, config: Configuration) -> None:
-        self._node, self._given, self._config = node, given, config
+        self._node, self._given, self.config = node, given, config
         self._sweeps: dict[int, RecordedSweep] = {}
         self._odometry: deque[OdometrySample] = deque(maxlen=_MOST_SAMPLES)
         SweepInbox(node, given.mount, 'map', self._on_sweep)
@@ -68,7 +68,7 @@ class UnmeasuredLearner:
         given = [sweep.pose_map_base for sweep in recorded]
         spans = [sweep.span_ns for sweep in recorded]
         odometry = list(self._odometry)
-        sheets = self._config.unmeasured.sheets
+        sheets = self.config.unmeasured.sheets
         if not (any(given) or odometry or sheets.has_papers or sheets.has_markers):
             raise LandmarkNavError(
                 'nothing gives the scale: connect odom and sweep again, publish sweep/pose, hang '
@@ -76,12 +76,12 @@ class UnmeasuredLearner:
             )
 
         def known(_stamped: Sequence[Sweep]) -> list[PlaceChain]:
-            return known_places(given, spans, odometry, self._config.odometry)
+            return known_places(given, spans, odometry, self.config.odometry)
 
-        unmeasured = self._config.unmeasured
+        unmeasured = self.config.unmeasured
         mount = self._given.mount
-        located = locate_sweeps(sweeps, known, mount, self._config, unmeasured, StageLog())
-        result = learn_located(located, self._config, unmeasured)
+        located = locate_sweeps(sweeps, known, mount, self.config, unmeasured, StageLog())
+        result = learn_located(located, self.config, unmeasured)
         learned = replace(result.map, prior=self._given, provenance=located.provenance)
         return replace(result, map=learned)
 
@@ -90,7 +90,7 @@ class UnmeasuredLearner:
         if not self._odometry:
             return None
         place = base_from_axis(result.map.panorama_poses[-1], self._given.mount)
-        return carried_on(place, list(self._odometry), self._config.odometry)
+        return carried_on(place, list(self._odometry), self.config.odometry)
 
     def _on_sweep(self, sweep: RecordedSweep) -> None:
         if not sweep.frames:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-import time
+from threading import Condition
 from typing import Any
 
 import numpy as np
@@ -61,7 +61,6 @@ _HISTORY_NS, _STEP_NS = 3 * 10**9, 5_000_000
 _CLOCK_STEP_NS = 500_000_000
 # Largest delay of a separate tilt behind the pan for which frames wait.
 _TILT_BEHIND_NS = 150_000_000
-_POLL_S = 0.005
 
 
 class CameraFrames:
@@ -69,10 +68,12 @@ class CameraFrames:
 
     def __init__(self, node: LandmarkNode, mount: PanTiltMount) -> None:
         self._node = node
+        self._news = Condition()
         self._joints: deque[JointSample] = deque()
         # Stamps and tilts of a tilt joint with its own driver.
         self._tilts: deque[tuple[int, float]] = deque()
-        listen_for_joints(node, mount, self._on_joints, self._on_tilt, depth=50)
+        joints, tilt = self.waking(self._on_joints), self.waking(self._on_tilt)
+        listen_for_joints(node, mount, joints, tilt, depth=50)
         self._info: decode.CameraInfo | None = None
         self._depth = decode.BitDepth()
         node.listen('camera/camera_info', self._on_camera_info)
@@ -107,6 +108,16 @@ class CameraFrames:
             return False
         tilt_ns = self._tilts[-1][0] if self._tilts else stamp_ns
         return tilt_ns >= stamp_ns or tilt_ns < self._joints[-1].stamp_ns - _TILT_BEHIND_NS
+
+    def waking(self, take: Callable[..., None]) -> Callable[..., None]:
+        """Callback for what an image may wait for: it goes on as soon as that is there."""
+
+        def taken(*given: Any) -> None:
+            take(*given)
+            with self._news:
+                self._news.notify_all()
+
+        return taken
 
     def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
         """Angles at a stamp, interpolated; or why they are unknown."""
@@ -180,9 +191,6 @@ class CameraFrames:
         self, stamp_ns: int, seconds: float, also: Callable[[int], bool], late_s: float
     ) -> None:
         """Block until joint states reach the image and `also` is true, or the time is over."""
-        deadline = time.monotonic() + seconds
         joints_ns = stamp_ns + max(0, round(1e9 * late_s))
-        while time.monotonic() < deadline:
-            if self.reaches(joints_ns) and also(stamp_ns):
-                return
-            time.sleep(_POLL_S)
+        with self._news:
+            self._news.wait_for(lambda: self.reaches(joints_ns) and also(stamp_ns), seconds)

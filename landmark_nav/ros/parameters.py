@@ -1,20 +1,25 @@
-"""Parameters of `landmark_nav.parameters` as read-only ROS parameters of a node."""
+"""Parameters of `landmark_nav.parameters` as ROS parameters of a node."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 import dataclasses
 import sys
 from typing import Any, TypeVar
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.former_parameters import settled
-from landmark_nav.parameters import changed, leaves, unit_hint, unit_of
+from landmark_nav.parameters import changed, is_of, leaves, unit_hint, unit_of
 
 T = TypeVar('T')
 
@@ -55,7 +60,7 @@ def settle(node: Node, config: Any) -> Mapping[str, Any]:
     return given.robot
 
 
-def declare(node: Node, config: T, names: Collection[str]) -> T:
+def declare(node: Node, config: T, names: Collection[str], live: Collection[str] = ()) -> T:
     """
     Declare parameters of a dataclass and return it with their values.
 
@@ -68,24 +73,70 @@ def declare(node: Node, config: T, names: Collection[str]) -> T:
     ----------
     names : collection of str
         Parameters and sections that the node reads.
+    live : collection of str
+        Those that may be set later, see `follow`; the others are read-only.
     """
     return changed(
         config,
         {
-            name: _declared(node, name, field, default)
+            name: _declared(node, name, field, default, is_of(name, live))
             for name, field, default in leaves(config)
-            if name in names or any(name.startswith(f'{section}.') for section in names)
+            if is_of(name, names)
         },
     )
 
 
-def _declared(node: Node, name: str, field: dataclasses.Field[Any], default: Any) -> Any:
+def follow(
+    node: Node, config: T, live: Collection[str], take: Callable[[T], None]
+) -> Callable[[], None]:
+    """
+    Have a node take values that are set while it runs; what they may not be is refused, with why.
+
+    Parameters
+    ----------
+    config : dataclass instance
+        As the node has it.
+    live : collection of str
+        Parameters and sections that may be set.
+    take : callable
+        Given the configuration with new values.
+
+    Returns
+    -------
+    callable
+        Ends it.
+    """
+
+    def on_set(parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
+        nonlocal config
+        values = {one.name: _plain(one.value) for one in parameters if is_of(one.name, live)}
+        # rclpy also asks as it declares others, such as qos_overrides.
+        if values:
+            try:
+                config = changed(config, values)
+            except LandmarkNavError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            take(config)
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(on_set)
+    return lambda: node.remove_on_set_parameters_callback(on_set)
+
+
+def _plain(value: Any) -> Any:
+    """A list where rclpy gives an array."""
+    return value if isinstance(value, str | int | float) else list(value)
+
+
+def _declared(
+    node: Node, name: str, field: dataclasses.Field[Any], default: Any, is_live: bool
+) -> Any:
     example = list(default) if isinstance(default, tuple) else default
     try:
         value = (
             node.get_parameter(name)
             if node.has_parameter(name)
-            else node.declare_parameter(name, example, _descriptor(name, field, default))
+            else node.declare_parameter(name, example, _descriptor(name, field, default, is_live))
         ).value
     except InvalidParameterTypeException as error:
         raise LandmarkNavError(
@@ -96,17 +147,19 @@ def _declared(node: Node, name: str, field: dataclasses.Field[Any], default: Any
             f'parameter {name} of {node.get_name()}: {" ".join(str(error).split())}'
             f'{unit_hint(name)}'
         ) from error
-    return list(value) if isinstance(default, tuple) else value
+    return _plain(value)
 
 
-def _descriptor(name: str, field: dataclasses.Field[Any], default: Any) -> ParameterDescriptor:
+def _descriptor(
+    name: str, field: dataclasses.Field[Any], default: Any, is_live: bool
+) -> ParameterDescriptor:
     choices = field.metadata['choices']
     low, high = field.metadata['minimum'], field.metadata['maximum']
     unit = unit_of(name)
     descriptor = ParameterDescriptor(
         description=field.metadata['description'] + (f' [{unit}]' if unit else ''),
         additional_constraints=f'one of {", ".join(choices)}' if choices else '',
-        read_only=True,
+        read_only=not is_live,
     )
     if (low is None and high is None) or isinstance(default, bool):
         return descriptor

@@ -129,6 +129,8 @@ class RobotClient:
         Name and namespace of the node; topics and services are in this namespace.
     drives : bool
         Whether it publishes velocities and start poses.
+    observes : bool
+        Whether it takes odometry, poses and panoramas; else `status` alone, which costs nothing.
 
     Attributes
     ----------
@@ -151,6 +153,7 @@ class RobotClient:
         name: str = 'conductor',
         namespace: str = '',
         drives: bool = True,
+        observes: bool = True,
     ) -> None:
         self._watch = watch
         self._context = Context()
@@ -168,6 +171,8 @@ class RobotClient:
             self._velocity = self._node.advertise('cmd_vel')
             self._initial_pose = self._node.advertise('initialpose')
         self._node.listen('/diagnostics', self._on_diagnostics)
+        if not observes:
+            return
         self._node.listen('odom', self._on_odometry)
         self._node.listen('odometry/fused', self._on_fused)
         self._node.listen('triangulation/pose', self._on_fix)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,12 @@ from rclpy.parameter import Parameter
 import yaml
 
 from landmark_nav.configuration import Configuration, READS
+from landmark_nav.configuration import LIVE as LIVE_OF_NODES
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import Config, parameter
+from landmark_nav.parameters import Config, leaves, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.parameters import declare, settle
+from landmark_nav.ros.parameters import declare, follow, settle
 from landmark_nav.storage.config_files import shipped_config
 
 
@@ -44,11 +46,19 @@ class Whole(Config):
             raise LandmarkNavError('slow and rate_hz above 8 contradict each other')
 
 
+LIVE = ('kind', 'section')
+ROBOT = Path(__file__).resolve().parents[2] / 'bags' / 'robot.yaml'
+
+
 class ConfiguredNode(LandmarkNode):
     def __init__(self, config: Any, names: Any = ('count', 'kind', 'section'), **options: Any):
         super().__init__('configured', 'test', **options)
         self.robot = settle(self, config)
-        self.config = declare(self, config, names)
+        self.config = declare(self, config, names, LIVE)
+        self.close_with(follow(self, self.config, LIVE, self._take))
+
+    def _take(self, config: Any) -> None:
+        self.config = config
 
     def health(self) -> Health:
         return Health(Level.OK, 'fine')
@@ -65,13 +75,31 @@ def test_description_range_and_default(context: Context) -> None:
     assert not node.has_parameter('of_another')
     assert not node.has_parameter('section.fixed')
     rate = node.describe_parameter('section.rate_hz')
-    assert (rate.description, rate.read_only) == ('how often [Hz]', True)
+    assert (rate.description, rate.read_only) == ('how often [Hz]', False)
+    assert node.describe_parameter('count').read_only
     limits = rate.floating_point_range[0]
     assert (limits.from_value, limits.to_value) == (1.0, 10.0)
     assert node.describe_parameter('count').integer_range[0].from_value == 1
     assert node.describe_parameter('kind').additional_constraints == 'one of fast, slow'
     changed = node.set_parameters([Parameter('count', value=4)])[0]
     assert not changed.successful
+
+
+def test_what_is_live_may_be_set_and_what_it_may_not_be_is_refused(context: Context) -> None:
+    node = ConfiguredNode(Whole(), context=context)
+    given = [Parameter('section.rate_hz', value=9.0), Parameter('section.names', value=['x'])]
+    assert all(result.successful for result in node.set_parameters(given))
+    assert node.config == Whole(section=Section(9.0, ('x',)))
+    refused = {'count': (4, 'read-only'), 'kind': ('odd', 'fast, slow')}
+    refused['section.rate_hz'] = 20.0, 'range'
+    for name, (value, words) in refused.items():
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert not result.successful
+        assert words in result.reason
+    (result,) = node.set_parameters([Parameter('kind', value='slow')])
+    assert 'contradict' in result.reason
+    assert node.config.section.rate_hz == 9.0
+    assert node.get_parameter('kind').value == 'fast'
 
 
 def test_values_come_from_a_file(context: Context, tmp_path: Path) -> None:
@@ -140,3 +168,37 @@ def test_the_file_of_users_gives_the_defaults_of_every_node(name: str, context: 
     arguments = ['--ros-args', '--params-file', str(shipped_config('landmark_nav.yaml'))]
     node = ConfiguredNode(Configuration(), READS[name], context=context, cli_args=arguments)
     assert node.config == Configuration()
+
+
+SET = {
+    'sweep_capture': ('capture.frames', 36),
+    'landmark_learner': ('map_folder', 'elsewhere'),
+    'triplet_selector': ('yield_s', 3.0),
+    'triangulation_localizer': ('relocalization.search_s', 4.0),
+    'odometry_fusion': ('correction_time_s', 2.0),
+}
+
+
+@pytest.mark.parametrize('name', sorted(LIVE_OF_NODES))
+def test_each_node_takes_what_is_set_also_once_it_was_configured_anew(
+    name: str, context: Context
+) -> None:
+    kind = getattr(
+        import_module(f'landmark_nav.nodes.{name}'), name.title().replace('_', '') + 'Node'
+    )
+    robot = Parameter('robot_file', value=str(ROBOT))
+    node = kind(context=context, parameter_overrides=[robot])
+    what, value = SET[name]
+    for given in (value, value + value):
+        (result,) = node.set_parameters([Parameter(what, value=given)])
+        assert result.successful, result.reason
+        configured = {key: now for key, _, now in leaves(node._config)}
+        assert configured[what] == given
+        node.trigger_deactivate()
+        node.trigger_cleanup()
+        node.trigger_configure()
+        assert {key: now for key, _, now in leaves(node._config)} == configured
+        node.trigger_activate()
+    (result,) = node.set_parameters([Parameter('robot_file', value='x')])
+    assert 'read-only' in result.reason
+    node.destroy_node()

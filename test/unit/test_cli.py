@@ -33,6 +33,22 @@ def failing(error: BaseException) -> Any:
     return run
 
 
+@pytest.mark.parametrize(
+    ('words', 'meant'),
+    [
+        (['lern', 'bag'], 'learn'),
+        (['evaluate', 'bag', '--map', 'm', '--robot', 'r', '--reprot', 'F'], '--report'),
+        (['call', 'capture_swep'], 'capture_sweep'),
+        (['map', 'shw', 'm'], 'show'),
+    ],
+)
+def test_what_was_meant_is_asked_for(
+    words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    assert f'did you mean {meant}?' in capsys.readouterr().err
+
+
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['--help']) == 0
     text = capsys.readouterr().out

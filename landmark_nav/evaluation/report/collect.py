@@ -32,7 +32,7 @@ from landmark_nav.geometry.walls import Paper, paper_bgr
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.storage.reading import read_image
-from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, Refusal
+from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Landmark, LandmarkMap, Refusal
 
 # More moments than a minute of video are thinned.
 _MOST_MOMENTS = 2000
@@ -358,10 +358,20 @@ def drawn_panoramas(map_folder: Path) -> list[dict[str, Any]]:
     for number in range(1, _MOST_PANORAMAS + 1):
         path = map_folder / f'panorama_{number}.png'
         if path.is_file():
-            drawn = read_image(path)
+            drawn = _without_border(read_image(path))
             picture = _base64(jpeg(drawn, _PANORAMA_PX, _QUALITY))
             shown.append({'image': picture, 'size': list(drawn.shape[1::-1]), 'candidates': []})
     return shown
+
+
+def _without_border(drawn: ImageArray) -> ImageArray:
+    """Leave out title and axes, which are white in dark mode and too small to read."""
+    inside = (drawn < 250).any(axis=2)
+    rows = np.flatnonzero(inside.mean(axis=1) > 0.5)
+    columns = np.flatnonzero(inside.mean(axis=0) > 0.5)
+    if not rows.size or not columns.size:
+        return drawn
+    return drawn[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
 def panoramas(result: LearningResult) -> list[dict[str, Any]]:

@@ -39,6 +39,9 @@ function ellipse([xx, xy, yy], times) {
     turn: -0.5 * Math.atan2(2 * xy, xx - yy) * 180 / Math.PI};
 }
 
+/** Around what a plan shows, cm; labels beside the outermost landmarks take so many pixels, on small screens too. */
+const MARGIN = 40, LABEL_PX = 28;
+
 /** Zoom by buttons in `bar`, keys, pinch and Ctrl + wheel; pan by dragging. `cover` fills the height. */
 function zoomable(svg, bar, whole, cover, changed) {
   let box = null, fitted = true;
@@ -46,7 +49,9 @@ function zoomable(svg, bar, whole, cover, changed) {
   const shape = () => svg.clientHeight / Math.max(svg.clientWidth, 1) || 1;
   const widest = () => {
     const byHeight = whole[3] / shape();  // width of a box as high as all of it
-    return cover ? Math.min(byHeight, whole[2]) : Math.max(byHeight, whole[2]);
+    if (cover) return Math.min(byHeight, whole[2]);
+    const labelled = (k, pixels) => (whole[k] - 2 * MARGIN) * svg.clientWidth / Math.max(pixels - 2 * LABEL_PX, 1);
+    return Math.max(byHeight, whole[2], labelled(2, svg.clientWidth), labelled(3, svg.clientHeight));
   };
   const apply = () => {
     if (!svg.clientWidth) return;  // not laid out: it will be resized
@@ -179,8 +184,8 @@ function drawPlan() {
   const {walls, papers, sweeps} = data.map;
   const points = [...walls.flatMap((w) => w.ends), ...[...landmarks.values()].map((k) => k.at),
     ...sweeps.map((s) => s.pose), ...(run ? run.pose : [])].map(at);
-  const low = [0, 1].map((k) => Math.min(...points.map((p) => p[k])) - 40);
-  const size = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) + 40 - low[k]);
+  const low = [0, 1].map((k) => Math.min(...points.map((p) => p[k])) - MARGIN);
+  const size = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) + MARGIN - low[k]);
   const svg = add(byId('plan'), 'svg', {class: 'plan', tabindex: 0, role: 'group',
     'aria-label': 'plan: arrow keys go from landmark to landmark, + and - zoom'});
   svg.style.aspectRatio = `${size[0]} / ${size[1]}`;
@@ -231,7 +236,8 @@ function drawPlan() {
       ...(run.lines.truth.length ? [['truth', 'line truth']] : []),
       ...(run.lines.smoothed ? [['smoothed', 'line smoothed']] : []),
       ['3 sigma', 'sigma'], ['protection level', 'level'], ['used', 'ray'], ['found, not used', 'ray refused'],
-      ['not found', 'ray missed']] : []),
+      ['not found', 'ray missed'], ['field of view', 'view']] : []),
+    ...(landmarks.size ? [['landmark', 'landmark']] : []),
     ...(sweeps.length ? [['sweep', 'sweep']] : []),
   ]);
   svg.addEventListener('keydown', (event) => {
@@ -283,8 +289,12 @@ function legend(parent, entries) {
   for (const [name, style] of entries) {
     const item = add(list, 'li');
     const sample = add(item, 'svg', {viewBox: '0 0 26 10', 'aria-hidden': 'true', class: 'sample chart'});
-    if (/sigma|band/.test(style)) add(sample, 'rect', {class: style, width: 26, height: 10});
-    else add(sample, 'path', {class: style, d: /dots/.test(style) ? 'M13 5h0' : /sweep/.test(style) ? 'M20 5L8 1L8 9Z' : 'M0 5H26'});
+    if (/sigma|band|view/.test(style)) add(sample, 'rect', {class: style, width: 26, height: 10});
+    else if (style === 'landmark') {
+      const group = add(sample, 'g', {class: style});
+      add(group, 'path', {class: 'patch', d: 'M5 5H21'});
+      add(group, 'ellipse', {cx: 13, cy: 5, rx: 12, ry: 4});
+    } else add(sample, 'path', {class: style, d: /dots/.test(style) ? 'M13 5h0' : /sweep/.test(style) ? 'M20 5L8 1L8 9Z' : 'M0 5H26'});
     item.append(name);
   }
 }

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.calibration import SHOWN_IN
+from landmark_nav.calibration import MEANINGS, SHOWN_IN
 
 ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 # States of localization as the glossary calls them.
@@ -238,7 +238,9 @@ def _calibration_table(table: Mapping[str, Mapping[str, Any]]) -> Table:
     for name, row in table.items():
         factor, unit = SHOWN_IN[row['unit']]
         values = (f'{factor * row[key]:.3f}' for key in ('prior', 'value', 'sigma'))
-        rows.append(_row(name, *values, unit, 'yes' if row['observed'] else 'no'))
+        rows.append(
+            _row(name, *values, unit, 'yes' if row['observed'] else 'no', why=MEANINGS[name])
+        )
     head = ('quantity', 'prior', 'estimate', 'sigma', 'unit', 'observed')
     note = 'Observed: the recording shows it; its sigma fell by 30 % or more.'
     return _table('Calibration', head, rows, note)
