@@ -122,6 +122,20 @@ def test_pixels_become_points_with_their_covariance() -> None:
         assert seen.covariance[k] == pytest.approx(np.cov(rays[:, k].T), rel=0.15, abs=2e-8)
 
 
+def test_a_lens_bends_rays_as_the_camera_that_is_known_by_now() -> None:
+    given = CameraModel(512, 512, 555.0, 555.0, 256.7, 254.1, distortion=(-0.19, 0.06))
+    true = replace(given, fx=0.91 * given.fx, fy=0.91 * given.fy, cx=given.cx + 1.11)
+    rays = np.array([[-0.3, 0.2, 1.0], [0.0, 0.0, 1.0], [0.4, -0.35, 1.0]])
+    uv, spread = true.project(rays), np.tile(0.01 * np.eye(2), (3, 1, 1))
+    seen, naive = (
+        ImagePoints.of_pixels(0, np.arange(3), uv, spread, given, 0.1, known=known)
+        for known in (true, None)
+    )
+    expected = 0.91 * rays[:, :2] + [0.002, 0.0]
+    assert seen.points == pytest.approx(expected, abs=1e-9)
+    assert np.abs(naive.points - expected).max() > 1e-3
+
+
 def test_recovers_the_pose_without_noise() -> None:
     drive = simulated(1, seconds=8.0, noise=0.0, pixel_sigma=1e-7, map_sigma_m=0.0)
     exactly = replace(drive.prior, covariance=np.zeros_like(drive.prior.covariance))
@@ -234,6 +248,36 @@ def test_a_knock_of_the_camera_is_noticed_at_once() -> None:
     # Whether the base or the camera was turned shows as the robot drives: the heading says so.
     assert (run.nees < 31.8).all()
     assert np.hypot(*run.errors[60:, :2].T).max() < 0.05
+
+
+def test_another_focal_length_is_noticed_at_once_and_found() -> None:
+    mount = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4))
+
+    def zoomed(k: int, seen: ImagePoints) -> ImagePoints:
+        return replace(seen, points=seen.points / 1.1) if k >= 40 else seen
+
+    for seed in range(4):
+        run = driven(simulated(seed, mount, mount, seconds=24.0), changed=zoomed)
+        steps = [update.stamp_ns for update in run.updates if update.stepped]
+        assert steps
+        assert 0 <= steps[0] - 41 * NS // 5 <= NS
+        assert (run.nees < 31.8).all()
+        focal, sigma = run.filter.calibration['focal_scale']
+        assert sigma < 0.005
+        assert focal == pytest.approx(1.0 / 1.1 - 1.0, abs=4.0 * sigma)
+
+
+def test_a_base_that_moves_unseen_by_the_wheels_is_no_zoom() -> None:
+    mount = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4))
+    drive = simulated(3, mount, mount, seconds=24.0)
+    still = [
+        event if not isinstance(event, Motion) or k < 200 or k > 210
+        else event._replace(increment=np.zeros(3))
+        for k, event in enumerate(drive.events)
+    ]  # fmt: skip
+    run = driven(replace(drive, events=still))
+    assert any(update.stepped for update in run.updates)
+    assert abs(run.filter.calibration['focal_scale'][0]) < 0.003
 
 
 def test_no_step_is_seen_where_there_is_none() -> None:

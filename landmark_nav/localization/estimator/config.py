@@ -44,8 +44,10 @@ class EstimatorConfig(Config):
     step_sigma_rad: float = 0.05
     # Sigma of such a change of the joint delay, s.
     step_sigma_s: float = 0.1
+    # Sigma of such a change of the focal length, 1.
+    step_sigma_focal: float = 0.1
     # Sigma of such a motion of the base, m.
-    step_sigma_m: float = 0.02
+    step_sigma_m: float = 0.1
     # How late a measurement may come, s.
     history_s: float = 2.0
     learning_sigma: float = parameter(
@@ -55,3 +57,14 @@ class EstimatorConfig(Config):
         minimum=0.0,
         maximum=5.0,
     )
+
+    @property
+    def knock(self) -> dict[str, float]:
+        """Sigmas by which values of the mount and its joints may change at once, by name."""
+        turns = dict.fromkeys(('axis_yaw', 'camera_roll', 'camera_tilt'), self.step_sigma_rad)
+        return turns | {'joint_delay': self.step_sigma_s}
+
+    @property
+    def steps(self) -> dict[str, float]:
+        """The same with the lens: only images show its change, which a pose does not hide."""
+        return self.knock | {'focal_scale': self.step_sigma_focal}

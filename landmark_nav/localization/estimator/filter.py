@@ -11,6 +11,7 @@ allows.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -241,7 +242,7 @@ class JointFilter:
     def stepped(self) -> JointFilter:
         """Return the filter where base, camera or joint delay may have changed."""
         other = copy(self)
-        other._state = self._stepped(self._state)
+        other._state = self._stepped(self._state, self._config.knock)
         return other
 
     def placed(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> JointFilter:
@@ -399,14 +400,16 @@ class JointFilter:
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         after, update = self._corrected(prior, seen)
         if self._config.step_probability and update.surprising:
-            stepped = self._stepped(prior)
-            freed, alternative = self._corrected(stepped, seen)
             odds = self._config.step_probability / (1.0 - self._config.step_probability)
-            evidence = alternative.log_evidence + float(np.log(odds))
-            agree = int(np.sum(alternative.weight > _INLIER))
-            if agree >= _WITNESSES and evidence > update.log_evidence:
-                prior, after = stepped, freed
-                update = alternative._replace(log_evidence=evidence, stepped=True)
+            expected = prior
+            for steps in (self._config.knock, self._config.steps):
+                stepped = self._stepped(expected, steps)
+                freed, alternative = self._corrected(stepped, seen)
+                evidence = alternative.log_evidence + float(np.log(odds))
+                agree = int(np.sum(alternative.weight > _INLIER))
+                if agree >= _WITNESSES and evidence > update.log_evidence:
+                    prior, after = stepped, freed
+                    update = alternative._replace(log_evidence=evidence, stepped=True)
         recognised = found_log_ratios(update.residual, update.covariance).sum()
         if recognised + MISSED * len(seen.missed) < 0.0:
             # Chance finds as much in windows as large: it would move the pose anywhere.
@@ -414,12 +417,13 @@ class JointFilter:
         self._state, self.predicted = after, prior
         return update
 
-    def _stepped(self, state: State) -> State:
-        """Return the state where base, camera or joint delay may have changed."""
+    def _stepped(self, state: State, steps: Mapping[str, float]) -> State:
+        """Return the state where the base or these values may have changed by so much."""
         covariance, config = state.covariance.copy(), self._config
         covariance[[0, 1], [0, 1]] += config.step_sigma_m**2
-        turns = dict.fromkeys((2, YAW, ROLL, TILT), config.step_sigma_rad)
-        for k, sigma in (turns | {DELAY: config.step_sigma_s}).items():
+        covariance[2, 2] += config.step_sigma_rad**2
+        for name, sigma in steps.items():
+            k = CALIBRATION + NAMES.index(name)
             # What is given as exact stays.
             if covariance[k, k] > 0.0:
                 covariance[k, k] += sigma**2
