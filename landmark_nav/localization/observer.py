@@ -184,16 +184,20 @@ class Observation:
 def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
     """Return an image with camera and joints as a calibration has them."""
     frame = in_time(frame, calibration['joint_delay'][0])
-    # In steps of a tenth of a pixel, as each camera needs a grid of rays of its own.
-    focal, shift = (
-        _STEP * round(calibration[name][0] / _STEP) for name in ('focal_scale', 'principal_point')
-    )
+    shift = _STEP * round(calibration['principal_point'][0] / _STEP)
     return replace(
         frame,
-        camera=_calibrated(frame.camera, focal, shift),
+        camera=_zoomed(frame.camera, calibration, shift),
         pan_rad=frame.pan_rad * (1.0 + calibration['pan_scale'][0]),
         tilt_rad=frame.tilt_rad + calibration['camera_tilt'][0],
     )
+
+
+def _zoomed(camera: CameraModel, calibration: Calibration, shift: float = 0.0) -> CameraModel:
+    """Return a camera with the focal length of a calibration."""
+    # In steps of a tenth of a pixel, as each camera needs a grid of rays of its own.
+    focal = _STEP * round(calibration['focal_scale'][0] / _STEP)
+    return _calibrated(camera, focal, shift)
 
 
 @lru_cache(maxsize=8)
@@ -294,7 +298,7 @@ class Observer:
             seen.covariance_px2,
             frame.camera,
             frame.pan_rad,
-            known=straight(frame, expected.calibration).camera,
+            known=_zoomed(frame.camera, expected.calibration),
         )
         seen = replace(
             seen,
