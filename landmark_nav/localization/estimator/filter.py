@@ -18,6 +18,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.arrays import IndexArray
@@ -74,6 +75,8 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 _WITNESSES, _INLIER = 3, 0.3
 # A detection of less weight than this is an outlier.
 _OUTLIER = 0.1
+# Largest factor on the variance of the own error of a landmark.
+_WIDEST = 1e4
 # An image is a surprise if it is less likely than this.
 _SURPRISE = 1e-3
 # Sigmas of a pose of which nothing is known, metres and radians.
@@ -410,12 +413,32 @@ class JointFilter:
                 if agree >= _WITNESSES and evidence > update.log_evidence:
                     prior, after = stepped, freed
                     update = alternative._replace(log_evidence=evidence, stepped=True)
+        new = ~np.isin(seen.columns, self._state.landmarks)
+        after = self._doubting(after, update, new)
         recognised = found_log_ratios(update.residual, update.covariance).sum()
         if recognised + MISSED * len(seen.missed) < 0.0:
             # Chance finds as much in windows as large: it would move the pose anywhere.
             after, update = replace(prior, stamp_ns=after.stamp_ns), _unused(update)
         self._state, self.predicted = after, prior
         return update
+
+    def _doubting(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
+        """
+        Return the state with wider own errors of new landmarks that were found to be off.
+
+        Own errors have the tail of the detections: what is off by itself stays off, image after
+        image, where one detection would not.
+        """
+        wider = np.minimum(1.0 / update.weight[new], _WIDEST) - 1.0
+        if not wider.any():
+            return state
+        columns = update.columns[new]
+        slots = np.flatnonzero(columns[:, None] == state.landmarks) % len(state.landmarks)
+        places = self._fixed + 3 * slots[:, None] + np.arange(3)
+        covariance = state.covariance.copy()
+        own = wider[:, None, None] * self._own[columns]
+        covariance[places[:, :, None], places[:, None]] += own
+        return replace(state, covariance=covariance)
 
     def _stepped(self, state: State, steps: Mapping[str, float]) -> State:
         """Return the state where the base or these values may have changed by so much."""
