@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from drawn_drives import driven, MOUNT, NS, point_map, simulated
+from drawn_drives import driven, MOUNT, NS, point_map, Run, simulated
 import numpy as np
 import pytest
 
@@ -30,7 +30,7 @@ from landmark_nav.localization.estimator.factors import (
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate, Refusal
+from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 POINTS = np.array([[3.0, 1.0, 1.0], [2.5, 2.0, 1.5], [4.0, 0.5, 1.2], [3.0, 3.0, 1.7]])
 TAPE = Calibration.of_mount(MOUNT)
@@ -231,6 +231,27 @@ def test_outliers_cost_little(share: float) -> None:
 
     assert rms(degraded) < 2.0 * rms(clean)
     assert np.mean([run.nees.mean() for run in degraded]) < 6.0
+
+
+def test_landmarks_that_hang_elsewhere_cost_little() -> None:
+    runs: dict[float, list[Run]] = {0.0: [], 0.02: []}
+    for seed in range(4):
+        drive, rng = simulated(seed, seconds=24.0), np.random.default_rng(seed)
+        moved_ones = rng.random(len(drive.landmark_map.landmarks)) < 0.1
+        shift = moved_ones[:, None] * rng.normal(size=(len(moved_ones), 3))
+        for size, all_of_them in runs.items():
+            landmarks = [
+                replace(landmark, position=landmark.position + size * off)
+                for landmark, off in zip(drive.landmark_map.landmarks, shift, strict=True)
+            ]
+            wrong = replace(drive, landmark_map=LandmarkMap(tuple(landmarks)))
+            all_of_them.append(driven(wrong))
+    rms = [
+        np.sqrt(np.mean([np.sum(run.errors[20:, :2] ** 2, axis=1).mean() for run in some]))
+        for some in runs.values()
+    ]
+    assert rms[1] < 1.4 * rms[0]
+    assert np.mean([run.nees[20:].mean() for run in runs[0.02]]) < 4.8
 
 
 def displaced(rad: float, at: int) -> object:
