@@ -98,7 +98,7 @@ _CONSTANTS = {
     'estimator': (
         'localization/estimator',
         'floor_tilt_length_m tail_freedom mount_walk_rad_per_sqrt_s step_sigma_rad step_sigma_s '
-        'step_sigma_focal step_sigma_m history_s',
+        'step_sigma_m history_s',
     ),
     'relocalization': (
         'localization/relocalization',

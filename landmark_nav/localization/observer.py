@@ -278,8 +278,7 @@ class Observer:
             expected = replace(expected, pose=place.pose, covariance=place.covariance)
         visible = self._visible(frame, expected)
         enough, most = config.detection.target_count, config.detection.max_count
-        step = self._step
-        turned = expected.stepped(step.step_sigma_m, step.step_sigma_rad, step.steps)
+        turned = expected.stepped(*self._step.zoom[1:])
         tries = [(expected, enough)] if self._found_most and enough < len(visible) else []
         for state, count in [*tries, (expected, most), (turned, most)]:
             result, looked_for = self._searched(frame, state, visible, count)

@@ -11,7 +11,6 @@ allows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -24,7 +23,7 @@ from scipy.special import chdtri
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.config import EstimatorConfig, Step
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
     CENTER,
@@ -402,17 +401,20 @@ class JointFilter:
             return _nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         after, update = self._corrected(prior, seen)
-        if self._config.step_probability and update.surprising:
-            odds = self._config.step_probability / (1.0 - self._config.step_probability)
+        if update.surprising:
             expected = prior
-            for steps in (self._config.knock, self._config.steps):
-                stepped = self._stepped(expected, steps)
+            for step in self._config.steps:
+                stepped = self._stepped(expected, step)
                 freed, alternative = self._corrected(stepped, seen)
-                evidence = alternative.log_evidence + float(np.log(odds))
+                evidence = alternative.log_evidence + step.log_odds
                 agree = int(np.sum(alternative.weight > _INLIER))
-                if agree >= _WITNESSES and evidence > update.log_evidence:
+                # A knock is no slip: many sigmas of it cost less than the prior of a knock.
+                unlike = alternative.surprising and not step.calibration
+                if agree >= _WITNESSES and evidence > update.log_evidence and not unlike:
                     prior, after = stepped, freed
-                    update = alternative._replace(log_evidence=evidence, stepped=True)
+                    update = alternative._replace(
+                        log_evidence=evidence, stepped=bool(step.calibration)
+                    )
         new = ~np.isin(seen.columns, self._state.landmarks)
         after = self._doubting(after, update, new)
         recognised = found_log_ratios(update.residual, update.covariance).sum()
@@ -440,12 +442,12 @@ class JointFilter:
         covariance[places[:, :, None], places[:, None]] += own
         return replace(state, covariance=covariance)
 
-    def _stepped(self, state: State, steps: Mapping[str, float]) -> State:
-        """Return the state where the base or these values may have changed by so much."""
-        covariance, config = state.covariance.copy(), self._config
-        covariance[[0, 1], [0, 1]] += config.step_sigma_m**2
-        covariance[2, 2] += config.step_sigma_rad**2
-        for name, sigma in steps.items():
+    def _stepped(self, state: State, step: Step) -> State:
+        """Return the state where the base or the calibration may have changed by so much."""
+        covariance = state.covariance.copy()
+        covariance[[0, 1], [0, 1]] += step.sigma_m**2
+        covariance[2, 2] += step.sigma_rad**2
+        for name, sigma in step.calibration.items():
             k = CALIBRATION + NAMES.index(name)
             # What is given as exact stays.
             if covariance[k, k] > 0.0:
