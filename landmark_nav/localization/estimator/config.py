@@ -66,7 +66,9 @@ class EstimatorConfig(Config):
     step_sigma_rad: float = 0.05
     # Sigma of such a change of the joint delay, s.
     step_sigma_s: float = 0.1
-    # Sigma of such a change of the focal length, 1.
+    # Share of the images before which the focal length changed as well: a motion that nothing
+    # measured looks much like it. Sigma of such a change, 1.
+    zoom_probability: float = 1e-9
     step_sigma_focal: float = 0.1
     # Sigma of such a motion of the base, m.
     step_sigma_m: float = 0.1
@@ -97,7 +99,7 @@ class EstimatorConfig(Config):
         """The same, and the focal length changed."""
         knock = self.knock
         changed = {**knock.calibration, 'focal_scale': self.step_sigma_focal}
-        return knock._replace(calibration=changed)
+        return knock._replace(probability=self.zoom_probability, calibration=changed)
 
     @property
     def steps(self) -> tuple[Step, ...]:
