@@ -6,6 +6,7 @@ Names hold the frames: ``pose_map_base`` is the pose of ``base_link`` in ``map``
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import auto, Enum
 from functools import cached_property
@@ -105,24 +106,25 @@ class Expectation(PoseEstimate):
         delay = abs(pan_rate_rad_s) * self.calibration['joint_delay'][1]
         return math.hypot(delay, self.calibration.base.pan_sigma_rad)
 
-    def stepped(self, sigma_m: float, sigma_rad: float, sigma_s: float) -> Expectation:
+    def stepped(
+        self, sigma_m: float, sigma_rad: float, calibration: Mapping[str, float]
+    ) -> Expectation:
         """
-        Return the expectation after possible steps of the pose, extrinsics or joint delay.
+        Return the expectation after possible steps of base and calibration.
 
         Parameters
         ----------
-        sigma_m, sigma_rad, sigma_s : float
-            Standard deviations of the steps of positions, angles and the joint delay. Values of
-            the calibration that are exact do not change.
+        sigma_m, sigma_rad : float
+            Sigmas of the steps of the base.
+        calibration : mapping of str to float
+            Sigmas of the steps of values of the calibration, by name; exact values do not change.
         """
         known = self.calibration
-        steps = {'camera_roll': sigma_rad, 'camera_tilt': sigma_rad, 'axis_yaw': sigma_rad}
-        steps['joint_delay'] = sigma_s
-        steps = {name: step for name, step in steps.items() if known[name][1] > 0.0}
-        turns = 1.0 + ('axis_yaw' in steps)
+        steps = {name: step for name, step in calibration.items() if known[name][1] > 0.0}
+        turn = math.hypot(sigma_rad, steps.get('axis_yaw', 0.0))
         return replace(
             self,
-            covariance=self.covariance + np.diag([sigma_m**2, sigma_m**2, turns * sigma_rad**2]),
+            covariance=self.covariance + np.diag(np.square([sigma_m, sigma_m, turn])),
             calibration=known.widened(steps),
             tilt_sigma_rad=math.hypot(self.tilt_sigma_rad, steps.get('camera_tilt', 0.0)),
         )

@@ -174,6 +174,12 @@ class CameraModel:
         end = int(folds[0]) + 1 if len(folds) else len(angle)
         return angle[:end], tangent[:end], distorted[:end]
 
+    @cached_property
+    def _slopes(self) -> FloatArray:
+        """Derivatives (n,) of these radii by the angles."""
+        angle, _, distorted = self._lens
+        return np.asarray(np.gradient(distorted, angle))
+
     @property
     def _is_fisheye(self) -> bool:
         return self.model == 'equidistant'
@@ -303,7 +309,7 @@ class CameraModel:
         # First the radial distortion, by the table. Then Newton's method with approximate radial
         # and tangential derivatives.
         angles = np.interp(radius, distorted, angle)
-        slope = np.interp(angles, angle, np.gradient(distorted, angle))
+        slope = np.interp(angles, angle, self._slopes)
         along, across = slope * np.cos(angles) ** 2, radius / np.maximum(np.tan(angles), 1e-12)
         outward = wanted / radius
         rays = np.ones((len(flat), 3))
@@ -371,6 +377,7 @@ def _ray_grid(camera: CameraModel) -> npt.NDArray[np.float32]:
     return np.stack([down @ coarse[..., k] @ across.T for k in (0, 1)], -1).astype(np.float32)
 
 
+@lru_cache(maxsize=8)
 def _interpolation(size: int) -> tuple[FloatArray, FloatArray]:
     """
     Nodes (n,) along `size` pixels, and weights (size, n) that interpolate between them.

@@ -56,6 +56,7 @@ _MAY_STEP = {
     'axis_yaw': 0.03,
     'camera_roll': 0.03,
     'camera_tilt': 0.03,
+    'focal_scale': 0.1,
     'joint_delay': DELAY_BOUND_S,
 }
 # Log of the odds from which images speak for a pose beyond doubt.

@@ -184,16 +184,20 @@ class Observation:
 def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
     """Return an image with camera and joints as a calibration has them."""
     frame = in_time(frame, calibration['joint_delay'][0])
-    # In steps of a tenth of a pixel, as each camera needs a grid of rays of its own.
-    focal, shift = (
-        _STEP * round(calibration[name][0] / _STEP) for name in ('focal_scale', 'principal_point')
-    )
+    shift = _STEP * round(calibration['principal_point'][0] / _STEP)
     return replace(
         frame,
-        camera=_calibrated(frame.camera, focal, shift),
+        camera=_zoomed(frame.camera, calibration, shift),
         pan_rad=frame.pan_rad * (1.0 + calibration['pan_scale'][0]),
         tilt_rad=frame.tilt_rad + calibration['camera_tilt'][0],
     )
+
+
+def _zoomed(camera: CameraModel, calibration: Calibration, shift: float = 0.0) -> CameraModel:
+    """Return a camera with the focal length of a calibration."""
+    # In steps of a tenth of a pixel, as each camera needs a grid of rays of its own.
+    focal = _STEP * round(calibration['focal_scale'][0] / _STEP)
+    return _calibrated(camera, focal, shift)
 
 
 @lru_cache(maxsize=8)
@@ -274,8 +278,7 @@ class Observer:
             expected = replace(expected, pose=place.pose, covariance=place.covariance)
         visible = self._visible(frame, expected)
         enough, most = config.detection.target_count, config.detection.max_count
-        step = self._step
-        turned = expected.stepped(step.step_sigma_m, step.step_sigma_rad, step.step_sigma_s)
+        turned = expected.stepped(*self._step.zoom[1:])
         tries = [(expected, enough)] if self._found_most and enough < len(visible) else []
         for state, count in [*tries, (expected, most), (turned, most)]:
             result, looked_for = self._searched(frame, state, visible, count)
@@ -294,6 +297,7 @@ class Observer:
             seen.covariance_px2,
             frame.camera,
             frame.pan_rad,
+            known=_zoomed(frame.camera, expected.calibration),
         )
         seen = replace(
             seen,
@@ -343,10 +347,12 @@ class Observer:
         config, mount = self._config, expected.calibration.mount
         # An error of the pan shifts the image as one of the heading does.
         pan = expected.pan_sigma_rad(frame.pan_rate_rad_s)
-        shifted = np.diag([0.0, 0.0, pan**2 + frame.pan_sigma_rad**2])
-        rise_px = np.hypot(
-            config.detection.vertical_sigma_px, frame.camera.fy * expected.tilt_sigma_rad
-        )
+        # An error of the focal length shifts it by most at its border.
+        focal, camera = expected.calibration['focal_scale'][1], frame.camera
+        lens = 0.5 * focal * camera.width / camera.fx
+        shifted = np.diag([0.0, 0.0, pan**2 + frame.pan_sigma_rad**2 + lens**2])
+        rises_px = camera.fy * expected.tilt_sigma_rad, 0.5 * focal * camera.height
+        rise_px = np.linalg.norm([config.detection.vertical_sigma_px, *rises_px])
         detection = replace(config.detection, vertical_sigma_px=min(_MOST_RISE_PX, float(rise_px)))
         looked_for = most_informative(
             axis_from_base(expected, mount), self._map, visible, config.triplet.bearing_sigma_rad,
@@ -361,7 +367,12 @@ class Observer:
             looked_for,
             self._blur,
         )
-        return result, looked_for
+        found, places = result.detections, result.expected
+        sizes = np.array([places[k].size for k in found.ids.tolist()]).reshape(-1, 2)
+        # A template that is too large or too small fits about any of its points.
+        covariance = np.array(found.covariance_px2)
+        covariance[:, [0, 1], [0, 1]] += (focal * sizes) ** 2 / 12.0
+        return replace(result, detections=replace(found, covariance_px2=covariance)), looked_for
 
 
 def _nothing(stamp_ns: int) -> Detections:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from drawn_drives import driven, MOUNT, NS, point_map, simulated
+from drawn_drives import driven, MOUNT, NS, point_map, Run, simulated
 import numpy as np
 import pytest
 
@@ -30,7 +30,7 @@ from landmark_nav.localization.estimator.factors import (
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate, Refusal
+from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 POINTS = np.array([[3.0, 1.0, 1.0], [2.5, 2.0, 1.5], [4.0, 0.5, 1.2], [3.0, 3.0, 1.7]])
 TAPE = Calibration.of_mount(MOUNT)
@@ -120,6 +120,20 @@ def test_pixels_become_points_with_their_covariance() -> None:
     assert seen.points == pytest.approx(rays.mean(axis=0), abs=3e-5)
     for k in range(3):
         assert seen.covariance[k] == pytest.approx(np.cov(rays[:, k].T), rel=0.15, abs=2e-8)
+
+
+def test_a_lens_bends_rays_as_the_camera_that_is_known_by_now() -> None:
+    given = CameraModel(512, 512, 555.0, 555.0, 256.7, 254.1, distortion=(-0.19, 0.06))
+    true = replace(given, fx=0.91 * given.fx, fy=0.91 * given.fy)
+    rays = np.array([[-0.3, 0.2, 1.0], [0.0, 0.0, 1.0], [0.4, -0.35, 1.0]])
+    uv, spread = true.project(rays), np.tile(0.01 * np.eye(2), (3, 1, 1))
+    seen, naive = (
+        ImagePoints.of_pixels(0, np.arange(3), uv, spread, given, 0.1, known=known)
+        for known in (true, None)
+    )
+    expected = 0.91 * rays[:, :2]
+    assert seen.points == pytest.approx(expected, abs=1e-9)
+    assert np.abs(naive.points - expected).max() > 1e-3
 
 
 def test_recovers_the_pose_without_noise() -> None:
@@ -219,6 +233,27 @@ def test_outliers_cost_little(share: float) -> None:
     assert np.mean([run.nees.mean() for run in degraded]) < 6.0
 
 
+def test_landmarks_that_hang_elsewhere_cost_little() -> None:
+    runs: dict[float, list[Run]] = {0.0: [], 0.02: []}
+    for seed in range(4):
+        drive, rng = simulated(seed, seconds=24.0), np.random.default_rng(seed)
+        moved_ones = rng.random(len(drive.landmark_map.landmarks)) < 0.1
+        shift = moved_ones[:, None] * rng.normal(size=(len(moved_ones), 3))
+        for size, all_of_them in runs.items():
+            landmarks = [
+                replace(landmark, position=landmark.position + size * off)
+                for landmark, off in zip(drive.landmark_map.landmarks, shift, strict=True)
+            ]
+            wrong = replace(drive, landmark_map=LandmarkMap(tuple(landmarks)))
+            all_of_them.append(driven(wrong))
+    rms = [
+        np.sqrt(np.mean([np.sum(run.errors[20:, :2] ** 2, axis=1).mean() for run in some]))
+        for some in runs.values()
+    ]
+    assert rms[1] < 1.4 * rms[0]
+    assert np.mean([run.nees[20:].mean() for run in runs[0.02]]) < 4.8
+
+
 def displaced(rad: float, at: int) -> object:
     def change(k: int, seen: ImagePoints) -> ImagePoints:
         return replace(seen, pan_rad=seen.pan_rad - rad) if k >= at else seen
@@ -234,6 +269,36 @@ def test_a_knock_of_the_camera_is_noticed_at_once() -> None:
     # Whether the base or the camera was turned shows as the robot drives: the heading says so.
     assert (run.nees < 31.8).all()
     assert np.hypot(*run.errors[60:, :2].T).max() < 0.05
+
+
+def test_another_focal_length_is_noticed_at_once_and_found() -> None:
+    mount = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4))
+
+    def zoomed(k: int, seen: ImagePoints) -> ImagePoints:
+        return replace(seen, points=seen.points / 1.1) if k >= 40 else seen
+
+    for seed in range(4):
+        run = driven(simulated(seed, mount, mount, seconds=24.0), changed=zoomed)
+        steps = [update.stamp_ns for update in run.updates if update.stepped]
+        assert steps
+        assert 0 <= steps[0] - 41 * NS // 5 <= NS
+        assert (run.nees < 31.8).all()
+        focal, sigma = run.filter.calibration['focal_scale']
+        assert sigma < 0.005
+        assert focal == pytest.approx(1.0 / 1.1 - 1.0, abs=4.0 * sigma)
+
+
+def test_a_base_that_moves_unseen_by_the_wheels_is_no_zoom() -> None:
+    mount = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4))
+    drive = simulated(3, mount, mount, seconds=24.0)
+    still = [
+        event if not isinstance(event, Motion) or k < 200 or k > 210
+        else event._replace(increment=np.zeros(3))
+        for k, event in enumerate(drive.events)
+    ]  # fmt: skip
+    run = driven(replace(drive, events=still))
+    assert any(update.stepped for update in run.updates)
+    assert abs(run.filter.calibration['focal_scale'][0]) < 0.003
 
 
 def test_no_step_is_seen_where_there_is_none() -> None:

@@ -51,9 +51,14 @@ class Expectation(NamedTuple):
     window: tuple[int, int]
     ray_to_patch: FloatArray
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the template."""
+        return self.right - self.left + 1, self.bottom - self.top + 1
+
     def refusal(self, least_px: int) -> Refusal | None:
         """Return why the landmark is not searched: out of view, too small; None if it is."""
-        width, height = self.right - self.left + 1, self.bottom - self.top + 1
+        width, height = self.size
         if width <= 0 and height <= 0:
             return Refusal(_OUT_OF_VIEW)
         if min(width, height) < least_px:

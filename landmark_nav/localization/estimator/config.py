@@ -2,9 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from math import log
+from typing import NamedTuple
 
 from landmark_nav.parameters import Config, parameter
+
+
+class Step(NamedTuple):
+    """
+    A change between two images that nothing measured.
+
+    `probability` is its share of the images; `sigma_m` and `sigma_rad` are of an unseen motion of
+    the base, `calibration` holds sigmas by name.
+    """
+
+    probability: float
+    sigma_m: float
+    sigma_rad: float
+    calibration: Mapping[str, float]
+
+    @property
+    def log_odds(self) -> float:
+        """Logarithm of the odds."""
+        return log(self.probability / (1.0 - self.probability))
 
 
 @dataclass(frozen=True)
@@ -44,8 +66,17 @@ class EstimatorConfig(Config):
     step_sigma_rad: float = 0.05
     # Sigma of such a change of the joint delay, s.
     step_sigma_s: float = 0.1
+    # Share of the images before which the focal length changed as well: a motion that nothing
+    # measured looks much like it. Sigma of such a change, 1.
+    zoom_probability: float = 1e-9
+    step_sigma_focal: float = 0.1
     # Sigma of such a motion of the base, m.
-    step_sigma_m: float = 0.02
+    step_sigma_m: float = 0.1
+    # Share of the images before which wheels slip or are off otherwise than their noise says, and
+    # its sigmas, m and rad.
+    slip_probability: float = 1e-3
+    slip_sigma_m: float = 0.02
+    slip_sigma_rad: float = 0.003
     # How late a measurement may come, s.
     history_s: float = 2.0
     learning_sigma: float = parameter(
@@ -55,3 +86,25 @@ class EstimatorConfig(Config):
         minimum=0.0,
         maximum=5.0,
     )
+
+    @property
+    def knock(self) -> Step:
+        """What no image shows by itself: base or camera was turned, or the joint delay changed."""
+        turns = dict.fromkeys(('axis_yaw', 'camera_roll', 'camera_tilt'), self.step_sigma_rad)
+        changed = turns | {'joint_delay': self.step_sigma_s}
+        return Step(self.step_probability, self.step_sigma_m, self.step_sigma_rad, changed)
+
+    @property
+    def zoom(self) -> Step:
+        """The same, and the focal length changed."""
+        knock = self.knock
+        changed = {**knock.calibration, 'focal_scale': self.step_sigma_focal}
+        return knock._replace(probability=self.zoom_probability, calibration=changed)
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """All that may happen unseen before an image: wheels slip, a knock, a zoom."""
+        if not self.step_probability:
+            return ()
+        slip = Step(self.slip_probability, self.slip_sigma_m, self.slip_sigma_rad, {})
+        return slip, self.knock, self.zoom

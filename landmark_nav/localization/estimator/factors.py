@@ -109,9 +109,17 @@ class ImagePoints:
         pan_track: PanTrack | None = None,
         missed: IndexArray | None = None,
         near: FloatArray | None = None,
+        known: CameraModel | None = None,
     ) -> ImagePoints:
-        """Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera."""
-        rays = camera.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
+        """
+        Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera.
+
+        The lens bends rays by how far they are off the axis: it takes the camera with the focal
+        length that is `known` by now to take that out. Points keep the focal length of `camera`.
+        """
+        known = known or camera
+        rays = known.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
+        rays = rays * [known.fx / camera.fx, known.fy / camera.fy]
         by_uv = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2)
         return cls(
             stamp_ns,

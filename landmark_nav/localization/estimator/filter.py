@@ -17,12 +17,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.config import EstimatorConfig, Step
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
     CENTER,
@@ -73,6 +74,10 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 _WITNESSES, _INLIER = 3, 0.3
 # A detection of less weight than this is an outlier.
 _OUTLIER = 0.1
+# Largest factor on the variance of the own error of a landmark.
+_WIDEST = 1e4
+# A heading that is known worse than this, rad, shows no slip of the wheels.
+_OPEN_RAD = 0.02
 # An image is a surprise if it is less likely than this.
 _SURPRISE = 1e-3
 # Sigmas of a pose of which nothing is known, metres and radians.
@@ -241,7 +246,7 @@ class JointFilter:
     def stepped(self) -> JointFilter:
         """Return the filter where base, camera or joint delay may have changed."""
         other = copy(self)
-        other._state = self._stepped(self._state)
+        other._state = self._stepped(self._state, self._config.knock)
         return other
 
     def placed(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> JointFilter:
@@ -398,15 +403,26 @@ class JointFilter:
             return _nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         after, update = self._corrected(prior, seen)
-        if self._config.step_probability and update.surprising:
-            stepped = self._stepped(prior)
-            freed, alternative = self._corrected(stepped, seen)
-            odds = self._config.step_probability / (1.0 - self._config.step_probability)
-            evidence = alternative.log_evidence + float(np.log(odds))
-            agree = int(np.sum(alternative.weight > _INLIER))
-            if agree >= _WITNESSES and evidence > update.log_evidence:
-                prior, after = stepped, freed
-                update = alternative._replace(log_evidence=evidence, stepped=True)
+        if update.surprising:
+            expected = prior
+            # After a knock the pose is open, and many slips in a row would close it wrongly.
+            known = expected.covariance[2, 2] < _OPEN_RAD**2
+            for step in self._config.steps:
+                if not (known or step.calibration):
+                    continue
+                stepped = self._stepped(expected, step)
+                freed, alternative = self._corrected(stepped, seen)
+                evidence = alternative.log_evidence + step.log_odds
+                agree = int(np.sum(alternative.weight > _INLIER))
+                # A knock is no slip: many sigmas of it cost less than the prior of a knock.
+                unlike = alternative.surprising and not step.calibration
+                if agree >= _WITNESSES and evidence > update.log_evidence and not unlike:
+                    prior, after = stepped, freed
+                    update = alternative._replace(
+                        log_evidence=evidence, stepped=bool(step.calibration)
+                    )
+        new = ~np.isin(seen.columns, self._state.landmarks)
+        after = self._doubting(after, update, new)
         recognised = found_log_ratios(update.residual, update.covariance).sum()
         if recognised + MISSED * len(seen.missed) < 0.0:
             # Chance finds as much in windows as large: it would move the pose anywhere.
@@ -414,12 +430,31 @@ class JointFilter:
         self._state, self.predicted = after, prior
         return update
 
-    def _stepped(self, state: State) -> State:
-        """Return the state where base, camera or joint delay may have changed."""
-        covariance, config = state.covariance.copy(), self._config
-        covariance[[0, 1], [0, 1]] += config.step_sigma_m**2
-        turns = dict.fromkeys((2, YAW, ROLL, TILT), config.step_sigma_rad)
-        for k, sigma in (turns | {DELAY: config.step_sigma_s}).items():
+    def _doubting(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
+        """
+        Return the state with wider own errors of new landmarks that were found to be off.
+
+        Own errors have the tail of the detections: what is off by itself stays off, image after
+        image, where one detection would not.
+        """
+        wider = np.minimum(1.0 / update.weight[new], _WIDEST) - 1.0
+        if not wider.any():
+            return state
+        columns = update.columns[new]
+        slots = np.flatnonzero(columns[:, None] == state.landmarks) % len(state.landmarks)
+        places = self._fixed + 3 * slots[:, None] + np.arange(3)
+        covariance = state.covariance.copy()
+        own = wider[:, None, None] * self._own[columns]
+        covariance[places[:, :, None], places[:, None]] += own
+        return replace(state, covariance=covariance)
+
+    def _stepped(self, state: State, step: Step) -> State:
+        """Return the state where the base or the calibration may have changed by so much."""
+        covariance = state.covariance.copy()
+        covariance[[0, 1], [0, 1]] += step.sigma_m**2
+        covariance[2, 2] += step.sigma_rad**2
+        for name, sigma in step.calibration.items():
+            k = CALIBRATION + NAMES.index(name)
             # What is given as exact stays.
             if covariance[k, k] > 0.0:
                 covariance[k, k] += sigma**2
