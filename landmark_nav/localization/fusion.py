@@ -1,4 +1,4 @@
-"""The state of the estimator, fed by odometry, detections and places as they come."""
+"""Fusion of odometry, detections and found places in the estimator."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ from landmark_nav.types import (
 
 _LOG = logging.getLogger(__name__)
 
-# While a clock was set back the robot may have moved as far as in a blind second.
+# Motion while a clock was set back: unknown, as in one second without odometry.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
-# Odometry that stays away for so long is said, s.
+# Missing odometry is reported after this time, s.
 _SILENT_S = 0.7
-# What a knock changes may be that far from its prior, 1 sigma; nothing is by 5 sigma.
+# Sigmas of changes of the mount since its prior; a change of 5 sigma is a contradiction.
 _MAY_STEP = {
     'axis_yaw': 0.03,
     'camera_roll': 0.03,
@@ -59,9 +59,9 @@ _MAY_STEP = {
     'focal_scale': 0.1,
     'joint_delay': DELAY_BOUND_S,
 }
-# Log of the odds from which images speak for a pose beyond doubt.
+# Log odds above which a pose is certainly right.
 _TRUSTED = 4.0
-# Log of the odds that a pose that somebody gives is right: one in a hundred is another place.
+# Prior log odds that a given start is right: one in a hundred is another place.
 _GIVEN_RIGHT = log(99.0)
 _NOT_STARTED = Refusal('not initialized', 'give a start pose')
 _WRONG_START = Refusal('the given start is wrong', 'images are not those of that place')
@@ -69,7 +69,7 @@ _WRONG_START = Refusal('the given start is wrong', 'images are not those of that
 
 class Fusion:
     """
-    Pose, calibration and map errors out of whatever comes when; offline and in the node.
+    Estimates pose, calibration and map errors from inputs in any order; offline and in the node.
 
     Parameters
     ----------
@@ -93,32 +93,32 @@ class Fusion:
         )
         self._track, self._clock = OdometryTrack(self._odometry), ClockWatch()
         self._line: Timeline | None = None
-        # A given start is in doubt until images alone give the pose: the filter from there on if
-        # it were anywhere, the state at the start, and the log of the odds that it is right.
+        # A given start is tested until images alone give the pose: a filter with an unknown pose
+        # from there on, the state at the start, and the log odds that the start is right.
         self._anywhere: JointFilter | None = None
         self._given: State | None = None
         self._start_odds = _GIVEN_RIGHT
-        # The state when images last spoke for the pose beyond doubt.
+        # The last state in which the pose was certainly right.
         self._trusted: State | None = None
-        # What of the mount would be too far from its prior to be believed.
+        # Values of the mount that contradict their prior.
         self._unlikely: tuple[str, ...] = ()
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
-        """Go on with other landmarks; the pose stays as it is, and as sure."""
+        """Continue with other landmarks; the pose and its covariance are kept."""
         self._map = landmark_map
         if self._line is not None:
             self._begin(self._line.filter.on_map(landmark_map))
 
     def initialize(self, start: PoseEstimate, now_ns: int | None = None) -> None:
         """
-        Start anew at a pose that somebody gives; what was learned of the robot stays.
+        Restart at a given pose; estimates of the robot are kept.
 
-        A stamp that is not near the odometry of the last seconds is taken as now, `now_ns` or
+        A stamp that is not near the odometry of the last seconds is replaced by now: `now_ns` or
         the last odometry.
 
-        Raises `LandmarkNavError`: a pose or covariance that is not finite, or a covariance that is
-        not positive.
+        Raises `LandmarkNavError`: the pose or covariance is not finite, or the covariance is not
+        positive semidefinite.
         """
         ends = self._track.stamps_ns
         recent = ends and (max(ends[0], ends[1] - round(1e9 * self._config.history_s)), ends[1])
@@ -134,7 +134,7 @@ class Fusion:
         now_ns: int | None = None,
     ) -> None:
         """
-        Go on from a place that images show; the last of them was taken at these joints.
+        Continue at a place found in images; the last of them was taken at these joints.
 
         Raises `LandmarkNavError`: as `initialize`.
         """
@@ -152,11 +152,11 @@ class Fusion:
         self._place(found, rate)
 
     def reaches(self, stamp_ns: int) -> bool:
-        """Whether a start at a time can be moved on to now."""
+        """Whether odometry leads from a time to now."""
         return self._reach_ns is None or self._reach_ns[0] <= stamp_ns
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
-        """Move on; what is wrong with the sample, if anything (`Distrusted` if it is used)."""
+        """Add odometry; return what is wrong with it, if anything (`Distrusted` if it is used)."""
         line, ends, stamp = self._line, self._track.stamps_ns, sample.stamp_ns
         if ends is not None:
             newest = ends[1] if line is None else line.newest_ns
@@ -169,7 +169,7 @@ class Fusion:
                 self._set_back(sample)
                 return Distrusted('clock was set back', f'{seconds}: goes on from the last pose')
         elif line is not None and abs(stamp - line.newest_ns) > REACH_NS:
-            # Before any odometry came nobody knew by which clock a start was given.
+            # Without odometry, the clock of the start was unknown.
             self._begin(_restamped(line.filter, stamp))
             line = self._line
         if line is not None:
@@ -207,14 +207,14 @@ class Fusion:
         return update
 
     def _weigh_start(self, line: Timeline, seen: ImagePoints, update: Update) -> None:
-        """Compare an image with what it would be anywhere, until images alone give the pose."""
+        """Compare the evidence of an image with that for an unknown start."""
         anywhere = self._anywhere
         if anywhere is None or self._given is None:
             return
         move_to(seen.stamp_ns, anywhere, self._track)
         self._start_odds += update.log_evidence - anywhere.observe(seen).log_evidence
         if self._start_odds < 0.0:
-            # What was learned at a wrong pose is wrong.
+            # Estimates from a wrong pose are wrong.
             line.filter.restore(self._given)
             self._begin(line.filter)
         elif not is_prior_uncertain(anywhere.estimate.covariance):
@@ -224,13 +224,13 @@ class Fusion:
         self, found: Detections, joints: JointSample | CameraFrame | None = None
     ) -> ImagePoints:
         """
-        Return what was measured of the landmarks in an image that the map holds.
+        Return the measurements of an image, of landmarks that are in the map.
 
         Parameters
         ----------
         found : Detections
-            With image points; where there are none, or no joints, bearings count, as the mount of
-            `robot.yaml` or, if there are points, the calibrated one had them.
+            Detections, with image points or bearings. Without points or joints the bearings are
+            used, with the mount of `robot.yaml`, or with the calibrated one if there are points.
         joints : JointSample or CameraFrame, optional
             Measured pan and tilt at the stamp.
         """
@@ -264,9 +264,9 @@ class Fusion:
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
         """
-        Pose of the base at a time, the newest by default; None before one is known.
+        Pose of the base at a time, by default the newest; None before one is known.
 
-        The covariance of a pose that is lost says so.
+        The covariance of a lost pose is inflated.
         """
         if self._line is None:
             return None
@@ -274,7 +274,7 @@ class Fusion:
         return self._integrity.inflated_if_lost(self._line.estimate(stamp_ns), lost)
 
     def expectation(self, stamp_ns: int) -> Expectation | None:
-        """Where the camera should be at a time; None before a pose is known."""
+        """Expected pose of the camera at a time; None before a pose is known."""
         return None if self._line is None else self._line.filter_at(stamp_ns).expectation
 
     def with_landmarks(self, stamp_ns: int) -> FloatArray:
@@ -283,27 +283,27 @@ class Fusion:
         return self._line.filter_at(stamp_ns).with_landmarks()
 
     def level(self, estimate: PoseEstimate) -> ProtectionLevel:
-        """What the error of an estimate stays within, with 99 %."""
+        """Bound of the error of an estimate at 99 %."""
         return protection_level(estimate, self._update)
 
     @property
     def prior(self) -> Calibration:
-        """The calibration that it started from."""
+        """Calibration at the start."""
         return self._prior
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration as far as it is known by now."""
+        """The current estimate of the calibration."""
         return self._prior if self._line is None else self._line.filter.calibration
 
     @property
     def late(self) -> JointDelay:
-        """Delay of the stamps of the joints."""
+        """Delay of the joint states' stamps."""
         return JointDelay(*self.calibration['joint_delay'])
 
     @property
     def odometry_noise(self) -> OdometryNoiseConfig:
-        """How far odometry is to be trusted, as far as it was learned."""
+        """Noise of odometry as learned so far."""
         if self._line is None:
             return self._odometry
         way, turns, slip, *_ = np.sqrt(self._line.filter.noise_factors).tolist()
@@ -311,11 +311,11 @@ class Fusion:
 
     @property
     def detection_sigma_factor(self) -> float:
-        """Factor on what detections claim as their sigmas, as far as it was learned."""
+        """Factor on the sigmas of detections as learned so far."""
         return 1.0 if self._line is None else float(np.sqrt(self._line.filter.noise_factors[-1]))
 
     def status_at(self, stamp_ns: int | None = None) -> tuple[Status, str]:
-        """State of the pose at a time, the newest by default, and the reason if it is not OK."""
+        """State of the pose at a time, by default the newest, and the reason if it is not OK."""
         line, ends = self._line, self._track.stamps_ns
         if line is None:
             return Status.LOST, 'no pose is known: it takes odom, and initialpose or relocalize'
@@ -324,7 +324,7 @@ class Fusion:
         if self._unlikely:
             names = ', '.join(self._unlikely)
             status = Status.LOST
-            reason = f'{names} would be far from robot.yaml: it is rather elsewhere'
+            reason = f'{names} would be far from robot.yaml: the robot is probably elsewhere'
         if self._start_odds < 0.0:
             status, reason = Status.LOST, str(_WRONG_START)
         silent_s = 1e-9 * ((stamp_ns or 0) - (ends[1] if ends else 0))
@@ -337,29 +337,29 @@ class Fusion:
 
     @property
     def _reach_ns(self) -> tuple[int, int] | None:
-        """First and last time from which the odometry leads to now."""
+        """First and last time from which odometry leads to now."""
         ends = self._track.stamps_ns
         return ends and (ends[0] - round(1e9 * HORIZON_S), ends[1])
 
     @property
     def _prior_late(self) -> JointDelay:
-        """What the delay may be at the start: one that is not known may be large."""
+        """Prior of the delay at the start, which is wide unless the delay is known."""
         late = JointDelay(*self._prior['joint_delay'])
         return late if late.is_known else replace(late, sigma_s=max(late.sigma_s, DELAY_BOUND_S))
 
     def _place(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> None:
-        """Be at a pose, with all that was learned of the robot while the pose was right."""
+        """Set the pose, with the estimates of the robot from while the pose was right."""
         lost = self.status_at()[0] is Status.LOST
         if self._line is None or (lost and self._trusted is None):
-            # All images of a swing agree on a heading that late joint states turned.
+            # All images of a pan motion agree on a heading that late joint states rotated.
             prior = self._prior_late.sigma_s**2 - self._prior['joint_delay'][1] ** 2
             widened = self._prior.widened({'joint_delay': sqrt(max(0.0, prior))})
             joint = JointFilter(self._map, widened, start, self._config, self._odometry)
         else:
             joint = self._line.filter
             if lost and self._trusted is not None:
-                # A wrong pose teaches wrong things. If the start was right, it was lost for a
-                # reason: the camera may have been turned.
+                # Estimates from a wrong pose are wrong. If the start was right, the pose was lost
+                # for another reason: the camera may have been turned.
                 joint.restore(self._trusted)
                 if self._start_odds >= 0.0:
                     joint = joint.stepped()
@@ -371,7 +371,7 @@ class Fusion:
         self._line, self._update = Timeline(joint, self._track, self._config.history_s), None
 
     def _set_back(self, sample: OdometrySample) -> None:
-        """Go on from the newest pose by another clock (a bag that starts over)."""
+        """Continue from the newest pose by another clock (a bag that starts over)."""
         self._track = OdometryTrack(self._odometry)
         self._track.add(sample)
         if self._line is not None:
@@ -382,6 +382,6 @@ class Fusion:
 
 
 def _restamped(joint: JointFilter, stamp_ns: int) -> JointFilter:
-    """Return a filter whose state is of another time."""
+    """Return a filter with another time."""
     joint.restore(replace(joint.snapshot, stamp_ns=stamp_ns))
     return joint

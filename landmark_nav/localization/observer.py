@@ -1,8 +1,8 @@
 """
-Landmarks found where the state of the estimator expects them, and fixes from their bearings.
+Detection of landmarks where the state of the estimator expects them; fixes from their bearings.
 
-The calibrated mount puts the camera; the covariance of pose and mount together sets the search
-windows. So what is not known is searched for, and what was learned narrows the search.
+The calibrated extrinsics give the pose of the camera; the joint covariance of pose and extrinsics
+gives the search windows. So an uncertain state widens the search, and calibration narrows it.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ from landmark_nav.types import (
     Refusal,
 )
 
-# A camera that turned by so many pixels, or moved by so much, sees another image.
+# A camera that turned or moved by more than this must see another image.
 _MOVED_PX, _MOVED_M = 1.0, 0.02
 
 
 class FrozenImage:
     """
-    Recognises images that equal an earlier one although the camera has moved.
+    Detects images that equal an earlier one although the camera has moved.
 
-    Joints and odometry show whether it has: a pose in map is also put right where nothing moves.
+    Joints and odometry show whether it has moved: a pose in map is also corrected at rest.
     """
 
     def __init__(self) -> None:
@@ -62,17 +62,17 @@ class FrozenImage:
         self._first: tuple[CameraFrame, FloatArray] | None = None
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Move on."""
+        """Add a sample of odometry."""
         self._pose_odom = sample.pose_odom_base
 
     def repeats(self, frame: CameraFrame) -> bool:
-        """Whether an image, taken after the last odometry, equals one from elsewhere exactly."""
+        """Whether an image is identical to one from another pose."""
         if self._first is None or not _same(frame.image, self._first[0].image):
             self._first = frame, self._pose_odom
             return False
         before, there = self._first
         if not np.ptp(frame.image):
-            # The lens is covered: then all images are the same.
+            # If the lens is covered, all images are the same.
             return False
         forward, left, heading = relative(there, self._pose_odom).tolist()
         aside = wrap_rad(frame.pan_rad + heading - before.pan_rad)
@@ -95,27 +95,27 @@ def most_informative(
     novelty: FloatArray | None = None,
 ) -> npt.NDArray[np.intp]:
     """
-    Choose landmarks greedily by what each adds to the information on the pose.
+    Choose landmarks greedily by their contribution to the information about the pose.
 
     A bearing of variance r and derivative h multiplies the determinant of the information by
-    ``1 + h P h^T / r``; r holds the landmark's own error. Greedy choice gains at least 63 % of
-    what the best choice would (Krause, Singh and Guestrin, JMLR 9, 2008).
+    ``1 + h P h^T / r``; r includes the landmark's own error. The greedy choice gains at least 63 %
+    of the optimum (Krause, Singh and Guestrin, JMLR 9, 2008).
 
     Parameters
     ----------
     axis : PoseEstimate
         Expected pose of the pan axis.
     index : ndarray of int, shape (n,)
-        Places in the map to choose from.
+        Indices of the candidates in the map.
     bearing_sigma : float
-        Expected measurement sigma, radians.
+        Expected measurement sigma, rad.
     novelty : ndarray, shape (landmarks of the map,), optional
-        Factor on the gain of each landmark: seen again, it repeats the error of the map.
+        Factor on the gain of each landmark: a landmark seen before repeats its error.
 
     Returns
     -------
     ndarray of int, shape (min(n, count),)
-        In the order of the map.
+        Chosen indices in the order of the map.
     """
     if len(index) <= count:
         return index
@@ -136,15 +136,15 @@ def most_informative(
     return np.asarray(index[~left], dtype=np.intp)
 
 
-# Shares of the landmarks looked for that count as most of them, and as hardly any.
+# Shares of the searched landmarks that count as most of them, and as hardly any.
 _MOST, _HARDLY_ANY = 0.75, 0.25
-# Largest error of the rows that the search allows for, pixels.
+# Largest vertical sigma of the search, pixels.
 _MOST_RISE_PX = 50.0
-# The novelty of a landmark is halved when it is looked for, and recovers by a fifth an image.
+# The novelty of a landmark is halved when it is searched, and recovers by a fifth per image.
 _NEW, _STILL_KNOWN = 0.5, 0.8
-# Steps in which the lens is put right for drawing templates, over the focal length.
+# Resolution of the corrections of the lens when templates are rendered, in focal lengths.
 _STEP = 4e-4
-# A search within a wide prior takes a tenth of a second: it is made in each of the first so many
+# A search within a wide prior takes a tenth of a second: it is done in this number of first
 # images, then, if nothing was found, in every third one.
 _EAGER, _PATIENT = 5, 3
 _HANGS = Refusal('image is the one before', 'though the camera has moved: it hangs')
@@ -153,7 +153,7 @@ _HANGS = Refusal('image is the one before', 'though the camera has moved: it han
 @dataclass(frozen=True, eq=False)
 class Observation:
     """
-    What an image shows.
+    Results of the detection in one image.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ class Observation:
     refused : mapping of int to Refusal
         Why others were not, by landmark id.
     triangulate : callable
-        Gives `fix` where somebody asks for it.
+        Computes `fix` on demand.
     unusable : bool
         Whether the image was not searched at all.
     expected : mapping of int to Window
@@ -182,7 +182,7 @@ class Observation:
 
 
 def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
-    """Return an image with camera and joints as a calibration has them."""
+    """Return an image with camera and joints corrected by a calibration."""
     frame = in_time(frame, calibration['joint_delay'][0])
     shift = _STEP * round(calibration['principal_point'][0] / _STEP)
     return replace(
@@ -202,7 +202,7 @@ def _zoomed(camera: CameraModel, calibration: Calibration, shift: float = 0.0) -
 
 @lru_cache(maxsize=8)
 def _calibrated(camera: CameraModel, focal: float, shift: float) -> CameraModel:
-    """Return one object as long as the values are the same: it keeps tables of its lens."""
+    """Return one object for equal values: it caches tables of its lens."""
     return replace(
         camera,
         fx=camera.fx * (1.0 + focal),
@@ -213,16 +213,16 @@ def _calibrated(camera: CameraModel, focal: float, shift: float) -> CameraModel:
 
 class Observer:
     """
-    Finds landmarks in one image after the other.
+    Finds landmarks in a sequence of images.
 
     Parameters
     ----------
     calibration : Calibration
         Prior of mount, lens and clocks.
     config : LookingConfig
-        Of the stages that look at an image.
+        Parameters of the stages of detection.
     step : EstimatorConfig
-        By how much camera or base may be turned at once.
+        Sigmas of sudden changes of camera and base.
     """
 
     def __init__(
@@ -239,11 +239,11 @@ class Observer:
         self._novelty = np.ones(len(landmark_map.landmarks))
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Move on."""
+        """Add a sample of odometry."""
         self._frozen.add_odometry(sample)
 
     def fix(self, found: Detections, prior: PoseEstimate) -> PoseEstimate | Refusal:
-        """Triangulate from the bearings of one image; the prior rejects impossible results."""
+        """Triangulate from the bearings of one image; the prior rejects implausible results."""
         index = self._map.indices(found.ids)
         pan_variance = self._mount.pan_sigma_rad**2 + found.pan_sigma_rad**2
         start = axis_from_base(prior, self._mount)
@@ -265,10 +265,10 @@ class Observer:
 
     def look(self, frame: CameraFrame, expected: Expectation) -> Observation:
         """
-        Look for some of the visible landmarks: a few as long as most are found.
+        Search visible landmarks: only a few as long as most of them are found.
 
-        If hardly any is found, all are looked for where they should be if camera or base was
-        turned. A wide pose is localize_within_prior before: what came of it is `Detections.near`.
+        If hardly any is found, more are searched where they should be after a sudden change of
+        camera or base. An uncertain pose is first located by the image: `Detections.near`.
         """
         if self._frozen.repeats(frame):
             return Observation(_nothing(frame.stamp_ns), {}, lambda: _HANGS, unusable=True)
@@ -313,7 +313,7 @@ class Observer:
         )
 
     def _narrowed(self, frame: CameraFrame, expected: Expectation) -> PoseEstimate | None:
-        """Find the pose within a wide one; if that fails again and again, try less often."""
+        """Find the pose within a wide prior; after repeated failures this is tried less often."""
         if not is_prior_uncertain(expected.covariance):
             self._vain = 0
             return None
@@ -343,9 +343,9 @@ class Observer:
     def _searched(
         self, frame: CameraFrame, expected: Expectation, visible: IndexArray, count: int
     ) -> tuple[DetectionResult, IndexArray]:
-        """Look for `count` of the visible landmarks, as far around as the state says."""
+        """Search `count` of the visible landmarks in windows by the covariance of the state."""
         config, mount = self._config, expected.calibration.mount
-        # An error of the pan shifts the image as one of the heading does.
+        # An error of the pan shifts the image like one of the heading.
         pan = expected.pan_sigma_rad(frame.pan_rate_rad_s)
         # An error of the focal length shifts it by most at its border.
         focal, camera = expected.calibration['focal_scale'][1], frame.camera

@@ -32,9 +32,10 @@ class Step(NamedTuple):
 @dataclass(frozen=True)
 class EstimatorConfig(Config):
     """
-    What varies by how much; the odometry's noise is in `OdometryNoiseConfig`.
+    Noise of floor, map, mount and detections; that of odometry is in `OdometryNoiseConfig`.
 
-    What was chosen on which drives: docs/estimator.md, measured. The others are chosen by hand.
+    docs/estimator.md (measured) says which values were chosen on which drives; the others are
+    chosen by hand.
     """
 
     floor_tilt_sigma_rad: float = parameter(
@@ -43,7 +44,7 @@ class EstimatorConfig(Config):
         minimum=0.0,
         maximum=0.1,
     )
-    # Way over which the floor changes, m.
+    # Correlation length of the tilt of the floor, m.
     floor_tilt_length_m: float = 0.5
     correlation_length_m: float = parameter(
         10.0,
@@ -51,7 +52,7 @@ class EstimatorConfig(Config):
         minimum=0.1,
         maximum=1e9,
     )
-    # Degrees of freedom of the t distribution of detections; 0 has them Gaussian.
+    # Degrees of freedom of the t distribution of detections; 0 means Gaussian.
     tail_freedom: float = 2.0
     # Sigma by which pan zero, tilt and roll of the camera change in one second, rad.
     mount_walk_rad_per_sqrt_s: float = 2e-5
@@ -77,12 +78,12 @@ class EstimatorConfig(Config):
     slip_probability: float = 1e-3
     slip_sigma_m: float = 0.02
     slip_sigma_rad: float = 0.003
-    # How late a measurement may come, s.
+    # Greatest delay of a measurement, s.
     history_s: float = 2.0
     learning_sigma: float = parameter(
         1.0,
-        'how far noise may differ from what is expected: sigma of the logarithm of a factor on '
-        'its variance; 0: not at all',
+        'sigma of the logarithm of the factors on variances of noise, which are learned; 0: they '
+        'stay at 1',
         minimum=0.0,
         maximum=5.0,
     )

@@ -1,10 +1,9 @@
 """
-What images and wheels measure, as functions of the state, with analytic derivatives.
+Models of images and wheels as functions of the state, with analytic derivatives.
 
-A detection is a point of the normalised image plane (x/z to the right, y/z down), seen through
-the lens as it is calibrated. The model has all that may be off between the map and that point:
-pose and tilt of the base, mount, pan, focal length, principal point, joint delay. A measured
-bearing is the same with a camera that looks along it.
+A detection is a point of the normalised image plane (x/z to the right, y/z down), undistorted by
+the calibrated lens. It depends on pose and tilt of the base, mount, pan, focal length, principal
+point and joint delay. A measured bearing is the same with a camera that looks along it.
 """
 
 from __future__ import annotations
@@ -23,22 +22,22 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.types import FloatArray
 
-# Where each block of the state begins: pose of the base; pitch and roll of the base by an uneven
-# floor; scale, drift and turn scale of the odometry, its side slip and the way lost in turns; the
-# calibration; after it the shared map factors.
+# First index of each block of the state: pose of the base; pitch and roll of the base by an uneven
+# floor; scale, drift and turn scale of the odometry, its side slip and the way lost in turns;
+# calibration; then the shared map factors.
 POSE, FLOOR_TILT, SCALE, DRIFT, TURN_SCALE, SLIP, TURN_LOSS, CALIBRATION = 0, 3, 5, 6, 7, 8, 9, 10
 STATES = CALIBRATION + len(NAMES)
 _AXIS, _RPY, CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
 ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, DELAY = range(CALIBRATION + 9, STATES)
 YAW = _RPY + 2
 
-# Nearer to the image plane than this, metres, nothing is seen.
+# Least depth of a visible point, m.
 _LEAST_DEPTH_M = 0.05
-# Farther from the direction of the camera a bearing is no point of its image.
+# Greatest angle between a bearing and the optical axis.
 _WIDEST_RAD = 1.0
-# Over a shorter time the slope of the pan is mostly noise, seconds.
+# Least step of the derivative of the pan by time, s: over a shorter one noise dominates.
 LEAST_STEP_S = 0.02
-# Half a pixel each way, to differentiate the lens.
+# Half a pixel in each direction, to differentiate the lens.
 _HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
 
@@ -52,28 +51,28 @@ class ImagePoints:
     stamp_ns : int
         Time of the image.
     columns : ndarray of int, shape (m,)
-        Their places in the map.
+        Their indices in the map.
     points : ndarray, shape (m, 2)
         Normalised image coordinates.
     covariance : ndarray, shape (m, 2, 2)
-        Of each by itself.
+        Covariance of each point.
     pan_rad : ndarray, shape (m,)
         Measured pan.
     tilt_rad : float
         Measured tilt.
     pan_rate_rad_s, pan_sigma_rad : float
-        Rate of the pan, and the error of the measured pan that all of them share.
+        Rate of the pan, and the sigma of the measured pan, an error that all points share.
     pan_track : PanTrack, optional
-        Pan around the stamp; without it the rate counts.
+        Pan around the stamp; without it the rate is used.
     rows : bool
-        Whether the y/z are measured; bearings have none.
+        Whether y/z is measured; not for bearings.
     missed : ndarray of int, shape (k,)
         Landmarks that should be in view and were not found.
     delay_step_s : float
-        Over which the derivative by the delay is taken: the pan may begin to turn meanwhile.
+        Step of the derivative by the delay, during which the pan may begin to turn.
     near : ndarray, shape (3,), optional
-        Pose of the base that the image itself shows, where hardly any was known before: it is
-        where the first linearization is, and no measurement.
+        Pose of the base by the image itself, if the prior was uncertain: the first linearization
+        point, not a measurement.
     """
 
     stamp_ns: int
@@ -147,10 +146,10 @@ class ImagePoints:
         pan_sigma_rad: float = 0.0,
     ) -> ImagePoints:
         """
-        Return those of bearings (m,) at the pan axis, that were measured with this mount.
+        Return the points of bearings (m,) at the pan axis, which were measured with this mount.
 
-        A camera that looked along the azimuth `looked_base_rad` saw them in its image, where an
-        error of its principal point bends them; without it, each was looked at.
+        `looked_base_rad` is the azimuth of the camera that saw them, where an error of its
+        principal point changes them; without it, the camera looked at each.
         """
         bearing = np.asarray(bearing_base_rad, dtype=np.float64)
         off = np.zeros(len(columns))
@@ -173,12 +172,12 @@ class ImagePoints:
 
     @classmethod
     def nothing(cls, stamp_ns: int) -> ImagePoints:
-        """Return those of an image that shows no landmark."""
+        """Return the points of an image without landmarks."""
         none = np.empty(0)
         return cls(stamp_ns, none.astype(np.intp), none.reshape(0, 2), none.reshape(0, 2, 2), none)
 
     def chosen(self, which: npt.NDArray[np.bool_]) -> ImagePoints:
-        """Return some of them: `which` (m,) says whether to keep each."""
+        """Return the points selected by `which` (m,)."""
         return replace(
             self,
             columns=self.columns[which],
@@ -188,7 +187,7 @@ class ImagePoints:
         )
 
     def pans(self, delay_s: float) -> tuple[FloatArray, float]:
-        """Pans (m,) when the joints lag so much, and their derivative by the lag."""
+        """Pans (m,) for a delay of the joint states, and their derivative by the delay."""
         track = self.pan_track
         if track is None:
             return self.pan_rad + self.pan_rate_rad_s * delay_s, self.pan_rate_rad_s
@@ -197,7 +196,7 @@ class ImagePoints:
         return self.pan_rad + (at - given), float((after - before) / (2.0 * step))
 
     def bend_rad(self, delay_s: float) -> float:
-        """By how much the pan deviates from that derivative, a step before and after."""
+        """Deviation of the pan from that derivative, one step away."""
         if self.pan_track is None:
             return 0.0
         step = self.delay_step_s
@@ -207,11 +206,11 @@ class ImagePoints:
 
 class Projection(NamedTuple):
     """
-    Where landmarks should be seen.
+    Predicted image points of landmarks.
 
-    `points` (m, 2) is predicted; `by_state` (m, 2, STATES) its derivative by the state,
-    `by_point` (m, 2, 3) by the position of the landmark, `by_pan` (m, 2) by the measured pan;
-    `ahead` (m,) says which lie before the camera.
+    `points` (m, 2) with the derivatives `by_state` (m, 2, STATES) by the state, `by_point`
+    (m, 2, 3) by the position of the landmark, `by_pan` (m, 2) by the measured pan; `ahead` (m,)
+    marks those in front of the camera.
     """
 
     points: FloatArray
@@ -223,7 +222,7 @@ class Projection(NamedTuple):
 
 def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Projection:
     """
-    Return where points (m, 3) in map are seen, for the first STATES of a state.
+    Project points (m, 3) in map, for the first STATES of a state.
 
     Points behind the camera are marked in `ahead`; their values are finite.
     """
@@ -236,7 +235,7 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     tilting = np.array([[1.0, 0.0, -pitch], [0.0, 1.0, floor_roll], [pitch, -floor_roll, 1.0]])
     c, s = math.cos(heading), math.sin(heading)
     upright = (points_map - [x, y, 0.0]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    # From the base to the frame that turns, (m, 3, 3).
+    # From the base to the frame of the camera, (m, 3, 3).
     turn = _turning(scale * pans, tilt) @ axis_from_base
     away = upright @ tilting.T - state[_AXIS:_RPY]
     inner = (turn @ away[:, :, None])[:, :, 0]
@@ -255,7 +254,7 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     moves[:, 1, 2], moves[:, 2, 2] = upright[:, 2], -upright[:, 1]
     by[:, :, 2:5] = turn @ moves
     by[:, :, 5:8] = -turn
-    # A frame that turns about an axis moves a point by minus their cross product.
+    # A rotation of the frame about an axis moves a point by minus their cross product.
     by[:, :, [8, 9, 10, 14]] = np.cross(inner[:, :, None], turn @ axes, axis=1)
     by[:, 0, 11] = by[:, 1, 12] = by[:, 2, 13] = -1.0
     by[:, 0, 15], by[:, 2, 15] = inner[:, 2], -inner[:, 0]
@@ -301,7 +300,7 @@ def _axis_frame(roll: float, pitch: float, yaw: float) -> tuple[FloatArray, Floa
 
 
 def _turning(pans: FloatArray, tilt: float) -> FloatArray:
-    """Rotations (m, 3, 3) from the axis frame to the frame that turns with pan and tilt."""
+    """Rotations (m, 3, 3) from the axis frame to the frame after pan and tilt."""
     c, s, ct, st = np.cos(pans), np.sin(pans), math.cos(tilt), math.sin(tilt)
     turning = np.zeros((len(pans), 3, 3))
     turning[:, 0, 0], turning[:, 0, 1], turning[:, 0, 2] = ct * c, ct * s, st
@@ -317,9 +316,9 @@ def moved(state: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray, Fl
     Returns
     -------
     mean : ndarray, shape (CALIBRATION,)
-        Pose moved on, corrected by the errors of the odometry.
+        Predicted state, with the motion corrected by the errors of the odometry.
     by_state : ndarray, shape (CALIBRATION, CALIBRATION)
-        Its derivative.
+        Derivative by the state.
     by_motion : ndarray, shape (3, 3)
         Derivative of the pose by the motion.
     """

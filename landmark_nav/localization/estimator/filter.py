@@ -1,12 +1,11 @@
 """
 The joint estimator: pose, odometry, calibration, map and landmark errors in one state.
 
-An iterated extended Kalman filter whose detections have the tails of a t distribution (iterated
-weights: Lange, Little and Taylor, JASA 84(408), 1989). What all landmarks of the map share is
-part of the state. What each is off by itself joins the state when it is first seen, is a
-first-order Gauss-Markov process over the way, as it changes with the viewpoint, and leaves the
-state when it is forgotten. So repeated detections never make the pose more certain than the map
-allows.
+An iterated extended Kalman filter with a t distribution of detections (iterated weights: Lange,
+Little and Taylor, JASA 84(408), 1989). The shared factors of the map are part of the state. The
+own error of a landmark joins the state when it is first seen; it is a first-order Gauss-Markov
+process over the way, as it changes with the viewpoint, and leaves the state when little of it is
+left. So repeated detections never make the pose more certain than the map allows.
 """
 
 from __future__ import annotations
@@ -60,41 +59,41 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.types import Expectation, FloatArray, LandmarkMap, PoseEstimate
 
-# Iterations of an update, and the change of the pose that ends them, metres and radians: what is
-# not linear in it is a hundredth of the noise.
+# Iterations of an update, and the change of the pose, m and rad, that ends them: its nonlinearity
+# is then a hundredth of the noise.
 _ITERATIONS, _CONVERGED = 5, 3e-3
-# Landmark errors of which less than this share is left are forgotten.
+# Own errors of landmarks leave the state when less than this share is left.
 _STALE = 0.05
-# At most so many landmarks have errors in the state: the cost of an update grows with them.
+# Most landmarks with own errors in the state, which bounds the cost of an update.
 _MOST_LANDMARKS = 60
-# Iterations of the weights, and the relative change of all that ends them.
+# Iterations of the weights, and the relative change that ends them.
 _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
-# A turn of the camera or base explains two landmarks whatever they show: more must agree on it,
-# with at least this weight.
+# Fewest landmarks that support a step, as a turn of camera or base explains any two; their least
+# weight.
 _WITNESSES, _INLIER = 3, 0.3
-# A detection of less weight than this is an outlier.
+# Detections of less weight are outliers.
 _OUTLIER = 0.1
 # Largest factor on the variance of the own error of a landmark.
 _WIDEST = 1e4
 # A heading that is known worse than this, rad, shows no slip of the wheels.
 _OPEN_RAD = 0.02
-# An image is a surprise if it is less likely than this.
+# Significance at which an image is surprising.
 _SURPRISE = 1e-3
-# Sigmas of a pose of which nothing is known, metres and radians.
+# Sigmas of an unknown pose, m and rad.
 _ANYWHERE = (3.0, 3.0, 2.0)
 _DRIFTING = slice(SCALE, SLIP)
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """All that changes; arrays are never changed in place, so that a copy costs nothing."""
+    """The state; arrays are never changed in place, so that copies are cheap."""
 
     stamp_ns: int
     mean: FloatArray
     covariance: FloatArray
     by_noise: FloatArray
     scales: NoiseScales
-    # Columns of the landmarks whose own errors are in the state, and the way since each was seen.
+    # Columns of the landmarks with own errors in the state, and the way since each was seen.
     landmarks: IndexArray
     unseen_m: FloatArray
     way_m: float = 0.0
@@ -105,30 +104,30 @@ class State:
 
 class Update(NamedTuple):
     """
-    What an image did to the state.
+    Result of an update by an image.
 
     Parameters
     ----------
     stamp_ns : int
-        Of the image.
+        Time of the image.
     columns : ndarray of int, shape (m,)
         Landmarks that were used.
     residual : ndarray, shape (m, d)
-        Measured minus predicted from all before and from the others of the image.
+        Measured minus predicted, given the prior and the other detections of the image.
     covariance : ndarray, shape (m, d, d)
-        Of each residual, with the nominal noise of the detection.
+        Covariance of each residual, with the nominal noise of the detection.
     weight : ndarray, shape (m,)
         1 for an inlier, near 0 for an outlier.
     log_evidence : float
         Log density of the image given all before.
     surprising : bool
-        Whether it hardly fits what was expected, all together.
+        Whether the image as a whole is unlikely given the prediction.
     stepped : bool
-        Whether camera or base is taken to have been turned before it, unseen by the wheels.
+        Whether a sudden change of camera or base before the image was assumed.
     separation : ndarray, shape (m, 3)
-        By how much the pose would change if that landmark were left out.
+        Change of the pose if a landmark is left out.
     without : ndarray, shape (m, 3, 3)
-        What is added to the covariance of the pose then.
+        Increase of the covariance of the pose then.
     """
 
     stamp_ns: int
@@ -144,13 +143,13 @@ class Update(NamedTuple):
 
     @property
     def used(self) -> IndexArray:
-        """Landmarks of the image that are no outliers."""
+        """Landmarks of the image that are not outliers."""
         return self.columns[self.weight > _OUTLIER]
 
 
 class JointFilter:
     """
-    Estimates where the robot is, and how it is built, from odometry and detections.
+    Estimates pose and calibration of the robot from odometry and detections.
 
     Parameters
     ----------
@@ -166,7 +165,7 @@ class JointFilter:
     Attributes
     ----------
     predicted : State
-        What was expected before the last image.
+        Prediction before the last image.
     """
 
     def __init__(
@@ -198,7 +197,7 @@ class JointFilter:
         covariance[CALIBRATION:STATES, CALIBRATION:STATES] = calibration.covariance
         shared = calibration.by_map
         if shared is not None and shared.shape[1] == self._fixed - STATES:
-            # The map was learned with this calibration: they err together.
+            # The map was learned with this calibration: their errors are correlated.
             covariance[CALIBRATION:STATES, STATES:] = shared
             covariance[STATES:, CALIBRATION:STATES] = shared.T
         by_noise = np.zeros((NOISES, STATES, STATES))
@@ -207,7 +206,6 @@ class JointFilter:
         none = np.empty(0, dtype=np.intp)
         scales = NoiseScales.unknown(self._config.learning_sigma)
         self._state = State(start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0))
-        # What was expected of the last image.
         self.predicted = self._state
 
     @property
@@ -218,7 +216,7 @@ class JointFilter:
 
     @property
     def expectation(self) -> Expectation:
-        """Where the camera should be: by how much landmarks may be off in the next image."""
+        """Expected pose of the camera, with the covariance that the search of landmarks needs."""
         state = self._state
         x, y = state.mean[CALIBRATION : CALIBRATION + 2].tolist()
         c, s = np.cos(state.mean[2]), np.sin(state.mean[2])
@@ -253,8 +251,8 @@ class JointFilter:
         """
         Return the filter of the same robot at another pose.
 
-        What was learned of wheels, mount, floor and map stays. A pose that the camera found,
-        turning at this rate to the left, is off by what mount and joint delay are off by.
+        Estimates of wheels, mount, floor and map are kept. The errors of a pose that the camera
+        found, turning at this rate to the left, are correlated with those of mount and delay.
         """
         other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
         mine, new = self._state, other._state
@@ -272,7 +270,7 @@ class JointFilter:
             with_mount = by_mount @ covariance[kept, kept]
             covariance[:3, kept], covariance[kept, :3] = with_mount, with_mount.T
             covariance[:3, :3] += with_mount @ by_mount.T
-            # The optical centre was to one side of the axis, then to another.
+            # The offset of the optical centre had several directions during the search.
             covariance[[0, 1], [0, 1]] += np.diag(covariance)[CENTER : CENTER + 2].max()
         other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
         return other
@@ -293,7 +291,7 @@ class JointFilter:
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration as far as it is known by now."""
+        """The current estimate of the calibration."""
         mine = slice(CALIBRATION, STATES)
         return Calibration(
             self._state.mean[mine].copy(),
@@ -303,7 +301,7 @@ class JointFilter:
 
     @property
     def landmarks(self) -> FloatArray:
-        """Positions (n, 3) of the landmarks of the map, as far as they are known by now."""
+        """Current estimates (n, 3) of the positions of the map's landmarks."""
         state = self._state
         found = self._positions + self._loadings @ state.mean[STATES : self._fixed]
         found[state.landmarks] += state.mean[self._fixed :].reshape(-1, 3)
@@ -316,19 +314,19 @@ class JointFilter:
 
     @property
     def snapshot(self) -> State:
-        """Everything that is known; hand it to `restore` to go back."""
+        """The complete state, for `restore`."""
         return self._state
 
     def restore(self, snapshot: State) -> None:
-        """Go back to a snapshot."""
+        """Return to a snapshot."""
         self._state = snapshot
 
     def mark(self) -> None:
-        """Begin anew to carry along the derivative by the state as it is now."""
+        """Restart `carried`, the derivative by the present state."""
         self._state = replace(self._state, carried=np.eye(CALIBRATION))
 
     def forget_pose(self) -> None:
-        """Have the robot be anywhere in a large room."""
+        """Widen the covariance of the pose to a large room."""
         covariance = self._state.covariance.copy()
         covariance[:3, :3] += np.diag(np.square(_ANYWHERE))
         self._state = replace(self._state, covariance=covariance)
@@ -338,7 +336,7 @@ class JointFilter:
         return float(np.exp(-way_m / self._config.correlation_length_m))
 
     def move(self, stamp_ns: int, motion: Motion) -> None:
-        """Move on by odometry."""
+        """Predict by odometry."""
         state, wheels, config = self._state, self._odometry, self._config
         way = float(np.hypot(motion.increment[0], motion.increment[1]))
         scales = state.scales.moved(way)
@@ -370,7 +368,7 @@ class JointFilter:
         covariance[:CALIBRATION, :CALIBRATION] += added.sum(axis=0)
         unseen = blind_variances(motion, wheels)
         if not state.seconds:
-            # Later, the jitter of a pose is taken back by the next.
+            # Jitter does not add up: the next pose takes back that of the last.
             unseen = unseen + jitter_variances(motion)
         covariance[:3, :3] += (by_motion * unseen) @ by_motion.T
         wander = (wheels.bias_change_per_sqrt_m * wheels.bias_sigmas) ** 2 * way
@@ -393,8 +391,8 @@ class JointFilter:
         """
         Correct the state by the landmarks of one image.
 
-        What is no measurement is left out: values that are not finite, landmarks that the map does
-        not hold, and a second detection of a landmark.
+        Invalid detections are left out: values that are not finite, landmarks that are not in the
+        map, and second detections of a landmark.
         """
         seen = _usable(seen, len(self._positions))
         if not len(seen):
@@ -425,7 +423,7 @@ class JointFilter:
         after = self._doubting(after, update, new)
         recognised = found_log_ratios(update.residual, update.covariance).sum()
         if recognised + MISSED * len(seen.missed) < 0.0:
-            # Chance finds as much in windows as large: it would move the pose anywhere.
+            # Chance would find as much in such large windows: the image must not move the pose.
             after, update = replace(prior, stamp_ns=after.stamp_ns), _unused(update)
         self._state, self.predicted = after, prior
         return update
@@ -461,7 +459,7 @@ class JointFilter:
         return replace(state, covariance=covariance)
 
     def _elapsed(self, state: State) -> State:
-        """Let errors of landmarks and mount change by the way and time since the last image."""
+        """Predict the errors of landmarks and mount over way and time since the last image."""
         if not (state.way_m or state.seconds):
             return state
         kept, first = self.kept(state.way_m), self._fixed
@@ -476,7 +474,7 @@ class JointFilter:
             covariance[places[:, :, None], places[:, None]] += fresh
         walk = self._config.mount_walk_rad_per_sqrt_s**2 * state.seconds
         for k in (YAW, ROLL, TILT):
-            # What is given as exact stays.
+            # Exact values do not change.
             if covariance[k, k] > 0.0:
                 covariance[k, k] += walk
         return replace(
@@ -484,7 +482,7 @@ class JointFilter:
         )
 
     def _with_landmarks(self, state: State, columns: IndexArray) -> State:
-        """Return the state with the errors of these landmarks, without those that are stale."""
+        """Return the state with own errors of these landmarks, and without stale ones."""
         seen, known = np.zeros((2, len(self._positions)), dtype=np.bool_)
         seen[columns], known[state.landmarks] = True, True
         present = seen[state.landmarks]
@@ -493,7 +491,7 @@ class JointFilter:
         new = columns[~known[columns]]
         excess = int(kept.sum()) + len(new) - _MOST_LANDMARKS
         if excess > 0:
-            # Those go that were not seen for the longest way.
+            # Remove those that were not seen for the longest way.
             others = np.flatnonzero(kept & ~present)
             kept[others[np.argsort(-state.unseen_m[others], kind='stable')[:excess]]] = False
         unseen = np.where(present, 0.0, state.unseen_m)
@@ -518,7 +516,7 @@ class JointFilter:
         )
 
     def _corrected(self, state: State, seen: ImagePoints) -> tuple[State, Update]:
-        """Iterated update, weights and linearisation together."""
+        """Update with iterated weights and linearisation."""
         late = float(np.sqrt(state.covariance[DELAY, DELAY]))
         seen = replace(seen, delay_step_s=max(late, LEAST_STEP_S))
         bend = seen.bend_rad(float(state.mean[DELAY])) * min(1.0, late / LEAST_STEP_S) ** 2
@@ -549,7 +547,7 @@ class JointFilter:
             with_state = state.covariance @ jacobian.T
             by_pan = model.by_pan[:, :rows].ravel()
             spread = jacobian @ with_state + common * np.outer(by_pan, by_pan)
-            # What lies behind the camera says nothing.
+            # A landmark behind the camera has no information.
             behind = np.where(model.ahead, 0.0, 1e6)
             for _ in range(_WEIGHINGS):
                 covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
@@ -575,7 +573,7 @@ class JointFilter:
                 break
         gain = with_state @ precision
         corrected = state.covariance - gain @ with_state.T
-        # Parts of the covariance by each noise, for what the noises act on.
+        # Parts of the covariance by each noise.
         acted, by_acted = jacobian[:, :STATES], gain[:STATES]
         of_noise = acted @ state.by_noise @ acted.T
         detected = _with_blocks(np.zeros_like(spread), noise * looser[:, None, None])
@@ -588,7 +586,7 @@ class JointFilter:
         square = float(innovation @ pull)
         evidence = -0.5 * (square + log_determinant)
         if freedom:
-            # Of the weights, each a gamma variable.
+            # Prior density of the weights, which are gamma variables.
             evidence -= 0.5 * freedom * float(np.sum(np.log(looser) + 1.0 / looser))
         pulls = pull.reshape(count, rows, 1)
         columns = with_state[:3] @ precision
@@ -619,7 +617,7 @@ class JointFilter:
 
 
 def _usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
-    """Return those detections that can be used."""
+    """Return the valid detections."""
     with np.errstate(invalid='ignore'):
         variance = np.diagonal(seen.covariance, axis1=1, axis2=2)
         good = (seen.columns >= 0) & (seen.columns < landmarks) & np.isfinite(seen.pan_rad)
@@ -634,7 +632,7 @@ def _usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
 
 
 def _unused(update: Update) -> Update:
-    """Return what an image would have done to a state that it did not change."""
+    """Return the update of an image that is not used."""
     return update._replace(
         weight=np.zeros_like(update.weight),
         separation=np.zeros_like(update.separation),
@@ -661,12 +659,12 @@ def _nothing(seen: ImagePoints) -> Update:
 
 @lru_cache
 def _surprise(count: int) -> float:
-    """Squared innovation, normalised, of so many numbers that is a surprise."""
+    """Chi-square limit of an image with this number of measurements."""
     return float(chdtri(count, _SURPRISE))
 
 
 def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:
-    """A matrix (m d, m d) with blocks (m, d, d) added on its diagonal."""
+    """Add blocks (m, d, d) to the diagonal of a matrix (m d, m d)."""
     count, size, _ = blocks.shape
     out = np.array(matrix)
     each = np.arange(count)
