@@ -222,7 +222,9 @@ def facades_against_truth(
         if not w.id.startswith('gap')
     ]
     carried = covered = 0
-    for wall, normal in zip(scene.room.walls, scene.room.normals[:, :2], strict=True):
+    for number, (wall, normal) in enumerate(
+        zip(scene.room.walls, scene.room.normals[:, :2], strict=True)
+    ):
         start, side = np.array(wall.start), np.subtract(wall.end, wall.start) / wall.length
         off = landmarks[:, :2] - start
         here = off[np.abs(off @ normal) < THERE_M] @ side
@@ -230,9 +232,16 @@ def facades_against_truth(
         carries = np.any(np.abs(steps[:, None] - here) < CARRIES_M, axis=1)
         carried += int(carries.sum())
         points = start + steps[carries, None] * side
+        # Of the wall, or of the face of what hangs there.
+        here = [item for item in scene.items if item.wall == number]
+        faces = [(0.0, np.ones(len(points), bool))] + [
+            (k.before_m, np.abs(steps[carries] - k.along_m) < 0.5 * k.width_m) for k in here
+        ]
         fits = np.zeros(len(points), bool)
         for ends in facades:
-            fits |= near(points, side, ends, WITHIN_M, WITHIN_RAD)
+            for before_m, covers in faces:
+                face = points + before_m * normal
+                fits |= covers & near(face, side, ends, WITHIN_M, WITHIN_RAD)
         covered += int(fits.sum())
     true = [np.array([w.start, w.end]) for w in scene.room.walls]
     for box in scene.boxes:

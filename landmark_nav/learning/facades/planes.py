@@ -20,6 +20,10 @@ _TRIALS, _SEED = 600, 5
 # A second point of a trial is this near to the first, metres; inliers are so many sigmas off.
 _REACH_M, _INLIER_SIGMAS = 3.0, 2.5
 _CELL_M = 0.1
+# What is nearer than this to a facade and not on it speaks against it, metres.
+_BESIDE_M = 0.15
+# The groups of points of a facade show its direction to this, radians.
+_TURN_RAD, _NOTHING = 0.15, 1e-9
 # What lies lower is floor.
 _FLOOR_M = 0.08
 _REFITS = 4
@@ -35,7 +39,9 @@ class Facade:
     A vertical rectangle: from `start` to `end` (2,) in map, with the room to its left.
 
     `low_m` and `high_m` are the heights between which it was seen, `cells` how much of it, and
-    `sigma_m` how well its points determine its plane.
+    `sigma_m` how well its points determine its plane. Any two groups of points have a line in
+    common: `turn_rad` is how far off its direction may be by those on either side of its widest
+    gap alone.
     """
 
     start: FloatArray
@@ -44,6 +50,7 @@ class Facade:
     high_m: float
     cells: int
     sigma_m: float
+    turn_rad: float
 
     @property
     def along(self) -> FloatArray:
@@ -64,7 +71,7 @@ class Facade:
 
 def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
     """Find facades among points, those with most support first."""
-    left = points.chosen(points.positions[:, 2] > _FLOOR_M)
+    left = above = points.chosen(points.positions[:, 2] > _FLOOR_M)
     rng = np.random.default_rng(_SEED)
     found: list[SeenPoints] = []
     while len(found) < config.max_facades and len(left) >= config.min_cells:
@@ -72,7 +79,9 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
         if members is None:
             break
         facade = refit(left.chosen(members), config)
-        if facade.cells >= config.min_cells and facade.length_m >= config.min_length_m:
+        cells = facade.cells - _cells_beside(above, facade, config)
+        large = cells >= config.min_cells and facade.length_m >= config.min_length_m
+        if large and facade.turn_rad < _TURN_RAD:
             found.append(left.chosen(members))
         left = left.chosen(~(members | _covered(left, facade, config)))
     facades = _joined(found, config)
@@ -100,6 +109,18 @@ def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
         else:
             k += 1
     return facades
+
+
+def _cells_beside(points: SeenPoints, facade: Facade, config: FacadesConfig) -> int:
+    """How many cells of a facade hold points that are near it and yet not on it."""
+    off = points.positions[:, :2] - facade.start
+    along, away = off @ facade.along, np.abs(off @ facade.normal)
+    height = points.positions[:, 2]
+    beside = (along > 0.0) & (along < facade.length_m) & (away < _BESIDE_M)
+    beside &= (height > facade.low_m) & (height < facade.high_m)
+    variance = _variance(points, facade.normal, config)
+    beside &= away > _INLIER_SIGMAS * np.sqrt(variance)
+    return _cells(along[beside], height[beside])
 
 
 def _seen_through(facade: Facade, points: SeenPoints) -> bool:
@@ -144,7 +165,22 @@ def refit(members: SeenPoints, config: FacadesConfig) -> Facade:
         float(z.max()),
         _cells(t, z),
         float(np.sqrt(1.0 / np.sum(weight))),
+        _turn(t, miss[kept], variance[kept]),
     )
+
+
+def _turn(along: FloatArray, miss: FloatArray, variance: FloatArray) -> float:
+    """How far off the direction of a line (n,) points may be, by what its widest gap divides."""
+    order = np.argsort(along, kind='stable')
+    gaps = np.diff(along[order], prepend=along[order[0]])
+    weight = 1.0 / variance
+    pull, information = 0.0, _NOTHING
+    for group in np.split(order, [int(np.argmax(gaps))]):
+        if len(group):
+            off = along[group] - np.average(along[group], weights=weight[group])
+            pull += float(np.sum(weight[group] * off * miss[group]))
+            information += float(np.sum(weight[group] * off**2))
+    return float(np.hypot(pull / information, information**-0.5))
 
 
 def _variance(points: SeenPoints, normal: FloatArray, config: FacadesConfig) -> FloatArray:
