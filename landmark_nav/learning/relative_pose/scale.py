@@ -25,8 +25,8 @@ from landmark_nav.types import FloatArray, PlaceChain
 _LOG = logging.getLogger(__name__)
 
 # Chance that given poses miss the shape that the panoramas show by more; their variances then
-# grow, up to this factor, beyond which they are refused.
-_CHANCE, _MOST_INFLATED = 1e-4, 30.0
+# grow, and they are refused where nothing is left of the scale: relative standard deviation.
+_CHANCE, _MOST_SCALE_SIGMA = 1e-4, 0.15
 # Scales that differ by more standard deviations contradict each other; between the two, one of
 # them is likely wrong, and which one is not known.
 _DOUBTFUL_SIGMAS, _MOST_SIGMAS = 2.0, 3.0
@@ -94,8 +94,8 @@ class PlaceSource:
         freedom = len(rows[0]) - 1
         if misfit > chdtri(freedom, _CHANCE):
             self.inflation = misfit / freedom
-        if self.inflation > _MOST_INFLATED:
-            raise LandmarkNavError(self._contradiction(states))
+            if sigma * np.sqrt(self.inflation) > _MOST_SCALE_SIGMA:
+                raise LandmarkNavError(self._contradiction(states))
 
     def _contradiction(self, states: FloatArray) -> str:
         """Say between which sweeps they and the panoramas disagree most."""
