@@ -21,8 +21,9 @@ class RelativePoseConfig(Config):
     feature_sigma_rad: float = 5e-4
     # Standard deviation of a sweep's tilt, about x and y.
     tilt_sigma_rad: float = 0.01
-    # Standard deviation of the height of a sweep.
-    rise_sigma_m: float = 0.003
+    # Standard deviation of the height of a sweep, before panoramas show it: too little is made up
+    # for by a tilt that is none.
+    rise_sigma_m: float = 0.02
     # Standard deviation of where the camera points at pan 0, which all sweeps share.
     heading_sigma_rad: float = 1e-3
     # Least matches that agree on a relative pose.
