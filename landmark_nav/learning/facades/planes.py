@@ -191,8 +191,8 @@ def _variance(points: SeenPoints, normal: FloatArray, config: FacadesConfig) -> 
 
 def _cells(along: FloatArray, height: FloatArray) -> int:
     """How many cells of a surface hold points."""
-    cells = np.floor(np.stack([along, height], 1) / _CELL_M).astype(int)
-    return len(np.unique(cells, axis=0))
+    column, row = np.floor(along / _CELL_M), np.floor(height / _CELL_M)
+    return len(np.unique(column + 1j * row))
 
 
 def _best_line(
@@ -214,6 +214,8 @@ def _best_line(
         ahead = (points.viewpoints[:, :2] - xy[first]) @ normal
         miss = (off @ normal) ** 2 / _variance(points, normal, config)
         on = (miss < _INLIER_SIGMAS**2) & (np.sign(ahead) == np.sign(ahead[first]))
+        if np.count_nonzero(on) <= most:
+            continue  # no more cells than points
         on = _stretch(off @ along, on, config.max_gap_m)
         cells = _cells((off @ along)[on], points.positions[on, 2])
         support = cells * float(np.mean(1.0 - miss[on] / _INLIER_SIGMAS**2))
