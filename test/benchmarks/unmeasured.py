@@ -53,6 +53,7 @@ SHARED = Path(__file__).resolve().parents[3] / 'shared'
 WAYS = ('tape', 'odom', 'papers', 'walls')
 OWN_FRAME = ('odom', 'papers')
 MAX_POSITION_RMSE_M, MAX_NEES, MAX_SCALE_SIGMAS = 0.008, 8.0, 3.0
+MAX_MAP_NEES, MIN_FACADES, MAX_OVER_TAPE = 4.0, 0.9, 1.5
 OFF_M = 0.1
 # Landmarks carry this much of a wall to either side; facades are compared at such steps.
 CARRIES_M, STEP_M = 0.25, 0.05
@@ -285,6 +286,7 @@ def main() -> int:
     parser.add_argument('--keep', type=Path, help='folder for the maps and figures of each run')
     args = parser.parse_args()
     failed = False
+    errors: dict[str, list[float]] = {way: [] for way in args.ways}
     with tempfile.TemporaryDirectory() as name:
         rooms = [(SHARED / 'data' / 'study', 0)] if args.study else []
         for seed in args.seeds:
@@ -303,10 +305,17 @@ def main() -> int:
                 continue
             line = ' '.join(f'{k} {v:.4g}' for k, v in figures.items())
             print(f'{room.name:>8} {way:>6} {line}', flush=True)
+            errors[way].append(figures['rmse_mm'])
             failed |= (
                 figures['rmse_mm'] > 1e3 * MAX_POSITION_RMSE_M
                 or figures['nees'] > MAX_NEES
                 or figures['scale_sigmas'] > MAX_SCALE_SIGMAS
                 or figures['undetected'] > 0
+                or figures.get('map_nees', 0.0) > MAX_MAP_NEES
+                or figures.get('facades', 1.0) < MIN_FACADES
+                or figures.get('nowhere', 0.0) > 0
             )
+    mean = {way: float(np.mean(error)) for way, error in errors.items() if error}
+    print('mean: ' + ', '.join(f'{way} {mm:.2f} mm' for way, mm in mean.items()))
+    failed |= any(mm > MAX_OVER_TAPE * mean.get('tape', np.inf) for mm in mean.values())
     return int(failed)
