@@ -171,7 +171,7 @@ def locate(
         )
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
-    places = _viewpoints(poses, eyes, lever, config.relative_pose)
+    places = _viewpoints(poses, eyes, lever)
     return Located(tuple(located), room, places, poses, ties)
 
 
@@ -267,9 +267,7 @@ def _measured(pairs: RayPairs, sigma_rad: float) -> Iterator[list[PatchMeasureme
         ]
 
 
-def _viewpoints(
-    poses: RelativePoses, eyes: FloatArray, lever: FloatArray, config: RelativePoseConfig
-) -> FloatArray:
+def _viewpoints(poses: RelativePoses, eyes: FloatArray, lever: FloatArray) -> FloatArray:
     """Joint covariance (4 v, 4 v) of x, y, z, heading of viewpoints, for a fixed scale."""
     count = len(poses.states)
     jacobian = np.zeros((count, 4, count, 3))
@@ -280,7 +278,7 @@ def _viewpoints(
     flat = jacobian.reshape(4 * count, 3 * count)
     joint = flat @ poses.covariance @ flat.T
     heights = 4 * np.arange(1, count) + 2
-    joint[heights, heights] += config.rise_sigma_m**2
+    joint[heights, heights] += RELATIVE_SIGMA[2] ** 2
     joint += _LEAST_VARIANCE * np.eye(4 * count)
     # Derivative of the scale by the viewpoints.
     way = np.zeros((count, 4))

@@ -21,6 +21,8 @@ def main() -> int:
         return 2
     name = sys.argv.pop(1)
     sys.argv[0] += f' {name}'
+    # What benchmarks share with the tests.
+    sys.path.append(str(Path(__file__).resolve().parents[1]))
     return int(import_module(name).main())
 
 

@@ -76,6 +76,28 @@ def test_what_is_seen_through_is_no_facade() -> None:
     assert len(facades) == 4
 
 
+def test_two_posters_on_walls_that_meet_make_no_facade_across_the_corner() -> None:
+    """Any two small groups of points have a line in common."""
+    rng = np.random.default_rng(8)
+    height = rng.uniform(0.8, 1.8, 40)
+    one = np.column_stack([rng.uniform(5.2, 5.35, 40), np.zeros(40), height])
+    other = np.column_stack([np.full(40, 6.0), rng.uniform(0.65, 0.8, 40), height])
+    xyz = np.vstack([one, other])
+    xyz[:, :2] += rng.normal(0, 0.01, (80, 2))
+    facades = find_facades(seen(xyz, 0.03), CONFIG)
+    across = np.array([0.7, 0.6]) / np.hypot(0.7, 0.6)
+    assert not any(abs(facade.along @ across) > 0.9 for facade in facades)
+
+
+def test_a_line_through_what_lies_on_both_its_sides_is_no_facade() -> None:
+    """Depth that is uncertain leaves a wide band, in which a blob has a line as well."""
+    rng = np.random.default_rng(9)
+    blob = np.column_stack(
+        [rng.uniform(2.0, 3.2, 90), rng.uniform(1.9, 2.2, 90), rng.uniform(0.4, 1.6, 90)]
+    )
+    assert find_facades(seen(blob, 0.01), CONFIG) == []
+
+
 def test_front_of_a_cupboard_stands_in_the_room() -> None:
     rng = np.random.default_rng(6)
     front = np.column_stack(

@@ -134,6 +134,16 @@ def test_tilt_of_a_sweep_is_found() -> None:
     assert tilted @ tilt[1] > 0.5 * tilt[1] @ tilt[1]
 
 
+def test_a_sweep_that_leans_far_keeps_its_matches() -> None:
+    """Upright, the directions of most features would be off by more than matches may be."""
+    rng = np.random.default_rng(9)
+    tilt = np.array([[0.0, 0.0], [0.03, 0.02]])
+    seen = features(POSES[:2], room_points(rng, 300), rng, tilt=tilt)
+    result = relative_poses(seen, [odometry(POSES[:2])], LEVER, CONFIG)
+    assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.3
+    assert len(result.pairs[0].rays) > 240
+
+
 def test_misses_are_zero_for_true_poses_and_their_slopes_are_right() -> None:
     rng = np.random.default_rng(10)
     states = np.zeros((2, 6))

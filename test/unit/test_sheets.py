@@ -117,7 +117,9 @@ def views(
 
 def true_pose() -> TwoViews:
     way = center(STATES[1], LEVER) - center(STATES[0], LEVER)
-    return TwoViews(float(STATES[1, 2]), float(np.arctan2(way[1], way[0])), STATES[1, 4:], 100)
+    slope = float(way[2] / np.hypot(way[0], way[1]))
+    direction = float(np.arctan2(way[1], way[0]))
+    return TwoViews(float(STATES[1, 2]), direction, STATES[1, 4:], slope, 100)
 
 
 def papers(seed: int, size: float = 1.0) -> SheetSource:

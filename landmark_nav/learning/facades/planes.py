@@ -20,6 +20,10 @@ _TRIALS, _SEED = 600, 5
 # Greatest distance of the two points of a trial, m; bound of inliers, in sigmas.
 _REACH_M, _INLIER_SIGMAS = 3.0, 2.5
 _CELL_M = 0.1
+# Points nearer than this to a facade and not on it contradict it, m.
+_BESIDE_M = 0.15
+# Least accuracy of the direction of a facade by the groups of its points, rad.
+_TURN_RAD, _NOTHING = 0.15, 1e-9
 # Lower points belong to the floor.
 _FLOOR_M = 0.08
 _REFITS = 4
@@ -36,7 +40,8 @@ class Facade:
     A vertical rectangle from `start` to `end` (2,) in map, with the room on its left.
 
     It was observed between the heights `low_m` and `high_m`; `cells` of it contain points, and
-    `sigma_m` is the sigma of its plane.
+    `sigma_m` is the sigma of its plane. Any two groups of points lie on a common line: `turn_rad`
+    is the sigma of its direction by the points on one side of its widest gap.
     """
 
     start: FloatArray
@@ -45,6 +50,7 @@ class Facade:
     high_m: float
     cells: int
     sigma_m: float
+    turn_rad: float
 
     @property
     def along(self) -> FloatArray:
@@ -65,7 +71,7 @@ class Facade:
 
 def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
     """Find facades among points, in the order of their support."""
-    left = points.chosen(points.positions[:, 2] > _FLOOR_M)
+    left = above = points.chosen(points.positions[:, 2] > _FLOOR_M)
     rng = np.random.default_rng(_SEED)
     found: list[SeenPoints] = []
     while len(found) < config.max_facades and len(left) >= config.min_cells:
@@ -73,7 +79,9 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
         if members is None:
             break
         facade = refit(left.chosen(members), config)
-        if facade.cells >= config.min_cells and facade.length_m >= config.min_length_m:
+        cells = facade.cells - _cells_beside(above, facade, config)
+        large = cells >= config.min_cells and facade.length_m >= config.min_length_m
+        if large and facade.turn_rad < _TURN_RAD:
             found.append(left.chosen(members))
         left = left.chosen(~(members | _covered(left, facade, config)))
     facades = _joined(found, config)
@@ -101,6 +109,18 @@ def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
         else:
             k += 1
     return facades
+
+
+def _cells_beside(points: SeenPoints, facade: Facade, config: FacadesConfig) -> int:
+    """How many cells of a facade hold points that are near it and yet not on it."""
+    off = points.positions[:, :2] - facade.start
+    along, away = off @ facade.along, np.abs(off @ facade.normal)
+    height = points.positions[:, 2]
+    beside = (along > 0.0) & (along < facade.length_m) & (away < _BESIDE_M)
+    beside &= (height > facade.low_m) & (height < facade.high_m)
+    variance = _variance(points, facade.normal, config)
+    beside &= away > _INLIER_SIGMAS * np.sqrt(variance)
+    return _cells(along[beside], height[beside])
 
 
 def _seen_through(facade: Facade, points: SeenPoints) -> bool:
@@ -145,7 +165,22 @@ def refit(members: SeenPoints, config: FacadesConfig) -> Facade:
         float(z.max()),
         _cells(t, z),
         float(np.sqrt(1.0 / np.sum(weight))),
+        _turn(t, miss[kept], variance[kept]),
     )
+
+
+def _turn(along: FloatArray, miss: FloatArray, variance: FloatArray) -> float:
+    """How far off the direction of a line (n,) points may be, by what its widest gap divides."""
+    order = np.argsort(along, kind='stable')
+    gaps = np.diff(along[order], prepend=along[order[0]])
+    weight = 1.0 / variance
+    pull, information = 0.0, _NOTHING
+    for group in np.split(order, [int(np.argmax(gaps))]):
+        if len(group):
+            off = along[group] - np.average(along[group], weights=weight[group])
+            pull += float(np.sum(weight[group] * off * miss[group]))
+            information += float(np.sum(weight[group] * off**2))
+    return float(np.hypot(pull / information, information**-0.5))
 
 
 def _variance(points: SeenPoints, normal: FloatArray, config: FacadesConfig) -> FloatArray:
@@ -156,8 +191,8 @@ def _variance(points: SeenPoints, normal: FloatArray, config: FacadesConfig) -> 
 
 def _cells(along: FloatArray, height: FloatArray) -> int:
     """Number of cells of a surface that contain points."""
-    cells = np.floor(np.stack([along, height], 1) / _CELL_M).astype(int)
-    return len(np.unique(cells, axis=0))
+    column, row = np.floor(along / _CELL_M), np.floor(height / _CELL_M)
+    return len(np.unique(column + 1j * row))
 
 
 def _best_line(
@@ -179,6 +214,8 @@ def _best_line(
         ahead = (points.viewpoints[:, :2] - xy[first]) @ normal
         miss = (off @ normal) ** 2 / _variance(points, normal, config)
         on = (miss < _INLIER_SIGMAS**2) & (np.sign(ahead) == np.sign(ahead[first]))
+        if np.count_nonzero(on) <= most:
+            continue  # no more cells than points
         on = _stretch(off @ along, on, config.max_gap_m)
         cells = _cells((off @ along)[on], points.positions[on, 2])
         support = cells * float(np.mean(1.0 - miss[on] / _INLIER_SIGMAS**2))

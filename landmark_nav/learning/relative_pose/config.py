@@ -21,8 +21,8 @@ class RelativePoseConfig(Config):
     feature_sigma_rad: float = 5e-4
     # Sigma of a sweep's tilt, about x and y.
     tilt_sigma_rad: float = 0.01
-    # Sigma of the height of a sweep.
-    rise_sigma_m: float = 0.003
+    # Prior sigma of the height of a sweep. With a smaller one, a false tilt would replace a height.
+    rise_sigma_m: float = 0.02
     # Sigma of the pan zero, which all sweeps share.
     heading_sigma_rad: float = 1e-3
     # Fewest matches that support a relative pose.

@@ -7,7 +7,7 @@ which are then fitted to all matches at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import rotation
 from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import (
@@ -149,6 +150,7 @@ def _found(
     """Initial states (v, 6) by matches of pairs of panoramas, and the pairs with a pose."""
     count = len(features)
     found: dict[tuple[int, int], TwoViews] = {}
+    doubtful = {}
     for i, j in _neighbours(known[0].poses) if known else combinations(range(count), 2):
         matches = alike(features[i], features[j], config.max_ratio)
         pairs = RayPairs(i, j, features[i].rays[matches[:, 0]], features[j].rays[matches[:, 1]])
@@ -160,14 +162,17 @@ def _found(
                 f'the panoramas of sweeps {i + 1} and {j + 1} are from one place: take another '
                 'sweep 1 to 3 m away'
             )
-        if _stands_out(ranked, config):
-            found[i, j] = ranked[0]
+        if agreed >= config.min_matches:
+            if len(ranked) == 1 or ranked[1].support <= config.max_rival * agreed:
+                found[i, j] = ranked[0]
+            else:
+                doubtful[i, j] = ranked
     lengths = sheet_tracks(sheets, found, ROUGH)[1] if sheets else {}
     if known:
         eyes = [_viewpoint(pose, lever) for pose in known[0].poses]
         lengths = {(i, j): float(np.hypot(*(eyes[j] - eyes[i]))) for i, j in found}
     first = known[0].poses[0] if known else np.zeros(3)
-    return _placed(count, found, lengths, first, lever), sorted(found)
+    return _placed(count, found, doubtful, lengths, first, lever), sorted(found)
 
 
 def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
@@ -179,15 +184,10 @@ def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
     return sorted(near)
 
 
-def _stands_out(ranked: Sequence[TwoViews], config: RelativePoseConfig) -> bool:
-    if not ranked or ranked[0].support < config.min_matches:
-        return False
-    return len(ranked) == 1 or ranked[1].support <= config.max_rival * ranked[0].support
-
-
 def _placed(
     count: int,
     found: Mapping[tuple[int, int], TwoViews],
+    doubtful: Mapping[tuple[int, int], Sequence[TwoViews]],
     lengths: Mapping[tuple[int, int], float],
     first: FloatArray,
     lever: FloatArray,
@@ -199,11 +199,7 @@ def _placed(
     while len(placed) < count:
         ways = [e for e in found if (e[0] in placed) != (e[1] in placed)]
         if not ways:
-            alone = next(k for k in range(count) if k not in placed)
-            raise LandmarkNavError(
-                f'the panorama of sweep {alone + 1} shares too little with the others: take '
-                'sweeps 1 to 2 m apart that see the same textured walls'
-            )
+            raise LandmarkNavError(_why_alone(count, placed, doubtful))
         ways = [e for e in ways if e in lengths]
         if not ways:
             alone = next(k for k in range(count) if k not in placed)
@@ -222,8 +218,31 @@ def _placed(
         eye = eye + lengths[i, j] * np.array([np.cos(course), np.sin(course)])
         states[new, 2] = wrap_rad(heading)
         states[new, :2] = eye - _viewpoint(np.array([0.0, 0.0, heading]), lever)
+        rise = lengths[i, j] * pose.slope
+        states[new, 3] = states[near, 3] + (rise if forward else -rise)
+        lean = pose.tilt_rad if forward else -rotation(-turn) @ pose.tilt_rad
+        states[new, 4:] = rotation(-turn) @ states[near, 4:] + lean
         placed.add(new)
     return states
+
+
+def _why_alone(
+    count: int, placed: Set[int], doubtful: Mapping[tuple[int, int], Sequence[TwoViews]]
+) -> str:
+    """Say what keeps a sweep from being placed."""
+    for (i, j), (best, second, *_) in doubtful.items():
+        if (i in placed) != (j in placed):
+            turns = ' or '.join(f'{np.degrees(p.heading_rad):.0f}' for p in (best, second))
+            return (
+                f'sweeps {i + 1} and {j + 1} may be turned by {turns} deg to each other: '
+                f'{best.support} and {second.support} of what both show agrees; take a sweep '
+                'between them that sees more sides of the room'
+            )
+    alone = next(k for k in range(count) if k not in placed)
+    return (
+        f'the panorama of sweep {alone + 1} shares too little with the others: take '
+        'sweeps 1 to 2 m apart that see the same textured walls'
+    )
 
 
 def _viewpoint(pose: FloatArray, lever: FloatArray) -> FloatArray:

@@ -24,9 +24,9 @@ from landmark_nav.types import FloatArray, PlaceChain
 
 _LOG = logging.getLogger(__name__)
 
-# Significance at which given poses misfit the shape by the panoramas: their variances are inflated
-# by up to this factor; beyond it the poses are refused.
-_CHANCE, _MOST_INFLATED = 1e-4, 30.0
+# Significance at which given poses misfit the shape by the panoramas: their variances are then
+# inflated. They are refused if the relative sigma of the scale exceeds the second value.
+_CHANCE, _MOST_SCALE_SIGMA = 1e-4, 0.15
 # Scales that differ by the first number of sigmas cause a warning, by the second a refusal.
 _DOUBTFUL_SIGMAS, _MOST_SIGMAS = 2.0, 3.0
 
@@ -93,8 +93,8 @@ class PlaceSource:
         freedom = len(rows[0]) - 1
         if misfit > chdtri(freedom, _CHANCE):
             self.inflation = misfit / freedom
-        if self.inflation > _MOST_INFLATED:
-            raise LandmarkNavError(self._contradiction(states))
+            if sigma * np.sqrt(self.inflation) > _MOST_SCALE_SIGMA:
+                raise LandmarkNavError(self._contradiction(states))
 
     def _contradiction(self, states: FloatArray) -> str:
         """Message that names the sweeps between which the disagreement is largest."""

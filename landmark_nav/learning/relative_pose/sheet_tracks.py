@@ -147,7 +147,7 @@ def _way(
     covariance = first.covariance + rotation @ second.covariance @ rotation.T
     information = np.linalg.inv(covariance + rough * np.eye(3))
     way = first.position - there
-    along = np.array([np.cos(pose.direction_rad), np.sin(pose.direction_rad), 0.0])
+    along = np.array([np.cos(pose.direction_rad), np.sin(pose.direction_rad), pose.slope])
     variance = 1.0 / (along @ information @ along)
     length = float(variance * (along @ information @ way))
     left = way - length * along

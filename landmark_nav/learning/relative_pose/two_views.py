@@ -7,7 +7,7 @@ at once, and all pairs of both can be tried.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ _MOST_TRIED, _REFINED = 600, 10
 _SAME_RAD = 0.07
 # A turn alone explains matches that are off by fewer standard deviations than this.
 _TURN_SIGMAS = 4.0
+_NOTHING_M = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +34,14 @@ class TwoViews:
     A relative pose without scale.
 
     `heading_rad` is that of the second base in the first, `direction_rad` that of the baseline in
-    the first, `tilt_rad` (2,) that of the second relative to the first, `support` the number of
-    inliers.
+    the first, `tilt_rad` (2,) that of the second relative to the first, `slope` the rise of the
+    baseline over its length, `support` the number of inliers.
     """
 
     heading_rad: float
     direction_rad: float
     tilt_rad: FloatArray
+    slope: float
     support: int
 
 
@@ -49,7 +51,8 @@ def two_views_of(states: FloatArray, one: int, other: int, lever: FloatArray) ->
     way = (center(there, lever) - center(here, lever)) @ rot_z(here[2])
     heading = there[2] - here[2]
     tilt = there[4:] - rotation(-heading) @ here[4:]
-    return TwoViews(float(heading), float(np.arctan2(way[1], way[0])), tilt, 0)
+    slope = float(way[2] / max(np.hypot(way[0], way[1]), _NOTHING_M))
+    return TwoViews(float(heading), float(np.arctan2(way[1], way[0])), tilt, slope, 0)
 
 
 def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
@@ -116,12 +119,11 @@ def _refined(
         prior,
         np.diag(sigma**2),
     )
-    x, y, turn, _, *axis_tilt = fit.states[1]
-    return TwoViews(
-        float(wrap_rad(turn)),
-        float(np.arctan2(y, x)),
-        np.array(axis_tilt),
-        int(fit.agrees[0].sum()),
+    found = two_views_of(fit.states, 0, 1, np.zeros(3))
+    return replace(
+        found,
+        heading_rad=float(wrap_rad(found.heading_rad)),
+        support=int(fit.agrees[0].sum()),
     )
 
 

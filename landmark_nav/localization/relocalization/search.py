@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, erfc
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
@@ -52,8 +52,10 @@ _MAX_RIVAL_SHARE, _ALIKE = 0.5, 0.75
 CANDIDATES, _ALL_CANDIDATES = 4, 16
 # So many landmarks at a place are not found by chance.
 _LEAST_LANDMARKS = 4
-# Any one of them may be mistaken: without it sigma may be this factor over its limit.
-_MOST_WITHOUT = 2.0
+# Share of landmarks that are gone for which something else is taken (4 % of 220 that were given
+# other textures), and the most chance that a place is off by over three times the limit of sigma
+# because one landmark was.
+_TAKEN_SHARE, _MOST_RISK, _OFF_SIGMAS = 0.05, 1e-3, 3.0
 # The landmarks found must span this angle.
 _MIN_SPREAD_RAD = 0.6
 
@@ -195,14 +197,29 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verif
             'too little seen',
             f'at {where} sigma is {sigma:.3f} m and {np.degrees(sigma_turn):.2f} deg: look around',
         )
-    decides = int(np.argmax(best.sigma_without_m))
-    if not best.sigma_without_m[decides] <= _MOST_WITHOUT * config.max_sigma_m:
+    risk = _risks(best, config.max_sigma_m)
+    if risk.sum() > _MOST_RISK:
+        decides = int(np.argmax(risk))
         return Refusal(
             'too little seen',
             f'at {where} landmark {best.ids[decides]} decides, without it sigma is '
             f'{best.sigma_without_m[decides]:.3f} m: look around',
         )
     return best
+
+
+def _risks(place: Verification, max_sigma_m: float) -> FloatArray:
+    """
+    Chance that a place is far off because a landmark was mistaken, for each landmark found, (n,).
+
+    The fewer of those expected are found, the likelier is each of them something else; the place
+    then is as uncertain as without it.
+    """
+    found, expected = len(place.ids), place.expected
+    gone = (expected - found + 1.0) / (expected + 2.0)
+    mistaken = gone * _TAKEN_SHARE / (gone * _TAKEN_SHARE + 1.0 - gone)
+    far = _OFF_SIGMAS * max_sigma_m / place.sigma_without_m
+    return np.asarray(mistaken * erfc(far / np.sqrt(2.0)))
 
 
 def _span(bearing_rad: FloatArray) -> float:
