@@ -43,7 +43,7 @@ _LEAST_PER_LINK = 8
 _ALIKE = 0.3
 
 # Walls of rooms are about so far away.
-_USUAL_RANGE_M = 3.0
+USUAL_RANGE_M = 3.0
 
 # Standard deviations from which on a term is used.
 SIGNIFICANT = 4.0
@@ -192,7 +192,7 @@ def fit_significant(
 
 
 def _usual_range(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
-    return np.full(np.broadcast_shapes(azimuth.shape, tangent.shape), _USUAL_RANGE_M)
+    return np.full(np.broadcast_shapes(azimuth.shape, tangent.shape), USUAL_RANGE_M)
 
 
 def _one_camera(sweep: Sweep) -> bool:
