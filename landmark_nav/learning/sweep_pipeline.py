@@ -192,6 +192,12 @@ def _not_exact(
     return MountError(found.rise_m if rise else 0.0, found.tilt_roll_rad * (axis_tilt > 0.0))
 
 
+def _within_prior(found: MountError, prior: Calibration) -> bool:
+    """Whether a mount is off by no more than is expected: no fault of papers is looked for."""
+    rise, axis_tilt = WRONG_PRIOR * np.array(_mount_sigmas(prior))
+    return bool(abs(found.rise_m) <= rise and np.hypot(*found.tilt_roll_rad) <= axis_tilt)
+
+
 def _mount_sigmas(prior: Calibration) -> tuple[float, float]:
     """Standard deviations of height and lean of the camera."""
     height = [NAMES.index(name) for name in HEIGHT]
@@ -247,6 +253,8 @@ def _made(
         try:
             place = _place(view, found, room, config, prior, used is not prior)
         except LandmarkNavError as error:
+            if isinstance(error, WrongMountError) and _within_prior(error.found, prior):
+                raise
             why = why_seen_otherwise(sweep, room, mount, config.reference_area)
             faults = papers.faults()
             cause = why or faults.cause or str(error)

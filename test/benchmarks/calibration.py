@@ -6,6 +6,9 @@ and drives with wrong ones and default sigmas. A line gives errors of the whole 
 the first 4 m, the mean NEES, the images that are off by over 5 sigma while the state is OK, and
 the 95 % interval of NEES. It exits with 1 if a goal is missed.
 
+``--drawn N`` simulates rooms with a mount, lens and clock that are drawn at random, learns each
+with the default sigmas of a nominal `robot.yaml` and drives for 16 s from a given start.
+
 ``--rooms SEED ...`` simulates rooms instead, with a mount, lens and clock that are drawn at
 random, learns them and calibrates by a drive of at most three minutes. A line gives the errors of
 lever, pan zero, focal length and delay, each with its sigma, the bound of pan zero by side slip,
@@ -27,14 +30,17 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES, scaled, shown, UNITS
 from landmark_nav.cli.main import main as landmark_nav
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.calibration_run import calibrate_by_drive
 from landmark_nav.evaluation.metrics import consistency, pose_errors, undetected_failures
 from landmark_nav.evaluation.replay import Replay, replay
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
+from landmark_nav.learning.reference_area import PaperRecord, ReferenceAreaConfig
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.world import DEFAULT_MOUNT
-from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
+from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
 from landmark_nav.storage.setup_files import load_room
@@ -143,48 +149,97 @@ def learned(study: Path, calibration: Calibration, folder: Path) -> LandmarkMap 
     return load_map(folder / 'map') if status == 0 else None
 
 
-def drawn_robot(rng: np.random.Generator) -> tuple[Calibration, Calibration]:
-    """Return the robot as it is, and as it is given with the sigmas that its errors have."""
-    given = Calibration.of_mount(DEFAULT_MOUNT, DRAWN_SIGMAS)
-    drawn = {k: given[k][0] + float(rng.normal(0.0, s)) for k, s in DRAWN_SIGMAS.items()}
-    return given.with_values(**drawn), given
+class DrawnRoom:
+    """
+    A simulated room with a robot whose mount, lens and clock are drawn.
+
+    Bags hold joints without delay and camera_info of the true lens: what is read from them is
+    changed to what this robot would send.
+    """
+
+    def __init__(self, seed: int, seconds: float, folder: Path, sigmas: dict[str, float]) -> None:
+        rng = np.random.default_rng([seed, 70])
+        nominal = Calibration.of_mount(DEFAULT_MOUNT)
+        off = {k: nominal[k][0] + float(rng.normal(0.0, s)) for k, s in sigmas.items()}
+        self.true = nominal.with_values(**off)
+        save_calibration(self.true, folder / 'true.yaml')
+        self._folder = folder / 'room'
+        where = ['--out', str(self._folder), '--seed', str(seed), '--light-change']
+        how = ['--robot', str(folder / 'true.yaml'), '--drive-seconds', str(seconds)]
+        if landmark_nav(['simulate', *where, *how]):
+            raise LandmarkNavError('not simulated')
+        self.room = load_room(self._folder / 'room.yaml')
+        self.start = np.array(json.loads((self._folder / 'start.json').read_text())['pose'])
+
+    def _as_given(self, frame: CameraFrame) -> CameraFrame:
+        """Return a frame with the focal length that camera_info of this robot gives."""
+        lens = scaled(frame.camera, 1.0 / (1.0 + self.true['focal_scale'][0]))
+        return replace(frame, camera=lens)
+
+    def learned(self, given: Calibration) -> tuple[LandmarkMap, Calibration]:
+        """Map of the room, and what is known of the robot then."""
+        known, panoramas = given, []
+        papers = PaperRecord(self.room, ReferenceAreaConfig())
+        for sweep in read_sweeps(Bag(self._folder / 'learn'), given.mount):
+            taken = replace(sweep, frames=tuple(map(self._as_given, sweep.frames)))
+            panoramas.append(
+                panorama_from_sweep(taken, self.room, known, PanoramaStages(), papers=papers)
+            )
+            found = panoramas[-1].calibration
+            known = found if found is not None and found.surprises(given) else known
+        landmarks = learn_from_panoramas(panoramas, self.room, LearningConfig()).map
+        return landmarks, landmarks.calibration_from(given)
+
+    def events(self, mount: PanTiltMount) -> list[SensorEvent]:
+        """Return what is sensed in the drive."""
+        delayed = sensor_events(Bag(self._folder / 'drive'), mount, -self.true['joint_delay'][0])
+        return [self._as_given(e) if isinstance(e, CameraFrame) else e for e in delayed]
+
+
+def drawn_line(seed: int, folder: Path, sigmas: dict[str, float]) -> str:
+    """Learn a room with default sigmas and drive in it for 16 s; a line of figures."""
+    given = Calibration.of_mount(DEFAULT_MOUNT)
+    try:
+        robot = DrawnRoom(seed, 16.0, folder, sigmas)
+        landmarks, known = robot.learned(given)
+    except LandmarkNavError as error:
+        return f'{seed}: refused: {error}'
+    run = replay(
+        robot.events(given.mount), landmarks, known, LocalizationConfig(), robot.start,
+        START_COVARIANCE,
+    )  # fmt: skip
+    line = Line.of(
+        run.fused, run.fused_covariances, run.tracking.tolist(), run, run.by_map(landmarks)
+    )
+    away = float(np.hypot(*(run.fused[:, :2] - run.truth.at(run.stamps_ns)[:, :2]).T).max())
+    off = (known.values - robot.true.values) / known.sigmas
+    worst = ', '.join(f'{NAMES[k]} {off[k]:+.1f}' for k in np.argsort(-np.abs(off))[:3])
+    return (
+        f'{seed}: {line.position_mm:5.1f} mm (at most {1e3 * away:.0f}), {line.heading_deg:.2f} '
+        f'deg, NEES {line.nees:.1f} ({line.interval[0]:.1f} to {line.interval[1]:.1f}), '
+        f'{line.undetected} over 5 sigma; learned, most sigmas: {worst}'
+    )
 
 
 def room_line(seed: int, seconds: float, folder: Path) -> str:
     """Simulate a room with a robot that is drawn, learn and calibrate it; a line of figures."""
-    true, given = drawn_robot(np.random.default_rng([seed, 70]))
-    save_calibration(true, folder / 'true.yaml')
-    folder = folder / 'room'
-    where = ['--out', str(folder), '--overwrite', '--seed', str(seed), '--light-change']
-    how = ['--robot', str(folder.parent / 'true.yaml'), '--drive-seconds', str(seconds)]
-    if landmark_nav(['simulate', *where, *how]):
-        return f'{seed}: not simulated'
-    room = load_room(folder / 'room.yaml')
-
-    def as_given(frame: CameraFrame) -> CameraFrame:
-        """Return a frame with the focal length that camera_info of this robot gives."""
-        return replace(frame, camera=scaled(frame.camera, 1.0 / (1.0 + true['focal_scale'][0])))
-
-    known, panoramas = given, []
-    for sweep in read_sweeps(Bag(folder / 'learn'), given.mount):
-        frames = tuple(as_given(frame) for frame in sweep.frames)
-        taken = replace(sweep, frames=frames)
-        panoramas.append(panorama_from_sweep(taken, room, known, PanoramaStages()))
-        known = panoramas[-1].calibration or known
-    landmarks = learn_from_panoramas(panoramas, room, LearningConfig()).map
-    delayed = sensor_events(Bag(folder / 'drive'), given.mount, -true['joint_delay'][0])
-    events = [as_given(e) if isinstance(e, CameraFrame) else e for e in delayed]
+    given = Calibration.of_mount(DEFAULT_MOUNT, DRAWN_SIGMAS)
+    try:
+        robot = DrawnRoom(seed, seconds, folder, DRAWN_SIGMAS)
+        landmarks, known = robot.learned(given)
+    except LandmarkNavError as error:
+        return f'{seed}: refused: {error}'
+    true, events = robot.true, robot.events(given.mount)
     config = LocalizationConfig()
-    drive = calibrate_by_drive(events, landmarks, landmarks.calibration or known, config)
+    drive = calibrate_by_drive(events, landmarks, known, config)
     found = drive.calibration
     off = found.values - true.values
     sigmas = found.sigmas
     nees = float(off @ np.linalg.solve(found.covariance, off))
-    start = np.array(json.loads((folder / 'start.json').read_text())['pose'])
     rms = []
     exact = dict.fromkeys(NAMES, 1e-05)
     for prior in (found, Calibration(true.values, np.diag([v**2 for v in exact.values()]))):
-        run = replay(events, landmarks, prior, config, start, START_COVARIANCE)
+        run = replay(events, landmarks, prior, config, robot.start, START_COVARIANCE)
         errors = pose_errors(run.fused, run.truth.at(run.stamps_ns))
         rms.append(1e3 * float(np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1)))))
     lever = f'{1e3 * np.hypot(*off[:2]):5.1f} +- {1e3 * np.hypot(*sigmas[:2]):4.1f} mm'
@@ -209,13 +264,23 @@ def main() -> int:
     parser.add_argument('--only', nargs='+', help='errors whose name holds one of these')
     parser.add_argument('--driving', action='store_true', help='leave out those at learning too')
     parser.add_argument('--rooms', type=int, nargs='+', metavar='SEED', help='rooms to simulate')
+    parser.add_argument('--drawn', type=int, metavar='N', help='rooms to learn and drive in')
+    parser.add_argument('--first', type=int, default=8101, help='seed of the first of them')
+    parser.add_argument(
+        '--wide', action='store_true', help='draw with default sigmas, about twice as large'
+    )
     parser.add_argument('--seconds', type=float, default=150.0, help='of each calibration drive')
     args = parser.parse_args()
     logging.getLogger('landmark_nav').setLevel(logging.CRITICAL)
     for seed in args.rooms or []:
         with tempfile.TemporaryDirectory() as scratch:
             print(room_line(seed, args.seconds, Path(scratch)), flush=True)
-    if args.rooms:
+    nominal = Calibration.of_mount(DEFAULT_MOUNT)
+    drawn = {name: nominal[name][1] for name in DRAWN_SIGMAS} if args.wide else DRAWN_SIGMAS
+    for seed in range(args.first, args.first + (args.drawn or 0)):
+        with tempfile.TemporaryDirectory() as scratch:
+            print(drawn_line(seed, Path(scratch), drawn), flush=True)
+    if args.rooms or args.drawn:
         return 0
     right = load_calibration(args.study / 'robot.yaml')
     start = np.array(json.loads((args.study / 'start.json').read_text())['pose'])

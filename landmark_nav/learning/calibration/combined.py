@@ -10,7 +10,11 @@ from scipy.spatial.transform import Rotation
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
-from landmark_nav.learning.calibration.sweep_calibration import CalibrationConfig, SIGNIFICANT
+from landmark_nav.learning.calibration.sweep_calibration import (
+    CalibrationConfig,
+    SIGNIFICANT,
+    USUAL_RANGE_M,
+)
 from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray, Sweep
@@ -27,8 +31,8 @@ _QUANTITIES = {
     'left': ('center_y', False),
 }
 # Relative error of the ranges by which the offset of the optical centre is measured: furniture is
-# nearer than the walls.
-_RANGE_SHARE = 0.03
+# nearer than the walls. The remaining error of an offset looks like one of the focal length.
+_RANGE_SHARE = 0.1
 # Smaller information, relative to the largest, is rounding.
 _ROUNDING = 1e-9
 
@@ -54,14 +58,18 @@ def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
     )
 
 
-def _found(before: Calibration, term: CalibrationTerm) -> tuple[str, float, float]:
-    """Quantity that a term corrects, its value and its sigma."""
+def _found(
+    before: Calibration, term: CalibrationTerm, offset_m: float = 0.0
+) -> tuple[str, float, float]:
+    """Quantity that a term corrects, its value and its sigma; see `with_terms`."""
     name, factor = _QUANTITIES[term.name]
     value = before[name][0]
     found = value + term.value * (1.0 + value if factor else 1.0)
     by_range = 0.0
     if name.startswith('center'):
         by_range = _RANGE_SHARE * max(abs(found), abs(term.value))
+    elif term.name == 'focal_length':
+        by_range = _RANGE_SHARE * offset_m / USUAL_RANGE_M
     return name, found, float(np.hypot(term.sigma, by_range))
 
 
@@ -92,9 +100,12 @@ def with_terms(
     terms : tuple of CalibrationTerm
         Terms of the sweep, used in the panorama or not.
     """
+    offset_m = max(
+        (abs(_found(before, t)[1]) for t in terms if t.name in ('forward', 'left')), default=0.0
+    )
     for term in terms:
         if term.name in _QUANTITIES:
-            known = known.measured(*_found(before, term))
+            known = known.measured(*_found(before, term, offset_m))
     return known
 
 

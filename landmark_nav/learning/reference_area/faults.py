@@ -41,6 +41,8 @@ _COMMON, _PAPER = len(_OF_ALL), len(_OF_PAPER)
 # What a fault may be: metres, radians, shares.
 _FREE_M, _FREE_RAD, _FREE_SHARE = 0.5, 0.2, 0.5
 _IN_METRES = ('camera_height', 'along', 'height', 'depth')
+# Faults of the mount -> the standard deviation that they set free.
+_OF_MOUNT = {'camera_height': 'height_sigma_m', 'lean': 'horizon_sigma_rad'}
 # Of the focal length after the calibration by overlaps; of the sizes of one paper.
 _FOCAL_SIGMA, _OWN_SIZE_SIGMA = 1e-3, 3e-3
 # Gain in chi-square from which on a fault is real, and by which it must lead all others.
@@ -63,8 +65,6 @@ _SEARCH_M, _SEARCH_SHARE, _MOST_COST = 0.25, 0.15, 12.0
 _ANY_SIZE, _BELOW_M = 1.6, -0.5
 # Places that are tried in each panorama; papers whose colours are tried in other orders; views.
 _MOST_PLACES, _MOST_SWAPPED, _MOST_VIEWS = 4, 4, 4
-# How much higher than given the camera is tried.
-_RISES_M = (-0.3, -0.15, 0.15, 0.3)
 # Of the units that people measure with, the one whose rooms have lengths of rooms in metres.
 _FOOT_M = 0.3048
 # For derivatives by differences.
@@ -373,16 +373,17 @@ class _Trial:
         self, views: Sequence[PaperView], room: Room, config: ReferenceAreaConfig
     ) -> None:
         self._views, self._room, self._config = views, room, config
-        self._picks = [list(_picks(view, room)) for view in views]
+        self._picks = [list(_picks(view, room, config)) for view in views]
 
     def solve(self, hypothesis: _Hypothesis) -> _Solution | None:
         """Fit all views that show papers, each with the place there that fits best; None: none."""
         room, picks = hypothesis.room or self._room, self._picks
         if hypothesis.kind in ('swapped', 'mirrored', 'feet'):
-            picks = [list(_picks(view, room)) for view in self._views]
-        elif hypothesis.kind == 'camera_height':
+            picks = [list(_picks(view, room, self._config)) for view in self._views]
+        elif hypothesis.kind in _OF_MOUNT:
+            wide = replace(self._config, **{_OF_MOUNT[hypothesis.kind]: hypothesis.sigma})
             picks = [
-                [*each, *(pick for rise in _RISES_M for pick in _picks(view, room, rise))]
+                [*each, *_picks(view, room, wide)]
                 for view, each in zip(self._views, picks, strict=True)
             ]
         elif hypothesis.kind == 'hidden':
@@ -449,15 +450,15 @@ class _Trial:
         return _Solution(cost, values, sigmas, redundancy, unseen)
 
 
-def _picks(view: PaperView, room: Room, rise_m: float = 0.0) -> Iterator[_Pick]:
-    """Where a panorama may have been taken: by all papers, and by all but one, if so high."""
+def _picks(view: PaperView, room: Room, config: ReferenceAreaConfig) -> Iterator[_Pick]:
+    """Where a panorama may have been taken: by all papers, and by all but one."""
     seen: set[tuple[int, ...]] = set()
     papers = room.papers
     blobs = [_blobs(view.outlines[paper.color]) for paper in papers]
     for left_out in (-1, *range(len(papers))):
         kept = [k for k in range(len(papers)) if k != left_out]
         fewer = replace(room, papers=tuple(papers[k] for k in kept))
-        places = find_places([blobs[k] for k in kept], fewer, view.eye_height_m + rise_m)
+        places = find_places([blobs[k] for k in kept], fewer, view.eye_height_m, config)
         for place in places[:_MOST_PLACES]:
             outline = np.full(len(papers), -1)
             outline[kept] = place.blob

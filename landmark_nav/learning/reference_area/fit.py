@@ -114,16 +114,17 @@ class PaperFitter:
         self,
         pose_map_base: FloatArray,
         frames_per_paper: int = MOST_FRAMES,
-        rise_m: float = 0.0,
+        mount: FloatArray | None = None,
     ) -> PaperFit | None:
         """
-        Refine a base pose (3,) and how much higher than given the camera is.
+        Refine a base pose (3,), and height and tilts of the camera `mount` (3,) beside the given.
 
         None where no paper shows an edge. Fewer frames are quicker, enough to choose between
         places.
         """
         state = self._model.start(pose_map_base)
-        state[RISE] = rise_m
+        if mount is not None:
+            state[RISE:SIZE] = mount
         angle_sigma = np.full(2, self._pan_sigma_rad)
         fit = None
         for reach, tail_widths in zip(_SEARCH_PX, _TAIL_WIDTHS, strict=True):

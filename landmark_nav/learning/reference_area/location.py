@@ -9,7 +9,6 @@ from right ones.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,12 +29,10 @@ from landmark_nav.learning.reference_area.refusals import (
     is_grey,
     LEAST_AGREED,
     measured_papers,
-    MountError,
     place_text,
     size_warning,
     why_not,
     WITHOUT_COLOR,
-    wrong_height,
     WRONG_PRIOR,
     WrongMountError,
 )
@@ -56,10 +53,8 @@ _HOPELESS = 20.0
 _DISAGREEMENT = 35.0
 # Yaws that differ by less are one.
 _SAME_YAW_RAD = 0.05
-# Blobs lead to the papers from a camera that is given so much too high or too low.
-_RISE_STEP_M = 0.06
-# A camera that is given so much too high or too low is refused for that.
-_ANY_HEIGHT_M = 0.1
+# Standard deviations of height and tilt by which a camera is refused for these, not for papers.
+_ANY_HEIGHT_M, _ANY_TILT_RAD = 0.1, 0.05
 # Places are distinguished with so many frames a paper.
 _QUICK_FRAMES = 2
 
@@ -174,35 +169,29 @@ class _PaperSearch:
 
     def fit(self) -> PaperFit:
         """Fit of all edges at the place; `LandmarkNavError` that says why there is none."""
-        places = find_places(self._blobs, self._room, self.height_m)
-        fits = at_given_height = self._tried(places)
-        for rise_m in _rises(self._config):
-            if any(_fits(fit, self._room) for fit in fits):
-                break
-            higher = find_places(self._blobs, self._room, self.height_m + rise_m)
-            fits = self._tried(higher, rise_m)
+        fits = self._tried()
         good = sorted((f for f in fits if _fits(f, self._room)), key=lambda f: -_support(f))
         if not good:
-            raise self._refusal(at_given_height)
+            raise self._refusal(fits)
         _check_unique(good)
-        fit = self._fitter.fit(good[0].pose_map_base, rise_m=good[0].rise_m)
+        best = good[0]
+        fit = self._fitter.fit(best.pose_map_base, mount=np.array([best.rise_m, *best.tilt_rad]))
         if fit is None or not _fits(fit, self._room):
             raise self._refusal([fit] if fit else [])
         return fit
 
     def fits_somewhere(self) -> bool:
-        """Whether a few frames fit at a place, with the camera as high as given."""
-        places = find_places(self._blobs, self._room, self.height_m)
-        return any(_fits(fit, self._room) for fit in self._tried(places))
+        """Whether a few frames fit at a place."""
+        return any(_fits(fit, self._room) for fit in self._tried())
 
-    def _tried(self, places: list[PaperPlace], rise_m: float = 0.0) -> list[PaperFit]:
+    def _tried(self) -> list[PaperFit]:
         """Fits of few frames at places, the cheapest first, until the rest is hopeless."""
         fits: list[PaperFit] = []
         enough = np.inf
-        for place in places:
+        for place in find_places(self._blobs, self._room, self.height_m, self._config):
             if place.cost > enough:
                 break
-            fit = self._fitter.fit(self._base(place), _QUICK_FRAMES, rise_m)
+            fit = self._fitter.fit(self._base(place), _QUICK_FRAMES, place.mount)
             if fit is not None and self._room.contains(fit.pose_map_base[:2]):
                 fits.append(fit)
                 if _fits(fit, self._room):
@@ -218,12 +207,16 @@ class _PaperSearch:
         if all(is_grey(frame.image) for frame in frames):
             return LandmarkNavError(WITHOUT_COLOR)
         if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b.misfit) for b in self._blobs):
-            anywhere = replace(config, height_sigma_m=_ANY_HEIGHT_M)
-            with suppress(LandmarkNavError):
-                high = locate_sweep(self._sweep, self._view, self._room, self._mount, anywhere)
-                rise_m = high.height_m - self.height_m
-                if abs(rise_m) > WRONG_PRIOR * config.height_sigma_m:
-                    return WrongMountError(wrong_height(rise_m), MountError(rise_m))
+            anywhere = replace(
+                config, height_sigma_m=_ANY_HEIGHT_M, horizon_sigma_rad=_ANY_TILT_RAD
+            )
+            search = _PaperSearch(self._sweep, self._view, self._room, self._mount, anywhere)
+            try:
+                check_prior(search.fit(), self._room, config, WRONG_PRIOR)
+            except WrongMountError as error:
+                return error
+            except LandmarkNavError:
+                pass
         why = why_not(self._blobs, fits, self._room)
         unseen = describe_coverage([f.pan_rad for f in frames], frames[0].camera.half_fov_rad)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '
@@ -241,12 +234,6 @@ def _check_unique(good: list[PaperFit]) -> None:
                 f'({place_text(good[0])}) and ({place_text(other)}) fit alike; '
                 'hang them at unequal distances'
             )
-
-
-def _rises(config: ReferenceAreaConfig) -> list[float]:
-    """How much higher or lower than given the camera may be, beside as given, the least first."""
-    steps = np.arange(1, 1 + int(WRONG_PRIOR * config.height_sigma_m / _RISE_STEP_M))
-    return [float(sign * step * _RISE_STEP_M) for step in steps for sign in (1, -1)]
 
 
 def check_agreement(

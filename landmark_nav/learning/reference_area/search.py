@@ -18,6 +18,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.types import FloatArray
 
 # Papers that it takes; with two nothing shows whether one hangs elsewhere.
@@ -48,11 +49,13 @@ class PaperPlace:
     """
     A place that explains some blobs.
 
-    `axis_pose` (3,) of the pan axis in map; `blob` (papers,) the number of each paper's blob, -1
-    where there is none; `cost` in squared standard deviations.
+    `axis_pose` (3,) of the pan axis in map; `mount` (3,) how much higher than given the camera is,
+    and how the axis tilts about x and y of the base; `blob` (papers,) the number of each paper's
+    blob, -1 where there is none; `cost` in squared standard deviations.
     """
 
     axis_pose: FloatArray
+    mount: FloatArray
     blob: npt.NDArray[np.intp]
     cost: float
 
@@ -66,7 +69,9 @@ def papers_in_view(axis_xy: FloatArray, room: Room) -> npt.NDArray[np.bool_]:
     return np.asarray(seen & (facing > np.cos(_FLATTEST_RAD) * np.linalg.norm(way, axis=-1)))
 
 
-def find_places(blobs: list[PaperBlobs], room: Room, eye_height_m: float) -> list[PaperPlace]:
+def find_places(
+    blobs: list[PaperBlobs], room: Room, eye_height_m: float, config: ReferenceAreaConfig
+) -> list[PaperPlace]:
     """
     Places in the room from where two papers or more look like some blobs.
 
@@ -74,13 +79,15 @@ def find_places(blobs: list[PaperBlobs], room: Room, eye_height_m: float) -> lis
     ----------
     blobs : list of PaperBlobs
         Of each paper of the room.
+    config : ReferenceAreaConfig
+        How exactly height and tilt of the camera are known.
 
     Returns
     -------
     list of PaperPlace
         The most fitting first, no two of them alike.
     """
-    problem = _Problem(blobs, room, eye_height_m)
+    problem = _Problem(blobs, room, eye_height_m, config)
     poses = problem.pair_places()
     if not len(poses):
         return []
@@ -93,20 +100,32 @@ def find_places(blobs: list[PaperBlobs], room: Room, eye_height_m: float) -> lis
     inside = room.contains(poses[:, :2])
     found: list[PaperPlace] = []
     for k in np.flatnonzero(inside)[np.argsort(cost[inside])]:
-        off = np.array([p.axis_pose for p in found]).reshape(-1, 3) - poses[k]
+        off = np.array([p.axis_pose for p in found]).reshape(-1, 3) - poses[k, :3]
         alike = (np.hypot(off[:, 0], off[:, 1]) < 0.1) & (np.abs(wrap_rad(off[:, 2])) < 0.05)
         if not alike.any() and np.sum(blob[k] >= 0) >= min(2, len(blobs)):
-            found.append(PaperPlace(poses[k], blob[k], float(cost[k])))
+            found.append(PaperPlace(poses[k, :3], poses[k, 3:], blob[k], float(cost[k])))
         if len(found) == _MOST_PLACES:
             break
     return found
 
 
 class _Problem:
-    """Blobs of all papers in one padded table (papers, blobs)."""
+    """
+    Blobs of all papers in one padded table (papers, blobs).
 
-    def __init__(self, blobs: list[PaperBlobs], room: Room, eye_height_m: float) -> None:
+    Poses have six values: x, y and heading of the pan axis, then height and tilts as in
+    `PaperPlace`, which have a prior.
+    """
+
+    def __init__(
+        self,
+        blobs: list[PaperBlobs],
+        room: Room,
+        eye_height_m: float,
+        config: ReferenceAreaConfig,
+    ) -> None:
         self._room = room
+        self._mount_sigma = np.array([config.height_sigma_m, *[config.horizon_sigma_rad] * 2])
         self._center = np.array([p.center for p in room.papers]) - [0.0, 0.0, eye_height_m]
         self._height = np.array([p.height for p in room.papers])
         most = max(1, max(len(b.misfit) for b in blobs))
@@ -120,7 +139,7 @@ class _Problem:
         self._misfit = table([b.misfit for b in blobs], np.inf)
 
     def pair_places(self) -> FloatArray:
-        """Axis poses (n, 3) out of any two papers and any of their blobs."""
+        """Poses (n, 6) out of any two papers and any of their blobs."""
         reach = self._height[:, None] / np.maximum(self._top - self._bottom, 1e-6)
         rise = reach * 0.5 * (self._top + self._bottom) - self._center[:, 2:]
         good = np.isfinite(self._misfit)
@@ -143,16 +162,21 @@ class _Problem:
                 (second * np.cos(turn) - other, second),
             ):
                 pose, cost = self._place(i, j, a, b, near, far)
-                cost += np.minimum((rise[i, a] / (0.05 + 0.05 * first)) ** 2, _MISSING)
-                cost += np.minimum((rise[j, b] / (0.05 + 0.05 * second)) ** 2, _MISSING)
+                cost += np.minimum((rise[i, a] / self._rise_sigma_m(first)) ** 2, _MISSING)
+                cost += np.minimum((rise[j, b] / self._rise_sigma_m(second)) ** 2, _MISSING)
                 poses.append(pose)
                 costs.append(cost + self._misfit[i, a] + self._misfit[j, b])
         if not poses:
-            return np.zeros((0, 3))
+            return np.zeros((0, 6))
         pose, cost = np.concatenate(poses), np.concatenate(costs)
         possible = self._room.contains(pose[:, :2]) & np.isfinite(cost)
         order = np.argsort(cost[possible])[:_MOST_PAIRS]
-        return np.asarray(pose[possible][order])
+        return np.pad(pose[possible][order], ((0, 0), (0, 3)))
+
+    def _rise_sigma_m(self, reach: FloatArray) -> FloatArray:
+        """By how much blobs at a distance seem to hang too high, roughly."""
+        by_mount = np.hypot(self._mount_sigma[0], self._mount_sigma[1] * reach)
+        return np.asarray(np.hypot(0.05 + 0.05 * reach, by_mount))
 
     def _place(
         self,
@@ -176,22 +200,28 @@ class _Problem:
         return np.column_stack([axis, wrap_rad(heading)]), cost
 
     def refine(self, poses: FloatArray, scale: float) -> FloatArray:
-        """One step of least squares of all poses (n, 3) towards the blobs that fit each best."""
+        """One step of least squares of all poses (n, 6) towards the blobs that fit each best."""
         residual, cost, _ = self._compare(poses, scale)
         weight = (1.0 + cost / _TAIL_WIDTH) ** -2.0 * (cost < _MISSING)
         weight *= papers_in_view(poses[:, :2], self._room)
-        offset = self._center[:, :2] - poses[:, None, :2]
+        offset, ahead, level = self._seen_from(poses)
         reach = np.maximum(np.linalg.norm(offset, axis=-1), 0.1)
-        jacobian = np.zeros((*reach.shape, 3, 3))
+        jacobian = np.zeros((*reach.shape, 3, poses.shape[1]))
         jacobian[..., 0, 0] = offset[..., 1] / reach**2
         jacobian[..., 0, 1] = -offset[..., 0] / reach**2
         jacobian[..., 0, 2] = -1.0
+        jacobian[..., 0, 4:] = (level / reach**2)[..., None] * ahead
         for row, up in ((1, 0.5), (2, -0.5)):
-            rise = self._center[:, 2] + up * self._height
+            rise = level + up * self._height
             jacobian[..., row, :2] = (rise / reach**3)[..., None] * offset
+            jacobian[..., row, 3] = -1.0 / reach
+            jacobian[..., row, 4] = -ahead[..., 1] / reach
+            jacobian[..., row, 5] = ahead[..., 0] / reach
         jacobian /= np.array([_DIRECTION_SIGMA, _OUTLINE_SIGMA, _OUTLINE_SIGMA])[:, None]
-        normal = np.einsum('np,npki,npkj->nij', weight, jacobian, jacobian) + 1e-3 * np.eye(3)
+        prior = np.concatenate([np.full(3, 1e-3), self._mount_sigma**-2.0])
+        normal = np.einsum('np,npki,npkj->nij', weight, jacobian, jacobian) + np.diag(prior)
         pull = np.einsum('np,npki,npk->ni', weight, jacobian, residual)
+        pull[:, 3:] -= prior[3:] * poses[:, 3:]
         step = np.linalg.solve(normal, pull[..., None])[..., 0]
         return np.asarray(poses + np.clip(step, -0.5, 0.5))
 
@@ -201,16 +231,25 @@ class _Problem:
         seen = papers_in_view(poses[:, :2], self._room)
         # A paper that cannot be seen costs a little: else the best place would see none.
         each = np.where(seen, np.minimum(cost, _MISSING), 0.8 * _MISSING)
-        return each.sum(1), np.where(seen & (cost < _MISSING), blob, -1)
+        by_mount = np.sum((poses[:, 3:] / self._mount_sigma) ** 2, 1)
+        return each.sum(1) + by_mount, np.where(seen & (cost < _MISSING), blob, -1)
+
+    def _seen_from(self, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Ways to papers in map and base (n, papers, 2), and how much higher they hang."""
+        offset = self._center[:, :2] - poses[:, None, :2]
+        ahead = offset @ se2.rotation(poses[:, 2])
+        return offset, ahead, self._center[:, 2] - poses[:, 3, None]
 
     def _compare(
         self, poses: FloatArray, scale: float
     ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
         """Deviations (n, papers, 3) from the best blob, their cost and its number."""
-        offset = self._center[:, :2] - poses[:, None, :2]
-        reach = np.maximum(np.linalg.norm(offset, axis=-1), 0.1)
-        azimuth = np.arctan2(offset[..., 1], offset[..., 0]) - poses[:, 2:]
-        rows = [(self._center[:, 2] + up * self._height) / reach for up in (0.5, -0.5)]
+        _, ahead, level = self._seen_from(poses)
+        reach = np.maximum(np.linalg.norm(ahead, axis=-1), 0.1)
+        roll, pitch = poses[:, 4, None], poses[:, 5, None]
+        azimuth = np.arctan2(ahead[..., 1] + roll * level, ahead[..., 0] - pitch * level)
+        tilted = level + pitch * ahead[..., 0] - roll * ahead[..., 1]
+        rows = [(tilted + up * self._height) / reach for up in (0.5, -0.5)]
         residual = np.stack(
             [
                 wrap_rad(self._azimuth - azimuth[..., None]) / _DIRECTION_SIGMA,

@@ -21,7 +21,7 @@ class RelativePoseConfig(Config):
     feature_sigma_rad: float = 5e-4
     # Sigma of a sweep's tilt, about x and y.
     tilt_sigma_rad: float = 0.01
-    # Prior sigma of the height of a sweep. With a smaller one, a false tilt would replace a height.
+    # Prior sigma of the height of a sweep. With a smaller one, a false tilt replaces a height.
     rise_sigma_m: float = 0.02
     # Sigma of the pan zero, which all sweeps share.
     heading_sigma_rad: float = 1e-3
