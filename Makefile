@@ -51,7 +51,7 @@ test-offline: install
 # These start nodes as processes of their own, each test in a ROS domain of its own. The demo takes
 # a process for half of the time.
 test-nodes: install
-	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py test/nodes
+	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py test/nodes
 
 bench: install
 	$(BIN)/landmark-nav bench

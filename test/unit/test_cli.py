@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from landmark_nav.cli.lines import wrapped
+from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.main import COMMANDS, main
 from landmark_nav.errors import LandmarkNavError
 
@@ -172,6 +172,11 @@ def test_ros_commands_explain_themselves_without_ros(
     monkeypatch.delitem(sys.modules, f'landmark_nav.cli.{name}', raising=False)
     import_module(f'landmark_nav.cli.{name}')
     assert main([name, '--help']) == 0
+
+
+def test_progress_passes_everything_through(capsys: pytest.CaptureFixture[str]) -> None:
+    assert list(progress(iter('abc'), 'letters', total=3)) == ['a', 'b', 'c']
+    assert capsys.readouterr().err == ''
 
 
 @pytest.mark.parametrize(('columns', 'width'), [('70', 70), ('200', 99), ('20', 60)])

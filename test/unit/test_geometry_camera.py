@@ -49,6 +49,13 @@ def test_what_is_behind_or_folds_back_has_no_pixel(camera: CameraModel) -> None:
     assert np.isnan(pixels).all()
 
 
+def test_shapes_are_kept_and_nothing_stays_nothing() -> None:
+    camera = CAMERAS['plumb_bob']
+    assert camera.unproject(np.full((2, 3, 2), 100.0)).shape == (2, 3, 3)
+    assert camera.project(np.ones((2, 3, 3))).shape == (2, 3, 2)
+    assert camera.unproject(np.empty((0, 2))).shape == (0, 3)
+
+
 @pytest.mark.parametrize('camera', CAMERAS.values(), ids=CAMERAS)
 def test_ray_grid_holds_the_ray_of_each_pixel(camera: CameraModel) -> None:
     grid = camera.ray_grid

@@ -234,6 +234,8 @@ def test_values_that_are_no_pose_are_refused_with_what_and_when():
     message = encode.odometry(FACTORY, OdometrySample(STAMP, np.array([1.0, np.nan, 0.0])))
     with pytest.raises(LandmarkNavError, match=r'odometry position at 5000\.000 s'):
         decode.odometry(message)
+    with pytest.raises(LandmarkNavError, match='pose position'):
+        decode.pose_estimate(message)
     message = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
     for w, x, complaint in ((0.0, 0.0, 'zero quaternion'), (0.0, 1.0, 'fallen over')):
         message.pose.pose.orientation.w, message.pose.pose.orientation.x = w, x
@@ -246,8 +248,16 @@ def test_values_that_are_no_pose_are_refused_with_what_and_when():
 
 
 def test_a_found_place_names_landmarks():
-    none = pack_cloud(
-        FACTORY, encode.header(FACTORY, STAMP, 'map'), np.zeros(0, dtype=GLOBAL_POSE.fields)
-    )
-    with pytest.raises(LandmarkNavError, match='names no landmark'):
-        decode.global_pose(none)
+    head = encode.header(FACTORY, STAMP, 'map')
+    short = np.zeros(1, dtype=[(name, 'f8') for name in GLOBAL_POSE.fields.names])
+    for points, complaint in (
+        (np.zeros(0, dtype=GLOBAL_POSE.fields), 'names no landmark'),
+        (short, 'field id is 1 of type float64'),
+    ):
+        with pytest.raises(LandmarkNavError, match=complaint):
+            decode.global_pose(pack_cloud(FACTORY, head, points))
+
+
+def test_factory_refuses_fields_that_do_not_exist():
+    with pytest.raises(TypeError, match='colour'):
+        FACTORY('sensor_msgs/msg/Image', colour=1)
