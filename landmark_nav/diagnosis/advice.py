@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from landmark_nav.diagnosis.camera_errors import CameraError
-from landmark_nav.diagnosis.causes import Cause, IMAGES, JOINTS, MOUNT, ODOMETRY, Verdict
+from landmark_nav.diagnosis.causes import ALIKE, Cause, IMAGES, JOINTS, MOUNT, ODOMETRY, Verdict
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Estimate, Linear, Motion
 from landmark_nav.diagnosis.units import nearness_of_room, unit_of
@@ -24,6 +24,8 @@ _OF_ROOM = 2.2
 _HEADING_WARN_RAD, HEADING_ERROR_RAD = np.radians(8.0), np.radians(20.0)
 # Clocks this far apart are not of one kind.
 _WALL_TIME_S = 1e6
+
+_WHEELS = 'calibrate the radii of the wheels, on a straight line'
 
 _OTHERS = {
     IMAGES: 'joint_states and odom',
@@ -241,7 +243,7 @@ def _named(cause: Cause) -> Finding:
             'odom yaw',
             'error',
             f'curves by {np.degrees(-value):.0f} deg/m against the images',
-            'calibrate the radii of the wheels, on a straight line',
+            _WHEELS,
             {'curve_rad_m': -value},
         )
     if cause.kind == 'upside down':
@@ -373,7 +375,9 @@ def motion_findings(motion: Motion, slopes: Linear, room: Room | None) -> list[F
     ]
     if motion.odometry is None:
         found = found[::2]
-    return [*found, *_parallax(slopes, room)]
+    more = _parallax(slopes, room)
+    said = {finding.name for finding in more}
+    return [*(finding for finding in found if finding.name not in said), *more]
 
 
 def _small(name: str, error: Estimate, known: float, advice: str) -> Finding:
@@ -451,8 +455,14 @@ def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
     elif abs(turned) - 3.0 * spread > HEADING_ERROR_RAD:
         advice = 'mend pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
         found.append(Finding('camera heading', 'error', text, advice, values))
+    elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD and slopes.straight > ALIKE:
+        text = f'curves by {np.degrees(-slopes.curved_rad_m):.0f} deg/m against the images'
+        values = {'curve_rad_m': -slopes.curved_rad_m}
+        found.append(Finding('odom yaw', 'warning', text, _WHEELS, values))
     elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD:
         advice = 'check pan_axis rpy (radians) in robot.yaml and the zero of the pan'
+        if slopes.straight > -ALIKE:
+            text += ' (or odom yaw curves: undecided)'
         found.append(Finding('camera heading', 'warning', text, advice, values))
     else:
         found.append(Finding('camera heading', 'ok', text, '', values))
