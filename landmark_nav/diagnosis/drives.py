@@ -231,7 +231,7 @@ class DriveChecks:
             found += self._truth(images, cause.motion, right)
         if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
             # What follows from a wrong heading is no fault of its own.
-            follows = ('odom twist, forward', 'camera heading', 'odom unit')
+            follows: tuple[str, ...] = ('odom twist, forward', 'camera heading', 'odom unit')
             if cause.kind == 'scale':
                 follows = ('odom twist', *follows)
             found = [finding for finding in found if not finding.name.startswith(follows)]

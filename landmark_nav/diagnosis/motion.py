@@ -308,6 +308,8 @@ class Linear:
     """
 
     quiet: bool
+    straight: float
+    curved_rad_m: float
     pan_scale: Estimate
     yaw_scale: Estimate
     pan_clock_s: Estimate
@@ -318,8 +320,6 @@ class Linear:
     curve_rad_m: Estimate
     ahead_m: Estimate
     left_m: Estimate
-    straight: float = -np.inf
-    curved_rad_m: float = 0.0
 
     @property
     def heading_rad(self) -> Estimate:
@@ -373,4 +373,4 @@ def linear(motion: Motion) -> Linear:
     # A curved path looks like a camera that is turned, while the pan stays ahead.
     curved = fit(left, np.column_stack([base[:, :-1], passed[:, 1]]))
     straight = curved.log_likelihood - found.log_likelihood
-    return Linear(found.quiet, *small, straight, float(curved.values[-1]))
+    return Linear(found.quiet, straight, float(curved.values[-1]), *small)
