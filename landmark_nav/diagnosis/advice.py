@@ -452,13 +452,13 @@ def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
     if abs(turned) - 4.0 * spread > np.radians(140.0):
         advice = 'odometry drives backwards, or pan_axis rpy is half a turn off'
         found.append(Finding('camera heading', 'error', text, advice, values))
-    elif abs(turned) - 3.0 * spread > HEADING_ERROR_RAD:
-        advice = 'mend pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
-        found.append(Finding('camera heading', 'error', text, advice, values))
     elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD and slopes.straight > ALIKE:
         text = f'curves by {np.degrees(-slopes.curved_rad_m):.0f} deg/m against the images'
         values = {'curve_rad_m': -slopes.curved_rad_m}
         found.append(Finding('odom yaw', 'warning', text, _WHEELS, values))
+    elif abs(turned) - 3.0 * spread > HEADING_ERROR_RAD:
+        advice = 'mend pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
+        found.append(Finding('camera heading', 'error', text, advice, values))
     elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD:
         advice = 'check pan_axis rpy (radians) in robot.yaml and the zero of the pan'
         if slopes.straight > -ALIKE:

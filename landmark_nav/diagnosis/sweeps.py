@@ -57,8 +57,8 @@ class SweepChecks:
         slopes = linear(motion)
         if not slopes.fits:
             judged = verdict(motion)
-            found += self._each(motion) if judged.cause.kind == 'none' else []
-            found += [_learned(finding) for finding in cause_findings(judged)]
+            each = self._each(motion) if judged.cause.kind == 'none' else []
+            found += each or [_learned(finding) for finding in cause_findings(judged)]
             slopes = linear(judged.cause.motion)
         elif (wide := self._motion(looks, 2)) is not None:
             found += moved_between(motion, wide)
