@@ -32,7 +32,7 @@ from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame
 
 # In so many images a place is found, if the map is of this room.
-_MAP_IMAGES = 100
+_MAP_IMAGES = 50
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
