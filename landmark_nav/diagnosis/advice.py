@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from landmark_nav.diagnosis.camera_errors import CameraError
-from landmark_nav.diagnosis.causes import ALIKE, Cause, IMAGES, JOINTS, MOUNT, ODOMETRY, Verdict
+from landmark_nav.diagnosis.causes import ALIKE, Cause, IMAGES, JOINTS, ODOMETRY, Verdict
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Estimate, Linear, Motion
 from landmark_nav.diagnosis.units import nearness_of_room, unit_of
@@ -193,85 +194,77 @@ def _named(cause: Cause) -> Finding:
             'discipline the clock of its host before driving (chrony)',
             {'step_s': value, 'at_s': cause.offset_s},
         )
-    if cause.kind == 'joint':
-        return Finding(
+    degrees, away, ahead = np.degrees(-value), abs(value), value > 0.0
+    left = cause.kind == 'left'
+    side = ('to the left', 'to the right') if left else ('ahead', 'behind')
+    lever = (
+        'camera mount',
+        f'the pan axis is {away:.1f} m {side[not ahead]} of where robot.yaml has it',
+        'measure pan_axis xyz: metres ahead, to the left and up of base_link',
+        {f'{cause.kind}_m': value},
+    )
+    described: dict[str, tuple[str, str, str, dict[str, Any]]] = {
+        'joint': (
             'joint names',
-            'error',
             f'joint {cause.name} turns as the camera does, that of robot.yaml does not',
             f'set pan_joint: {cause.name} in robot.yaml',
             {'pan_joint': cause.name},
-        )
-    if cause.kind == 'twist':
-        return Finding(
+        ),
+        'twist': (
             'odom yaw',
-            'error',
             'its pose does not turn as the camera does, its twist does',
             'publish the pose that the twist sums up to',
-        )
-    if cause.kind == 'speed':
-        return Finding(
+            {},
+        ),
+        'speed': (
             'pan unit',
-            'error',
             'summed up, the pan is what the images turn by: it holds speeds, not angles',
             'publish angles as position in joint_states',
-        )
-    if cause.kind == 'filter':
-        return Finding(
+            {},
+        ),
+        'filter': (
             'pan filter',
-            'error',
-            f'the pan follows the images as behind a filter of {abs(value):.2f} s',
+            f'the pan follows the images as behind a filter of {away:.2f} s',
             'publish what the encoder measures, not what a controller or a smoother makes of it',
             {'filter_s': value},
-        )
-    if cause.kind == 'heading':
-        return Finding(
+        ),
+        'heading': (
             'pan frame',
-            'error',
             'the pan has the yaw of odom in it: it is an angle against the room',
             'publish the angle of the joint, against the robot',
-        )
-    if cause.kind == 'bias':
-        return Finding(
+            {},
+        ),
+        'bias': (
             'odom yaw',
-            'error',
-            f'drifts by {np.degrees(-value):.1f} deg/s against the images',
+            f'drifts by {degrees:.1f} deg/s against the images',
             'calibrate the gyro while the robot stands',
             {'bias_rad_s': -value},
-        )
-    if cause.kind == 'curve':
-        return Finding(
+        ),
+        'curve': (
             'odom yaw',
-            'error',
-            f'curves by {np.degrees(-value):.0f} deg/m against the images',
+            f'curves by {degrees:.0f} deg/m against the images',
             _WHEELS,
             {'curve_rad_m': -value},
-        )
-    if cause.kind == 'upside down':
-        return Finding(
+        ),
+        'upside down': (
             'camera mount',
-            'error',
             'the images show the camera the other way up than robot.yaml: upside down, or not',
             'mend pan_axis rpy (a unit that hangs: [3.1416, 0, 0]) or camera_roll in robot.yaml',
-        )
-    if cause.kind == 'offset':
-        return Finding(
+            {},
+        ),
+        'offset': (
             'camera mount',
-            'error',
-            f'the optical centre is {abs(value):.2f} m {"ahead" if value > 0.0 else "behind"} '
-            'of where robot.yaml has it',
+            f'the optical centre is {away:.2f} m {"ahead" if ahead else "behind"} of where '
+            'robot.yaml has it',
             'measure optical_center_offset from the pan axis, in metres',
             {'offset_m': value},
-        )
-    if stream == MOUNT:
-        sides = {'ahead': ('ahead', 'behind'), 'left': ('to the left', 'to the right')}
-        return Finding(
-            'camera mount',
-            'error',
-            f'the pan axis is {abs(value):.1f} m {sides[cause.kind][value < 0.0]} of where '
-            'robot.yaml has it',
-            'measure pan_axis xyz: metres ahead, to the left and up of base_link',
-            {f'{cause.kind}_m': value},
-        )
+        ),
+        'ahead': lever,
+        'left': lever,
+    }
+    if cause.kind in described:
+        name, text, advice, values = described[cause.kind]
+        return Finding(name, 'error', text, advice, values)
     return {JOINTS: _pan_scale, ODOMETRY: _yaw_scale, IMAGES: _image_scale}[stream](value)
 
 
