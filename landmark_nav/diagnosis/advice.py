@@ -196,10 +196,10 @@ def _named(cause: Cause) -> Finding:
         )
     degrees, away, ahead = np.degrees(-value), abs(value), value > 0.0
     left = cause.kind == 'left'
-    side = ('to the left', 'to the right') if left else ('ahead', 'behind')
+    sides = ('to the left', 'to the right') if left else ('ahead', 'behind')
     lever = (
         'camera mount',
-        f'the pan axis is {away:.1f} m {side[not ahead]} of where robot.yaml has it',
+        f'the pan axis is {away:.1f} m {sides[not ahead]} of where robot.yaml has it',
         'measure pan_axis xyz: metres ahead, to the left and up of base_link',
         {f'{cause.kind}_m': value},
     )
