@@ -91,7 +91,7 @@ def _check_map(bag: Bag, args: argparse.Namespace) -> list[Finding]:
     try:
         done = replay(events, landmarks, calibration, LocalizationConfig())
     except LandmarkNavError as error:
-        text = f'{str(error).partition(":")[0]}'
+        text = str(error).partition(': is the map')[0]
         return [Finding('map', 'error', text, 'take the map of this room, or learn it anew')]
     x, y, heading = done.start.pose.tolist()
     text = f'place found: ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg after '
