@@ -28,8 +28,8 @@ from landmark_nav.storage.bags.reader import naming
 _LEAST_PAIRS = 12
 # Scale of focal length or pan that calibration finds in a sweep; angles of as many radians.
 _CALIBRATED = 1.2
-# Between two sweeps a pause is longer than this share of all.
-_PAUSES = 0.1
+# Between two sweeps nothing is seen for so many times as between two images.
+_PAUSE = 5.0
 
 
 class SweepChecks:
@@ -66,7 +66,9 @@ class SweepChecks:
 
     def _each(self, motion: Motion) -> list[Finding]:
         """What is wrong with single sweeps, where no fault is that of all."""
-        begins = np.flatnonzero(np.diff(motion.before_s) > _PAUSES * np.ptp(motion.before_s)) + 1
+        pauses = motion.before_s[1:] - motion.after_s[:-1]
+        usual = float(np.median(motion.after_s - motion.before_s))
+        begins = np.flatnonzero(pauses > _PAUSE * usual) + 1
         parts = np.split(np.arange(len(motion)), begins)
         found = []
         for k, part in enumerate(parts if len(parts) > 1 else (), start=1):
