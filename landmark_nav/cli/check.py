@@ -4,16 +4,35 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+import itertools
+
+import numpy as np
 
 from landmark_nav.cli.options import add, open_bag
-from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, QUICK, table, worst
+from landmark_nav.diagnosis import (
+    check_papers,
+    diagnose,
+    Diagnosis,
+    Finding,
+    IMAGES,
+    QUICK,
+    table,
+    worst,
+)
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.replay import replay
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.atomic_io import check_writable, write_json
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.types import CameraFrame
+
+# Images within which a place is found if the map is of this room.
+_MAP_IMAGES = 50
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
     found = diagnose(bag, mount, room)
     if room is not None and room.papers:
         found = replace(found, findings=(*found.findings, *check_papers(bag, mount, room)))
+    if args.map and args.robot and not found.errors and bag.find('odom'):
+        found = replace(found, findings=(*found.findings, *_check_map(bag, args)))
     if args.json:
         report = {
             'schema': 1,
@@ -51,6 +72,28 @@ def run(args: argparse.Namespace) -> int:
     print('\n'.join(table(found.findings)))
     print(f'{len(found.errors)} errors, {len(found.warnings)} warnings')
     return int(bool(found.errors))
+
+
+def _check_map(bag: Bag, args: argparse.Namespace) -> list[Finding]:
+    """Whether the first images of a drive show landmarks of a map."""
+    landmarks = load_map(args.map)
+    if not landmarks.landmarks or not any(bag.find(name) for name in IMAGES):
+        return []
+    calibration = landmarks.calibration_from(load_calibration(args.robot))
+    count = itertools.count(1)
+    events = itertools.takewhile(
+        lambda event: not isinstance(event, CameraFrame) or next(count) <= _MAP_IMAGES,
+        sensor_events(bag, calibration.mount),
+    )
+    try:
+        done = replay(events, landmarks, calibration, LocalizationConfig())
+    except LandmarkNavError as error:
+        text = str(error).partition(': is the map')[0]
+        return [Finding('map', 'error', text, 'take the map of this room, or learn it anew')]
+    x, y, heading = done.start.pose.tolist()
+    text = f'place found: ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg after '
+    text += f'{1e-9 * (done.start.stamp_ns - done.begin_ns):.1f} s'
+    return [Finding('map', 'ok', text, '', {'pose': done.start.pose.tolist()})]
 
 
 def checked(bag: Bag, mount: PanTiltMount, room: Room | None) -> Diagnosis:

@@ -1,11 +1,12 @@
 """What is wrong with a recording: its streams against each other and against its images."""
 
-from landmark_nav.diagnosis.doctor import diagnose, QUICK
+from landmark_nav.diagnosis.doctor import diagnose, IMAGES, QUICK
 from landmark_nav.diagnosis.drives import THOROUGH
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding, table, worst
 from landmark_nav.diagnosis.papers import check_papers
 
 __all__ = [
+    'IMAGES',
     'QUICK',
     'THOROUGH',
     'Delays',

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from landmark_nav.diagnosis.camera_errors import CameraError
-from landmark_nav.diagnosis.causes import Cause, IMAGES, JOINTS, MOUNT, ODOMETRY, Verdict
+from landmark_nav.diagnosis.causes import ALIKE, Cause, IMAGES, JOINTS, ODOMETRY, Verdict
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Estimate, Linear, Motion
 from landmark_nav.diagnosis.units import nearness_of_room, unit_of
@@ -24,6 +25,8 @@ _OF_ROOM = 2.2
 _HEADING_WARN_RAD, HEADING_ERROR_RAD = np.radians(8.0), np.radians(20.0)
 # Clocks this far apart are not of one kind.
 _WALL_TIME_S = 1e6
+
+_WHEELS = 'calibrate the radii of the wheels, on a straight line'
 
 _OTHERS = {
     IMAGES: 'joint_states and odom',
@@ -191,85 +194,77 @@ def _named(cause: Cause) -> Finding:
             'discipline the clock of its host before driving (chrony)',
             {'step_s': value, 'at_s': cause.offset_s},
         )
-    if cause.kind == 'joint':
-        return Finding(
+    degrees, away, ahead = np.degrees(-value), abs(value), value > 0.0
+    left = cause.kind == 'left'
+    sides = ('to the left', 'to the right') if left else ('ahead', 'behind')
+    lever = (
+        'camera mount',
+        f'the pan axis is {away:.1f} m {sides[not ahead]} of where robot.yaml has it',
+        'measure pan_axis xyz: metres ahead, to the left and up of base_link',
+        {f'{cause.kind}_m': value},
+    )
+    described: dict[str, tuple[str, str, str, dict[str, Any]]] = {
+        'joint': (
             'joint names',
-            'error',
             f'joint {cause.name} turns as the camera does, that of robot.yaml does not',
             f'set pan_joint: {cause.name} in robot.yaml',
             {'pan_joint': cause.name},
-        )
-    if cause.kind == 'twist':
-        return Finding(
+        ),
+        'twist': (
             'odom yaw',
-            'error',
             'its pose does not turn as the camera does, its twist does',
             'publish the pose that the twist sums up to',
-        )
-    if cause.kind == 'speed':
-        return Finding(
+            {},
+        ),
+        'speed': (
             'pan unit',
-            'error',
             'summed up, the pan is what the images turn by: it holds speeds, not angles',
             'publish angles as position in joint_states',
-        )
-    if cause.kind == 'filter':
-        return Finding(
+            {},
+        ),
+        'filter': (
             'pan filter',
-            'error',
-            f'the pan follows the images as behind a filter of {abs(value):.2f} s',
+            f'the pan follows the images as behind a filter of {away:.2f} s',
             'publish what the encoder measures, not what a controller or a smoother makes of it',
             {'filter_s': value},
-        )
-    if cause.kind == 'heading':
-        return Finding(
+        ),
+        'heading': (
             'pan frame',
-            'error',
             'the pan has the yaw of odom in it: it is an angle against the room',
             'publish the angle of the joint, against the robot',
-        )
-    if cause.kind == 'bias':
-        return Finding(
+            {},
+        ),
+        'bias': (
             'odom yaw',
-            'error',
-            f'drifts by {np.degrees(-value):.1f} deg/s against the images',
+            f'drifts by {degrees:.1f} deg/s against the images',
             'calibrate the gyro while the robot stands',
             {'bias_rad_s': -value},
-        )
-    if cause.kind == 'curve':
-        return Finding(
+        ),
+        'curve': (
             'odom yaw',
-            'error',
-            f'curves by {np.degrees(-value):.0f} deg/m against the images',
-            'calibrate the radii of the wheels, on a straight line',
+            f'curves by {degrees:.0f} deg/m against the images',
+            _WHEELS,
             {'curve_rad_m': -value},
-        )
-    if cause.kind == 'upside down':
-        return Finding(
+        ),
+        'upside down': (
             'camera mount',
-            'error',
             'the images show the camera the other way up than robot.yaml: upside down, or not',
             'mend pan_axis rpy (a unit that hangs: [3.1416, 0, 0]) or camera_roll in robot.yaml',
-        )
-    if cause.kind == 'offset':
-        return Finding(
+            {},
+        ),
+        'offset': (
             'camera mount',
-            'error',
-            f'the optical centre is {abs(value):.2f} m {"ahead" if value > 0.0 else "behind"} '
-            'of where robot.yaml has it',
+            f'the optical centre is {away:.2f} m {"ahead" if ahead else "behind"} of where '
+            'robot.yaml has it',
             'measure optical_center_offset from the pan axis, in metres',
             {'offset_m': value},
-        )
-    if stream == MOUNT:
-        sides = {'ahead': ('ahead', 'behind'), 'left': ('to the left', 'to the right')}
-        return Finding(
-            'camera mount',
-            'error',
-            f'the pan axis is {abs(value):.1f} m {sides[cause.kind][value < 0.0]} of where '
-            'robot.yaml has it',
-            'measure pan_axis xyz: metres ahead, to the left and up of base_link',
-            {f'{cause.kind}_m': value},
-        )
+        ),
+        'ahead': lever,
+        'left': lever,
+    }
+    if cause.kind in described:
+        name, text, advice, values = described[cause.kind]
+        return Finding(name, 'error', text, advice, values)
     return {JOINTS: _pan_scale, ODOMETRY: _yaw_scale, IMAGES: _image_scale}[stream](value)
 
 
@@ -373,7 +368,9 @@ def motion_findings(motion: Motion, slopes: Linear, room: Room | None) -> list[F
     ]
     if motion.odometry is None:
         found = found[::2]
-    return [*found, *_parallax(slopes, room)]
+    more = _parallax(slopes, room)
+    said = {finding.name for finding in more}
+    return [*(finding for finding in found if finding.name not in said), *more]
 
 
 def _small(name: str, error: Estimate, known: float, advice: str) -> Finding:
@@ -448,11 +445,17 @@ def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
     if abs(turned) - 4.0 * spread > np.radians(140.0):
         advice = 'odometry drives backwards, or pan_axis rpy is half a turn off'
         found.append(Finding('camera heading', 'error', text, advice, values))
+    elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD and slopes.straight > ALIKE:
+        text = f'curves by {np.degrees(-slopes.curved_rad_m):.0f} deg/m against the images'
+        values = {'curve_rad_m': -slopes.curved_rad_m}
+        found.append(Finding('odom yaw', 'warning', text, _WHEELS, values))
     elif abs(turned) - 3.0 * spread > HEADING_ERROR_RAD:
         advice = 'mend pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
         found.append(Finding('camera heading', 'error', text, advice, values))
     elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD:
         advice = 'check pan_axis rpy (radians) in robot.yaml and the zero of the pan'
+        if slopes.straight > -ALIKE:
+            text += ' (or odom yaw curves: undecided)'
         found.append(Finding('camera heading', 'warning', text, advice, values))
     else:
         found.append(Finding('camera heading', 'ok', text, '', values))

@@ -28,7 +28,7 @@ from landmark_nav.diagnosis.motion import (
 )
 
 # Likelihoods this near are alike, and this far above none a fault is one.
-_ALIKE, _CERTAIN = 5.0, 12.0
+ALIKE, _CERTAIN = 5.0, 12.0
 # Scales that are tried: reversed, geared, degrees, ticks, none.
 _SCALES = (-1.0, 0.5, 2.0, -0.5, -2.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi, 0.0)
 _LENS = 3.0
@@ -38,6 +38,8 @@ _NEAR_S, _NEAR_STEP_S, _FAR_S, _FAR_STEP_S = 3.0, 0.02, 120.0, 0.05
 # A drift that comes to less over a recording is none.
 _LEAST_DRIFT_S = 0.05
 _CLOCKS = ('clock', 'drift', 'step')
+# Clocks run forward, and none at a tenth of its rate: that would be a scale.
+_SLOWEST = -0.9
 # A clock that is known to this is worth a correction.
 _POLISH_S = 0.02
 # A clock is measured by what was recorded at the time of the images.
@@ -139,7 +141,7 @@ def verdict(
     best = max(found, key=lambda cause: cause.score)
     if best.score < none.score + _CERTAIN or not linear(best.motion).quiet:
         best = none
-    alike = [c for c in found if c is not best and c.score > best.score - _ALIKE]
+    alike = [c for c in found if c is not best and c.score > best.score - ALIKE]
     best = _polished(best)
     rivals = [] if best.kind == 'none' else [c for c in alike if _differs(c, best)]
     return Verdict(best, tuple(rivals), linear(best.motion).quiet)
@@ -465,8 +467,9 @@ def _refined(motion: Motion, stream: str, first: Clock, *, drift: bool) -> Cause
             kind, value = 'clock', clock.offset_s
     sign = -1.0 if stream == IMAGES else 1.0
     mended = _with_clock(motion, stream, clock)
-    if _covered(mended) < _LEAST_COVERED:
-        return _cause(stream, 'none', motion, 2)  # a clock by which nothing was recorded
+    # A clock that runs backwards, or by which nothing was recorded, is none.
+    if clock.drift < _SLOWEST or _covered(mended) < _LEAST_COVERED:
+        return _cause(stream, 'none', motion, 2)
     return _cause(
         stream,
         kind,

@@ -15,7 +15,7 @@ from landmark_nav.storage.bags import Bag
 
 # So many images are decoded at the start of `learn` and `evaluate`.
 QUICK = 60
-_IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
+IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
 _SWEEP_IMAGES = ('sweep/image', 'sweep/image/compressed')
 
 
@@ -41,7 +41,7 @@ def diagnose(
     bag = bag.warning_to(lambda text: described.update({text: None}))
     found: list[Finding] = []
     delays = Delays()
-    images = _first(bag, _IMAGES)
+    images = _first(bag, IMAGES)
     sweeps = _first(bag, _SWEEP_IMAGES)
     if images:
         diagnosis = DriveChecks(bag, images, mount, room).diagnosis(most_images)
@@ -55,7 +55,7 @@ def diagnose(
     if sweeps:
         found += SweepChecks(bag, sweeps, mount).findings(most_images)
     if not found:
-        bag.require(*_IMAGES, *_SWEEP_IMAGES)
+        bag.require(*IMAGES, *_SWEEP_IMAGES)
     for text in described:
         line = text.replace(f'{bag.path}: ', '')
         found.append(Finding('reading', 'warning', line, when_read=True))

@@ -24,8 +24,10 @@ from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.looks import camera_error_of, look, Looks
 from landmark_nav.diagnosis.motion import Clock, Linear, linear, Motion, Track
 from landmark_nav.diagnosis.parts import (
-    blank_images,
+    alternating_images,
+    check_content,
     coarse_values,
+    COVERED,
     held_values,
     jumping_values,
     limited_values,
@@ -98,9 +100,8 @@ class DriveChecks:
 
     def _judged(self, looks: Looks) -> tuple[list[Finding], Delays, bool]:
         """Findings, delays, and whether joints and odometry explain what the images show."""
-        found = [*check_stamps(looks.stream), *looks.findings]
-        if (blank := blank_images(looks)) is not None:
-            found.append(blank)
+        content = check_content(looks)
+        found = [*check_stamps(looks.stream), *looks.findings, *content]
         pan, by_names = self._pan()
         found += by_names
         odometry = self._odometry
@@ -119,6 +120,8 @@ class DriveChecks:
             found += _frames(odometry, looks.stream, self._mount)
         if pan is None or len(pan) < 2 or len(looks.stream) < 2:
             return found, Delays(), True
+        if any(f.name == COVERED and f.level == 'error' for f in content):
+            return found, Delays(), True  # what stays the same hides how the rest moves
         if _unstamped(looks.stream) or _unstamped(pan) or (odometry and _unstamped(odometry)):
             return found, Delays(), True
         looks = replace(looks, stream=by_arrival(looks.stream))
@@ -164,6 +167,8 @@ class DriveChecks:
         hints = clock_hints(images, by_name)
         inside = ((logged >= first) & (logged <= last))[looks.pairs].all(1)
         pairs = self._motion(looks, looks.pairs[inside], streams)
+        if (mixed := alternating_images(looks, pairs)) is not None:
+            return [*found, mixed], Delays(), True
         motion = pairs.only(np.isfinite(pairs.turns_rad))
         if len(motion) < _LEAST_PAIRS:
             described = (
@@ -205,9 +210,10 @@ class DriveChecks:
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
                 found = [f for f in found if f.name not in _OF_PATH]
-            elif looks.view is not None and staying is None and blank_images(looks) is None:
+            elif looks.view is not None and staying is None:
                 strange = strange_images(pairs, looks.view.width_rad)
-                found += [] if strange is None else [strange]
+                said = {finding.name for finding in found}
+                found += [] if strange is None or strange.name in said else [strange]
             return [*found, *self._truth(images, motion, Clock())], Delays(), True
         others = {
             name: Track.of(stream.seconds, self._mount.pan_sense * _angles(stream))
@@ -225,7 +231,9 @@ class DriveChecks:
             found += self._truth(images, cause.motion, right)
         if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
             # What follows from a wrong heading is no fault of its own.
-            follows = ('odom twist', 'camera heading', 'odom unit')
+            follows: tuple[str, ...] = ('odom twist, forward', 'camera heading', 'odom unit')
+            if cause.kind == 'scale':
+                follows = ('odom twist', *follows)
             found = [finding for finding in found if not finding.name.startswith(follows)]
         if cause.kind == 'none' and not judged.fits:
             coarse = [coarse_values(stream) for stream in streams]

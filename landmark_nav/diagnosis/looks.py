@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from landmark_nav.arrays import FloatArray, IndexArray
+from landmark_nav.arrays import FloatArray, ImageArray, IndexArray
 from landmark_nav.diagnosis.camera_errors import (
     camera_error,
     CameraError,
@@ -29,6 +30,8 @@ from landmark_nav.types import JointSample
 
 # Images are compared in runs of so many, spread over the recording.
 _RUN = 12
+# Sizes at which images are looked at as a whole, and at which their details are.
+_SMALL, _WIDTH = (16, 12), 256
 # Pairs of images in which points are tracked.
 _TRACKED = 30
 # A lens that sees less or more is mistaken, or cannot be used here.
@@ -52,6 +55,10 @@ class Looks:
         Encoding, size and lens.
     strips : dict
         What was seen in the images that were decoded, by their index.
+    small : dict
+        The same images of 12 x 16 pixels, grey.
+    sharpness : dict
+        Contrast of their fine details beside that of coarse ones, about 0.5 in focus.
     view : StripView or None
         How; None where no image could be used.
     camera : CameraModel or None
@@ -64,15 +71,21 @@ class Looks:
     pairs: IndexArray
     findings: tuple[Finding, ...]
     strips: dict[int, Strip]
+    small: dict[int, ImageArray]
+    sharpness: dict[int, float]
     view: StripView | None
     camera: CameraModel | None
     points: dict[int, tuple[FloatArray, FloatArray]]
 
     def turn(self, first: int, second: int) -> float:
         """Turn of the camera between two images, rad; NaN where it is not known."""
+        return self.compared(first, second)[0]
+
+    def compared(self, first: int, second: int) -> tuple[float, float]:
+        """Turn between two images and how alike they are, of 1; NaN where it is not known."""
         if self.view is None or first not in self.strips or second not in self.strips:
-            return float('nan')
-        return self.view.turn(self.strips[first], self.strips[second])[0]
+            return float('nan'), float('nan')
+        return self.view.turn(self.strips[first], self.strips[second])
 
 
 def look(
@@ -103,6 +116,8 @@ def look(
     failed: list[str] = []
     kinds: dict[str, None] = {}
     strips: dict[int, Strip] = {}
+    small: dict[int, ImageArray] = {}
+    sharpness: dict[int, float] = {}
     view: StripView | None = None
     camera: CameraModel | None = None
     cameras, refused = _cameras(bag, infos)
@@ -125,6 +140,8 @@ def look(
                 view = StripView(camera, *((setup.mount, setup.tilt_rad) if setup else (mounted,)))
             kinds[f'{_kind(entry)} {image.shape[1]} x {image.shape[0]}'] = None
             strips[index] = view.strip(image)
+            small[index] = _reduced(image, _SMALL)
+            sharpness[index] = _sharpness(image)
             if index in tracked or index - 1 in tracked:
                 now = corners(image)
                 second = before is not None and index - 1 in tracked and index - 1 in strips
@@ -147,7 +164,28 @@ def look(
     )
     findings = (*refused, *_encoding(failed, kinds, len(chosen)), *_lens(camera))
     each = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return Looks(stream, each, findings, strips, view, camera, points)
+    return Looks(stream, each, findings, strips, small, sharpness, view, camera, points)
+
+
+def _reduced(image: ImageArray, size: tuple[int, int]) -> ImageArray:
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _sharpness(image: ImageArray) -> float:
+    """
+    Contrast of fine details of a grey image beside that of coarse ones.
+
+    What natural scenes show is as strong at each scale (Field, J. Opt. Soc. Am. A 4(12), 1987);
+    images of any size are compared at the same width.
+    """
+    height, width = image.shape
+    fine, coarse = (
+        cv2.Laplacian(
+            _reduced(image, (columns, max(columns * height // width, 3))), cv2.CV_32F
+        ).var()
+        for columns in (_WIDTH, _WIDTH // 4)
+    )
+    return float(fine / max(coarse, 1.0))
 
 
 def camera_error_of(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError | None:

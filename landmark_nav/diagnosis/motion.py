@@ -303,10 +303,13 @@ class Linear:
     `pan_scale` and `yaw_scale` are errors as shares, `pan_clock_s` and `odometry_clock_s` by how
     much stamps are late, `nearness` in 1/m, `sideways`, `bias_rad_s` and `curve_rad_m` as in the
     module's equation; `ahead_m` and `left_m` by how much farther the pan axis is than given.
-    Each of these four is what it would be if the others were 0.
+    Each of these four is what it would be if the others were 0. `straight` is how much likelier,
+    as a logarithm, a camera that looks ahead on a robot that curves by `curved_rad_m` is.
     """
 
     quiet: bool
+    straight: float
+    curved_rad_m: float
     pan_scale: Estimate
     yaw_scale: Estimate
     pan_clock_s: Estimate
@@ -360,10 +363,14 @@ def linear(motion: Motion) -> Linear:
     pairs = zip(found.values.tolist(), found.sigmas.tolist(), strict=True)
     small = [Estimate(*pair) for pair in pairs]
     # One at a time: at a steady speed time and path are alike, and so are levers and distances.
-    for column in np.column_stack([motion.passed(), motion.levers()]).T:
+    passed = motion.passed()
+    for column in np.column_stack([passed, motion.levers()]).T:
         alone = fit(left, np.column_stack([base, column]))
         small.append(Estimate(float(alone.values[-1]), float(alone.sigmas[-1])))
     # A lever shows by how it moves what is seen.
     near = max(abs(found.values[4]), 1e-3)
     small[-2:] = (Estimate(*(float(v) / near for v in lever)) for lever in small[-2:])
-    return Linear(found.quiet, *small)
+    # A curved path looks like a camera that is turned, while the pan stays ahead.
+    curved = fit(left, np.column_stack([base[:, :-1], passed[:, 1]]))
+    straight = curved.log_likelihood - found.log_likelihood
+    return Linear(found.quiet, straight, float(curved.values[-1]), *small)

@@ -15,6 +15,12 @@ from landmark_nav.diagnosis.streams import Stream
 
 # Texture of a strip per pixel, where evened contrast is 1: less is a wall, much less is nothing.
 _BLANK = 0.02
+# Contrast of fine details in images that are blurred by 3 pixels of 512.
+_BLURRED = 0.03
+# Grey levels by which a part of images that is covered, and one that is not, change; brightness
+# that changes by a factor of 1.2 from one image to the next.
+_STAYS_GREY, _CHANGES_GREY, _FLICKERS = 3.0, 10.0, 0.2
+COVERED = 'images cover'
 # A share of the images that is worth a word.
 _SOME = 0.1
 # Images that turn less, while the pan turns more, in most pairs, are one image; an image that is
@@ -37,10 +43,77 @@ _WHOLE = 1e-3
 # Images of another camera: of pairs that should share half of what they show, so many do not
 # match, or are off by more than parallax may be.
 _MOST_STRANGE, _SHARED, _STRANGE_RAD = 0.3, 0.5, 0.15
+# By so much images are more alike, of 1.
+_ALIKE = 0.1
 
 
-def blank_images(looks: Looks) -> Finding | None:
-    """Images that show next to nothing; None where they are few."""
+def check_content(looks: Looks) -> list[Finding]:
+    """What is wrong with images as such: blank, out of focus, covered, of unsteady exposure."""
+    checks = (_blank_images, _blurred_images, _covered_images, _flickering_images)
+    return [found for check in checks if (found := check(looks)) is not None]
+
+
+def _blurred_images(looks: Looks) -> Finding | None:
+    sharp = [value for value in looks.sharpness.values() if value > 0.0]
+    usual = float(np.median(sharp)) if len(sharp) >= _LEAST_PAIRS else _BLURRED
+    if usual >= _BLURRED:
+        return None
+    return Finding(
+        'images sharpness',
+        'warning',
+        f'fine details have {100.0 * usual:.1f} % of the contrast of coarse ones: out of focus',
+        'focus the lens, clean it; expose for a shorter time if the camera moves',
+        {'sharpness': usual},
+    )
+
+
+def _covered_images(looks: Looks) -> Finding | None:
+    small = np.array(list(looks.small.values()), dtype=np.float64)
+    if len(small) < _LEAST_PAIRS:
+        return None
+    spread = small.std(axis=0)
+    rows, columns = (np.linspace(-1.0, 1.0, n) for n in spread.shape)
+    # The corners of a fisheye lens are always dark.
+    inside = np.hypot(*np.meshgrid(columns, rows)) <= 1.0
+    stays = inside & (spread < _STAYS_GREY)
+    share = float(stays.sum() / inside.sum())
+    changing = spread[inside & ~stays]
+    if share < _SOME or not len(changing) or np.median(changing) < _CHANGES_GREY:
+        return None
+    x, y = (float(np.mean(values[stays])) for values in np.meshgrid(columns, rows))
+    side = ('right' if x > 0.0 else 'left') if abs(x) > abs(y) else ('below' if y > 0 else 'above')
+    return Finding(
+        COVERED,
+        'error' if share > _MOST_STRANGE else 'warning',
+        f'{100.0 * share:.0f} % of each image stay the same, most on the side {side}: covered, '
+        'or no image of the camera',
+        'free the lens; no part of the robot, no text and no frame belongs into the image',
+        {'share': share},
+    )
+
+
+def _flickering_images(looks: Looks) -> Finding | None:
+    small = looks.small
+    light = [
+        np.log([max(float(small[k + n].mean()), 1.0) for n in range(3)])
+        for k in small
+        if k + 1 in small and k + 2 in small
+    ]
+    # A trend, as of a camera that turns to a window, is none.
+    bends = np.abs(np.diff(light, 2)) / 2.0 if light else np.empty(0)
+    usual = float(np.median(bends)) if len(bends) >= _LEAST_PAIRS else 0.0
+    if usual < _FLICKERS:
+        return None
+    return Finding(
+        'images exposure',
+        'warning',
+        f'the brightness changes by a factor of {np.exp(usual):.1f} from image to image',
+        'fix exposure and gain, or bind them to the mains (50 or 60 Hz): light or camera flicker',
+        {'factor': float(np.exp(usual))},
+    )
+
+
+def _blank_images(looks: Looks) -> Finding | None:
     blank = [energy[-1] < _BLANK * _pixels(looks) for _, energy in looks.strips.values()]
     share = float(np.mean(blank)) if blank else 0.0
     if share < _SOME:
@@ -80,6 +153,31 @@ def repeated_images(motion: Motion) -> Finding | None:
         f'{still.sum()} of {turning.sum()} images repeat the one before while the camera turns',
         'its driver stamps one image twice: publish each image once',
         {'repeated': int(still.sum()), 'turning': int(turning.sum())},
+    )
+
+
+def alternating_images(looks: Looks, motion: Motion) -> Finding | None:
+    """Images that are like the one before the last, not like the last; None where they are few."""
+    if looks.view is None:
+        return None
+    seconds = looks.stream.seconds
+    pans = motion.pan_scale * motion.pan.at(motion.pan_clock.at(seconds))[:, 0]
+    alike = []
+    for k in looks.strips:
+        near = np.ptp(pans[k : k + 3]) < 0.5 * _SHARED * looks.view.width_rad
+        if k + 1 in looks.strips and k + 2 in looks.strips and near:
+            pairs = ((k, k + 1), (k + 1, k + 2), (k, k + 2))
+            alike.append([looks.compared(*pair)[1] for pair in pairs])
+    first, second, across = np.array(alike).reshape(-1, 3).T
+    odd = across > np.maximum(first, second) + _ALIKE
+    if len(odd) < _LEAST_PAIRS or odd.mean() < _MOST_STRANGE:
+        return None
+    return Finding(
+        'images content',
+        'error',
+        f'{odd.sum()} of {len(odd)} images are like the one before the last, not like the last',
+        'two cameras, or two settings of one, come in turns: stop one, or remap it',
+        {'odd': int(odd.sum()), 'images': len(odd)},
     )
 
 
@@ -223,6 +321,32 @@ def jumping_values(motion: Motion) -> list[Finding]:
             )
             break
     return found
+
+
+def moved_between(motion: Motion, wide: Motion) -> list[Finding]:
+    """
+    Jumps of the camera in a sweep that the pan does not show, seen by images next to each other.
+
+    Images farther apart, in `wide`, show them as well; those next to each other may be mistaken.
+    """
+    left, across = (m.turns_rad - m.panned() for m in (motion, wide))
+    noise = fit(left, np.empty((len(left), 0))).noise_rad
+    for k in np.flatnonzero(np.abs(left) > max(_JUMP_RAD, _OFF_SIGMAS * noise)):
+        over = (wide.before_s <= motion.before_s[k]) & (wide.after_s >= motion.after_s[k])
+        if not over.any() or np.abs(across[over] - left[k]).max() > _SAME_JUMP * abs(left[k]):
+            continue
+        turned = float(np.degrees(left[k]))
+        return [
+            Finding(
+                'sweep motion',
+                'error',
+                f'at {motion.before_s[k]:.1f} s the images turn {abs(turned):.0f} deg farther to '
+                f'the {"left" if turned > 0.0 else "right"} than the pan',
+                'the base was turned, or the pan slipped: let the robot stand, sweep again',
+                {'turned_rad': float(left[k]), 'at_s': float(motion.before_s[k])},
+            )
+        ]
+    return []
 
 
 def coarse_values(stream: Stream) -> Finding | None:

@@ -86,6 +86,8 @@ def check_stamps(stream: Stream) -> list[Finding]:
                 {'zeros': zeros, 'messages': n},
             )
         )
+    if (unit := _nanosec_unit(stream)) is not None:
+        yielded.append(unit)
     steps = np.diff(stream.seconds)
     period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     rate = 1.0 / period if period else 0.0
@@ -138,6 +140,24 @@ def _jitter(stream: Stream, what: str) -> list[Finding]:
             {'stamps_s': shaken, 'arrival_s': uneven},
         )
     ]
+
+
+def _nanosec_unit(stream: Stream) -> Finding | None:
+    """Stamps whose nanoseconds count something longer; None where they do not."""
+    parts = stream.stamps_ns % 1_000_000_000
+    most = int(parts.max())
+    # Of several messages a second, some lie late in it; stamps of whole seconds are rounded.
+    often = np.median(np.diff(stream.logged)) < 0.5 and len(stream) > _LEAST_MESSAGES
+    if not (often and 0 < most < 1_000_000):
+        return None
+    unit = 'milliseconds' if most < 1_000 else 'microseconds'
+    return Finding(
+        f'{stream.name} stamps',
+        'error',
+        f'no stamp lies over {most} ns after a full second: nanosec counts {unit}',
+        'put nanoseconds into header.stamp.nanosec',
+        {'most_ns': most},
+    )
 
 
 def by_arrival(stream: Stream) -> Stream:

@@ -16,6 +16,7 @@ from landmark_nav.diagnosis.causes import verdict
 from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.looks import camera_error_of, look, Looks
 from landmark_nav.diagnosis.motion import linear, Motion, Track
+from landmark_nav.diagnosis.parts import check_content, moved_between
 from landmark_nav.diagnosis.stamps import check_stamps
 from landmark_nav.diagnosis.streams import pan_stream, unwrapped
 from landmark_nav.geometry.camera import PanTiltMount
@@ -27,6 +28,8 @@ from landmark_nav.storage.bags.reader import naming
 _LEAST_PAIRS = 12
 # Scale of focal length or pan that calibration finds in a sweep; angles of as many radians.
 _CALIBRATED = 1.2
+# Between two sweeps nothing is seen for so many times as between two images.
+_PAUSE = 5.0
 
 
 class SweepChecks:
@@ -47,25 +50,45 @@ class SweepChecks:
             self._mount = error.setup.mount
             looks = look(self._bag, self._images, infos, error.setup, most_images)
         stream = replace(looks.stream, name='sweep images')
-        found = [*of_camera, *check_stamps(stream), *looks.findings]
-        motion = self._motion(looks)
+        found = [*of_camera, *check_stamps(stream), *looks.findings, *check_content(looks)]
+        motion = self._motion(looks, 1)
         if motion is None or len(motion) < _LEAST_PAIRS:
             return found
         slopes = linear(motion)
         if not slopes.fits:
             judged = verdict(motion)
-            found += [_learned(finding) for finding in cause_findings(judged)]
+            each = self._each(motion) if judged.cause.kind == 'none' else []
+            found += each or [_learned(finding) for finding in cause_findings(judged)]
             slopes = linear(judged.cause.motion)
+        elif (wide := self._motion(looks, 2)) is not None:
+            found += moved_between(motion, wide)
         return [*found, *motion_findings(motion, slopes, None)[:1]]
 
-    def _motion(self, looks: Looks) -> Motion | None:
+    def _each(self, motion: Motion) -> list[Finding]:
+        """What is wrong with single sweeps, where no fault is that of all."""
+        pauses = motion.before_s[1:] - motion.after_s[:-1]
+        usual = float(np.median(motion.after_s - motion.before_s))
+        begins = np.flatnonzero(pauses > _PAUSE * usual) + 1
+        parts = np.split(np.arange(len(motion)), begins)
+        found = []
+        for k, part in enumerate(parts if len(parts) > 1 else (), start=1):
+            inside = np.isin(np.arange(len(motion)), part)
+            if len(part) < _LEAST_PAIRS or linear(motion.only(inside)).fits:
+                continue
+            for finding in cause_findings(verdict(motion.only(inside))):
+                found.append(replace(finding, measured=f'sweep {k}: {finding.measured}'))
+        return found
+
+    def _motion(self, looks: Looks, apart: int) -> Motion | None:
+        """Pan and turn between images so many apart."""
         samples = [*self._planned()] or [*self._jointed()]
         if len(samples) < 2:
             return None
         stamps, pans = np.array(sorted(samples)).T
         seconds = 1e-9 * (stamps - self._bag.start_ns)
-        first, second = looks.stream.seconds[looks.pairs].T
-        turns = np.array([looks.turn(int(a), int(b)) for a, b in looks.pairs])
+        firsts = np.array([k for k in looks.strips if k + apart in looks.strips], dtype=np.intp)
+        first, second = looks.stream.seconds[np.stack([firsts, firsts + apart])]
+        turns = np.array([looks.turn(int(k), int(k + apart)) for k in firsts])
         good = np.isfinite(turns) & (second > first)
         # From sweep to sweep the robot moved.
         good &= second - first < 3.0 * float(np.median(second - first)) if len(first) else good

@@ -241,7 +241,8 @@ def replay(
         raise LandmarkNavError('the drive holds no image or no odometry: nothing to evaluate')
     if start is None:
         raise LandmarkNavError(
-            f'the place was not found in {len(searched)} images ({refusal}): give --start'
+            f'the place was not found in {len(searched)} images ({refusal}): is the map of this '
+            'room? Else give --start'
         )
     if not updates:
         raise LandmarkNavError('the place was found in the last image: nothing to evaluate')

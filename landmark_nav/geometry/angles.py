@@ -42,7 +42,9 @@ def check_one_turn(pans_rad: npt.ArrayLike, where: str) -> None:
     """Raise `LandmarkNavError` if pan angles (n,) of one turn seem to be in degrees."""
     span = float(np.ptp(pans_rad))
     if span > 4.0 * np.pi:
-        raise LandmarkNavError(f'{where}: the pan goes over {span:.0f} rad: are these degrees?')
+        raise LandmarkNavError(
+            f'{where}: the pan goes over {span:.0f} rad: are these degrees or ticks?'
+        )
 
 
 def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:

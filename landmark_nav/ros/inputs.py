@@ -21,6 +21,8 @@ _ALTERNATION_S = 5.0
 # Largest difference of stamps of two streams by the same clock, even on a slow machine; largest
 # rate at which a bag is played.
 _CLOCK_S, _FASTEST_PLAY = 5.0, 20.0
+# Type of pan and tilt; the ROS wheels have no tf2_msgs.
+_JOINTS = 'sensor_msgs/msg/JointState'
 # Largest number of names in a text.
 _LISTED = 3
 # Topics, besides streams, without which a node that subscribes to them cannot work.
@@ -160,6 +162,8 @@ class Input:
         }
         if not any(publishers.values()):
             alike = _listed(self._alike()) if self.is_stream else ''
+            if not alike and self._is_of_joints() and self._node.count_publishers('/tf'):
+                return 'nobody publishes it; angles in /tf are not read: publish a JointState'
             return 'nobody publishes it' + (f'; of its type there is {alike}' if alike else '')
         # QoS of the subscriptions, which `qos_overrides` may have changed.
         asked = {sub.topic_name: sub.qos_profile for sub in self._node.subscriptions}
@@ -173,6 +177,9 @@ class Input:
                     return f'the quality of service that {who} offers does not suffice'
         who = _listed(_full_name(one) for found in publishers.values() for one in found)
         return f'nothing came from {who} yet' if self._is_open() else ''
+
+    def _is_of_joints(self) -> bool:
+        return any(spec and spec.type_name == _JOINTS for spec in self._topics.values())
 
     def _alike(self) -> list[str]:
         """Other published topics of its type, by similarity of their names."""

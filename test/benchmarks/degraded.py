@@ -29,6 +29,7 @@ from stream_errors import (
     FURTHER,
     OTHERS,
     REPORTED,
+    SEVENTH,
     SIXTH,
     StreamError,
     SWEEPS,
@@ -172,6 +173,7 @@ def table_of_streams(drive: str, robot: str, room: str) -> bool:
         ('fourth', drive, FOURTH, 0.9),
         ('fifth', drive, FIFTH, 0.9),
         ('sixth', drive, SIXTH, 0.9),
+        ('seventh', drive, SEVENTH, 0.9),
     ):
         print(f'{title:30} named  said')
         hits = 0

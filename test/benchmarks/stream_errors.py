@@ -29,6 +29,7 @@ __all__ = [
     'FURTHER',
     'OTHERS',
     'REPORTED',
+    'SEVENTH',
     'SIXTH',
     'SWEEPS',
     'THIRD',
@@ -37,6 +38,7 @@ __all__ = [
 ]
 
 TRUTH = 'ground_truth/odom'
+SWEPT = 'sweep/image/compressed'
 # Message, and how often it was sent before.
 Altered = Callable[[Any, int], Any]
 
@@ -576,6 +578,95 @@ def from_zero() -> Altered:
     return change
 
 
+def _pose_in_degrees() -> Altered:
+    turned = driven(yaw=57.29578)
+    return lambda message, count: twist_times(1.0, 1.0 / 57.29578)(turned(message, count))
+
+
+def the_same(first: int, last: int) -> Altered:
+    """One image again and again for a while."""
+    held: list[Any] = []
+
+    def change(message: Any, count: int) -> Any:
+        if first <= count < last:
+            held.append(message.data)
+            message.data = held[0]
+        return message
+
+    return change
+
+
+def counted_to(wrap_s: float) -> Change:
+    """Stamps of a counter that begins anew."""
+    return lambda message: _stamped(message, decode.stamp_ns(message.header) % round(wrap_s * NS))
+
+
+def in_microseconds(message: Any) -> Any:
+    message.header.stamp.nanosec //= 1000
+    return message
+
+
+def standing(first: int, last: int) -> Altered:
+    """Odometry that stands for a while, and goes on from there."""
+    poses: list[Any] = []
+
+    def change(message: Any, count: int) -> Any:
+        true = decode.odometry(message).pose_odom_base
+        held = first <= count < last
+        step = [0.0, 0.0, 0.0] if held or not poses else se2.relative(poses[-1][0], true)
+        placed = se2.compose(poses[-1][1], np.array(step)) if poses else true
+        poses.append((true, placed))
+        at, q = message.pose.pose.position, message.pose.pose.orientation
+        at.x, at.y = float(placed[0]), float(placed[1])
+        q.z, q.w = float(np.sin(0.5 * placed[2])), float(np.cos(0.5 * placed[2]))
+        if held:
+            message.twist.twist.linear.x = message.twist.twist.angular.z = 0.0
+        return message
+
+    return change
+
+
+def half_black(image: Any) -> Any:
+    covered = image.copy()
+    covered[:, : image.shape[1] // 2] = 0
+    return covered
+
+
+def sent_again(message: Any, _: int) -> Any:
+    again = copy.deepcopy(message)
+    return [message, _stamped(again, decode.stamp_ns(again.header) + 30_000_000)]
+
+
+def pushed(frame: int, angle_rad: float) -> Altered:
+    """The base of the first sweep is turned: its pans, from a frame on, are less than seen."""
+
+    def change(message: Any, count: int) -> Any:
+        for point in message.points[frame:] if not count else ():
+            point.positions = np.array(point.positions)
+            point.positions[0] -= angle_rad
+        return message
+
+    return change
+
+
+def in_reverse(frames: int) -> Altered:
+    """Images of the first sweep in reverse order."""
+    first: list[Any] = []
+
+    def change(message: Any, count: int) -> Any:
+        if count >= frames:
+            return message
+        first.append(message)
+        if len(first) < frames:
+            return None
+        for k in range(frames // 2):
+            one, other = first[k], first[-1 - k]
+            one.data, other.data = other.data, one.data
+        return first
+
+    return change
+
+
 IMAGES = (CAMERA, INFO)
 _SAME = _always(same)
 
@@ -994,10 +1085,76 @@ SIXTH = {
     ),
 }
 
+# Written down before any try, after what `SIXTH` missed was mended; tried on the study, too.
+SEVENTH = {
+    'pose in degrees, twist in radians': StreamError(
+        (ODOMETRY,),
+        _pose_in_degrees(),
+        'odom',
+        'degrees|57',
+    ),
+    'one image for 4 s': StreamError((CAMERA,), the_same(20, 40), 'images motion', 'repeat'),
+    'second camera of twice the focal length': StreamError(
+        (CAMERA,), each_second(_always(zoomed(2.0))), 'images content', 'two cameras'
+    ),
+    'image stamps wrap at 4.096 s': StreamError(
+        (CAMERA,), _always(counted_to(4.096)), 'images order', 'back'
+    ),
+    'one wheel 5 % larger': StreamError((ODOMETRY,), curved(0.0, 0.125), 'odom yaw', 'curves'),
+    'nanosec in microseconds': StreamError(
+        (CAMERA,), _always(in_microseconds), 'images stamps', 'microseconds'
+    ),
+    'each second image darker': StreamError(
+        (CAMERA,),
+        each_second(_always(pictured(lambda i: (0.3 * i).astype(np.uint8)))),
+        'images exposure',
+        'brightness',
+    ),
+    'twist in mm/s': StreamError(
+        (ODOMETRY,), _always(twist_times(1000.0, 1.0)), 'odom twist', 'millimetres'
+    ),
+    'odom stands for 3 s': StreamError((ODOMETRY,), standing(120, 180), 'odom', 'stays'),
+    'left half of the images black': StreamError(
+        (CAMERA,), _always(pictured(half_black)), 'images cover', 'left'
+    ),
+    'images out of focus': StreamError(
+        (CAMERA,),
+        _always(pictured(lambda i: cv2.GaussianBlur(i, (0, 0), 6.0))),
+        'images sharpness',
+        'focus',
+    ),
+    'each image sent twice': StreamError((CAMERA,), sent_again, 'images motion', 'repeat'),
+}
+
 
 SWEEPS = {
     'pan reversed': StreamError(('sweep/trajectory',), swept(-1.0), 'pan sign', 'reversed'),
     'pan in degrees': StreamError(('sweep/trajectory',), swept(57.29578), 'pan scale', 'degrees'),
+    'pan in ticks': StreamError(('sweep/trajectory',), swept(651.9), 'pan scale', '65.'),
+    'pushed by 8 deg': StreamError(
+        ('sweep/trajectory',), pushed(36, np.radians(8.0)), 'sweep motion', 'base was turned'
+    ),
+    'first sweep in reverse': StreamError(
+        (SWEPT,), in_reverse(72), 'pan sign', 'sweep 1: .*reversed'
+    ),
+    'camera upside down': StreamError(
+        (SWEPT,),
+        _always(pictured(lambda i: np.ascontiguousarray(i[::-1, ::-1]))),
+        'pan sign',
+        'upside down',
+    ),
+    'images turned by 90 deg': StreamError(
+        (SWEPT,), _always(pictured(lambda i: np.ascontiguousarray(np.rot90(i)))), 'camera roll'
+    ),
+    'images cropped': StreamError(
+        (SWEPT,),
+        _always(pictured(lambda i: np.ascontiguousarray(i[64:-64, 64:-64]))),
+        'images encoding',
+        'camera_info is for',
+    ),
+    'K of twice the size': StreamError(
+        ('sweep/camera_info',), _always(smaller_info(2.0)), 'camera lens', 'at the size of'
+    ),
 }
 
 

@@ -52,6 +52,12 @@ def test_as_expected(figures: tuple[dict[str, float], Path]) -> None:
         assert low <= measured[name] <= high, name
 
 
+def test_the_images_show_the_map(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = ['--robot', str(BAGS / 'robot.yaml')]
+    assert main(['check', str(BAGS / 'drive'), *robot, '--map', str(recorded / 'map')]) == 0
+    assert 'place found' in capsys.readouterr().out
+
+
 def off_boxes_m(point: np.ndarray, boxes: tuple[Box, ...]) -> float:
     """Distance in plan from the next side of a piece of furniture."""
     away = []

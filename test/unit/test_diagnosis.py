@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import pytest
 from stream_errors import (
     FIFTH,
@@ -27,17 +28,29 @@ from stream_errors import (
 from landmark_nav.cli.check import checked
 from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose, QUICK
+from landmark_nav.diagnosis.advice import motion_findings
 from landmark_nav.diagnosis.causes import IMAGES, JOINTS, ODOMETRY, verdict
 from landmark_nav.diagnosis.image_motion import StripView
-from landmark_nav.diagnosis.motion import Clock, explained, fit, linear, Motion, Track
+from landmark_nav.diagnosis.looks import Looks
+from landmark_nav.diagnosis.motion import (
+    Clock,
+    driven_again,
+    explained,
+    fit,
+    linear,
+    Motion,
+    Track,
+)
 from landmark_nav.diagnosis.parts import (
+    check_content,
     held_values,
     jumping_values,
     limited_values,
+    moved_between,
     staying_values,
 )
 from landmark_nav.diagnosis.sources import two_sources
-from landmark_nav.diagnosis.stamps import by_arrival
+from landmark_nav.diagnosis.stamps import by_arrival, check_stamps
 from landmark_nav.diagnosis.streams import Stream, unwrapped
 from landmark_nav.diagnosis.units import nearness_of_room
 from landmark_nav.errors import LandmarkNavError
@@ -334,7 +347,7 @@ def test_errors_are_refused_in_one_line(tmp_path: Path) -> None:
     assert '\n' not in str(refused.value)
 
 
-@pytest.mark.parametrize('name', SWEEPS)
+@pytest.mark.parametrize('name', ['pan reversed', 'pan in degrees'])
 def test_learning_refuses_what_it_cannot_calibrate(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -402,3 +415,81 @@ def test_rounded_stamps_give_way_to_times_of_recording(rate: float) -> None:
     mended = by_arrival(given)
     assert np.std(mended.seconds - true) < 0.05
     assert by_arrival(replace(given, stamps_ns=to_ns[1])).stamps_ns is to_ns[1]
+
+
+def test_a_path_that_curves_is_not_laid_to_the_camera(drive: Motion) -> None:
+    assert drive.odometry is not None
+    curved = replace(drive, odometry=driven_again(drive.odometry, curve_rad_m=0.15))
+    found = {f.name: f for f in motion_findings(curved, linear(curved), None)}
+    assert 'camera heading' not in found
+    assert found['odom yaw'].values['curve_rad_m'] == pytest.approx(0.15, abs=0.05)
+
+
+def test_a_camera_that_is_turned_is_not_laid_to_the_path(drive: Motion) -> None:
+    turned = replace(drive, ahead_rad=-0.3)
+    found = {f.name: f for f in motion_findings(turned, linear(turned), None)}
+    assert found['camera heading'].values['heading_rad'] == pytest.approx(0.3, abs=0.06)
+
+
+def sweep(pushed_rad: float, seen_wrongly: bool = False) -> tuple[Motion, Motion]:
+    """A sweep of 5 deg a frame, by images next to each other and two apart."""
+    seconds, step = np.arange(72.0), np.radians(5.0)
+    pan = Track(seconds, (step * seconds)[:, None])
+    looks = step * seconds + pushed_rad * (seconds > 35.0)
+    one, two = (
+        Motion(seconds[:-n], seconds[n:], looks[n:] - looks[:-n], pan, None) for n in (1, 2)
+    )
+    if seen_wrongly:
+        one.turns_rad[20] += 0.2
+    return one, two
+
+
+def test_a_base_that_is_pushed_in_a_sweep_is_seen() -> None:
+    (found,) = moved_between(*sweep(np.radians(8.0)))
+    assert found.values['turned_rad'] == pytest.approx(np.radians(8.0))
+    assert found.values['at_s'] == 35.0
+    assert not moved_between(*sweep(0.0))
+    assert not moved_between(*sweep(0.0, seen_wrongly=True))
+
+
+def seen(images: list[npt.NDArray[np.uint8]], sharpness: float = 0.5) -> Looks:
+    """What was looked at, but for turns."""
+    small = dict(enumerate(images))
+    nothing = Stream('images', '', *2 * (np.arange(len(images)),), np.empty((len(images), 0)))
+    sharp = dict.fromkeys(small, sharpness)
+    return Looks(nothing, np.empty((0, 2), np.intp), (), {}, small, sharp, None, None, {})
+
+
+def test_images_that_are_covered_blurred_or_flicker_are_named() -> None:
+    rng = np.random.default_rng(4)
+    images = list(rng.integers(60, 200, (40, 12, 16), dtype=np.uint8))
+    assert not check_content(seen(images))
+    (blurred,) = check_content(seen(images, sharpness=0.02))
+    assert blurred.name == 'images sharpness'
+    darker = [image // (1 + k % 2) for k, image in enumerate(images)]
+    (flickers,) = check_content(seen(darker))
+    assert flickers.values['factor'] == pytest.approx(2.0, rel=0.1)
+    for image in images:
+        image[:, :5] = 0
+    (covered,) = check_content(seen(images))
+    assert covered.level == 'warning'
+    assert 'side left' in covered.measured
+    assert not check_content(seen([images[0]] * 40)), 'a camera that stands shows no cover'
+
+
+@pytest.mark.parametrize(('unit_ns', 'named'), [(1, None), (1000, 'microseconds')])
+def test_nanoseconds_of_another_unit_are_named(unit_ns: int, named: str | None) -> None:
+    logged = np.arange(0, 10**10, 2 * 10**8)
+    stamps = logged // 10**9 * 10**9 + logged % 10**9 // unit_ns
+    found = check_stamps(Stream('images', '', stamps, logged, np.empty((len(logged), 0))))
+    units = [f.measured for f in found if f.name == 'images stamps']
+    assert len(units) == (named is not None)
+    assert named is None or named in units[0]
+
+
+def test_a_pan_in_ticks_is_no_clock_that_runs_backwards() -> None:
+    one, _ = sweep(0.0)
+    ticks = replace(one, pan=replace(one.pan, values=np.round(651.9 * one.pan.values)))
+    judged = verdict(ticks)
+    assert (judged.cause.stream, judged.cause.kind) == (JOINTS, 'scale')
+    assert judged.cause.value == pytest.approx(1.0 / 651.9, rel=0.02)

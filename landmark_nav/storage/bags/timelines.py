@@ -242,7 +242,9 @@ def _check_radians(samples: Sequence[JointSample], where: str) -> None:
         return
     rate = float(np.median(np.abs(moving[:, 1]) / moving[:, 0]))
     if rate > _FASTEST_RAD_S:
-        raise LandmarkNavError(f'{where}: the pan turns by {rate:.0f} rad/s: are these degrees?')
+        raise LandmarkNavError(
+            f'{where}: the pan turns by {rate:.0f} rad/s: are these degrees or ticks?'
+        )
 
 
 class CameraInfos:
