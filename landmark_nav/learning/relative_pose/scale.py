@@ -26,7 +26,7 @@ _LOG = logging.getLogger(__name__)
 
 # Chance that given poses miss the shape that the panoramas show by more; their variances then
 # grow, and they are refused where nothing is left of the scale: relative standard deviation.
-_CHANCE, _MOST_SCALE_SIGMA = 1e-4, 0.15
+_CHANCE, _MOST_SCALE_SIGMA = 1e-2, 0.15
 # Scales that differ by more standard deviations contradict each other; between the two, one of
 # them is likely wrong, and which one is not known.
 _DOUBTFUL_SIGMAS, _MOST_SIGMAS = 2.0, 3.0
