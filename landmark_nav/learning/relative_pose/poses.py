@@ -235,8 +235,8 @@ def _why_alone(
             turns = ' or '.join(f'{np.degrees(p.heading_rad):.0f}' for p in (best, second))
             return (
                 f'sweeps {i + 1} and {j + 1} may be turned by {turns} deg to each other: '
-                f'{best.support} and {second.support} of what both show agrees; take a sweep '
-                'between them that sees more sides of the room'
+                f'{best.support} and {second.support} matches agree; take a sweep between them '
+                'that sees more sides of the room'
             )
     alone = next(k for k in range(count) if k not in placed)
     return (

@@ -26,7 +26,7 @@ _LOG = logging.getLogger(__name__)
 
 # Significance at which given poses misfit the shape by the panoramas: their variances are then
 # inflated. They are refused if the relative sigma of the scale exceeds the second value.
-_CHANCE, _MOST_SCALE_SIGMA = 1e-4, 0.15
+_CHANCE, _MOST_SCALE_SIGMA = 1e-2, 0.15
 # Scales that differ by the first number of sigmas cause a warning, by the second a refusal.
 _DOUBTFUL_SIGMAS, _MOST_SIGMAS = 2.0, 3.0
 
