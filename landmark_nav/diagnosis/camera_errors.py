@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import cv2
@@ -126,6 +127,11 @@ class Matches:
     pans_rad: FloatArray
     tilts_rad: FloatArray
 
+    @cached_property
+    def begins(self) -> IndexArray:
+        """Index (pairs,) of the first point of each pair."""
+        return np.flatnonzero(np.diff(self.pairs, prepend=-1))
+
 
 @dataclass(frozen=True)
 class CameraSetup:
@@ -134,11 +140,6 @@ class CameraSetup:
     camera: CameraModel
     mount: PanTiltMount
     tilt_rad: float = 0.0
-
-    def rays_base(self, pixels: FloatArray, pans: FloatArray, tilts: FloatArray) -> FloatArray:
-        """Rays (m, 3) in ``base_link`` of pixels (m, 2), at joints (m,)."""
-        rotation, _ = self.mount.camera_pose_base(pans, tilts + self.tilt_rad)
-        return np.asarray(np.einsum('nij,nj->ni', rotation, self.camera.unproject(pixels)))
 
 
 def _mounted(setup: CameraSetup, roll: float = 0.0, pitch: float = 0.0) -> CameraSetup:
@@ -303,43 +304,44 @@ def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> t
 
 
 def _score(matches: Matches, setup: CameraSetup) -> float:
-    """Log-likelihood of points with a turn and a displacement of each pair of its own."""
+    """Log-likelihood of points, with a turn and a displacement of its own for each pair."""
     k = matches.pairs
+    before, after, log_area = _rays(matches, setup.camera)
     both = []
-    for n, pixels in enumerate((matches.before_px, matches.after_px)):
-        rays = setup.rays_base(pixels, matches.pans_rad[k, n], matches.tilts_rad[k, n])
+    for n, rays_optical in enumerate((before, after)):
+        tilts = matches.tilts_rad[:, n] + setup.tilt_rad
+        rotation, _ = setup.mount.camera_pose_base(matches.pans_rad[:, n], tilts)
+        rays = np.einsum('nij,nj->ni', rotation[k], rays_optical)
         both.append(
             (np.arctan2(rays[:, 1], rays[:, 0]), rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]))
         )
     (azimuth, slope), (azimuth_after, slope_after) = both
     s, c = np.sin(azimuth), np.cos(azimuth)
-    one, zero = np.ones_like(s), np.zeros_like(s)
-    # Rows of azimuth, then of elevation: turn, displacement ahead and to the left.
     level = 1.0 / (1.0 + slope**2)
-    columns = np.stack(
-        [
-            np.stack([one, s, -c], -1),
-            np.stack([zero, slope * c * level, slope * s * level], -1),
-        ],
-        1,
-    )
+    # Rows of azimuth, then of elevation: turn, displacement ahead and to the left.
+    columns = np.zeros((len(k), 2, 3))
+    columns[:, 0, 0], columns[:, 0, 1], columns[:, 0, 2] = 1.0, s, -c
+    columns[:, 1, 1], columns[:, 1, 2] = slope * c * level, slope * s * level
+    squares = (columns[..., None] * columns[..., None, :]).reshape(len(k), 2, 9)
     # The turn of a pair may be any: its middle is taken off before angles wrap.
-    turn = np.angle(_sums(np.exp(1j * (azimuth_after - azimuth)), k))
+    turn = np.angle(_sums(np.exp(1j * (azimuth_after - azimuth)), matches.begins))
     moved = np.stack(
         [wrap_rad(azimuth_after - azimuth - turn[k]), (slope_after - slope) * level], -1
     )
-    # Depths disturb azimuths more than elevations. What was measured are pixels, whatever angle a
-    # lens gives them.
-    residuals, log_area = moved, _log_angle_per_px(matches, setup)
+    # Depths disturb azimuths more than elevations. Pixels were measured, whatever angle a lens
+    # gives them.
+    residuals = moved
     least = _LEAST_SIGMA_PX * np.exp(0.5 * log_area)
     sigma = np.maximum(np.median(np.abs(moved), axis=0), least)
     for _ in range(_ITERATIONS):
         weights = (_FREEDOM + 1.0) / (_FREEDOM + (residuals / sigma) ** 2)
-        weighted = (weights / sigma**2)[..., None] * columns
-        information = _sums(np.einsum('nri,nrj->nij', weighted, columns), k)
+        weighted = (weights / sigma**2)[..., None]
+        flat = (weighted * squares).reshape(len(k), 18)
+        information = _sums(flat, matches.begins).reshape(-1, 2, 3, 3).sum(1)
         trace = np.trace(information, axis1=1, axis2=2)
         information += (1e-6 * trace[:, None, None] + 1e-12) * np.eye(3)
-        right = _sums(np.einsum('nri,nr->ni', weighted, moved), k)
+        pulls = (weighted * moved[..., None] * columns).reshape(len(k), 6)
+        right = _sums(pulls, matches.begins).reshape(-1, 2, 3).sum(1)
         local = np.linalg.solve(information, right[..., None])[..., 0]
         residuals = moved - np.einsum('nri,ni->nr', columns, local[k])
         sigma = np.maximum(np.sqrt(np.mean(weights * residuals**2, axis=0)), least)
@@ -347,18 +349,25 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
     return float(0.5 * _INDEPENDENT * (k[-1] + 1) * (each.sum(1).mean() + log_area))
 
 
-def _log_angle_per_px(matches: Matches, setup: CameraSetup) -> float:
+# Most errors leave the lens as it is.
+@lru_cache(maxsize=2)
+def _rays(matches: Matches, camera: CameraModel) -> tuple[FloatArray, FloatArray, float]:
+    """Rays (m, 3) of both images in the optical frame, and `_log_angle_per_px`."""
+    before, after = (camera.unproject(pixels) for pixels in (matches.before_px, matches.after_px))
+    return before, after, _log_angle_per_px(matches, camera)
+
+
+def _log_angle_per_px(matches: Matches, camera: CameraModel) -> float:
     """Mean logarithm of the solid angle of a pixel."""
     at = matches.after_px[::_SPARSE]
     middle, right, down = (
         ray / np.linalg.norm(ray, axis=1, keepdims=True)
-        for ray in (setup.camera.unproject(at + step) for step in ([0, 0], [1, 0], [0, 1]))
+        for ray in (camera.unproject(at + step) for step in ([0, 0], [1, 0], [0, 1]))
     )
     area = np.linalg.norm(np.cross(right - middle, down - middle), axis=1)
     return float(np.mean(np.log(np.maximum(area, 1e-12))))
 
 
-def _sums(values: FloatArray, pair: IndexArray) -> FloatArray:
-    """Sums (pairs, ...) of values (m, ...) over the rows of each pair, which ascend."""
-    begins = np.flatnonzero(np.diff(pair, prepend=-1))
+def _sums(values: FloatArray, begins: IndexArray) -> FloatArray:
+    """Sums (pairs, ...) of values (m, ...) over the rows of each pair."""
     return np.asarray(np.add.reduceat(values, begins, axis=0))
