@@ -1,4 +1,4 @@
-"""Where a sweep was taken, measured from coloured papers."""
+"""Pose of a sweep, measured from coloured papers."""
 
 from __future__ import annotations
 

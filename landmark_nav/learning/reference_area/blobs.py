@@ -1,9 +1,9 @@
 """
-Coloured papers in a cylinder image, roughly: blobs of a hue, whatever the light.
+Candidates for coloured papers in a cylinder image: blobs of a hue, in any light.
 
-Colours are judged relative to what is grey around them (von Kries), so that a warm lamp does not
-turn them; thresholds are tried at several levels, as paper stands out differently in light and
-in shade (after Matas et al., Robust wide baseline stereo, 2004).
+Colours are relative to the grey around them (von Kries), so that a warm lamp does not change the
+hue. Several thresholds are tried, as the contrast of paper differs between light and shade (after
+Matas et al., Robust wide baseline stereo, 2004).
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.types import FloatArray
 
-# Columns per radian that are enough to find papers in.
+# Resolution of the search.
 _SEARCH_PX_PER_RAD = 280.0
 
 _PURITIES = (0.15, 0.25, 0.35, 0.45, 0.55, 0.7)
 
-# Hues that could be the paper's in some light; the nearest fits best.
+# Greatest deviation of the hue in any light, and its sigma.
 _WIDEST_TURN_RAD = np.radians(38.0)
 _TURN_SIGMA_RAD = np.radians(13.0)
 
-# Darker than that there is no hue, brighter is burnt out.
+# Darker pixels have no hue, brighter ones are saturated.
 _DARKEST, _BRIGHTEST = 14.0, 250.0
 
-# A paper looks so much like its bounding box: less is left of one that is partly covered.
+# Least share of its bounding box that a blob fills; it is small for a partly covered paper.
 _SOLID = 0.55
 _LEAST_AREA_PX = 40.0
 _MOST_BLOBS = 80
@@ -41,11 +41,11 @@ _MOST_BLOBS = 80
 @dataclass(frozen=True, eq=False)
 class PaperBlobs:
     """
-    Blobs that could be a paper of one colour, arrays over n blobs.
+    Candidates for papers of one colour, arrays over n blobs.
 
-    `azimuth_rad` (n,) of their middles in the base frame, `width_rad` (n,) of all of them;
-    `tangent` (n, 2) of the elevation of top and bottom; `misfit` (n,) of their hues, in squared
-    standard deviations.
+    `azimuth_rad` (n,) are those of their middles in the base frame, `width_rad` (n,) their widths,
+    `tangent` (n, 2) those of the elevation of top and bottom, `misfit` (n,) the squared deviations
+    of their hues, in sigmas.
     """
 
     azimuth_rad: FloatArray
@@ -54,7 +54,7 @@ class PaperBlobs:
     misfit: FloatArray
 
     def only(self, chosen: npt.NDArray[np.bool_]) -> PaperBlobs:
-        """Those that a mask (n,) selects."""
+        """Return the blobs selected by a mask (n,)."""
         return PaperBlobs(
             self.azimuth_rad[chosen],
             self.width_rad[chosen],
@@ -63,12 +63,12 @@ class PaperBlobs:
         )
 
 
-# Of panoramas that are still looked at.
+# Blobs of panoramas that are still in use.
 _FOUND: WeakKeyDictionary[CylinderImage, dict[str, PaperBlobs]] = WeakKeyDictionary()
 
 
 def color_blobs(view: CylinderImage, colors: Iterable[str]) -> dict[str, PaperBlobs]:
-    """What could be papers of some colours in a panorama in the base frame, searched once."""
+    """Candidates for papers of some colours in a panorama in the base frame; cached."""
     found = _FOUND.setdefault(view, {})
     missing = {*colors} - {*found}
     if missing:
@@ -79,9 +79,9 @@ def color_blobs(view: CylinderImage, colors: Iterable[str]) -> dict[str, PaperBl
 
 def hue_direction(color: str) -> FloatArray:
     """
-    Direction (3,) in blue, green, red that measures how much of a paper's hue there is.
+    Direction (3,) in blue, green, red that measures the amount of a paper's hue.
 
-    0 on any grey, 1 on the purest and brightest (1.0) colour of the hue.
+    The amount is 0 for any grey, and 1 for the purest and brightest (1.0) colour of the hue.
     """
     direction = np.array(paper_bgr(color))
     direction -= direction.min()
@@ -92,7 +92,7 @@ def hue_direction(color: str) -> FloatArray:
 
 class ColorSearch:
     """
-    Looks for papers of any colour in one cylinder image.
+    Searches papers of any colour in one cylinder image.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class ColorSearch:
         self._cylinder = view.cylinder
         step = max(1, round(view.cylinder.fx / _SEARCH_PX_PER_RAD))
         self._step = step
-        # What crosses the seam is whole in the padded part.
+        # A blob across the seam is whole in the padded part.
         pad = view.cylinder.width // 8 + (-view.cylinder.width * 9 // 8) % step
         image = cv2.copyMakeBorder(view.image, 0, 0, 0, pad, cv2.BORDER_WRAP)
         size = (image.shape[1] // step, image.shape[0] // step)
@@ -120,7 +120,7 @@ class ColorSearch:
         self._value = self._balanced.max(axis=2)
 
     def blobs(self, color: str) -> PaperBlobs:
-        """Compact blobs that could be papers of a colour, those of the most fitting hue first."""
+        """Compact blobs of a colour, those with the best hue first."""
         along = hue_direction(color)
         across = np.cross(np.full(3, 3.0**-0.5), along)
         pure = self._balanced @ along.astype(np.float32)
@@ -140,19 +140,19 @@ class ColorSearch:
         )
 
     def _boxes(self, mask: npt.NDArray[np.bool_]) -> FloatArray:
-        """Left, top, width, height and share filled of compact components, (n, 5)."""
+        """Left, top, width, height and filled share of compact components, (n, 5)."""
         _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
         left, top, width, height, area = stats[1:].astype(np.float64).T
         filled = area / (width * height)
         turn = self._cylinder.width / self._step
-        # Each blob of the turn starts once in (0, turn]; what crosses the seam is whole there.
+        # Each blob starts once in (0, turn]; a blob across the seam is whole there.
         good = (left > 0) & (left <= turn) & (left + width < mask.shape[1])
         good &= (filled >= _SOLID) & (area >= max(_LEAST_AREA_PX / self._step**2, 10.0))
         good &= (width > 0.12 * height) & (width < 6.0 * height)
         return np.asarray(np.stack([left, top, width, height, filled], 1)[good])
 
     def _misfit(self, box: npt.NDArray[np.intp], along: FloatArray, across: FloatArray) -> float:
-        """Squared deviation of a blob's hue, as it is beside the grey of its surroundings."""
+        """Squared deviation of a blob's hue, relative to grey in its surroundings."""
         left, top, width, height = box
         core = self._balanced[
             top + height // 4 : top + max(1, height - height // 4),
@@ -175,7 +175,7 @@ class ColorSearch:
 
 
 def _distinct(boxes: FloatArray) -> FloatArray:
-    """Of boxes (n, 5) that nearly coincide the one that is filled best."""
+    """Of boxes (n, 5) that nearly coincide, keep the one with the largest filled share."""
     boxes = boxes[np.argsort(-boxes[:, 4])]
     low, high = boxes[:, :2], boxes[:, :2] + boxes[:, 2:4]
     shared = np.clip(

@@ -1,9 +1,8 @@
 """
-What places of sweeps err in common, as all of them are measured from the same papers.
+Errors that the poses of sweeps share, as all of them are measured from the same papers.
 
-First order, without an image: the measurements are the four edges of each paper, as in `fit`;
-what is not exactly known there (height, tilt, how large papers are, how each hangs) is not known
-here either.
+First-order model without images: the measurements are the four edges of each paper, as in `fit`,
+with the same uncertain values (height, tilt, size of papers, position of each).
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Panorama
 
-# Of an edge, beside what its points share: some tens of profiles, by frame and along it.
+# Sigma of an edge by its tens of profiles, without the error that its points share.
 _PROFILES_PX = 0.03
 
-# x, y, heading, height, two tilts, size of papers; then two of each paper.
+# x, y, heading, height, two tilts, size of papers; then two values of each paper.
 _SIZE, _PAPERS = 6, 7
 
-# Share of the variance in height that sweeps have in common; the most of any other.
+# Share of the variance in height that sweeps have in common; largest share of any other variance.
 _COMMON, _MOST = 0.9, 0.99
 
 _X_Y_HEADING = np.array([0, 1, 3])
@@ -41,24 +40,24 @@ def pose_errors(
     seen: npt.NDArray[np.bool_] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    How well papers give x, y and heading of viewpoints, and what these errors are made of.
+    Covariance of viewpoints measured from papers, and loadings of the part that they share.
 
     Parameters
     ----------
     eye : ndarray, shape (p, 3)
-        Viewpoints, metres.
+        Viewpoints, m.
     config : ReferenceAreaConfig
-        How exactly they and the camera are known.
+        Sigmas of papers and camera.
     seen : ndarray of bool, shape (p, k), optional
-        Which papers are seen: all without it. It takes three.
+        Papers in view, three or more; by default all.
 
     Returns
     -------
     covariance : ndarray, shape (p, 3, 3)
-        Of x, y, heading.
+        Covariance of x, y, heading.
     by_papers : ndarray, shape (p, 3, 1 + 2 k)
-        How the part of it comes about that is one and the same from everywhere, by factors of
-        unit variance: size of the papers, and how far each hangs off along its wall and up.
+        Loadings of factors with unit variance that all viewpoints share: the size of the papers,
+        and the errors of each along its wall and upwards.
     """
     center, along, size = _papers(room)
     papers = len(center)
@@ -91,7 +90,7 @@ def pose_errors(
     prior = np.array([np.inf] * 3 + given)
     information = np.swapaxes(rows, -1, -2) @ rows + np.diag(prior**-2.0)
     covariance = np.linalg.inv(information)
-    # An estimate errs by its gain times what the prior did not know.
+    # The error of an estimate is its gain times the error of the prior.
     by_papers = covariance[:, :3, _SIZE:] / prior[_SIZE:]
     return np.asarray(covariance[:, :3, :3]), np.asarray(by_papers)
 
@@ -100,22 +99,22 @@ def joint_covariance(
     panoramas: Sequence[Panorama], room: Room, config: ReferenceAreaConfig
 ) -> FloatArray:
     """
-    Joint covariance of the places of sweeps that were each found for itself.
+    Joint covariance of poses of sweeps that were estimated separately.
 
-    A paper that hangs elsewhere than given moves all of them, and the camera stands equally high
-    everywhere: as much of the error in height as can be is one and the same.
+    A misplaced paper moves all of them, and the height of the camera is the same everywhere: the
+    largest possible part of its error is common.
 
     Parameters
     ----------
     panoramas : sequence of Panorama
-        With covariances of their own, v of them.
+        v panoramas with covariances of their own.
     room : Room
-        Walls and papers; without papers places have nothing but their height in common.
+        Walls and papers; without papers the poses share their height only.
 
     Returns
     -------
     ndarray, shape (4 v, 4 v)
-        Of x, y, z, heading of each.
+        Covariance of x, y, z, heading of each.
     """
     alone = [p.covariance + 1e-12 * np.eye(4) for p in panoramas]
     loading = [
@@ -130,9 +129,9 @@ def joint_covariance(
 
 def joined(alone: FloatArray, loading: FloatArray) -> FloatArray:
     """
-    Joint covariance (v d, v d) of v vectors that have covariances (v, d, d) by themselves.
+    Joint covariance (v d, v d) of v vectors with covariances (v, d, d).
 
-    Factors of unit variance that move all of them, by `loading` (v, d, m), are a part of these.
+    These include the part by shared factors of unit variance with `loading` (v, d, m).
     """
     shared = loading.reshape(-1, loading.shape[-1])
     apart = 1.0 - block_diag(*np.ones_like(alone))
@@ -142,7 +141,7 @@ def joined(alone: FloatArray, loading: FloatArray) -> FloatArray:
 def _loading(
     panorama: Panorama, covariance: FloatArray, room: Room, config: ReferenceAreaConfig
 ) -> FloatArray:
-    """How factors that sweeps have in common move one: its mount (c), papers (1 + 2 k)."""
+    """Loadings of a sweep by the shared factors: mount (c), papers (1 + 2 k)."""
     mounted = np.zeros((4, 0))
     if panorama.by_calibration is not None and panorama.calibration is not None:
         known = panorama.calibration

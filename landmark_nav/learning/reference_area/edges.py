@@ -1,14 +1,13 @@
 """
-Edges of papers in images, to sub-pixel: where colour and brightness change across them.
+Edges of papers in images, to sub-pixel, by colour and by brightness.
 
-Both are measured. Brightness has every pixel of its own even in a JPEG, but what lies beside a
-paper is often its own shadow, which moves the edge outwards; colour is not deceived by shadows,
-but halved in a JPEG, and may lie half a pixel beside.
+Both are measured. Brightness has full resolution even in a JPEG, but a shadow beside the paper
+moves its edge outwards. Colour is not affected by shadows, but has half the resolution in a JPEG,
+and may be shifted by half a pixel.
 
-Outlines of coloured sheets in a panorama, wherever room.yaml says that papers hang.
-
-A sheet on a wall has two upright edges, which are columns of the panorama, and two level ones.
-What is measured here knows nothing of where papers should hang: it shows which of them does not.
+`outline_blobs` measures the outlines of coloured sheets in a panorama, independent of their places
+in room.yaml. A sheet on a wall has two upright edges, which are columns of the panorama, and two
+level ones.
 """
 
 from __future__ import annotations
@@ -24,20 +23,20 @@ from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import hue_direction, PaperBlobs
 from landmark_nav.types import FloatArray, ImageArray
 
-# Profiles that are averaged for one measurement of an edge.
+# Profiles averaged for one measurement of an edge.
 PROFILES = 5
 
 _STEP_PX = 0.25
-# Half width of the part of a profile that holds the whole change, and of the levels beside it.
+# Half width of the transition in a profile, and width of the levels on either side.
 _CHANGE_PX, _LEVEL_PX = 1.75, 2.25
 
 _LEAST_STEP = 9.0
-# Brightness from which a wall is burnt out: its edges are uncertain.
+# Brightness at which a wall is saturated, and the sigma of its edges then.
 _BURNT, _BURNT_SIGMA_PX = 250.0, 0.3
-# Farther from the change of colour a step in brightness is another one.
+# Greatest distance between the edges by colour and by brightness.
 _SAME_PX = 0.7
 
-# The response is varied by so much; an edge that it moves farther is none.
+# Step of the derivative by the camera's response, and greatest derivative of an edge.
 _GAMMA_STEP, _MOST_BY_GAMMA = 0.25, 1.5
 
 _BRIGHTNESS = np.array([0.114, 0.587, 0.299])
@@ -46,10 +45,10 @@ _BRIGHTNESS = np.array([0.114, 0.587, 0.299])
 @dataclass(frozen=True, eq=False)
 class EdgeSamples:
     """
-    Where edges were found, arrays (2, n): first by colour, then by brightness, at n places.
+    Edges at n places, arrays (2, n): first by colour, then by brightness.
 
-    `offset_px` is measured from the expected place outwards, NaN where there is no clear edge;
-    `sigma_px` its standard deviation; `by_gamma` its derivative by the camera's response.
+    `offset_px` is outwards from the expected place, NaN where there is no clear edge; `sigma_px`
+    is its sigma, `by_gamma` its derivative by the camera's response.
     """
 
     offset_px: FloatArray
@@ -74,18 +73,18 @@ def locate_edges(
     image : ndarray, shape (height, width, 3)
         Image, BGR.
     points : ndarray, shape (n * PROFILES, 2)
-        Expected places (column, row); PROFILES in turn make one measurement.
+        Expected places (column, row); PROFILES consecutive ones make one measurement.
     outwards : ndarray, shape (n * PROFILES, 2)
         Unit directions from the paper to the wall.
     direction : ndarray, shape (3,)
-        Of the paper's hue, see `hue_direction`.
+        Direction of the paper's hue, see `hue_direction`.
     reach_px : float
-        How far to both sides the profiles go.
+        Half length of the profiles.
     gamma : float
-        Power of the pixels' values that is light: lens and sensor blur light, so that edges of
-        what the camera made of it seem moved towards the darker side.
+        Exponent from pixel values to light. Lens and sensor blur light, so that edges of pixel
+        values are shifted towards the darker side.
     most_by_gamma : float
-        Pixels by which gamma may move an edge, for a unit of it.
+        Greatest derivative of an edge by gamma, pixels.
     """
     offset = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
     where = points[:, None] + offset[:, None] * outwards[:, None]
@@ -106,7 +105,7 @@ def locate_edges(
     place, sigma = (v.reshape(2, 2, -1) for v in _edge(np.concatenate(profiles), offset))
     by_gamma = (place[1] - place[0]) / _GAMMA_STEP
     found = inside.all(axis=1) & (np.abs(by_gamma) < most_by_gamma)
-    # Both must mean the same edge: a shadow's border is not a change of hue.
+    # Both must be the same edge: the border of a shadow is not a change of hue.
     found[1] &= np.abs(place[0, 1] - place[0, 0]) < _SAME_PX
     return EdgeSamples(np.where(found, place[0], np.nan), np.hypot(sigma[0], burnt), by_gamma)
 
@@ -117,7 +116,7 @@ def _light(gamma: float) -> npt.NDArray[np.float32]:
 
 
 def _edge(profiles: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Place of the edge on profiles (n, m), NaN where there is none that is clear; its sigma."""
+    """Place of the edge on profiles (n, m), NaN without a clear one; its sigma."""
     start, clear = _crossing(profiles, offset)
     place, sigma = _area_place(profiles, offset, start)
     return np.where(clear & (np.abs(place - start) < 0.7), place, np.nan), sigma
@@ -132,7 +131,7 @@ def _crossing(
     outer = np.median(profiles[:, offset > 0.6 * reach], axis=1)
     step = outer - inner
     share = (profiles - inner[:, None]) / np.where(np.abs(step) < 1e-6, 1e-6, step)[:, None]
-    # The last place, going outwards, before which everything is still paper.
+    # The first place, going outwards, that is not paper.
     beyond = share > 0.5
     first = np.argmax(beyond, axis=1)
     at = np.clip(first, 1, len(offset) - 1)
@@ -140,7 +139,7 @@ def _crossing(
     low, high = share[rows, at - 1], share[rows, at]
     place = offset[at - 1] + (0.5 - low) / np.maximum(high - low, 1e-6) * _STEP_PX
     spread = np.std(profiles[:, offset < -0.6 * reach], axis=1)
-    # Past the edge a clear profile stays near the level of the wall: no shadow, no neighbour.
+    # Beyond the edge, a clear profile stays near the level of the wall: no shadow or object.
     past = offset[None] > place[:, None] + 2.0
     wander = np.max(np.where(past, np.abs(share - 1.0), 0.0), axis=1)
     clear = (
@@ -156,10 +155,10 @@ def _area_place(
     profiles: FloatArray, offset: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Edge of profiles (n, m) that leaves as much area on both sides as they have.
+    Edge of profiles (n, m) that preserves the area on both sides.
 
-    However sharp the image is, and wherever the edge lies in its pixel, that is unbiased; a
-    half-way crossing of a sharp edge is up to 0.09 px off (Tabatabai and Mitchell, PAMI 1984).
+    It is unbiased for any sharpness and sub-pixel position; a half-way crossing of a sharp edge
+    has a bias of up to 0.09 px (Tabatabai and Mitchell, PAMI 1984).
     """
     place = np.clip(start, offset[0] + 4.0, offset[-1] - 4.0)
     steps = np.arange(-_CHANGE_PX, _CHANGE_PX + _STEP_PX / 2, _STEP_PX)
@@ -170,7 +169,7 @@ def _area_place(
         outer = _level(profiles, offset, place + _CHANGE_PX)
         step = np.where(np.abs(outer - inner) < 1.0, 1.0, outer - inner)
         change = _at(profiles, offset, place[:, None] + steps)
-        # The area under the share that is wall is what lies between the edge and the far end.
+        # The integral of the wall's share is the distance from the edge to the far end.
         share = (change - inner[:, None]) / step[:, None]
         place = np.clip(place + _CHANGE_PX - share @ weight, offset[0], offset[-1])
     beside = _at(profiles, offset, place[:, None] + _CHANGE_PX + np.arange(0.0, _LEVEL_PX, 0.5))
@@ -193,29 +192,29 @@ def _at(profiles: FloatArray, offset: FloatArray, where: FloatArray) -> FloatArr
     return np.asarray(profiles[rows, low] * (1.0 - share) + profiles[rows, low + 1] * share)
 
 
-# Measurements along each edge, over this share of it: blur rounds the corners.
+# Measurements along each edge, over this share of it, as blur rounds the corners.
 _PARTS = 5
 _SHARE = 0.7
-# Edges are looked for so far to both sides of a blob's box, at first and then.
+# Half length of the profiles about a blob's box, in the first and the second round.
 _REACH_PX = (13.0, 7.0)
-# The least share of an edge that is found, and how far what is found may lie off one line.
+# Least share of an edge that must be found, and greatest scatter about a line.
 _LEAST_FOUND, _MOST_SPREAD_PX = 0.55, 1.0
-# What all points of an edge share: shadows, blur, chroma of half the resolution.
+# Sigma of the error that all points of an edge share: shadows, blur, half-resolution chroma.
 _EDGE_SIGMA_PX = 0.15
-# Usual response of a camera to light, and its standard deviation.
+# Usual response of a camera to light, and its sigma.
 _GAMMA, _GAMMA_SIGMA = 1.4, 0.4
 
 
 @dataclass(frozen=True, eq=False)
 class PaperOutlines:
     """
-    Sheets of one colour that a panorama shows, arrays over n sheets.
+    Sheets of one colour in a panorama, arrays over n sheets.
 
-    `azimuth_rad` (n, 2) of their right and left edges in the base frame, right first, unwrapped;
-    `tangent` (n, 2) of the elevation of their bottoms and tops at the middle azimuth; `sigma`
-    (n, 4) of right, left, bottom, top; `by_response` (n, 4) how far all edges lie farther outwards
-    if the camera's response is off by its standard deviation; `misfit` (n,) of their hues in
-    squared standard deviations.
+    `azimuth_rad` (n, 2) are those of the right and left edges in the base frame, unwrapped;
+    `tangent` (n, 2) those of the elevation of bottom and top at the middle azimuth; `sigma` (n, 4)
+    is that of right, left, bottom, top; `by_response` (n, 4) is the outward shift of the edges by
+    one sigma of the camera's response; `misfit` (n,) is the squared deviation of the hue, in
+    sigmas.
     """
 
     azimuth_rad: FloatArray
@@ -225,18 +224,18 @@ class PaperOutlines:
     misfit: FloatArray
 
     def __len__(self) -> int:
-        """Return how many sheets there are."""
+        """Return the number of sheets."""
         return len(self.misfit)
 
 
 def outline_blobs(view: CylinderImage, color: str, blobs: PaperBlobs) -> PaperOutlines:
     """
-    Measure the edges of the blobs of a colour that have four clear ones.
+    Measure the edges of blobs of a colour; blobs without four clear edges are left out.
 
     Parameters
     ----------
     view : CylinderImage
-        A sweep as a cylinder in the base frame.
+        Cylinder image of a sweep in the base frame.
     """
     hue = hue_direction(color)
     rows = []
@@ -282,7 +281,7 @@ def _outline(view: CylinderImage, hue: FloatArray, box: FloatArray) -> tuple[flo
         shift, sigma, by_gamma = _lines(found.offset_px, own, found.by_gamma)
         if not np.isfinite(shift).all():
             return None
-        # Columns grow clockwise, rows downwards.
+        # Columns increase clockwise, rows downwards.
         box = box + np.array([-1.0, 1.0, -1.0, 1.0]) * shift / [
             cylinder.fx, cylinder.fx, cylinder.fy, cylinder.fy
         ]  # fmt: skip
@@ -294,9 +293,10 @@ def _lines(
     offset_px: FloatArray, sigma_px: FloatArray, by_gamma: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
-    Middles (4,) of lines through what was found of four edges in turn, sigmas, slopes by gamma.
+    Middles (4,) of lines fitted to four edges in turn, sigmas, derivatives by gamma.
 
-    By colour (row 0) or, if that shows less, by brightness; NaN where there is no clear line.
+    Edges are those by colour (row 0) or, if these are too few, by brightness; NaN without a clear
+    line.
     """
     along = np.tile(np.linspace(-1.0, 1.0, _PARTS), 4).reshape(4, _PARTS)
     middle, sigma, slope = (np.full(4, np.nan) for _ in range(3))
@@ -322,7 +322,7 @@ def _lines(
 
 
 def _part(view: CylinderImage, box: FloatArray, margin_px: float) -> tuple[ImageArray, FloatArray]:
-    """The part of a panorama around a box, across its seam too, and its first column and row."""
+    """Part of a panorama around a box, possibly across the seam; its first column and row."""
     cylinder: Cylinder = view.cylinder
     first = int(np.floor(cylinder.cx - cylinder.fx * box[1] - margin_px))
     last = int(np.ceil(cylinder.cx - cylinder.fx * box[0] + margin_px))
@@ -335,7 +335,7 @@ def _part(view: CylinderImage, box: FloatArray, margin_px: float) -> tuple[Image
 
 
 def _distinct(table: FloatArray) -> list[int]:
-    """Rows of outlines (n, 13) of which no two are of one sheet."""
+    """Rows of outlines (n, 13), one for each sheet."""
     kept: list[int] = []
     for k in np.argsort(table[:, 12], kind='stable').tolist():
         if all(np.abs(table[k, :4] - table[j, :4]).max() > 0.01 for j in kept):

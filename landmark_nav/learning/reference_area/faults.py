@@ -1,11 +1,11 @@
 """
-What is wrong where reference papers do not fit together: the single fault that explains it.
+Diagnosis of reference papers that do not fit together: the single fault that explains it.
 
-The outlines of the papers in one panorama or more are data, what ``room.yaml`` and ``robot.yaml``
-give of papers and camera is known with a standard deviation each. A fault is one of these values
-set free. The fault without which everything else fits is named, with its size; if several explain
-the data equally well, all of them are (likelihood ratios, one degree of freedom a fault). Sizes of
-papers are distances, so that two papers locate a panorama and the third one can be judged.
+The data are the outlines of the papers in one panorama or more. The values of ``room.yaml`` and
+``robot.yaml`` have a sigma each. A fault is one of these values set free. The fault without which
+everything else fits is named, with its size; if several explain the data equally well, all are
+named (likelihood ratios, one degree of freedom for each). Sizes of papers give ranges, so that two
+papers locate a panorama and the third can be tested.
 """
 
 from __future__ import annotations
@@ -33,48 +33,48 @@ from landmark_nav.learning.reference_area.search import (
 )
 from landmark_nav.types import FloatArray
 
-# x, y, heading, roll and pitch of the pan axis of each view; then what all have in common: height
-# of the camera, size of all papers, focal length; then of each paper what `_OF_PAPER` names.
+# State: x, y, heading, roll and pitch of the pan axis of each view; then the values common to all:
+# height of the camera, size of all papers, focal length; then those of each paper, `_OF_PAPER`.
 _VIEW, _OF_ALL = 5, ('camera_height', 'sizes', 'focal')
 _OF_PAPER = ('along', 'height', 'depth', 'width', 'tallness', 'size')
 _COMMON, _PAPER = len(_OF_ALL), len(_OF_PAPER)
-# What a fault may be: metres, radians, shares.
+# Sigmas of a free value: m, rad, relative.
 _FREE_M, _FREE_RAD, _FREE_SHARE = 0.5, 0.2, 0.5
 _IN_METRES = ('camera_height', 'along', 'height', 'depth')
-# Faults of the mount -> the standard deviation that they set free.
+# Faults of the mount -> the sigma that they set free.
 _OF_MOUNT = {'camera_height': 'height_sigma_m', 'lean': 'horizon_sigma_rad'}
-# Of the focal length after the calibration by overlaps; of the sizes of one paper.
+# Sigmas of the focal length after the calibration by overlaps, and of the sizes of one paper.
 _FOCAL_SIGMA, _OWN_SIZE_SIGMA = 1e-3, 3e-3
-# Gain in chi-square from which on a fault is real, and by which it must lead all others.
+# Least gain in chi-square of a real fault, and its least lead over all others.
 _REAL_GAIN, _LEAD = 25.0, 9.0
-# What a value that is set free must gain at least (as in Schwarz' criterion).
+# Least gain of a free value (as in Schwarz' criterion).
 _BY_FREEDOM = 3.0
-# Chance that data without a fault miss by so much, and by what makes faults worth a trial; with a
-# fault they may miss by so many times the first.
+# Significance of a misfit without a fault, and of one for which faults are tried; greatest misfit
+# with a fault, relative to the limit of the first.
 _FALSE_ALARM, _SUSPECT, _EXPLAINED = 1e-4, 0.05, 3.0
-# Outlines err by so much more than their sigmas say.
+# Factor on the sigmas of outlines.
 _SCATTER = 1.3
-# Papers that locate a panorama.
+# Fewest papers that locate a panorama.
 _LEAST_SEEN = 2
-# What a paper costs that should be seen and is not, and one that is taken to be hidden, in each
-# view, squared standard deviations.
+# Costs in each view of a paper that should be in view and is not found, and of one assumed hidden,
+# squared sigmas.
 _MISSING, _HIDDEN = 60.0, 30.0
-# How far off a paper is looked for, metres, and how much its size may differ, as a share.
+# Greatest error of a paper's place that is searched, m, and of its size, relative.
 _SEARCH_M, _SEARCH_SHARE, _MOST_COST = 0.25, 0.15, 12.0
-# How much larger than given papers and rooms may be, and how far below the floor one may seem.
+# Largest factor on sizes of papers and rooms, and lowest place of a paper.
 _ANY_SIZE, _BELOW_M = 1.6, -0.5
-# Places that are tried in each panorama; papers whose colours are tried in other orders; views.
+# Most poses tried in a panorama, papers whose colours are permuted, and views.
 _MOST_PLACES, _MOST_SWAPPED, _MOST_VIEWS = 4, 4, 4
-# Of the units that people measure with, the one whose rooms have lengths of rooms in metres.
+# Lengths of rooms in feet are plausible in metres too.
 _FOOT_M = 0.3048
-# For derivatives by differences.
+# Step of numerical differentiation.
 _STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class PaperView:
     """
-    Sheets that one panorama shows, by the colours of a room's papers.
+    Sheets in one panorama, by the colours of a room's papers.
 
     `eye_height_m` is the height of the optical centre above the floor, as ``robot.yaml`` gives it.
     """
@@ -92,9 +92,9 @@ class PaperFault:
     wall), 'width', 'tallness', 'size' (both), 'turned' (both exchanged) or 'hidden'; of all, with
     `paper` -1: 'swapped' (colours), 'mirrored', 'feet' (the unit), 'camera_height', 'lean'
     (of the pan axis), 'focal' or 'sizes'.
-    `value` and `sigma` are true minus given in metres, radians or shares, 0 where `kind` says it
-    all. `gain` is by how much chi-square falls without the fault; `text` says it; `mount` is what
-    it says of the mount.
+    `value` and `sigma` are true minus given in m, rad or relative, 0 if `kind` is sufficient.
+    `gain` is the decrease of chi-square without the fault, `text` its description, `mount` the
+    error of the mount.
     """
 
     kind: str
@@ -109,11 +109,11 @@ class PaperFault:
 @dataclass(frozen=True, eq=False)
 class PaperFaults:
     """
-    Whether papers fit, and which single fault explains it if not.
+    Whether papers fit, and the single faults that explain it if not.
 
-    `chi_square` and `redundancy` are those without a fault. Several `faults`, the likeliest first,
-    explain the data alike; none though `fits` is false means that no single one does. `text` is
-    one line for people, empty where all fits or no single fault explains it.
+    `chi_square` and `redundancy` are those without a fault. `faults`, the likeliest first, explain
+    the data equally well; if there are none though `fits` is false, no single fault does. `text`
+    is one line for people, empty if all fits.
     """
 
     fits: bool
@@ -123,7 +123,7 @@ class PaperFaults:
 
     @property
     def text(self) -> str:
-        """What is wrong, and what to do, in one line; empty where all fits."""
+        """What is wrong, and what to do, in one line; empty if all fits."""
         if self.fits or self.faults:
             return self.cause
         return (
@@ -133,13 +133,13 @@ class PaperFaults:
 
     @property
     def mount(self) -> MountError | None:
-        """What is wrong with the mount, if nothing else explains the papers as well."""
+        """The error of the mount, if nothing else explains the papers equally well."""
         blamed = [fault.mount for fault in self.faults]
         return blamed[0] if blamed and None not in blamed else None
 
     @property
     def cause(self) -> str:
-        """The single fault, and what to do, in one line; empty where there is none."""
+        """The single fault, and what to do, in one line; empty if there is none."""
         if not self.faults:
             return ''
         text = ', or '.join(fault.text for fault in self.faults[:2])
@@ -155,9 +155,9 @@ def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperVi
     Parameters
     ----------
     view : CylinderImage
-        In the base frame.
+        Cylinder image in the base frame.
     room : Room
-        Its papers' colours are used, not their locations.
+        Room whose papers' colours are used, not their locations.
     eye_height_m : float
         Height of the optical centre, see `optical_height`.
     """
@@ -175,7 +175,7 @@ def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperVi
 def _may_be(
     blobs: PaperBlobs, paper: Paper, room: Room, eye_height_m: float
 ) -> npt.NDArray[np.bool_]:
-    """Which blobs are in the room if they are a paper, nearly of its height, (n,)."""
+    """Whether blobs (n,) would be inside the room if they were a paper of about this height."""
     low, high = room.bounds
     far = _ANY_SIZE * float(np.hypot(*(high - low)))
     top = _ANY_SIZE * max(wall.height for wall in room.walls)
@@ -189,26 +189,26 @@ def paper_faults(
     views: Sequence[PaperView], room: Room, config: ReferenceAreaConfig
 ) -> PaperFaults:
     """
-    Compare papers in one panorama or more with where ``room.yaml`` gives them.
+    Compare papers in one panorama or more with ``room.yaml``.
 
     Parameters
     ----------
     views : sequence of PaperView
-        What panoramas of one room show, each from an unknown pose. The last four are used.
+        Views of panoramas of one room, each at an unknown pose. The last four are used.
     room : Room
-        Walls and papers. With fewer than three papers nothing can be judged.
+        Walls and papers. Fewer than three papers cannot be tested.
 
     Returns
     -------
     PaperFaults
-        With `fits` true where too little is seen to judge.
+        `fits` is true if too little is visible for a test.
     """
     if len(room.papers) < LEAST_PAPERS:
         return _NOTHING
     trial = _Trial(views[-_MOST_VIEWS:], room, config)
     as_given = trial.solve(_Hypothesis(''))
     if as_given is None:
-        # Not even two papers hang as given: another order of colours may explain it.
+        # Not even two papers fit: another order of colours may explain it.
         nothing = np.zeros(0)
         as_given = _Solution(_MISSING * len(views) * len(room.papers), nothing, nothing, 0)
     redundancy = max(as_given.redundancy, 1)
@@ -238,28 +238,28 @@ _NOTHING = PaperFaults(True, 0.0, 0, ())
 
 
 class PaperRecord:
-    """Papers as the last sweeps of one room showed them, to judge all of these together."""
+    """Papers in the last sweeps of one room, which are tested together."""
 
     def __init__(self, room: Room, config: ReferenceAreaConfig) -> None:
         self._room, self._config = room, config
         self._views: list[PaperView] = []
 
     def __len__(self) -> int:
-        """Return how many sweeps there are."""
+        """Return the number of sweeps."""
         return len(self._views)
 
     def add(self, view: CylinderImage, eye_height_m: float) -> None:
-        """Remember what a panorama in the base frame shows, see `view_papers`."""
+        """Add a panorama in the base frame, see `view_papers`."""
         if len(self._room.papers) >= LEAST_PAPERS:
             self._views.append(view_papers(view, self._room, eye_height_m))
             del self._views[:-_MOST_VIEWS]
 
     def clear(self) -> None:
-        """Forget all sweeps: they were seen with another mount."""
+        """Drop all sweeps: they were measured with another mount."""
         self._views.clear()
 
     def faults(self) -> PaperFaults:
-        """What is wrong with the papers; the last sweep alone says it where others disagree."""
+        """Faults of the papers; by the last sweep alone if all together give none."""
         faults = paper_faults(self._views, self._room, self._config)
         if faults.fits or faults.faults or len(self) < 2:
             return faults
@@ -269,7 +269,7 @@ class PaperRecord:
 
 @dataclass(frozen=True, eq=False)
 class _Pick:
-    """A rough pose (3,) of the pan axis, and which outline each paper is (papers,), -1: none."""
+    """An approximate pose (3,) of the pan axis, and the outline of each paper, -1 for none."""
 
     axis_pose: FloatArray
     outline: tuple[int, ...]
@@ -278,9 +278,9 @@ class _Pick:
 @dataclass(frozen=True, eq=False)
 class _Solution:
     """
-    Cost of a hypothesis in chi-square, and what its free values are, mean of the views'.
+    Chi-square of a hypothesis, and its free values, means over the views.
 
-    `missing` papers should be seen, and are not.
+    `missing` is the number of papers that should be in view and are not found.
     """
 
     cost: float
@@ -299,7 +299,7 @@ class _Hypothesis:
     room: Room | None = None
 
     def free(self, views: int) -> list[int]:
-        """Indices in the state of a model of so many views."""
+        """Indices in the state of a model with this number of views."""
         if self.kind == 'lean':
             return [_VIEW * v + n for v in range(views) for n in (3, 4)]
         if self.kind in _OF_ALL:
@@ -310,12 +310,12 @@ class _Hypothesis:
 
     @property
     def width(self) -> int:
-        """How many values it has."""
+        """Number of free values."""
         return 2 if self.kind == 'lean' else 1
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of what is free."""
+        """Sigma of the free values."""
         if self.kind == 'lean':
             return _FREE_RAD
         return _FREE_M if self.kind in _IN_METRES else _FREE_SHARE

@@ -1,10 +1,9 @@
 """
-Where a sweep was taken, from coloured papers that hang at known places.
+Pose of a sweep from coloured papers at known places.
 
 Blobs in the panorama give hypotheses; the edges of the papers, found to sub-pixel in every frame
-that shows them, then decide and refine. Livatino and Madsen triangulate the three papers; all
-their edges together say the same more accurately, and their sizes distinguish wrong combinations
-from right ones.
+that shows them, then select and refine. Livatino and Madsen triangulate the three papers; all
+edges together are more accurate, and sizes distinguish wrong correspondences from right ones.
 """
 
 from __future__ import annotations
@@ -44,14 +43,14 @@ from landmark_nav.learning.reference_area.search import (
 )
 from landmark_nav.types import FloatArray, Sweep
 
-# What is seen of all of them together, in whole papers.
+# Least visible part of all papers together, in whole papers.
 _LEAST_EVIDENCE = 1.6
 _MOST_MISFIT = 6.0
-# A place that costs so much more than one that fits is not worth a look.
+# A pose with this much more cost than one that fits is not tried.
 _HOPELESS = 20.0
-# Squared deviation of two places that are one: chi-square of 3, at certainty.
+# Chi-square, with 3 degrees of freedom, at which two poses certainly differ.
 _DISAGREEMENT = 35.0
-# Yaws that differ by less are one.
+# Yaws that differ by less are equal.
 _SAME_YAW_RAD = 0.05
 # Standard deviations of height and tilt by which a camera is refused for these, not for papers.
 _ANY_HEIGHT_M, _ANY_TILT_RAD = 0.1, 0.05
@@ -62,13 +61,13 @@ _QUICK_FRAMES = 2
 @dataclass(frozen=True, eq=False)
 class SweepPlace:
     """
-    Where a sweep was taken.
+    Pose of a sweep.
 
-    `pose_map_base` (3,) and `height_m` of the optical centre, `covariance` (4, 4) of x, y, z,
-    heading. `axis_tilt_score` (2,) and `axis_tilt_information` (2, 2) give how the pan axis is
-    tilted about x and y of the base, as `landmark_nav.learning.calibration.lean.levelled` takes
-    them. `warning` says if sizes and distances of papers do not go together. `mount_score` (3,)
-    and `mount_information` (3, 3) say it of height and lean together.
+    `pose_map_base` (3,) is that of the base, `height_m` that of the optical centre, `covariance`
+    (4, 4) that of x, y, z, heading. `axis_tilt_score` (2,) and `axis_tilt_information` (2, 2) are
+    the tilt of the pan axis about x and y of the base in information form, for `levelled`;
+    `mount_score` (3,) and `mount_information` (3, 3) those of height and tilt together.
+    `warning` is set if sizes and distances of papers contradict each other.
     """
 
     pose_map_base: FloatArray
@@ -90,26 +89,26 @@ def locate_sweep(
     most_sigmas: float = WRONG_PRIOR,
 ) -> SweepPlace:
     """
-    Measure the place of a sweep from the reference papers.
+    Measure the pose of a sweep from the reference papers.
 
     Parameters
     ----------
     view : CylinderImage
-        The same as a cylinder in the base frame, to look for the papers in.
+        Cylinder image of the sweep in the base frame, in which papers are searched.
     room : Room
         Papers and walls in map.
     mount : PanTiltMount
         Pan axis in the base frame.
     most_sigmas : float
-        By how many of them height and lean of the camera may be off.
+        Greatest errors of height and tilt of the camera, in sigmas.
 
     Raises
     ------
     WrongMountError
-        Height or lean are off by more.
+        Errors of height or tilt are larger.
     LandmarkNavError
-        Fewer than three papers in the room or in sight, papers that don't hang as the room says,
-        or more than one place fits.
+        Fewer than three papers are in the room or in view, papers do not fit the room, or more
+        than one pose fits.
     """
     if len(room.papers) < LEAST_PAPERS:
         raise LandmarkNavError(
@@ -120,7 +119,7 @@ def locate_sweep(
     fit = papers.fit()
     check_prior(fit, room, config, most_sigmas)
     inverse = covariance_of(fit.mount_covariance[1:, 1:])
-    # The misfit makes all of the covariance larger, the prior's share of it too.
+    # The misfit inflates the whole covariance, including the part of the prior.
     scatter = max(1.0, fit.misfit)
     of_mount = covariance_of(fit.mount_covariance / scatter)
     prior = np.array([config.height_sigma_m, *[config.horizon_sigma_rad] * 2]) ** -2.0
@@ -143,14 +142,14 @@ def papers_fit(
     mount: PanTiltMount,
     config: ReferenceAreaConfig,
 ) -> bool:
-    """Whether papers fit somewhere; arguments as of `locate_sweep`, without its reasons."""
+    """Whether papers fit at any pose; arguments as for `locate_sweep`."""
     if not room.papers:
         return False
     return _PaperSearch(sweep, view, room, mount, config).fits_somewhere()
 
 
 class _PaperSearch:
-    """The one place where all papers of a room fit what a sweep saw; arguments as above."""
+    """Search for the pose at which all papers fit a sweep; arguments as for `locate_sweep`."""
 
     def __init__(
         self,
@@ -168,7 +167,7 @@ class _PaperSearch:
         self._fitter = PaperFitter(sweep, room, mount, config)
 
     def fit(self) -> PaperFit:
-        """Fit of all edges at the place; `LandmarkNavError` that says why there is none."""
+        """Fit of all edges at the pose; `LandmarkNavError` with the reason if there is none."""
         fits = self._tried()
         good = sorted((f for f in fits if _fits(f, self._room)), key=lambda f: -_support(f))
         if not good:
@@ -181,11 +180,11 @@ class _PaperSearch:
         return fit
 
     def fits_somewhere(self) -> bool:
-        """Whether a few frames fit at a place."""
+        """Whether a few frames fit at some pose."""
         return any(_fits(fit, self._room) for fit in self._tried())
 
     def _tried(self) -> list[PaperFit]:
-        """Fits of few frames at places, the cheapest first, until the rest is hopeless."""
+        """Fits of few frames at poses, in the order of cost, until the rest is hopeless."""
         fits: list[PaperFit] = []
         enough = np.inf
         for place in find_places(self._blobs, self._room, self.height_m, self._config):
@@ -224,7 +223,7 @@ class _PaperSearch:
 
 
 def _check_unique(good: list[PaperFit]) -> None:
-    """`LandmarkNavError` where another place has about the support of the best, which is first."""
+    """`LandmarkNavError` if another pose has about the support of the best, which is first."""
     for other in good[1:]:
         away = se2.relative(good[0].pose_map_base, other.pose_map_base)
         distinct = np.hypot(away[0], away[1]) > 0.1 or abs(away[2]) > 0.05
@@ -246,7 +245,7 @@ def check_agreement(
     config: ReferenceAreaConfig,
 ) -> None:
     """
-    Compare a place that is given, (3,) and (3, 3), with what papers give, where they are in sight.
+    Compare a given pose, (3,) and (3, 3), with that by papers, if they are in view.
 
     Raises `LandmarkNavError`: they disagree.
     """
@@ -260,7 +259,7 @@ def check_agreement(
     off[2] = wrap_rad(off[2])
     if off @ solve_positive(total, off) <= _DISAGREEMENT:
         return
-    # The papers locate the pan axis: where only the heading is off, so is how it is mounted.
+    # Papers locate the pan axis: if only the heading differs, the mount is wrong.
     axis = mount.axis_pose_map(seen.pose_map_base) - mount.axis_pose_map(pose_map_base)
     if axis[:2] @ solve_positive(total[:2, :2], axis[:2]) <= _DISAGREEMENT:
         yaw = mount.axis_rpy[2]
@@ -285,7 +284,7 @@ def optical_height(sweep: Sweep, mount: PanTiltMount) -> float:
 
 
 def _fits(fit: PaperFit, room: Room) -> bool:
-    """Whether enough papers agree, and few contradict."""
+    """Whether enough papers agree and few contradict."""
     measured = measured_papers(fit)
     wrong = (fit.seen >= 0.5) & (fit.agreed < LEAST_AGREED)
     expected = np.sum(papers_in_view(fit.pose_map_base[:2], room))
@@ -298,5 +297,5 @@ def _fits(fit: PaperFit, room: Room) -> bool:
 
 
 def _support(fit: PaperFit) -> float:
-    """How much of the papers is there."""
+    """Visible part of the papers that agrees, relative to the misfit."""
     return float(np.sum(fit.seen * fit.agreed)) / max(1.0, fit.misfit)

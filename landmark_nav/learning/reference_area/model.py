@@ -1,10 +1,10 @@
 """
-Where a camera on a pan-tilt unit sees points of papers, given all that is not exactly known.
+Projection of points of papers into the frames of a sweep, with all uncertain values.
 
-Unknown beside the place are height and tilt of the pan axis, the camera's response to light, how
-far its colours lie beside its brightness, how each paper hangs, what shifts and turns each edge as
-a whole, and the joint angles of each frame; all with priors, so that the covariance of a place
-holds their share.
+Besides the pose these are height and tilt of the pan axis, the camera's response to light, the
+shift between colour and brightness, the position of each paper, shift and rotation of each edge,
+and the joint angles of each frame. All have priors, so that the covariance of a pose contains
+their errors.
 """
 
 from __future__ import annotations
@@ -23,40 +23,40 @@ from landmark_nav.types import FloatArray, Sweep
 @dataclass(frozen=True)
 class ReferenceAreaConfig(Config):
     """
-    Standard deviations of what is given of papers, camera and joints.
+    Sigmas of given values of papers, camera and joints.
 
-    Chosen by hand; what differs more is found and named.
+    They are chosen by hand; larger errors are detected and named.
     """
 
-    # Standard deviation of how exactly a paper hangs, metres.
+    # Sigma of the position of a paper.
     paper_sigma_m: float = 0.001
-    # Standard deviation of the camera's height, metres.
+    # Sigma of the camera's height.
     height_sigma_m: float = 0.005
-    # Standard deviation of the pan axis' tilt, radians.
+    # Sigma of the pan axis' tilt.
     horizon_sigma_rad: float = 0.003
-    # Standard deviation that all points of one edge share, pixels.
+    # Sigma of the error that all points of an edge share.
     edge_sigma_px: float = 0.05
-    # Standard deviation of the size of papers, a share.
+    # Relative sigma of the size of papers.
     paper_size_sigma: float = 0.002
 
 
 # Right, left, top and bottom as seen along the wall.
 EDGES = 4
-# The points on an edge reach over so much of its length.
+# Share of an edge's length on which its points lie.
 EDGE_SHARE = 0.88
 
-# x, y, heading of the base; height and two tilts of the axis; the share by which all papers are
-# larger than given; gamma of colours, which JPEG blurs
-# once more after the camera wrote them, and of brightness; shift of colours, two pixels.
+# x, y, heading of the base; height and two tilts of the axis; relative error of the size of all
+# papers; gamma of colours, which JPEG blurs once more after the camera wrote them, and of
+# brightness; shift of colours, two pixels.
 RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 7, 7, 9, 11
 
-# What the response to light usually is, between none and that of sRGB.
+# Usual response to light, between linear and that of sRGB, and its sigma.
 _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
 _SHIFT_SIGMA_PX = 0.15
-# What shadows do to edges that are found by brightness.
+# Sigma of edges by brightness due to shadows.
 _BRIGHT_SIGMA_PX = 0.2
-# What turns an edge, at its ends, as a share of what shifts it: unknown, a turn of 0.02 px that
-# all frames share, as JPEG makes it, passes for a tilt of the axis, and that for a height.
+# Sigma of an edge's rotation, at its ends, relative to that of its shift. Without it, a rotation by
+# JPEG of 0.02 px, which all frames share, is taken for a tilt of the axis, and that for a height.
 _TURN_SHARE = 0.5
 
 
@@ -64,8 +64,8 @@ class PaperModel:
     """
     Projection of the papers' edges into the frames of a sweep.
 
-    Unknowns are one array, see the indices below; of points, `points` (papers, n, 3) lie on the
-    edges in turn, `outwards` (papers, n, 3) are their directions from the paper to the wall.
+    The unknowns are one array, see the indices below. `points` (papers, n, 3) lie on the edges in
+    turn; `outwards` (papers, n, 3) are their directions from the paper to the wall.
     """
 
     def __init__(self, sweep: Sweep, room: Room, mount: PanTiltMount, per_edge: int) -> None:
@@ -154,7 +154,7 @@ class PaperModel:
         columns += [self._frame + 2 * frame + k for k in (0, 1)]
         jacobian = np.zeros((len(points), self.size))
         for column in columns:
-            # Each point depends on one unknown of each kind: all of a kind are moved at once.
+            # A point depends on one unknown of each kind, so all of a kind are moved at once.
             moved = state.copy()
             moved[np.unique(column)] += 1e-5
             change = self.project(moved, frame, paper, points) - here
@@ -174,18 +174,18 @@ class PaperModel:
         sigma[_COMMON : self._edge] = max(config.paper_sigma_m, 1e-6)
         sigma[self._frame :].reshape(-1, 2)[:] = angle_sigma_rad
         information = sigma**-2.0
-        information[:3] = 1e-4  # for what no measurement says anything about
+        information[:3] = 1e-4  # regularizes directions without measurements
         return np.asarray(information)
 
 
 def edge_sigma_px(config: ReferenceAreaConfig, bright: IndexArray) -> FloatArray:
-    """Standard deviations (2, n) of what shifts edges (n,) as a whole, and their ends apart."""
+    """Sigmas (2, n) of the shift and of the rotation of edges (n,)."""
     shift = np.hypot(config.edge_sigma_px, np.where(bright > 0, _BRIGHT_SIGMA_PX, 0.0))
     return np.stack([shift, np.full(len(bright), _TURN_SHARE * config.edge_sigma_px)])
 
 
 def _outline(paper: Paper, room: Room, per_edge: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points on the four edges (n, 3) in map, the outward direction of each, and the wall's."""
+    """Points on the four edges (n, 3) in map, their outward directions, and that of the wall."""
     wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
     along = np.append(wall.along, 0.0)
     up = np.array([0.0, 0.0, 1.0])

@@ -1,9 +1,9 @@
 """
-Which blobs are the papers, and so roughly where the sweep was taken.
+Correspondence of blobs and papers, and an approximate pose of the sweep.
 
-Two papers give a place: a blob's height is its distance. Every pair of blobs that hang as far
-apart as their papers do is tried, so that the work grows with the squares of papers and blobs,
-never with combinations of all; the other papers then say which place is right.
+Two papers give a pose: the height of a blob gives its range. All pairs of blobs with the distance
+of their papers are tried, so that the effort is quadratic in papers and blobs; the other papers
+then select the right pose.
 """
 
 from __future__ import annotations
@@ -21,37 +21,37 @@ from landmark_nav.learning.reference_area.blobs import PaperBlobs
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.types import FloatArray
 
-# Papers that it takes; with two nothing shows whether one hangs elsewhere.
+# Fewest papers; with two, a misplaced one is not detected.
 LEAST_PAPERS = 3
 
-# Rough standard deviations of a blob: its outline is a pixel or two off.
+# Sigmas of a blob, whose outline is a pixel or two off.
 _DIRECTION_SIGMA = 0.008
 _OUTLINE_SIGMA = 0.008
 
-# What a paper costs that should be seen and is not, squared standard deviations.
+# Cost of a paper that should be in view and is not found, squared sigmas.
 _MISSING = 25.0
-# At that its weight has fallen to a quarter.
+# Squared residual at which the robust weight has fallen to a quarter.
 _TAIL_WIDTH = 9.0
 
 _MOST_PAIRS = 1500
 _MOST_PLACES = 6
-# Places are refined in rounds, at first with so many times the deviations above; the best so many
-# of them then with the deviations as they are.
+# Rounds of refinement of all poses, with factors on the sigmas above; then rounds of the best ones
+# with factor 1.
 _ROUGH_ROUNDS, _FINE_ROUNDS = (4.0, 2.0), 5
 _MOST_REFINED = 150
 
-# Papers are hardly measured where they are seen flatter than that.
+# Greatest angle of a paper to the line of sight.
 _FLATTEST_RAD = 1.4
 
 
 @dataclass(frozen=True, eq=False)
 class PaperPlace:
     """
-    A place that explains some blobs.
+    A pose that explains some blobs.
 
-    `axis_pose` (3,) of the pan axis in map; `mount` (3,) how much higher than given the camera is,
-    and how the axis tilts about x and y of the base; `blob` (papers,) the number of each paper's
-    blob, -1 where there is none; `cost` in squared standard deviations.
+    `axis_pose` (3,) is that of the pan axis in map; `mount` (3,) is the height of the camera
+    relative to the given one, and the tilt of the axis about x and y of the base; `blob` (papers,)
+    is the index of each paper's blob, -1 for none; `cost` is in squared sigmas.
     """
 
     axis_pose: FloatArray
@@ -61,7 +61,7 @@ class PaperPlace:
 
 
 def papers_in_view(axis_xy: FloatArray, room: Room) -> npt.NDArray[np.bool_]:
-    """Whether papers face places (..., 2) and no wall stands between, (..., papers)."""
+    """Whether papers face positions (..., 2) and no wall is between, (..., papers)."""
     center = np.array([paper.center[:2] for paper in room.papers])
     way = axis_xy[..., None, :] - center
     facing = np.sum(way * room.normals[room.nearest_wall(center), :2], -1)
@@ -73,19 +73,19 @@ def find_places(
     blobs: list[PaperBlobs], room: Room, eye_height_m: float, config: ReferenceAreaConfig
 ) -> list[PaperPlace]:
     """
-    Places in the room from where two papers or more look like some blobs.
+    Poses in the room at which two or more papers fit some blobs.
 
     Parameters
     ----------
     blobs : list of PaperBlobs
-        Of each paper of the room.
+        Candidates for each paper of the room.
     config : ReferenceAreaConfig
-        How exactly height and tilt of the camera are known.
+        Sigmas of height and tilt of the camera.
 
     Returns
     -------
     list of PaperPlace
-        The most fitting first, no two of them alike.
+        Distinct poses, the best first.
     """
     problem = _Problem(blobs, room, eye_height_m, config)
     poses = problem.pair_places()
@@ -139,7 +139,7 @@ class _Problem:
         self._misfit = table([b.misfit for b in blobs], np.inf)
 
     def pair_places(self) -> FloatArray:
-        """Poses (n, 6) out of any two papers and any of their blobs."""
+        """Poses (n, 6) of all pairs of papers and their blobs."""
         reach = self._height[:, None] / np.maximum(self._top - self._bottom, 1e-6)
         rise = reach * 0.5 * (self._top + self._bottom) - self._center[:, 2:]
         good = np.isfinite(self._misfit)
@@ -151,7 +151,7 @@ class _Problem:
             distance = float(np.hypot(*apart))
             turn = self._azimuth[j, b] - self._azimuth[i, a]
             first, second = reach[i, a], reach[j, b]
-            # Of a blob that is cut the height lies, so its distance follows from the other's.
+            # The height of a cut blob is wrong, so its range is computed from the other one.
             half = np.sqrt(np.maximum(distance**2 - (first * np.sin(turn)) ** 2, 0.0))
             other = np.sqrt(np.maximum(distance**2 - (second * np.sin(turn)) ** 2, 0.0))
             for near, far in (
@@ -174,7 +174,7 @@ class _Problem:
         return np.pad(pose[possible][order], ((0, 0), (0, 3)))
 
     def _rise_sigma_m(self, reach: FloatArray) -> FloatArray:
-        """By how much blobs at a distance seem to hang too high, roughly."""
+        """Approximate sigma of the height of blobs at a range."""
         by_mount = np.hypot(self._mount_sigma[0], self._mount_sigma[1] * reach)
         return np.asarray(np.hypot(0.05 + 0.05 * reach, by_mount))
 
@@ -187,7 +187,7 @@ class _Problem:
         near: FloatArray,
         far: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Rigid alignment of two points that are seen with where the papers hang."""
+        """Rigid alignment of two observed points with the places of the papers."""
         first = near[:, None] * _unit(self._azimuth[i, a])
         second = far[:, None] * _unit(self._azimuth[j, b])
         seen, hung = second - first, self._center[j, :2] - self._center[i, :2]
@@ -200,7 +200,7 @@ class _Problem:
         return np.column_stack([axis, wrap_rad(heading)]), cost
 
     def refine(self, poses: FloatArray, scale: float) -> FloatArray:
-        """One step of least squares of all poses (n, 6) towards the blobs that fit each best."""
+        """One least-squares step of all poses (n, 6) to the best blobs of each."""
         residual, cost, _ = self._compare(poses, scale)
         weight = (1.0 + cost / _TAIL_WIDTH) ** -2.0 * (cost < _MISSING)
         weight *= papers_in_view(poses[:, :2], self._room)
@@ -229,13 +229,14 @@ class _Problem:
         """Cost (n,) of poses and the blob (n, papers) of each paper, -1 for none."""
         _, cost, blob = self._compare(poses, 1.0)
         seen = papers_in_view(poses[:, :2], self._room)
-        # A paper that cannot be seen costs a little: else the best place would see none.
+        # A hidden paper costs a little less than a missing one; without a cost, the best pose
+        # would see none.
         each = np.where(seen, np.minimum(cost, _MISSING), 0.8 * _MISSING)
         by_mount = np.sum((poses[:, 3:] / self._mount_sigma) ** 2, 1)
         return each.sum(1) + by_mount, np.where(seen & (cost < _MISSING), blob, -1)
 
     def _seen_from(self, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Ways to papers in map and base (n, papers, 2), and how much higher they hang."""
+        """Vectors to papers in map and base (n, papers, 2), and their heights above the camera."""
         offset = self._center[:, :2] - poses[:, None, :2]
         ahead = offset @ se2.rotation(poses[:, 2])
         return offset, ahead, self._center[:, 2] - poses[:, 3, None]
@@ -243,7 +244,7 @@ class _Problem:
     def _compare(
         self, poses: FloatArray, scale: float
     ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
-        """Deviations (n, papers, 3) from the best blob, their cost and its number."""
+        """Residuals (n, papers, 3) to the best blob, their cost and its index."""
         _, ahead, level = self._seen_from(poses)
         reach = np.maximum(np.linalg.norm(ahead, axis=-1), 0.1)
         roll, pitch = poses[:, 4, None], poses[:, 5, None]
