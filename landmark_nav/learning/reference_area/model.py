@@ -55,8 +55,8 @@ _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
 _SHIFT_SIGMA_PX = 0.15
 # Sigma of edges by brightness due to shadows.
 _BRIGHT_SIGMA_PX = 0.2
-# Sigma of an edge's rotation, at its ends, relative to that of its shift. Without it, a rotation by
-# JPEG of 0.02 px, which all frames share, is taken for a tilt of the axis, and that for a height.
+# Sigma of an edge's rotation, at its ends, relative to that of its shift. Without it, a rotation
+# by JPEG of 0.02 px in all frames is taken for a tilt of the axis, and that for a height.
 _TURN_SHARE = 0.5
 
 
