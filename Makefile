@@ -35,9 +35,8 @@ install: .venv/installed
 demo: install
 	$(BIN)/landmark-nav demo --out demo --overwrite
 
-# Node tests mostly wait; what is tested offline takes the time that they leave.
-test: lint
-	$(MAKE) --no-print-directory --output-sync=target -j 2 test-offline test-nodes
+# One after the other: node tests run in real time, and fail where the machine has no time left.
+test: lint test-offline test-nodes
 
 lint: install
 	$(BIN)/ruff check .
@@ -46,7 +45,7 @@ lint: install
 
 # The longest files first, so that both processes have work until the end.
 test-offline: install
-	nice $(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
+	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
 
 # These start nodes as processes of their own, each test in a ROS domain of its own. The demo takes
 # a process for half of the time.
