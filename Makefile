@@ -35,7 +35,6 @@ install: .venv/installed
 demo: install
 	$(BIN)/landmark-nav demo --out demo --overwrite
 
-# One after the other: node tests run in real time, and fail where the machine has no time left.
 test: lint test-offline test-nodes
 
 lint: install
@@ -49,7 +48,7 @@ test-offline: install
 
 # These start nodes as processes of their own, each test in a ROS domain of its own. The demo takes
 # a process for half of the time.
-test-nodes: install
+test-nodes: install test-offline
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py test/nodes
 
 bench: install
