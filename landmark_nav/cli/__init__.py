@@ -1,1 +1,1 @@
-"""The commands, one module each: `add_arguments` says what one takes, `run` does it."""
+"""The commands, one module each with `add_arguments` and `run`."""

@@ -1,4 +1,4 @@
-"""`landmark-nav batch`: many recordings through learn, calibrate and evaluate, one table."""
+"""`landmark-nav batch`: learn, calibrate and evaluate many recordings; one table of results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from landmark_nav.storage.atomic_io import check_writable, write_atomically
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Run simulate, learn, calibrate and evaluate over many recordings at once, on the cores '
         'of this machine or on a scheduler of dask.distributed, and write table.csv, '
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run all; one that fails does not end the others."""
+    """Run all; a failed run does not end the others."""
     runs = read_runs(args.jobs, release())
     for one in runs:
         _check_options(one, args.jobs)
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_options(one: Run, jobs: Path) -> None:
-    """Refuse what a command does not take before anything runs."""
+    """Check the arguments of all commands before any of them runs."""
     for stage in one.stages:
         parser = _Parser(prog=stage.command)
         import_module(f'landmark_nav.cli.{stage.command}').add_arguments(parser)

@@ -1,4 +1,4 @@
-"""`landmark-nav bench`: the time of every stage beside a reference, measured in the same run."""
+"""`landmark-nav bench`: time of every stage and of a reference, measured in the same run."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ _HEADER = f'{"stage":<36}{"ms":>9}{"95 % ms":>9}{"ref ms":>9}{"ratio":>9}  refer
 @dataclass(frozen=True)
 class _Comparison:
     """
-    A stage and its reference; both do `count` pieces of work in a call.
+    A stage and its reference; both process `count` items in a call.
 
-    A stage that does not take the same time in each call is called `calls` times, each timed.
+    If the duration of a stage varies between calls, `calls` calls are timed separately.
     """
 
     stage: str
@@ -96,7 +96,7 @@ class _Comparison:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Time every stage on simulated data, and beside it, in the same run and on '
         'the same data, a reference. The ratio of the two can be compared between machines.'
@@ -108,7 +108,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Time, print and write."""
+    """Time all stages, print a table, and write it."""
     check_writable(args.json)
     cv2.setNumThreads(1)
     rows = [_timed(each, args.repeats) for each in progress(_comparisons(args.seed), 'timing')]
@@ -133,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _timed(comparison: _Comparison, repeats: int) -> dict[str, Any]:
-    """Time the two in turn, so that what else the machine does meets both; warm unless once."""
+    """Time both in turn, so that other load affects both; discard the first of several runs."""
     works = (comparison.ours, comparison.reference)
     taken: tuple[list[float], list[float]] = ([], [])
     for repeat in range(repeats if repeats == 1 else repeats + 1):
@@ -148,7 +148,7 @@ def _timed(comparison: _Comparison, repeats: int) -> dict[str, Any]:
     return {
         'stage': comparison.stage,
         'seconds': ours,
-        # What 95 of 100 calls stay below, where a stage does not take the same time in each.
+        # For stages whose duration varies between calls.
         'p95_seconds': float(np.percentile(taken[0], 95)) if comparison.calls > 1 else None,
         'reference': comparison.reference_name,
         'reference_seconds': reference,
@@ -161,7 +161,7 @@ def _estimate(pose: FloatArray, sigma_m: float) -> PoseEstimate:
 
 
 def _comparisons(seed: int) -> Iterator[_Comparison]:
-    """Simulation, learning, planning and localization in a room, stage by stage."""
+    """Yield stages of simulation, learning, planning and localization in a room."""
     scene = generate_scene(seed)
     places = choose_sweep_places(scene)
     if places is None:
@@ -234,10 +234,10 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
 
 
 def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
-    """Capture, panorama, photometry and calibration."""
+    """Yield capture, panorama, photometry and calibration."""
 
     def judge() -> None:
-        """Each image beside the four before it, as capture judges it."""
+        """Compare each image with the four previous ones, like capture."""
         looks = [look_at(frame.image, frame.camera) for frame in sweep.frames[:24]]
         for k, look in enumerate(looks):
             for n in range(max(0, k - 4), k):
@@ -272,7 +272,7 @@ def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
 
 
 def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Comparison]:
-    """Stereo, adjustment and election of what attention proposes."""
+    """Yield stereo, adjustment and election of the candidates."""
     config = StereoConfig()
     images = [cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY) for view in panoramas]
     greys = [image.astype(np.float32) for image in images]
@@ -304,7 +304,8 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
         adjust, measurements, walls, start, panoramas, covariance, room, AdjustmentConfig()
     )
     adjustment = run()
-    # Two numbers a measurement and one a wall; three unknowns a landmark and four a panorama.
+    # Two rows for each measurement and one for each wall; three unknowns for each landmark and
+    # four for each panorama.
     dense = np.random.default_rng(0).normal(size=(5 * len(patches), 3 * len(patches) + 8))
     yield _Comparison(
         'adjustment of landmarks and places',
@@ -342,7 +343,7 @@ def _triplet(
 
 
 def _triplet_among(count: int) -> _Comparison:
-    """Choice among `count` landmarks around a room, from all triplets that fit a view."""
+    """Choice of a triplet among `count` landmarks around a room."""
     rng = np.random.default_rng(count)
     along, wall = rng.uniform(0.05, 0.95, count), rng.integers(4, size=count)
     corners = np.array([[0.0, 0.0], [7.0, 0.0], [7.0, 4.5], [0.0, 4.5]])
@@ -371,8 +372,8 @@ def _triplet_among(count: int) -> _Comparison:
 def _of_drive(
     learned: LandmarkMap, prior: PoseEstimate, seen: CameraFrame, expected: Any
 ) -> Iterator[_Comparison]:
-    """Detection, triangulation, fusion, and all of them in one update."""
-    # As images are decoded, from bags and topics alike.
+    """Yield detection, triangulation, fusion, and a complete update."""
+    # Images from bags and topics are decoded to grey.
     grey = np.asarray(cv2.cvtColor(seen.image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     patches = [cv2.resize(learned.landmarks[k].patch, (32, 32)) for k in expected]
     yield _Comparison(
@@ -383,7 +384,7 @@ def _of_drive(
         count=max(len(expected), 1),
     )
     positions = learned.positions[:, :2]
-    # At the pan axis.
+    # Bearings at the pan axis.
     bearings = se2.bearings(_MOUNT.axis_pose_map(prior.pose), positions)
     variances = np.full(len(positions), _BEARING_SIGMA_RAD**2)
 
@@ -412,7 +413,7 @@ def _of_drive(
     ]
 
     def fuse() -> None:
-        """20 odometry samples and 5 images of three landmarks."""
+        """Fuse 20 odometry samples and 5 images of three landmarks."""
         fusion = Fusion(learned, calibration)
         fusion.add_odometry(samples[0])
         fusion.initialize(prior)
@@ -441,7 +442,7 @@ def _of_drive(
         localizer.add_odometry(OdometrySample(stamp_ns, np.zeros(3)))
         localizer.add_frame(replace(seen, image=grey, stamp_ns=stamp_ns))
 
-    # A second of a drive: the triplet is chosen twice in it.
+    # One second of a drive, in which the triplet is chosen twice.
     yield _Comparison(
         'one update, three patches',
         update,

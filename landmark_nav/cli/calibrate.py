@@ -1,4 +1,4 @@
-"""`landmark-nav calibrate`: a better robot.yaml out of sweeps and drives."""
+"""`landmark-nav calibrate`: estimate robot.yaml from sweeps and drives."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from landmark_nav.types import LandmarkMap, Panorama
 
 _LOG = logging.getLogger(__name__)
 
-# Fewer panoramas make no map.
+# Least number of panoramas of a map.
 _LEAST_PANORAMAS = 2
 
 
 @dataclass
 class _Work:
-    """What is known so far."""
+    """Current estimate, map and evaluated recordings."""
 
     known: Calibration
     landmarks: LandmarkMap | None
@@ -53,7 +53,7 @@ class _Work:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Estimate how the camera is mounted out of sweeps, drives or both, and write a robot.yaml '
         'with standard deviations. Sweeps need --room; a drive needs --map, or two sweeps in the '
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate; nothing is written unless all went well."""
+    """Calibrate; write only if no error occurs."""
     check_report(args.report)
     check_writable(args.out, args.json, args.report)
     check_new(args.overwrite, args.out)
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     if sweeps and room is None and not (drives and landmarks):
         raise UsageError(f'{sweeps[0].path}: sweeps need --room')
 
-    # A map of the same robot.yaml holds what its sweeps showed: they count once.
+    # A map learned with the same robot.yaml contains the calibration by its sweeps; use it once.
     known = given
     if landmarks is not None and not (sweeps and room):
         known = landmarks.calibration_from(given)
@@ -142,7 +142,7 @@ def _as_exact(known: Calibration) -> Calibration:
 
 
 def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
-    """Calibrate by sweeps; learn a map from them if one is needed and there is none."""
+    """Calibrate by sweeps; learn a map from them if one is required and not given."""
     config = work.config
     for bag in bags:
         checked(bag, work.known.mount, room)
@@ -158,7 +158,7 @@ def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
 
 
 def _use_drive(work: _Work, bag: Bag) -> None:
-    """Calibrate by a drive, from what is known before it."""
+    """Calibrate by a drive, with the current estimate as the prior."""
     landmarks, known = work.landmarks, work.known
     if landmarks is None or not landmarks.landmarks:
         raise LandmarkNavError(

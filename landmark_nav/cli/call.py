@@ -1,4 +1,4 @@
-"""`landmark-nav call`: a service of the nodes."""
+"""`landmark-nav call`: call a service of the nodes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SERVICES = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = 'Call a service of the nodes, and print its answer.'
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument('service', choices=_SERVICES, metavar='SERVICE', help='see below')
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Wait for the service, call it, print what it answers."""
+    """Wait for the service, call it, and print its answer."""
     require_ros('it')
     from landmark_nav.ros.robot_client import RobotClient
 

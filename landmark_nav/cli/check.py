@@ -1,4 +1,4 @@
-"""`landmark-nav check`: what is wrong with a recording, before anything is made of it."""
+"""`landmark-nav check`: find faults of a recording before it is used."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame
 
-# Images within which a place is found if the map is of this room.
+# Number of images within which the pose is found if the map is of this room.
 _MAP_IMAGES = 50
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Check the streams of a bag: rates, gaps, clocks, encodings, frames, lens; signs, units '
         'and delays of pan and odometry against how the images themselves turn. Exit status: 0 '
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check and print a table."""
+    """Check a bag and print a table of findings."""
     check_writable(args.json)
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
     room = load_room(args.room) if args.room else None
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_map(bag: Bag, args: argparse.Namespace) -> list[Finding]:
-    """Whether the first images of a drive show landmarks of a map."""
+    """Check whether the first images of a drive show landmarks of a map."""
     landmarks = load_map(args.map)
     if not landmarks.landmarks or not any(bag.find(name) for name in IMAGES):
         return []
@@ -98,9 +98,9 @@ def _check_map(bag: Bag, args: argparse.Namespace) -> list[Finding]:
 
 def checked(bag: Bag, mount: PanTiltMount, room: Room | None) -> Diagnosis:
     """
-    Look at a recording quickly before it is used: pass warnings on, a line each.
+    Check a recording quickly before it is used, and log warnings, one line each.
 
-    Raises `LandmarkNavError`: there is an error, with the first of them.
+    Raises `LandmarkNavError`: the recording has errors; the first one is in the message.
     """
     found = diagnose(bag, mount, room, QUICK)
     for finding in found.warnings:

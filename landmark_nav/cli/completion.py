@@ -1,4 +1,4 @@
-"""`landmark-nav completion`: what makes a shell complete commands, options and files."""
+"""`landmark-nav completion`: print the completion script of a shell."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from argcomplete.shell_integration import shellcode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Print the lines that make a shell complete commands and options of landmark-nav. Add '
         'them to ~/.bash_completion, ~/.zshrc, or ~/.config/fish/completions/landmark-nav.fish.'
@@ -17,6 +17,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print them."""
+    """Print the script."""
     print(shellcode(['landmark-nav'], shell=args.shell))
     return 0

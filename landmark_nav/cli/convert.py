@@ -1,4 +1,4 @@
-"""`landmark-nav convert`: logs of other people's robots as bags."""
+"""`landmark-nav convert`: convert logs of other projects to bags."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ from landmark_nav.storage.mrclam import MrclamLog, read_mrclam
 from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.types import OdometrySample
 
-# Odometry is the velocity that was commanded. Turns that the log has for 0.04 to 0.4 s last for
-# 0.21 s each, long ones nearly as they should; bases that are to drive and to turn at once drive
-# slower, by 0.05 to 0.1 m a radian. Found by trial on robots 1 to 3 of set 6, so that NEES is 3 in
-# their mean: not independent of the figures they are judged by.
+# Noise of odometry that is integrated from commanded velocities. Commands of turns that last for
+# 0.04 to 0.4 s cause turns of 0.21 s each, long ones turns of nearly their duration. A base that
+# drives and turns at once drives less far, by 0.05 to 0.1 m per radian. The values are tuned on
+# robots 1 to 3 of set 6 to a mean NEES of 3, so they are not independent of the metrics by which
+# they are judged.
 _ODOMETRY = {
     'along_m_per_sqrt_m': 0.03,
     'across_m_per_sqrt_m': 0.02,
@@ -44,13 +45,14 @@ _ODOMETRY = {
     'turn_scale_sigma': 0.04,
     'turn_loss_sigma_m_per_rad': 0.1,
     'bias_change_per_sqrt_m': 0.03,
-    # As motion capture has these wheels.
+    # Side slip of these wheels by motion capture.
     'slip_m_per_rad': 0.005,
-    # Commands come at 70 Hz with pauses of a second; meanwhile the last one holds.
+    # Commands come at 70 Hz with pauses of a second, in which the last one is valid.
     'max_gap_s': 2.0,
 }
-# The floor is flat, landmarks were measured by motion capture. Errors that last for seconds pass
-# for precise detections, so no noise is learned, and nothing is taken for a displaced camera.
+# The floor is flat, and landmarks were measured by motion capture. Errors that are constant for
+# seconds look like precise detections: the learning of noise and the detection of a displaced
+# camera are disabled.
 _CONFIG = """\
 /**:
   ros__parameters:
@@ -60,17 +62,18 @@ _CONFIG = """\
       learning_sigma: 0.0
       step_probability: 0.0
 """
-# What all bearings of an image share, as an error of its pan: bearings come at 4 Hz with errors
-# that last for seconds (while the robot turns their stamps are off by some tens of milliseconds).
-# Taken as independent, each has to count for less.
+# Sigma of the error that all bearings of an image share, modelled as an error of the pan. Bearings
+# come at 4 Hz with errors that are constant for seconds (in turns, stamps are off by some tens of
+# milliseconds). As the filter regards them as independent, the sigma is larger than the error.
 _SHARED_RAD = 0.025
-# Sigmas of the direction in the middle of an image, and of the principal point: bearings bend with
-# the angle from the axis as where it is off by tens of pixels, in another way for each robot.
+# Sigmas of the direction in the middle of an image, and of the principal point. Errors of bearings
+# depend on the angle from the optical axis as if the principal point were off by tens of pixels,
+# differently for each robot.
 _MIDDLE_RAD, _PRINCIPAL_POINT = 0.005, 0.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     kinds = parser.add_subparsers(dest='kind', metavar='KIND', required=True)
     mrclam = kinds.add_parser(
         'mrclam',
@@ -114,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, find the delay, write bag and map."""
+    """Read the log, find the delay, and write bag and map."""
     if not args.out.name:
         raise UsageError(f'--out {args.out}: give the bag a name')
     landmarks, robot, beginning, config = (
@@ -149,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _mount() -> Calibration:
-    """Return that of a camera fixed at the base: its lens is known in the middle of an image."""
+    """Calibration of a camera fixed at the base, with an uncertain yaw and principal point."""
     mount = PanTiltMount(pan_sigma_rad=_SHARED_RAD)
     exact = Calibration.of_mount(mount, dict.fromkeys(NAMES, 0.0))
     rows = np.zeros((2, len(NAMES)))
@@ -162,7 +165,7 @@ def _mount() -> Calibration:
 def _write_bag(
     log: MrclamLog, odometry: tuple[OdometrySample, ...], path: Path, overwrite: bool
 ) -> None:
-    """Write all in the order of its stamps; what was seen comes after the odometry."""
+    """Write all messages by stamp; of equal stamps, detections follow the odometry."""
     factory = rosbag_factory()
     truth = (OdometrySample(pose.stamp_ns, pose.pose) for pose in log.truth)
     streams: tuple[Iterator[tuple[int, str, Any]], ...] = (

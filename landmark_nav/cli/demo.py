@@ -1,4 +1,4 @@
-"""`landmark-nav demo`: the main job on the real ROS graph, with a simulated robot."""
+"""`landmark-nav demo`: learn, drive and localize on a ROS graph with a simulated robot."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame, Panorama
 
-# What a demo leaves, or left once; a folder with other things in it is not touched.
+# Files of a demo, including those of older versions; a folder with other files is refused.
 _OWN = (
     *('room.yaml', 'robot.yaml', 'logs', 'map', 'sweeps', 'recording', 'demo.json'),
     *('report.html', 'foxglove.json', 'map.png', 'panorama_1.png', 'panorama_2.png'),
@@ -38,7 +38,7 @@ _OWN = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Start the nodes on a ROS graph with a simulated robot, let it take two '
         'sweeps, learn its landmarks by a service call and drive; record, measure and draw '
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Conduct the demo, then measure what it recorded."""
+    """Run the demo, then evaluate its recording."""
     require_ros('it')
     domain_id = _domain(args.domain_id)
     folder = _emptied(args.out, args.overwrite)
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         room.room_file,
         folder / 'map',
         simulator={'seed': room.seed},
-        # Raw images do not fit into the shared memory of common ROS middleware.
+        # Raw images exceed the shared memory of common ROS middleware.
         image_transport='compressed',
     )
     environment = node_environment(domain_id)
@@ -98,13 +98,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _domain(given: int | None) -> int:
-    """That of the command line, else that of the environment, else one of its own."""
+    """ROS domain of the command line, else of the environment, else a new one."""
     chosen = chosen_domain() if given is None else given
     return 10 + os.getpid() % 90 if chosen is None else chosen
 
 
 def _emptied(folder: Path, overwrite: bool) -> Path:
-    """Take away what an earlier demo left in the folder."""
+    """Delete the files of an earlier demo in the folder."""
     if folder.exists() and not folder.is_dir():
         raise LandmarkNavError(f'{folder}: is a file: take another name')
     folder.mkdir(parents=True, exist_ok=True)
@@ -125,17 +125,17 @@ def _emptied(folder: Path, overwrite: bool) -> Path:
 def _report(
     folder: Path, command: str, swept: list[Panorama], unclean: list[str], narrator: Narrator
 ) -> int:
-    """Measure the recording, draw it, and judge."""
+    """Evaluate the recording, write the report, and check the results."""
     narrator.title('Measuring the recording against the ground truth')
     landmarks = load_map(folder / 'map')
     bag, calibration = Bag(folder / 'recording'), load_calibration(folder / 'robot.yaml')
     measured, run, errors = figures(recorded_run(bag), landmarks)
     strip = FrameStrip()
-    # Images that were recorded before the first joint states are none of the run.
+    # Images before the first joint states are not part of the run; their warnings are ignored.
     for event in sensor_events(bag.warning_to(lambda _: None), calibration.mount):
         if isinstance(event, CameraFrame):
             strip.add(event)
-    # The node gives the map alone; the same stages show what became of every candidate.
+    # The node gives the map only; the same stages are repeated for the outcome of each candidate.
     inputs = {'recording': bag.path, 'map': folder / 'map'}
     room = None if landmarks.has_own_frame else load_room(folder / 'room.yaml')
     if room is None:
@@ -165,7 +165,7 @@ def _report(
 
 
 def _learned_again(folder: Path) -> LearningResult:
-    """What `landmark-nav learn` makes of the recorded sweeps."""
+    """Learn from the recorded sweeps like `landmark-nav learn`."""
     stages = load_configuration(None, folder / 'robot.yaml')
     mount = load_robot(folder / 'robot.yaml')
     located, _ = located_sweeps(Bag(folder / 'sweeps'), mount, stages, StageLog())

@@ -1,4 +1,4 @@
-"""`landmark-nav drive`: keys of the terminal -> ``cmd_vel``."""
+"""`landmark-nav drive`: publish ``cmd_vel`` by keys of the terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from landmark_nav.demo.supervisor import Interruption
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import require_ros
 
-# Terminals do not report that a key is released; held down, it repeats after at most 0.7 s.
+# Duration of a motion after a key. Terminals do not report released keys; a key that is held down
+# repeats after at most 0.7 s.
 _HOLD_S = 0.8
 _PERIOD_S = 0.05
 _FASTER = 1.25
@@ -31,12 +32,12 @@ _HELP = 'w s or up, down: ahead, back; a d or left, right: turn; q e: curves; + 
 
 class Keys:
     """
-    Velocities of keys; the robot stops if none came for 0.8 s, or at any other key.
+    Velocities by keys; the robot stops if no key is pressed for 0.8 s, or at any other key.
 
     Attributes
     ----------
     ended : bool
-        Whether the key that ends was pressed.
+        Whether the key for the end was pressed.
     """
 
     def __init__(self, linear_m_s: float, angular_rad_s: float) -> None:
@@ -45,7 +46,7 @@ class Keys:
         self.ended = False
 
     def press(self, text: str, now_s: float) -> None:
-        """Take what was typed at a time."""
+        """Process the typed keys at a time."""
         for arrow, key in _ARROWS.items():
             text = text.replace(arrow, key)
         for key in text.lower():
@@ -63,7 +64,7 @@ class Keys:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = f'Drive by keys of the terminal, on the topic cmd_vel. {_HELP}.'
     add_number(parser, '--speed', within(float, 0.01, 2), 0.2, 'V', 'm/s')
     add_number(parser, '--turn', within(float, 0.01, 4), 0.5, 'W', 'rad/s')
@@ -71,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Publish velocities until the end is asked for; then stop the robot."""
+    """Publish velocities until the key for the end is pressed, then stop the robot."""
     require_ros('it')
     if not sys.stdin.isatty():
         raise UsageError('it reads keys: start it in a terminal')
@@ -94,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
                 client.pause(_PERIOD_S)
                 while select.select([sys.stdin], [], [], 0.0)[0]:
                     typed = os.read(sys.stdin.fileno(), 256)
-                    if not typed:  # the terminal is gone
+                    if not typed:  # the terminal is closed
                         return 0
                     keys.press(typed.decode(errors='replace'), time.monotonic())
                 linear_m_s, angular_rad_s = keys.velocity(time.monotonic())
@@ -112,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _unbuffered() -> Iterator[None]:
-    """Keys arrive as they are pressed and are not shown; Ctrl-C stays a signal."""
+    """Read keys immediately and without echo; Ctrl-C remains a signal."""
     before = termios.tcgetattr(sys.stdin)
     try:
         tty.setcbreak(sys.stdin)

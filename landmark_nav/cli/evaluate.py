@@ -1,4 +1,4 @@
-"""`landmark-nav evaluate`: a drive through the localizer, measured against its truth."""
+"""`landmark-nav evaluate`: localize along a drive and compare with its ground truth."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import LandmarkMap
 
-# Stretches without tracking that are listed; the others are in the JSON.
+# Greatest number of listed stretches that are not OK; all are in the JSON file.
 _MOST_SPELLS = 6
 
 
 def run_summary(report: Mapping[str, Any]) -> str:
-    """Summarize a run, by the report of `run_report`."""
+    """Summarise a run by the report of `run_report`."""
     known = report['fused']['position_rmse_m'] is not None
     lines = [f'WARNING: {report["warning"]}'] if report['warning'] else []
     lines += error_table(report) if known else ['no errors: no ground truth at the images']
@@ -85,7 +85,7 @@ def run_summary(report: Mapping[str, Any]) -> str:
 
 
 def error_table(report: Mapping[str, Any]) -> list[str]:
-    """Lines of a table of the errors of each estimate."""
+    """Return the lines of a table of the errors of each estimate."""
     lines = [
         f'{"error":<14}{"position [cm]":>36}{"heading [deg]":>20}',
         f'{"":<14}{"RMSE":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE":>11}{"95 %":>9}',
@@ -125,17 +125,17 @@ def _when(spell: Mapping[str, Any]) -> str:
     return f'at {begin} s' if begin == end else f'from {begin} to {end} s'
 
 
-# Contract's names of what `sensor_events` passes on, for the length of the bar.
+# Names in the contract of the topics of `sensor_events`, for the length of the progress bar.
 _EVENTS = ('camera/image_raw', 'detections', 'odom', 'ground_truth/odom')
 
-# Half around the earth. A smaller sigma is a slip of the pen.
+# Greatest coordinate, half the circumference of the earth, and least sigma of the start.
 _FARTHEST_M, _LEAST_SIGMA = 2e7, 1e-9
 
 _FIGURES = ('trajectory.png', 'errors.png')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Localize along a recorded drive with the same stages as the nodes, compare '
         'with ground_truth/odom at the stamps of the images, and write what --json, --tum, '
@@ -182,7 +182,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, measure, draw; nothing is written unless all went well."""
+    """Replay, evaluate and draw; write only if no error occurs."""
     check_report(args.report)
     if args.video and args.video.suffix.lower() != '.mp4':
         raise UsageError(f'--video {args.video}: videos are written as .mp4')
@@ -201,11 +201,11 @@ def run(args: argparse.Namespace) -> int:
     nodes = ('triplet_selector', 'triangulation_localizer', 'odometry_fusion')
     config = load_configuration(args.config, args.robot, *nodes)
 
-    # Walls that were found, not measured, say nothing of units.
+    # Walls that were found, not measured, carry no information about units.
     measured = landmarks.walls and not landmarks.has_own_frame
     diagnosis = checked(bag, mount, Room(landmarks.walls) if measured else None)
     late = diagnosis.delays
-    # What was measured is not known exactly.
+    # A measured delay has a sigma.
     delay_s = late.joints_s or calibration['joint_delay'][0]
     calibration = calibration.with_values(joint_delay=delay_s)
     calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
@@ -263,7 +263,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _start(args: argparse.Namespace, landmarks: LandmarkMap) -> tuple[Any, Any]:
-    """Pose (3,) at the start and its covariance (3, 3), if given."""
+    """Given initial pose (3,) and its covariance (3, 3); None if not given."""
     if args.start is None:
         return None, None
     start, (position, heading) = np.array(args.start), args.start_sigma

@@ -1,4 +1,4 @@
-"""`landmark-nav figures`: counterparts of the figures of Livatino and Madsen from own data."""
+"""`landmark-nav figures`: draw counterparts of the figures of Livatino and Madsen."""
 
 from __future__ import annotations
 
@@ -61,20 +61,22 @@ _NAMES = {
     7: 'figure_7_features_alone.png',
     8: 'figure_8_all_features.png',
 }
-# Figures that need landmarks, and figures of one panorama.
+# Figures that require landmarks, and figures of one panorama.
 _LEARNED = {5, 6, 8}
 _OF_ONE = {4, 7}
-# Frames of a simulated sweep; places from which a landmark is looked for, and what is found there.
+# Frames of a simulated sweep.
 _FRAMES = 72
+# Positions from which a landmark is searched: spacing and least distance from obstacles; greatest
+# error of a correct detection.
 _GRID_M, _CLEARANCE_M, _RIGHT_PX = 0.45, 0.25, 1.0
-# Of what a robot knows of its pose while it looks.
+# Covariance of the prior pose in that search.
 _PRIOR = np.diag([0.03, 0.03, np.radians(0.5)]) ** 2
-# Narrow images, which hold a patch and its surroundings, are drawn sooner.
+# Width of the rendered images, which contain a patch and its surroundings; narrow ones are faster.
 _NARROW_PX = 160
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Draw the counterparts of Figures 3 to 8 of Livatino and Madsen: panoramas, '
         'attention step by step, stereo, observation areas, each feature alone, all together. '
@@ -98,7 +100,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """What there is to draw; `truth` is that of the landmarks."""
+    """Data of the figures; `truth` holds the true locations of the landmarks."""
 
     room: Room
     sweeps: tuple[Sweep, ...]
@@ -110,7 +112,7 @@ class _Data:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Gather the data, draw, print the captions."""
+    """Gather the data, draw the figures, and print their captions."""
     attention = _attention(args.feature)
     wanted = set(args.figure or ([6] if args.map and not args.bag else _NAMES))
     check_writable(*(args.out / _NAMES[number] for number in wanted))
@@ -122,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _attention(features: list[str] | None) -> AttentionConfig:
-    """Weights as they are by default, but 0 for what is not among `features`."""
+    """Default weights, with 0 for features that are not among `features`."""
     default = AttentionConfig()
     if not features:
         return default
@@ -185,7 +187,7 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
 
 
 def _sweep(scene: Scene, mount: PanTiltMount, pose: FloatArray) -> Sweep:
-    """Turn the camera once around at a place."""
+    """Simulate a sweep at a pose."""
     world = RobotWorld(scene, pose, scene.seed, mount=mount)
     pans = -np.pi + 2.0 * np.pi * np.arange(_FRAMES) / _FRAMES
     frames = tuple(world.frame_at(pose, float(pan)) for pan in pans)
@@ -193,7 +195,7 @@ def _sweep(scene: Scene, mount: PanTiltMount, pose: FloatArray) -> Sweep:
 
 
 def _look_for(landmark: Landmark, scene: Scene, mount: PanTiltMount) -> AreaTest:
-    """Look for a landmark from all over the floor on another day."""
+    """Search a landmark from all over the floor in the scene of another day."""
     rng = np.random.default_rng([scene.seed, 70])
     later = another_day(scene, rng)
     camera = replace(
@@ -229,7 +231,7 @@ def _draw(
     path: Path,
     features: list[str] | None,
 ) -> str:
-    """Draw a figure; its caption."""
+    """Draw a figure; return its caption."""
     if number == 3:
         return draw_sweeps(data.sweeps, data.panoramas, data.room, path)
     if number == 4:

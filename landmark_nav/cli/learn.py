@@ -1,4 +1,4 @@
-"""`landmark-nav learn`: a map out of a bag of sweeps."""
+"""`landmark-nav learn`: learn a map from a bag of sweeps."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ from landmark_nav.types import OdometrySample, Panorama, PlaceChain, Sweep
 
 def check_scale(bag: Bag, sheets: SheetsConfig) -> None:
     """
-    Check that something gives the scale of a map that is learned without a plan.
+    Check that a bag has a source of the scale of a map that is learned without a plan.
 
-    Raises `LandmarkNavError`: nothing does.
+    Raises `LandmarkNavError`: there is no such source.
     """
     posed = bag.find('sweep/pose') or bag.find('odom')
     if not (posed or sheets.has_papers or sheets.has_markers):
@@ -72,10 +72,10 @@ def known_places(
     bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig
 ) -> list[PlaceChain]:
     """
-    Poses of sweeps by each source of a bag that has them, as of `sweep_places.known_places`.
+    Poses of sweeps by each source of a bag, see `sweep_places.known_places`.
 
-    Raises `LandmarkNavError`: one does not say where each was taken, or the robot moved in one of
-    them.
+    Raises `LandmarkNavError`: a source does not give the pose of each sweep, or the robot moved
+    during a sweep.
     """
     spans = [(sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns) for sweep in sweeps]
     given = [sweep.pose_map_base for sweep in sweeps]
@@ -84,7 +84,7 @@ def known_places(
 
 
 def _odometry(bag: Bag) -> list[OdometrySample]:
-    """Odometry of a bag, by time; none where it has none."""
+    """Read the odometry of a bag, sorted by time; empty if there is none."""
     if not (topic := bag.find('odom')):
         return []
     samples = decoded(bag, topic, lambda entry: decode.odometry(entry.message))
@@ -93,14 +93,14 @@ def _odometry(bag: Bag) -> list[OdometrySample]:
 
 _LOG = logging.getLogger(__name__)
 
-# Sweeps that are looked at beyond one that failed, to name the cause.
+# Number of sweeps after a failed one that are examined to find the cause.
 _MORE_SWEEPS = 2
-# Stages of `learn_from_panoramas`, for the bar.
+# Number of stages of `learn_from_panoramas`, for the progress bar.
 _LEARNING_STAGES = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Make panoramas of the sweeps in a bag, find where they were taken, and learn '
         'the landmarks that two of them or more agree on. The map folder also gets '
@@ -137,7 +137,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Learn, draw, write; nothing is written unless all went well."""
+    """Learn and draw; write only if no error occurs."""
     begin = time.perf_counter()
     check_report(args.report)
     check_writable(args.json, args.walls_out, args.report)
@@ -166,7 +166,7 @@ def run(args: argparse.Namespace) -> int:
             _LOG.warning('%s: the sweeps show, and use, %s more than it gives', args.robot, off)
         result = replace(result, map=replace(result.map, prior=given))
         result.map.provenance.update(_provenance(args) | found)
-        with shown.measure('drawing'):  # one more than the bar has: it is gone by then
+        with shown.measure('drawing'):  # beyond the stages of the bar, which has ended
             _draw(result, room, folder)
         write_map(result.map, folder)
     truth = truth_of_bag(bag)
@@ -192,7 +192,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _ShownStages(StageLog):
-    """A log of stages that also moves a bar on."""
+    """A log of stages that also advances a progress bar."""
 
     def __init__(self, steps: Iterator[int], log: StageLog) -> None:
         super().__init__(log.seconds, log.peak_memory_mb)
@@ -200,7 +200,7 @@ class _ShownStages(StageLog):
 
     @contextmanager
     def measure(self, stage: str) -> Iterator[None]:
-        """Add the time of the block to a stage; its start moves the bar."""
+        """Add the time of the block to a stage; its start advances the bar."""
         next(self._steps, None)
         with super().measure(stage):
             yield
@@ -209,7 +209,7 @@ class _ShownStages(StageLog):
 def located_sweeps(
     bag: Bag, mount: PanTiltMount, config: Configuration, log: StageLog
 ) -> tuple[Located, list[int]]:
-    """Panoramas of a bag with their poses, the walls around; how many frames each has."""
+    """Panoramas of a bag with their poses and walls, and the number of frames of each."""
     check_scale(bag, config.unmeasured.sheets)
     frames: list[int] = []
 
@@ -226,7 +226,7 @@ def located_sweeps(
 
 
 def _config(args: argparse.Namespace) -> Configuration:
-    """Parameters of all stages: those of the file, and the sizes given."""
+    """Parameters of all stages by the file, and the given sizes of papers and markers."""
     nodes = ('panorama_synthesizer', 'landmark_learner')
     config = load_configuration(args.config, args.robot, *nodes)
     width, height = args.paper_size or (None, None)
@@ -252,7 +252,7 @@ def _config(args: argparse.Namespace) -> Configuration:
 def panoramas_of_bag(
     bag: Bag, room: Room, given: Calibration, config: PanoramaStages, log: StageLog
 ) -> tuple[list[Panorama], list[int]]:
-    """Make the panoramas of a bag, each with what those before say, and count their frames."""
+    """Make the panoramas of a bag, and return them with the number of frames of each."""
     trajectory = bag.find('sweep/trajectory')
     total = bag.counts[trajectory] if trajectory else None
     panoramas: list[Panorama] = []
@@ -272,7 +272,8 @@ def panoramas_of_bag(
             raise LandmarkNavError(
                 f'{bag.path}: {cause}' if cause else f'{bag.path}: {which}: {error}'
             ) from error
-        # Sweeps that find nothing wrong stay independent of each other.
+        # A calibration is used for later sweeps only if it contradicts the given one; otherwise
+        # the sweeps remain independent.
         found = panoramas[-1].calibration
         known = found if found is not None and found.surprises(given) else known
         frames.append(len(sweep.frames))
@@ -282,7 +283,7 @@ def panoramas_of_bag(
 
 
 def _cause(papers: PaperRecord, sweeps: Iterator[Sweep], known: Calibration) -> str:
-    """What is wrong with papers that did not fit in one sweep, by those that follow as well."""
+    """Find the fault of papers that do not fit in a sweep, with some of the following sweeps."""
     if not len(papers):
         return ''
     with suppress(LandmarkNavError):
@@ -308,7 +309,7 @@ def _provenance(args: argparse.Namespace) -> dict[str, str]:
 
 
 def _scale_line(name: str, scale: float, sigma: float, inflation: float, sheets: int) -> str:
-    """What one source says of the scale."""
+    """Format the scale by one source."""
     count = f' ({sheets})' if sheets else ''
     grown = f'; its variance grew by {inflation:.1f} to fit the panoramas' * (inflation > 1.0)
     return (
@@ -318,7 +319,7 @@ def _scale_line(name: str, scale: float, sigma: float, inflation: float, sheets:
 
 
 def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path) -> str:
-    """Summarize what was learned, for a person."""
+    """Summarise the result of learning for people."""
     lines = []
     for number, (sweep, panorama) in enumerate(zip(report['sweeps'], panoramas, strict=True), 1):
         x, y, heading = sweep['pose']

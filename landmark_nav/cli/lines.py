@@ -21,7 +21,7 @@ _LEAST_WIDTH = 60
 
 
 def wrapped(lines: Iterable[str]) -> str:
-    """Lines as one text; what is too long goes on in the next line, further to the right."""
+    """Join lines to a text; long lines are wrapped with a deeper indent."""
     columns = shutil.get_terminal_size((_WIDTH, 24)).columns
     width = min(max(columns, _LEAST_WIDTH), _WIDTH)
     return '\n'.join(
@@ -39,7 +39,7 @@ def wrapped(lines: Iterable[str]) -> str:
 def evaluate_line(
     bag: Path, map_folder: Path, robot: Path, start: FloatArray, config: Path | None = None
 ) -> str:
-    """Return the command that drives with a map from a pose (3,), for a shell."""
+    """Return the shell command that evaluates a drive with a map from a pose (3,)."""
     words = ['landmark-nav', 'evaluate', str(bag), '--map', str(map_folder)]
     words += ['--robot', str(robot), *(['--config', str(config)] if config else [])]
     return shlex.join([*words, '--start', *(f'{value:.4f}' for value in start)])
@@ -47,15 +47,16 @@ def evaluate_line(
 
 T = TypeVar('T')
 
+# Delay of the progress bar on a terminal; interval of the lines elsewhere.
 _FIRST_S, _LINE_EVERY_S = 2.0, 10.0
 
 
 def progress(iterable: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
     """
-    Pass items through and show on stderr how far it is and how long it takes yet.
+    Yield items, and show progress and remaining time on stderr.
 
-    On a terminal that is a bar, drawn after two seconds; elsewhere a line every ten seconds;
-    nothing where warnings are not wanted either.
+    A terminal shows a bar after two seconds; other outputs get a line every ten seconds. If
+    warnings are disabled, nothing is shown.
 
     Yields
     ------

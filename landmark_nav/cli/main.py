@@ -1,8 +1,8 @@
 """
-`landmark-nav COMMAND`: finds the command, runs it, and turns what fails into one line.
+`landmark-nav COMMAND`: finds and runs the command, and reports errors in one line.
 
-A command's module is imported only if it is the one asked for, so that help is quick and a
-missing optional dependency breaks its own command alone.
+Only the module of the given command is imported, so that help is fast and a missing optional
+dependency affects its own command only.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from landmark_nav.errors import LandmarkNavError, one_line, release, shown, Usag
 from landmark_nav.signals import interrupting
 from landmark_nav.threads import keep_to_one_thread
 
-# Command -> what it does, and an example; its module has the same name.
+# Command -> description and example; the module has the same name.
 COMMANDS = {
     'demo': ('learn, drive and localize with a simulated robot (ROS)', 'demo --out demo'),
     'learn': (
@@ -74,10 +74,10 @@ COMMANDS = {
     ),
 }
 
-# Options that name what is written.
+# Options that name output files.
 _OUTPUTS = {'out', 'json', 'report', 'tum', 'video'}
 
-# Distributions that are not called as the module they hold.
+# Module -> distribution, if their names differ.
 _DISTRIBUTIONS = {'cv2': 'opencv-python-headless', 'yaml': 'PyYAML'}
 
 
@@ -88,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        Arguments after the program's name; the process's own by default.
+        Arguments after the program's name; by default those of the process.
 
     Returns
     -------
@@ -97,11 +97,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         143 after SIGTERM.
     """
     keep_to_one_thread()
-    # A name that the terminal's encoding lacks is no reason to end.
+    # Characters that the terminal's encoding lacks must not raise an error.
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors='backslashreplace')
     arguments = sys.argv[1:] if argv is None else list(argv)
-    # A shell that completes a line gives it in the environment.
+    # For completion, the shell passes the line in the environment.
     words = os.environ.get('COMP_LINE', '').split()[1:] or arguments
     name = next((word for word in words if not word.startswith('-')), '')
     try:
@@ -110,7 +110,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return status
     except KeyboardInterrupt as interrupt:
         return 128 + (interrupt.args[0] if interrupt.args else signal.SIGINT)
-    except BrokenPipeError:  # whoever read our output has gone (`| head`): nothing to say
+    except BrokenPipeError:  # the reader of the output has ended (`| head`)
         with suppress(OSError):
             _flush()
         return 1
@@ -124,13 +124,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         status, message = 1, 'not enough memory: give less data, or smaller images'
     except ModuleNotFoundError as error:
         status, message = 1, _missing(error)
-    if sys.stderr is not None:  # closed by whoever started us
+    if sys.stderr is not None:  # the parent process may have closed it
         print(one_line(f'landmark-nav {name}: {message}'), file=sys.stderr)
     return status
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line of bounded length, after the usage."""
+    """Parser that reports errors in one line of bounded length, after the usage."""
 
     def error(self, message: str) -> NoReturn:
         if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
@@ -155,7 +155,7 @@ def _run(name: str, arguments: list[str]) -> int:
         subparser = commands.add_parser(known, help=summary)
         if known == name:
             asked = subparser
-            # What OpenCV says of a broken image, beside the line of ours that names the file.
+            # OpenCV's messages on broken images repeat our own line, which names the file.
             os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
             command = import_module(f'landmark_nav.cli.{name}')
             command.add_arguments(subparser)
@@ -176,7 +176,7 @@ def _run(name: str, arguments: list[str]) -> int:
         if strange:
             options = _meant(strange[0], asked._option_string_actions)
             asked.error(f'{shown(strange[0])} is not understood{options}')
-    except SystemExit as stop:  # argparse has printed its help or what is wrong
+    except SystemExit as stop:  # argparse has printed help or an error
         return stop.code if isinstance(stop.code, int) else 2
     assert command is not None, 'argparse requires a known command'
     args.command_line = shlex.join(['landmark-nav', *arguments])
@@ -187,7 +187,7 @@ def _run(name: str, arguments: list[str]) -> int:
 
 
 def _add_verbosity(parser: argparse.ArgumentParser, default: Any) -> None:
-    """Declare how much is said; after the command as well as before it."""
+    """Declare the options of verbosity, which are allowed before and after the command."""
     group = parser.add_mutually_exclusive_group()
     for flags, value, text in (
         (('-v', '--verbose'), 1, 'say what is being done'),
@@ -204,37 +204,37 @@ def _add_verbosity(parser: argparse.ArgumentParser, default: Any) -> None:
 
 
 def _meant(word: str, known: Iterable[str]) -> str:
-    """Return the question whether a known word was meant, if one is like it."""
+    """Return a suggestion of a similar known word, if there is one."""
     like = difflib.get_close_matches(word.partition('=')[0], list(known), 1)
     return f': did you mean {like[0]}?' if like else ''
 
 
 def _check_apart(args: argparse.Namespace) -> None:
-    """Refuse to write into a file that is read."""
+    """Refuse output files that are also read."""
     given = {name: value for name, value in vars(args).items() if isinstance(value, str | Path)}
     files = {name: path for name, path in given.items() if os.path.isfile(path)}
     for output in _OUTPUTS & set(files):
         for name in set(files) - _OUTPUTS:
-            # A command may write anew what it improves.
+            # Some commands may replace their input.
             replaced = output == 'out' and name == given.get('replaces')
             if not replaced and os.path.samefile(files[output], files[name]):
                 raise UsageError(f'--{output} {files[output]}: is read, too: take another name')
 
 
 def _flush() -> None:
-    """Write what is printed; a full disk is noticed here."""
-    if sys.stdout is None:  # closed by whoever started us
+    """Flush standard output; this reports a full disk."""
+    if sys.stdout is None:  # the parent process may have closed it
         return
     try:
         sys.stdout.flush()
     except OSError:
-        # Nor could it be written at the end of the process.
+        # Discard the rest, which would fail again at the end of the process.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise
 
 
 def _set_up_logging(verbosity: int) -> None:
-    """Log to stderr, warnings of libraries included, a line each."""
+    """Log to stderr in lines, including warnings of libraries."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_OneLine('%(levelname)s: %(message)s'))
     logging.basicConfig(level=logging.WARNING - 10 * verbosity, handlers=[handler])
@@ -243,14 +243,14 @@ def _set_up_logging(verbosity: int) -> None:
 
 
 class _OneLine(logging.Formatter):
-    """A line a record; what an exception adds stands below."""
+    """Formatter of one line for each record; tracebacks follow below."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
         return one_line(super().formatMessage(record))
 
 
 def _missing(error: ModuleNotFoundError) -> str:
-    """Say which dependency is missing; raise `error` again if it is a module of our own."""
+    """Return the message of a missing dependency; raise `error` again for our own modules."""
     module = (error.name or '').partition('.')[0]
     if module in ('', 'landmark_nav'):
         raise error

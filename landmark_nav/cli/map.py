@@ -1,4 +1,4 @@
-"""`landmark-nav map`: works on map folders."""
+"""`landmark-nav map`: show, check, compare, merge and migrate map folders."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from landmark_nav.upkeep.comparison import compare_maps, Comparison, Texture, wa
 from landmark_nav.upkeep.frames import brought_together, FrameAlignment
 from landmark_nav.upkeep.merge import merge_maps
 
-# Disagreements are listed one by one from here on.
+# Least disagreement of a landmark that is listed.
 _LISTED_SIGMAS = 3.0
-# Maps whose walls differ are of two rooms if they share the textures of so few landmarks: of two
-# rooms they share 2 of 40 by chance.
+# Least share of landmarks with the same texture in two maps of one room whose walls differ. Maps
+# of two rooms share 2 of 40 by chance.
 _COMMON_SHARE = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = 'Work on the folders of learned maps.'
     actions = parser.add_subparsers(dest='action', metavar='ACTION', required=True)
 
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do what the action says."""
+    """Run the given action."""
     return int(args.call(args))
 
 
@@ -119,7 +119,7 @@ def _merge(args: argparse.Namespace) -> int:
 def _migrate(args: argparse.Namespace) -> int:
     landmarks = load_map(args.map)
     out = Path(args.out or args.map)
-    # The figures in the folder are of the same map: they stay.
+    # Keep the figures in the folder, which show the same map.
     with atomic_folder(out, MAP_DATA, args.overwrite or args.out is None) as folder:
         write_map(landmarks, folder)
     print(f'{out}: {len(landmarks.landmarks)} landmarks, schema version {SCHEMA_VERSION}')
@@ -127,7 +127,7 @@ def _migrate(args: argparse.Namespace) -> int:
 
 
 def describe_alignment(alignment: FrameAlignment) -> str:
-    """Say where the frame of map B is in that of A."""
+    """Describe the pose and scale of the frame of map B in that of A."""
     x, y, heading = alignment.pose
     sigma_x, sigma_y, *_, sigma = np.sqrt(np.diag(alignment.covariance))
     return (
@@ -138,7 +138,7 @@ def describe_alignment(alignment: FrameAlignment) -> str:
 
 
 def describe_comparison(comparison: Comparison) -> str:
-    """Describe what two maps agree on, as lines of text."""
+    """Describe the differences and the agreement of two maps, as lines of text."""
     same = comparison.of(Texture.SAME)
     changed = comparison.of(Texture.CHANGED)
     unknown = comparison.of(Texture.UNKNOWN)

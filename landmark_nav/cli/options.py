@@ -1,4 +1,4 @@
-"""Options that several commands take, and the bag that they read."""
+"""Options that several commands share, and the bag that they read."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def add_number(
     metavar: str,
     text: str,
 ) -> None:
-    """Declare an option that is a number, such as of `within`."""
+    """Declare an option with a number; `kind` is an argument type such as that of `within`."""
     text = f'{text} (default {default:g})'
     parser.add_argument(name, type=kind, default=default, metavar=metavar, help=text)
 
 
 def add(parser: argparse.ArgumentParser, *names: str, **special: Any) -> None:
-    """Declare arguments that several commands take; `special` is what differs in this one."""
+    """Declare arguments that several commands share; `special` overrides their settings."""
     for name in names:
         parser.add_argument(name, **{**_COMMON[name], **special})
 
@@ -42,7 +42,7 @@ def _namespace(text: str) -> str:
 def within(
     kind: type[int] | type[float], least: float, most: float = inf
 ) -> Callable[[str], float]:
-    """Argument type: a number from `least` to `most`; any other is wrong usage."""
+    """Argument type: a number from `least` to `most`."""
 
     def number(text: str) -> float:
         value = kind(text)
@@ -55,7 +55,7 @@ def within(
 
 
 def open_bag(path: Path | str, args: argparse.Namespace) -> Bag:
-    """Open a bag with the topics that ``--topic`` gives."""
+    """Open a bag with the topics given by ``--topic``."""
     return Bag(path, topics=dict(args.topic))
 
 

@@ -1,4 +1,4 @@
-"""`landmark-nav panorama`: a panorama out of a sweep."""
+"""`landmark-nav panorama`: make a panorama from a sweep."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from landmark_nav.types import Sweep
 
 _LOG = logging.getLogger(__name__)
 
-# Share of the turn that a crop may leave out unmentioned: the rims of a partial one.
+# Greatest share of the turn that a crop omits without a warning: the borders of a partial sweep.
 _LOST_BY_CROP = 0.02
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Project the frames of one sweep on a cylinder, cut to the rows that every '
         'covered column has. What no frame covers is transparent.'
@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read the sweep, make the panorama, write it."""
+    """Read the sweep, make the panorama, and write it."""
     if args.out.suffix.lower() != '.png':
         raise UsageError(f'--out {args.out}: panoramas are written as .png')
     check_new(args.overwrite, args.out)
@@ -134,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
-    """Sweep of a bag, counted from 1; without a number, the only one."""
+    """Read the sweep with the given number, from 1; by default the only one of the bag."""
     number: int | None = args.number
     bag = open_bag(args.sweep, args)
     total = bag.counts[bag.require('sweep/trajectory')]
@@ -143,7 +143,7 @@ def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
         raise UsageError(
             f'{bag.path}: holds {total} sweeps{which}: take one by --sweep 1 to {total}'
         )
-    # Those before it are read, one at a time.
+    # Previous sweeps are read one at a time.
     sweep = next(islice(read_sweeps(bag, mount), (number or 1) - 1, None), None)
     if sweep is None:
         raise LandmarkNavError(f'{bag.path}: holds no sweep {number or 1}: take another')
@@ -151,7 +151,7 @@ def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
 
 
 def _warn_of_crop(crop_px: int, covered: float, sweep: Sweep) -> None:
-    """Say so where crops don't meet though the frames do."""
+    """Warn if the cropped frames leave gaps that the full frames do not."""
     pans = [frame.pan_rad for frame in sweep.frames]
     unseen = sum(b - a for a, b in unseen_arcs(pans, sweep.frames[0].camera.half_fov_rad))
     if crop_px and covered < 1.0 - unseen / (2.0 * np.pi) - _LOST_BY_CROP:

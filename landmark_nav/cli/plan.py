@@ -1,4 +1,4 @@
-"""`landmark-nav plan`: where to take panoramas."""
+"""`landmark-nav plan`: propose positions of panoramas."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SCHEMA = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     default = PlanConfig()
     parser.description = (
         'Predict from the wall map, the papers and the camera how exactly a robot '
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan, draw, write."""
+    """Plan positions, draw the figure, and write the plan."""
     check_writable(args.out)
     figure_path = args.out.with_suffix('.png')
     if args.out == figure_path:
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
-    """Text of ``plan.yaml``."""
+    """Return the text of ``plan.yaml``."""
     best = plan.best
     sigma = np.sqrt(np.diagonal(best.pose_covariance, axis1=1, axis2=2))
     compared: dict[str, Any] = {
@@ -144,7 +144,7 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
 
 
 def _summary(plan: Plan) -> str:
-    """Report what is proposed, and what it is worth beside other places."""
+    """Summarise the proposed positions, their accuracy, and that of other positions."""
     best = plan.best
     lines = [
         f'place {k}: x {x:.2f} m, y {y:.2f} m, heading {np.degrees(heading):.0f} deg'

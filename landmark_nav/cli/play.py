@@ -1,4 +1,4 @@
-"""`landmark-nav play`: a bag onto topics with /clock."""
+"""`landmark-nav play`: publish a bag on topics with /clock."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from landmark_nav.signals import ENDING
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Publish the messages of a bag under the names they were recorded with, and '
         '/clock. Ends with the bag.'
@@ -31,14 +31,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Become the node ``bag_player``."""
+    """Replace this process by the node ``bag_player``."""
     require_ros('it')
-    # Values are YAML to ROS: quoted, so that a folder called 12 stays a name.
+    # ROS parses values as YAML: quotes keep a folder such as 12 a string.
     parameters = ['-p', f'bag:={json.dumps(args.bag)}', '-p', f'rate:={args.rate!r}']
     for name, topic in args.topic:
         parameters += ['-r', f'{topic}:=/{name}']
     command = ['-m', 'landmark_nav.nodes.bag_player', '--ros-args', *parameters, *args.ros_args]
     sys.stdout.flush()
-    # A signal waits until the node heeds it.
+    # Signals are blocked until the node handles them.
     signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     os.execv(sys.executable, [sys.executable, *command])

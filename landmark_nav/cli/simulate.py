@@ -1,4 +1,4 @@
-"""`landmark-nav simulate`: bags of simulated sweeps and of a drive."""
+"""`landmark-nav simulate`: write bags of simulated sweeps and of a drive."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ _FILES = ('start.json', 'room.yaml', 'robot.yaml', 'scene.json', 'learn', 'drive
 _LEARN_START_NS = 1_000_000_000_000
 _DRIVE_START_NS = 5_000_000_000_000
 
-# More sweeps than two are made at some of so many places around the first two.
+# Number of random positions around the first two, of which further sweeps take free ones.
 _PLACES_TRIED = 200
 
-# Carrying the robot from one place to the next, seconds.
+# Time between two sweeps, in which the robot is moved.
 _MOVE_S = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Furnish a room, let a robot with a turning camera make sweeps and drive in '
         'it, and write what it would have recorded: DIR/learn, DIR/drive, DIR/room.yaml, '
@@ -115,7 +115,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate; nothing is written unless all of it is."""
+    """Simulate; write all files or none."""
     room = load_room(args.room) if args.room else None
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
     camera = load_camera(args.camera) if args.camera else DEFAULT_CAMERA
@@ -179,7 +179,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _camera_rate(text: str) -> float:
-    """Argument type: images come with every so many samples of the odometry."""
+    """Argument type: rate of images, an integer fraction of the rate of odometry."""
     rate = within(float, 0.5)(text)
     every = max(1, round(STATE_RATE_HZ / rate))
     if abs(every * rate - STATE_RATE_HZ) > 1e-3 * STATE_RATE_HZ:
@@ -193,7 +193,7 @@ def _camera_rate(text: str) -> float:
 def _sweep_poses(
     scene: Scene, count: int, rng: np.random.Generator
 ) -> list[np.ndarray[Any, np.dtype[np.float64]]]:
-    """The two best places, then others on the way between and around them."""
+    """Return the two best poses, then random ones around them."""
     places = choose_sweep_places(scene)
     if places is None:
         raise LandmarkNavError('the room has no place that sees all papers and the target')
@@ -221,7 +221,7 @@ def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Ite
 
 
 def _write(bag: BagWriter, messages: Iterator[Recorded], what: str, frames: int) -> None:
-    """Write messages; the bar counts images."""
+    """Write messages; the progress bar counts images."""
     bar = iter(progress(range(frames), what, frames))
     for recorded in messages:
         bag.write(recorded.topic, recorded.message, recorded.stamp_ns)

@@ -17,7 +17,7 @@ from landmark_nav.ros import chosen_domain, require_ros
 if TYPE_CHECKING:
     from landmark_nav.ros.robot_client import NodeStatus
 
-# Diagnostics come once a second.
+# Time to gather diagnostics, which nodes publish once a second.
 _GATHER_S = 2.5
 _REFRESH_S = 1.0
 _NO_NODE_S = 10.0
@@ -25,7 +25,7 @@ _CLEAR = '\x1b[H\x1b[J'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Print level and reason of every node, anew each second in a terminal until Ctrl-C, '
         'else once.'
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def table(status: Mapping[str, NodeStatus], width: int, values: bool = False) -> list[str]:
-    """Lines of at most `width` characters: node, level, reason, and the values below."""
+    """Return lines of at most `width` characters: node, level, reason, and values below."""
     names = max((len(name) for name in status), default=0)
     indent = ' ' * (names + 11)
     room = max(20, width - len(indent))
@@ -53,7 +53,7 @@ def table(status: Mapping[str, NodeStatus], width: int, values: bool = False) ->
 
 
 def run(args: argparse.Namespace) -> int:
-    """Listen, and print."""
+    """Gather diagnostics and print them."""
     require_ros('it')
     from landmark_nav.ros.robot_client import RobotClient
 
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     once = args.once or not sys.stdout.isatty()
 
     def others() -> dict[str, NodeStatus]:
-        # All but this command's own node.
+        # All nodes except that of this command.
         return {name: node for name, node in client.status.items() if name != own}
 
     with (

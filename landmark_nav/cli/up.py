@@ -1,4 +1,4 @@
-"""`landmark-nav up`: all nodes as processes of one command, for robots without ``ros2 launch``."""
+"""`landmark-nav up`: start all nodes by one command, for robots without ``ros2 launch``."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.setup_files import load_room
 
 _POLL_S = 0.1
-# Of all nodes: time of day instead of seconds since 1970, which nobody reads.
+# Log format of all nodes, with date and time instead of seconds since 1970.
 _LOG_FORMAT = {
     'RCUTILS_CONSOLE_OUTPUT_FORMAT': '{date_time_with_ms} [{severity}] {name}: {message}'
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the command takes."""
+    """Declare the arguments of the command."""
     parser.description = (
         'Start all nodes that learn and localize, print what they log, and end them together at '
         'Ctrl-C. If one of them ends, all do. They are in the ROS domain of ROS_DOMAIN_ID.'
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Start the nodes and watch them."""
+    """Start the nodes and supervise them."""
     require_ros('it')
     if args.robot is None and (args.room is not None or not args.sim):
         raise UsageError('give --robot, or --sim alone for a simulated robot')
@@ -68,7 +68,8 @@ def run(args: argparse.Namespace) -> int:
             robot, room = drawn.robot_file, drawn.room_file
         else:
             robot, room = args.robot.resolve(), args.room and args.room.resolve()
-            # A wrong file gives one error here instead of one from every node.
+            # Check the files here, so that a wrong one gives one error instead of one from each
+            # node.
             load_configuration(args.config, robot, *READS)
             if room is not None:
                 load_room(room)

@@ -1,4 +1,4 @@
-"""What is wrong with a recording: its streams against each other and against its images."""
+"""Faults of a recording: its streams are compared with each other and with its images."""
 
 from landmark_nav.diagnosis.doctor import diagnose, IMAGES, QUICK
 from landmark_nav.diagnosis.drives import THOROUGH

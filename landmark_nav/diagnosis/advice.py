@@ -1,4 +1,4 @@
-"""What was found of motion, in words: a fault, its size, and what to do."""
+"""Findings of motion in words: a fault, its magnitude, and the remedy."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from landmark_nav.diagnosis.motion import Estimate, Linear, Motion
 from landmark_nav.diagnosis.units import nearness_of_room, unit_of
 from landmark_nav.geometry.walls import Room
 
-# Delays up to this are corrected: over it, what joints did is not known well enough.
+# Greatest delay that is corrected; beyond it, the joint angles are not known well enough.
 CORRECTED_S = 0.3
-# Scales that are off by more cannot be localized with.
+# Greatest errors of the scales of pan and yaw with which localization works.
 _PAN_OFF, _YAW_OFF = 0.1, 0.3
-# Mean inverse distance of what a camera sees, 1/m: farther and nearer is another unit.
+# Bounds of the mean inverse distance of visible things, 1/m; outside them the unit is wrong.
 _FAR, _NEAR = 1.0 / 40.0, 3.0
-# The parallax of a known room is within this factor of its walls'; 0.3 m of furniture.
+# Greatest factor between the parallax in a known room and that of its walls: furniture is nearer.
 _OF_ROOM = 2.2
+# Heading errors of the camera that are a warning and an error.
 _HEADING_WARN_RAD, HEADING_ERROR_RAD = np.radians(8.0), np.radians(20.0)
-# Clocks this far apart are not of one kind.
+# Offset beyond which one clock is wall time and the other simulated time.
 _WALL_TIME_S = 1e6
 
 _WHEELS = 'calibrate the radii of the wheels, on a straight line'
@@ -36,14 +37,14 @@ _OTHERS = {
 
 
 def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool = True) -> Finding:
-    """Say that the clock of a stream is off by so many seconds."""
+    """Return the finding of a clock offset of a stream."""
     side = 'late' if late_s > 0.0 else 'early'
     against = _OTHERS[stream]
     text = f'stamped {seconds_text(abs(late_s))} {side} against {against}{how}'
     values = {'late_s': late_s}
     if corrected and abs(late_s) <= CORRECTED_S:
         advice = 'corrected here; on the robot stamp at the time of measurement'
-        # Its own line of `evaluate` is more accurate.
+        # `evaluate` reports the joint delay more accurately in a separate line.
         by_map = stream == JOINTS
         if by_map:
             advice = f'corrected here; in robot.yaml set joint_delay to {late_s:.3f}'
@@ -57,14 +58,14 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
 
 
 def seconds_text(seconds: float) -> str:
-    """A time as people write it."""
+    """Format a time for people."""
     if seconds < 1.0:
         return f'{1e3 * seconds:.0f} ms'
     return f'{seconds:.2f} s' if seconds < 1e5 else f'{seconds:.6g} s'
 
 
 def cause_findings(judged: Verdict) -> list[Finding]:
-    """The fault that explains what does not fit; and what could be it as well."""
+    """Return the finding of the likeliest fault, with its equivalent alternatives."""
     cause = judged.cause
     if cause.kind == 'none':
         if judged.fits:
@@ -86,14 +87,15 @@ def cause_findings(judged: Verdict) -> list[Finding]:
     return [finding]
 
 
-# Of what images show of lens and mount, more is an error: radians, or a share of the focal length.
+# Least value of a lens or mount error that is of level error: radians, or a share of the focal
+# length.
 _CAMERA_OFF = 0.14
 _ZOOM = 'calibrate the camera at the size and zoom that are published'
 _SQUARE = 'calibrate again: pixels are square, if the driver does not stretch images'
 
 
 def camera_finding(error: CameraError) -> Finding:
-    """The error of lens or mount that explains how points move in the images."""
+    """Return the finding of an error of lens or mount."""
     value, camera, mount = error.value, error.setup.camera, error.setup.mount
     degrees = abs(np.degrees(value))
     rpy = ', '.join(f'{angle:.3f}' for angle in mount.axis_rpy)
@@ -269,7 +271,7 @@ def _named(cause: Cause) -> Finding:
 
 
 def _pan_scale(mends: float) -> Finding:
-    """Of the factor that takes the pan to the turn of the images."""
+    """Return the finding of a pan that has to be multiplied by `mends` to fit the images."""
     text = 1.0 / mends if abs(mends) > 1e-9 else np.inf
     values = {'scale': text}
     name = 'pan scale'
@@ -338,7 +340,7 @@ def _yaw_scale(mends: float) -> Finding:
 
 
 def _image_scale(seen: float) -> Finding:
-    """Of images that turn `seen` times as far as joints and odometry say."""
+    """Return the finding of images that turn `seen` times as far as joints and odometry."""
     if abs(seen + 1.0) < 0.2:
         return Finding(
             'images sign',
@@ -359,7 +361,7 @@ def _image_scale(seen: float) -> Finding:
 
 
 def motion_findings(motion: Motion, slopes: Linear, room: Room | None) -> list[Finding]:
-    """Scales, clocks, unit of the odometry and heading of the camera, as the images show them."""
+    """Judge scales, clocks, unit of the odometry and heading of the camera by the images."""
     found = [
         _small('pan scale', slopes.pan_scale, 0.05, 'check the gear of the pan'),
         _small('odom yaw', slopes.yaw_scale, 0.1, 'check the track width of the wheels'),
@@ -400,7 +402,7 @@ def _clock(stream: str, late: Estimate) -> Finding:
 
 
 def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
-    """Unit and direction of the odometry, heading of the camera: by what passes sideways."""
+    """Judge unit and direction of the odometry and heading of the camera by parallax."""
     size = float(np.hypot(slopes.nearness.value, slopes.sideways.value))
     sigma = max(slopes.nearness.sigma, slopes.sideways.sigma)
     expected = nearness_of_room(room) if room is not None else float('nan')

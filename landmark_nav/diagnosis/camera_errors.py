@@ -1,14 +1,14 @@
 """
-Errors of lens and mount that the images alone show.
+Errors of intrinsics and extrinsics that are observable in the images alone.
 
-A camera on a level floor turns about the vertical, whatever pan and wheels say. Points that are
-seen in one image and the next then keep their slope, but for the parallax of a planar motion:
+A camera on a level floor turns about the vertical. Points that are seen in consecutive images then
+keep their slope, except for the parallax of a planar motion:
 
     azimuth after - azimuth before = -turn + nearness (right sin azimuth - ahead cos azimuth) ...
 
-with a turn and a planar displacement of each pair of images of its own. An error of the lens or of
-the mount breaks this in a manner of its own. Each is taken out by itself, with the value that fits
-best, and compared by likelihood, as the causes of `causes.py`.
+with an independent turn and planar displacement of each pair of images. Each error of the lens or
+the mount violates this in a different way. Each is removed separately, with the value that fits
+best, and they are compared by likelihood, like the causes of `causes.py`.
 """
 
 from __future__ import annotations
@@ -28,21 +28,27 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-# Corners are looked for in images of this width, and so many.
+# Width of the images in which corners are detected, pixels, and greatest number of corners.
 _WIDTH, _MOST_CORNERS = 320, 400
-# Matches farther from the homography of most, pixels, are mistaken or very near.
+# Greatest distance of inliers from the homography, pixels; outliers are mismatches or very near.
 _APART_PX, _LEAST_MATCHES = 6.0, 12
+# Degrees of freedom of Student's t, and iterations of the fit.
 _FREEDOM, _ITERATIONS = 3.0, 8
-# Points are not tracked better, whatever agrees.
+# Least sigma of tracked points.
 _LEAST_SIGMA_PX = 0.1
-# Matches of one pair share what their depths do: as many as these are independent.
+# Effective number of independent matches of a pair, as their depths are correlated.
 _INDEPENDENT = 4
+# Tracked points: greatest number, least distance between them, greatest distance from the
+# homography.
 _MOST_MATCHES, _SPACING_PX, _TRACKED_PX = 50, 12.0, 20.0
+# One of this many points is used for the mean solid angle.
 _SPARSE = 8
+# Least number of pairs of images.
 _LEAST_PAIRS = 10
-# A tilt that moves by less stands.
+# Greatest range of a constant tilt.
 _LEVEL_RAD = 0.02
-# Likelihoods this near are alike, and this far above none an error is one.
+# Scores within the first difference are equivalent; an error exceeds the score without errors by
+# the second.
 _ALIKE, _CERTAIN = 5.0, 12.0
 
 
@@ -55,7 +61,7 @@ class Corners(NamedTuple):
 
 
 def corners(image: ImageArray) -> Corners:
-    """Corners of a grey image (height, width) (Rublee et al., ORB, ICCV 2011)."""
+    """Detect corners of a grey image (height, width) (Rublee et al., ORB, ICCV 2011)."""
     share = min(1.0, _WIDTH / image.shape[1])
     small = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
     finder: Any = cv2.ORB_create(_MOST_CORNERS, fastThreshold=8)  # type: ignore[attr-defined]
@@ -69,10 +75,10 @@ def corners(image: ImageArray) -> Corners:
 
 def matched(first: Corners, second: Corners) -> tuple[FloatArray, FloatArray] | None:
     """
-    Pixels (m, 2) of points in two images; None where they are few.
+    Pixels (m, 2) of points in two images; None if they are few.
 
-    Descriptors find the homography, which needs no calibration; from there each point is tracked
-    (Bouguet, Pyramidal implementation of the Lucas Kanade feature tracker, 2000).
+    Descriptors give the homography, which requires no calibration. It predicts each point, which
+    is then tracked (Bouguet, Pyramidal implementation of the Lucas Kanade feature tracker, 2000).
     """
     if min(len(first.pixels), len(second.pixels)) < _LEAST_MATCHES:
         return None
@@ -114,11 +120,11 @@ class Matches:
     Parameters
     ----------
     before_px, after_px : ndarray, shape (m, 2)
-        Where a point is in the first and second image of its pair.
+        Pixels of a point in the first and second image of its pair.
     pairs : ndarray of int, shape (m,)
         Index of the pair, ascending from 0.
     pans_rad, tilts_rad : ndarray, shape (pairs, 2)
-        Joints at both images.
+        Angles of the joints at both images.
     """
 
     before_px: FloatArray
@@ -135,7 +141,7 @@ class Matches:
 
 @dataclass(frozen=True)
 class CameraSetup:
-    """A lens and how it is mounted; `tilt_rad` is added to the tilt of the joints."""
+    """Intrinsics and extrinsics; `tilt_rad` is added to the tilt of the joints."""
 
     camera: CameraModel
     mount: PanTiltMount
@@ -159,7 +165,7 @@ def _lens(setup: CameraSetup, **change: Any) -> CameraSetup:
 
 
 def _sized(setup: CameraSetup, share: float) -> CameraSetup:
-    """A calibration of an image that is so many times as large as it is taken for."""
+    """Scale a calibration to images that are `share` times as large."""
     c = setup.camera
     middle = {'cx': share * (c.cx + 0.5) - 0.5, 'cy': share * (c.cy + 0.5) - 0.5}
     return _lens(setup, fx=share * c.fx, fy=share * c.fy, **middle)
@@ -170,16 +176,16 @@ def _bent(setup: CameraSetup, value: float) -> CameraSetup:
     return replace(setup, camera=replace(setup.camera, distortion=(first + value, *rest)))
 
 
-# A search begins at the best of these shares of the reach, if one is better than nothing.
+# Start values of a search, as shares of the reach; the best is used if it beats no error.
 _TRIED = (-0.5, -0.1, 0.1, 0.5)
 
 
 @dataclass(frozen=True)
 class _Error:
     """
-    A number of lens or mount: what adds to it, where a search begins, how far it goes.
+    Parameter of lens or mount: how a value is added, start values and reach of the search.
 
-    What is off by less than `matters` is within what localization and learning estimate.
+    Errors less than `matters` are within the range that localization and learning estimate.
     """
 
     change: Callable[[CameraSetup, float], CameraSetup]
@@ -193,7 +199,7 @@ _ERRORS = {
     'tilt': _Error(lambda s, v: replace(s, tilt_rad=s.tilt_rad + v), _QUARTER),
     'axis pitch': _Error(lambda s, v: _mounted(s, pitch=v), _QUARTER),
     'axis roll': _Error(lambda s, v: _mounted(s, roll=v), _QUARTER),
-    # By half a turn, nothing that turns shows which way up images are; the pan does.
+    # Half a turn is not observable by rotation alone; the sign of the pan shows it.
     'roll': _Error(_rolled, 0.6, starts=(0.0, _QUARTER, -_QUARTER)),
     'focal length': _Error(
         lambda s, v: _lens(s, fx=s.camera.fx * np.exp(v), fy=s.camera.fy * np.exp(v)),
@@ -212,9 +218,9 @@ _ERRORS = {
 @dataclass(frozen=True)
 class CameraError:
     """
-    An error of lens or mount: its name, and what has to be added to the given value.
+    An error of lens or mount: its name, and the correction to add to the given value.
 
-    `also` names others that explain as much; `setup` is without it.
+    `also` names equivalent explanations; `setup` is the corrected one.
     """
 
     name: str
@@ -224,7 +230,7 @@ class CameraError:
 
 
 def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
-    """The error that explains how points move from image to image; None where there is none."""
+    """Find the error that explains the motion of points between images; None if none does."""
     if not len(matches.pairs) or matches.pairs[-1] + 1 < _LEAST_PAIRS:
         return None
     given, setup = setup, _nearly(matches, setup)
@@ -232,9 +238,10 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     level = replace(matches, tilts_rad=np.zeros_like(matches.tilts_rad))
     moving = np.ptp(matches.tilts_rad) > _LEVEL_RAD
     if moving and (without := _score(level, setup)) > none + _CERTAIN:
-        matches, none = level, without  # of another joint
-    # With the error in it, the small angles may be others than without; each angle has its price
-    # (Schwarz, Estimating the dimension of a model, 1978).
+        matches, none = level, without  # the tilt is that of another joint
+    # Small angles that were fitted with the error in place may be wrong: the search starts from
+    # both setups, and the fitted one pays for its angles (Schwarz, Estimating the dimension of a
+    # model, 1978).
     price = 1.5 * np.log(_INDEPENDENT * (matches.pairs[-1] + 1))
     starts = ((setup, none, price), (given, _score(matches, given), 0.0))
     none = max(score - cost for _, score, cost in starts)
@@ -257,9 +264,9 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
 
 def _nearly(matches: Matches, setup: CameraSetup) -> CameraSetup:
     """
-    Return the setup with the best small angles of camera and axis: any mount by hand has such.
+    Return the setup with the best small angles of camera and axis, which manual mounting causes.
 
-    Without them a large error of another kind would explain them in part.
+    Otherwise a large error of another kind would explain them in part.
     """
 
     def turned(angles: FloatArray) -> CameraSetup:
@@ -277,15 +284,15 @@ def _nearly(matches: Matches, setup: CameraSetup) -> CameraSetup:
 
 
 def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> tuple[float, float]:
-    """The likeliest value, and its score; `none` is that of 0."""
+    """Return the likeliest value and its score; `none` is the score of 0."""
 
     def badness(value: float) -> float:
         try:
-            # Far from the truth, rays may have no pixel.
+            # With a very wrong value, rays may have no pixel.
             with np.errstate(all='ignore'):
                 score = _score(matches, error.change(setup, value))
         except (LandmarkNavError, np.linalg.LinAlgError):
-            return np.inf  # no lens
+            return np.inf  # impossible intrinsics
         return -score if np.isfinite(score) else np.inf
 
     tried = [s + d * error.reach for s in error.starts for d in _TRIED]
@@ -304,7 +311,7 @@ def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> t
 
 
 def _score(matches: Matches, setup: CameraSetup) -> float:
-    """Log-likelihood of points, with a turn and a displacement of its own for each pair."""
+    """Log-likelihood of points, with an independent turn and displacement of each pair."""
     k = matches.pairs
     before, after, log_area = _rays(matches, setup.camera)
     both = []
@@ -323,13 +330,13 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
     columns[:, 0, 0], columns[:, 0, 1], columns[:, 0, 2] = 1.0, s, -c
     columns[:, 1, 1], columns[:, 1, 2] = slope * c * level, slope * s * level
     squares = (columns[..., None] * columns[..., None, :]).reshape(len(k), 2, 9)
-    # The turn of a pair may be any: its middle is taken off before angles wrap.
+    # The turn of a pair may be large: its mean is subtracted before angles are wrapped.
     turn = np.angle(_sums(np.exp(1j * (azimuth_after - azimuth)), matches.begins))
     moved = np.stack(
         [wrap_rad(azimuth_after - azimuth - turn[k]), (slope_after - slope) * level], -1
     )
-    # Depths disturb azimuths more than elevations. Pixels were measured, whatever angle a lens
-    # gives them.
+    # Depths disturb azimuths more than elevations, so each has its own sigma. The least sigma is
+    # in pixels, as pixels are measured.
     residuals = moved
     least = _LEAST_SIGMA_PX * np.exp(0.5 * log_area)
     sigma = np.maximum(np.median(np.abs(moved), axis=0), least)
@@ -349,7 +356,7 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
     return float(0.5 * _INDEPENDENT * (k[-1] + 1) * (each.sum(1).mean() + log_area))
 
 
-# Most errors leave the lens as it is.
+# Most errors do not change the intrinsics.
 @lru_cache(maxsize=2)
 def _rays(matches: Matches, camera: CameraModel) -> tuple[FloatArray, FloatArray, float]:
     """Rays (m, 3) of both images in the optical frame, and `_log_angle_per_px`."""

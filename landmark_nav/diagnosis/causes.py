@@ -1,9 +1,8 @@
 """
-Which single fault explains what does not fit: the one whose removal makes everything else fit.
+The single fault that explains the residuals: without it, all streams agree.
 
-Each candidate takes one fault out of the streams, with the value that fits best. Candidates are
-compared by their likelihood less what their free parameters cost (Schwarz, Annals of Statistics
-6(2), 1978).
+Each candidate removes one fault from the streams, with the value that fits best. Candidates are
+compared by the Bayesian information criterion (Schwarz, Annals of Statistics 6(2), 1978).
 """
 
 from __future__ import annotations
@@ -27,32 +26,35 @@ from landmark_nav.diagnosis.motion import (
     Track,
 )
 
-# Likelihoods this near are alike, and this far above none a fault is one.
+# Scores within the first difference are equivalent; a fault exceeds the score without faults by
+# the second.
 ALIKE, _CERTAIN = 5.0, 12.0
-# Scales that are tried: reversed, geared, degrees, ticks, none.
+# Scales that are tried: reversed sign, gears, degrees, no motion.
 _SCALES = (-1.0, 0.5, 2.0, -0.5, -2.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi, 0.0)
+# Greatest factor between the true and the given focal length.
 _LENS = 3.0
+# Drifts that are tried, as shares.
 _DRIFTS = np.arange(-0.1, 0.1001, 0.0025)
-# Clocks are searched near and far with these steps.
+# Ranges and steps of the near and the far search of clock offsets.
 _NEAR_S, _NEAR_STEP_S, _FAR_S, _FAR_STEP_S = 3.0, 0.02, 120.0, 0.05
-# A drift that comes to less over a recording is none.
+# Drifts with a smaller effect over the recording are regarded as offsets.
 _LEAST_DRIFT_S = 0.05
 _CLOCKS = ('clock', 'drift', 'step')
-# Clocks run forward, and none at a tenth of its rate: that would be a scale.
+# Least drift: a clock at less than a tenth of its rate would explain a scale.
 _SLOWEST = -0.9
-# A clock that is known to this is worth a correction.
+# Greatest sigma with which an offset is refined.
 _POLISH_S = 0.02
-# A clock is measured by what was recorded at the time of the images.
+# Least share of the image pairs at whose times the other streams have messages.
 _LEAST_COVERED = 0.3
-# So many pairs are enough for a first search.
+# Number of image pairs in the coarse search, and their noise.
 _PAIRS = 160
 _FIRST_NOISE_RAD = 0.01
 
-# A step of a robot goes along its heading to this, forwards or backwards.
+# Sigma of the angle between path and heading, and time of a step.
 _ALONG_RAD, _STEP_S = 0.1, 0.2
-# Usual places of a pan axis in a base and of an optical centre beside its axis.
+# Prior sigmas of the pan axis from the base, and of the optical centre from the pan axis.
 _AXIS_M, _OFFSET_M = 0.3, 0.1
-# Values of one parameter are searched for on this grid, as shares of its range, and then between.
+# Grid of the coarse search of one parameter, as shares of its range.
 _GRID = np.linspace(-1.0, 1.0, 21)
 
 IMAGES, JOINTS, ODOMETRY, MOUNT = 'images', 'joint_states', 'odom', 'pan_axis'
@@ -66,23 +68,24 @@ class Cause:
     Parameters
     ----------
     stream : str
-        Whose fault: ``images``, ``joint_states``, ``odom`` or ``pan_axis``.
+        Origin of the fault: ``images``, ``joint_states``, ``odom`` or ``pan_axis``.
     kind : str
         ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed``, ``filter`` and
         ``heading`` (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``,
         ``left``, ``offset`` and ``upside down`` (of the mount).
     motion : Motion
-        Without the fault.
+        Motion without the fault.
     left : Fit
-        What is left then.
+        Regression of the residuals of that motion.
     score : float
         Log-likelihood less the cost of its parameters.
     value : float
-        Scale; seconds by which the clock is ahead of the others; drift as a share; step, s.
+        Scale; offset by which the clock is ahead of the others, s; drift as a share; step, s;
+        value of the error for other kinds.
     name : str
-        Of the joint, where that is the fault.
+        Name of the joint, for kind ``joint``.
     offset_s : float
-        Offset of a clock that drifts; moment of a step.
+        Offset of a drifting clock; time of a step.
     """
 
     stream: str
@@ -98,10 +101,10 @@ class Cause:
 @dataclass(frozen=True)
 class Verdict:
     """
-    What was found.
+    Result of the comparison.
 
-    `cause` is the likeliest, of kind ``none`` where all fits; `rivals` explain it as well;
-    `fits` says whether what is left is noise, as it is with any fault that is named.
+    `cause` is the likeliest fault, of kind ``none`` if there is none or none is certain; `rivals`
+    are as likely; `fits` is whether the residuals without `cause` are noise.
     """
 
     cause: Cause
@@ -116,18 +119,18 @@ def verdict(
     clocks: Mapping[str, Iterable[Clock]] | None = None,
 ) -> Verdict:
     """
-    Name the fault that explains most.
+    Find the likeliest single fault.
 
     Parameters
     ----------
     motion : Motion
-        As the streams give it.
+        Motion as recorded.
     joints : mapping of str to Track
         Other joints that could be the pan, by name.
     by_twist : Track, optional
-        Odometry summed up from its speeds.
+        Odometry integrated from its twists.
     clocks : mapping of str to iterable of Clock
-        Clocks of streams that stamps and times of recording suggest, to begin the search at.
+        Start values of the clocks of streams, by stamps and times of recording.
     """
     none = _cause(IMAGES, 'none', motion, 0)
     found = [none]
@@ -148,20 +151,20 @@ def verdict(
 
 
 def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
-    """By how much the odometry of a motion is stamped late, seconds, to explain the images."""
+    """Delay of the stamps of odometry, s, with which it explains the images."""
     (first,) = _first_clocks(motion, ODOMETRY, list(hints), drifts=False)
     return _polished(_refined(motion, ODOMETRY, first, drift=False)).value
 
 
 def _differs(one: Cause, other: Cause) -> bool:
-    """Whether two causes are other faults; those of one clock are not."""
+    """Whether two causes are different faults; faults of the same clock are not."""
     if one.kind == 'none':
         return False
     return (one.stream, one.kind in _CLOCKS) != (other.stream, other.kind in _CLOCKS)
 
 
 def _polished(cause: Cause) -> Cause:
-    """An offset of a clock, estimated together with small errors of scale."""
+    """Refine the offset of a clock together with small errors of the scales."""
     by_odometry = cause.stream == ODOMETRY
     sign = -1.0 if cause.stream == IMAGES else 1.0
     for _ in range(2):
@@ -195,9 +198,9 @@ def _cause(
 
 def _along(motion: Motion) -> float:
     """
-    Log-likelihood of the path beside the heading, but for a constant.
+    Log-likelihood of the path by the heading, up to a constant.
 
-    A robot drives along its heading, or at one angle to it, forwards and backwards.
+    A robot drives along its heading, or at a constant angle to it, forwards and backwards.
     """
     if motion.odometry is None:
         return 0.0
@@ -212,7 +215,7 @@ def _along(motion: Motion) -> float:
 
 
 def _others(motion: Motion) -> Iterator[Cause]:
-    """What is something else than it should be, and errors of a single number."""
+    """Yield faults of another quantity instead of the pan, and errors of a single number."""
     pan, odometry = motion.pan, motion.odometry
     steps = np.diff(pan.seconds, prepend=pan.seconds[0])[:, None]
     summed = replace(pan, values=np.cumsum(pan.values * steps, axis=0))
@@ -233,12 +236,12 @@ def _others(motion: Motion) -> Iterator[Cause]:
         x, y = motion.offset_xy
         return replace(motion, offset_xy=(x + ahead_m, y))
 
-    # A camera the other way up sees what one sees whose robot turns the other way.
+    # With a camera upside down, the images turn in the opposite direction.
     hanging = replace(motion, turns_rad=-motion.turns_rad, pan=replace(pan, values=-pan.values))
     yield _cause(MOUNT, 'upside down', hanging, 1 if motion.hangs else 3)
 
     def sharp(seconds: float) -> Motion:
-        # Before a filter of the first order.
+        # The pan before a filter of the first order.
         rate = np.gradient(pan.values[:, 0], pan.seconds) if len(pan.seconds) > 1 else 0.0
         return replace(motion, pan=replace(pan, values=pan.values + seconds * np.c_[rate]))
 
@@ -254,7 +257,7 @@ def _others(motion: Motion) -> Iterator[Cause]:
 
 
 def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: float) -> Cause:
-    """The likeliest value of an error of a single number within +-`reach`."""
+    """Find the likeliest value of an error of a single number within +-`reach`."""
 
     def badness(value: float) -> float:
         return -_cause(stream, kind, change(value), 1).score
@@ -269,12 +272,12 @@ def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: floa
 
 
 def _misfit(residuals: FloatArray) -> FloatArray:
-    """Robust sum over the last axis."""
+    """Robust (Cauchy) sum over the last axis."""
     return np.asarray(np.log1p((residuals / _FIRST_NOISE_RAD) ** 2).sum(-1))
 
 
 def _scales(motion: Motion) -> Iterator[Cause]:
-    """Wrong scales and signs of pan, of yaw, and of both, which is the lens."""
+    """Yield wrong scales and signs of pan, of yaw, and of both, which is that of the lens."""
     panned, yawed, turns = motion.panned(), motion.yawed(), motion.turns_rad
     for stream, factor, rest in (
         (JOINTS, panned, yawed),
@@ -284,9 +287,9 @@ def _scales(motion: Motion) -> Iterator[Cause]:
         if np.abs(factor).max(initial=0.0) < 1e-6:
             continue
         if stream == IMAGES and motion.odometry is None:
-            continue  # the pan's scale says the same
+            continue  # the same as the scale of the pan
         least = float((factor @ (turns - rest)) / (factor @ factor))
-        # Units as far off as ticks show in the extents alone.
+        # Very different units, such as ticks, show only in the magnitudes.
         ratio = float(np.median(np.abs(turns - rest)) / max(np.median(np.abs(factor)), 1e-12))
         tried = np.array([*_SCALES, least, ratio, -ratio])
         first = tried[np.argmin(_misfit(turns - rest - tried[:, None] * factor))]
@@ -296,10 +299,10 @@ def _scales(motion: Motion) -> Iterator[Cause]:
             near = fit(turns - rest - scale * factor, np.column_stack([factor, parallax]))
             scale += float(near.values[0])
         if stream == IMAGES:
-            # Another lens, or a mirror; what is farther off is not the camera's.
+            # Another lens, or a mirror image; larger factors are not from the camera.
             if 1.0 / _LENS < abs(scale) < _LENS:
                 cause = _cause(stream, 'scale', replace(motion, turns_rad=turns / scale), 1, scale)
-                # In units of the measured turns, as for all others.
+                # The likelihood refers to the measured turns, as for all others.
                 yield replace(cause, score=cause.score - len(motion) * float(np.log(abs(scale))))
         elif stream == JOINTS:
             changed = replace(motion, pan_scale=motion.pan_scale * scale)
@@ -308,7 +311,7 @@ def _scales(motion: Motion) -> Iterator[Cause]:
             changed = replace(motion, yaw_scale=motion.yaw_scale * scale)
             yield _cause(stream, 'scale', changed, 1, scale)
             if motion.odometry is not None:
-                # Or the path was summed up with that yaw.
+                # The path may have been integrated with the wrong yaw.
                 for value in (scale, float(np.sign(scale))):
                     track = driven_again(motion.odometry, yaw_scale=value)
                     yield _cause(stream, 'scale', replace(motion, odometry=track), 1, value)
@@ -342,7 +345,7 @@ def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Ca
 def _first_clocks(
     motion: Motion, stream: str, hinted: list[Clock], *, drifts: bool
 ) -> list[Clock]:
-    """The best clock of each region of a coarse search."""
+    """Return the best clock of a coarse search around the hints and around no offset."""
     begin, end = float(motion.before_s.min()), float(motion.after_s.max())
     reach = min(end - begin, _FAR_S)
     near = np.arange(-_NEAR_S, _NEAR_S, _NEAR_STEP_S)
@@ -368,13 +371,13 @@ def _best_offset(
 ) -> tuple[float, Clock]:
     """Misfit and clock of the best offset of a grid, on top of a clock."""
     misfit = _misfit(_left(motion, stream, base, grid))
-    # Of offsets that are as good, the least.
+    # Of equally good offsets, take the smallest.
     best = int(np.argmin(misfit + 1e-6 * np.abs(grid)))
     return float(misfit[best]), base.later(float(grid[best]))
 
 
 def _left(motion: Motion, stream: str, base: Clock, grid: FloatArray) -> FloatArray:
-    """What is left of each turn, (m, n), with offsets (m,) on top of a clock."""
+    """Residuals of the turns, (m, n), with offsets (m,) on top of a clock."""
     pan, yaw = motion.panned(), motion.yawed()
     pairs = np.stack([motion.before_s, motion.after_s])
     moved = base.at(pairs) + grid[:, None, None]
@@ -389,12 +392,12 @@ def _left(motion: Motion, stream: str, base: Clock, grid: FloatArray) -> FloatAr
 
 
 def _step(motion: Motion, stream: str) -> Cause:
-    """The likeliest clock that is right up to a moment, or from one on, and off by a step else."""
+    """Find the likeliest clock that is off by a constant before, or after, some moment."""
     grid = np.arange(-_NEAR_S, _NEAR_S, _NEAR_STEP_S)
     order = np.argsort(motion.before_s)
     each = np.log1p((_left(motion, stream, Clock(), grid) / _FIRST_NOISE_RAD) ** 2)[:, order]
     right = each[np.abs(grid).argmin()]
-    # Sums over the pairs before each, and from it on.
+    # Sums over the pairs before each pair, and from each pair on.
     off_before = np.cumsum(each, axis=1) - each
     off_after = each.sum(1)[:, None] - off_before
     right_before = np.cumsum(right) - right
@@ -420,7 +423,7 @@ def _step(motion: Motion, stream: str) -> Cause:
 
 
 def _covered(motion: Motion) -> float:
-    """Share of the pairs in whose time there are both joints and odometry."""
+    """Share of the pairs at whose times there are both joints and odometry."""
     inside = np.ones(len(motion), dtype=np.bool_)
     for track, clock in (
         (motion.pan, motion.pan_clock),
@@ -433,7 +436,7 @@ def _covered(motion: Motion) -> float:
 
 
 def _refined(motion: Motion, stream: str, first: Clock, *, drift: bool) -> Cause:
-    """The likeliest clock near one."""
+    """Find the likeliest clock near `first`."""
 
     def badness(clock: Clock) -> float:
         return -explained(_with_clock(motion, stream, clock)).log_likelihood
@@ -467,7 +470,7 @@ def _refined(motion: Motion, stream: str, first: Clock, *, drift: bool) -> Cause
             kind, value = 'clock', clock.offset_s
     sign = -1.0 if stream == IMAGES else 1.0
     mended = _with_clock(motion, stream, clock)
-    # A clock that runs backwards, or by which nothing was recorded, is none.
+    # Implausible: the clock hardly runs, or other streams have no messages at these times.
     if clock.drift < _SLOWEST or _covered(mended) < _LEAST_COVERED:
         return _cause(stream, 'none', motion, 2)
     return _cause(

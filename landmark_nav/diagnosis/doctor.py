@@ -1,4 +1,4 @@
-"""All checks of a bag: those of a drive, and those of sweeps."""
+"""All checks of a bag of a drive or of sweeps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.bags import Bag
 
-# So many images are decoded at the start of `learn` and `evaluate`.
+# Number of images that `learn` and `evaluate` decode at their start.
 QUICK = 60
 IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
 _SWEEP_IMAGES = ('sweep/image', 'sweep/image/compressed')
@@ -30,13 +30,13 @@ def diagnose(
     Parameters
     ----------
     mount : PanTiltMount
-        Names of the joints, and where the camera sits.
+        Names of the joints, and extrinsics of the camera.
     room : Room, optional
-        Its size shows the unit of the odometry better.
+        Room whose size determines the unit of the odometry more exactly.
     most_images : int
-        So many images are decoded at most; more, where these show a fault.
+        Greatest number of decoded images; more are decoded if these show a fault.
     """
-    # Whoever reads it then says what cannot be used.
+    # Warnings of the readers become findings.
     described: dict[str, None] = {}
     bag = bag.warning_to(lambda text: described.update({text: None}))
     found: list[Finding] = []

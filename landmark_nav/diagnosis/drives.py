@@ -1,4 +1,4 @@
-"""Checks of the streams of a drive: each by itself, then all against how images turn."""
+"""Checks of the streams of a drive: each separately, then all against the motion of images."""
 
 from __future__ import annotations
 
@@ -52,23 +52,23 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 
-# So many images are decoded where fewer show a fault.
+# Number of images that are decoded if fewer show a fault.
 THOROUGH = 600
-# Fewer pairs of images show no motion.
+# Least number of pairs of images from which motion is judged.
 _LEAST_PAIRS = 12
-# Less of the images than this lies in the time of a stream that has another clock.
+# Share of the images in the time of a stream below which its clock is a different one.
 _COVERED = 0.1
-# Without motion, times of recording separate clocks to about this.
+# Least offset of a clock that times of recording show.
 _BY_LOG_S = 0.5
-# Delays are not known better from how images turn.
+# Least sigma of delays measured by the motion of images.
 _LEAST_SIGMA_S = 1e-3
-# Twist beside a pose that stays.
+# Findings that follow from a constant pose.
 _OF_POSE = 'odom twist'
-# Follow from a path that is mirrored.
+# Findings that follow from a mirrored path.
 _OF_PATH = ('odom twist, forward', 'camera heading', 'odom unit')
-# Share of the images at whose time there is ground truth.
+# Least share of the images at whose times there is ground truth.
 _ENOUGH = 0.8
-# A clock that motion knows to this needs no times of recording.
+# Greatest sigma of an offset by motion; above it, times of recording are used.
 _KNOWN_S = 0.1
 
 
@@ -81,13 +81,13 @@ class DriveChecks:
         self._odometry = read_stream(bag, ODOMETRY, odometry, _odometry_of) if odometry else None
 
     def diagnosis(self, most_images: int) -> Diagnosis:
-        """Decode so many images; more, where these show a fault."""
+        """Check with `most_images` decoded images; with more if these show a fault."""
         infos = ('camera/camera_info',)
         looks = look(self._bag, self._images, infos, self._mount, most_images)
         setup: PanTiltMount | CameraSetup = self._mount
         of_camera = []
         if error := camera_error_of(self._bag, looks, self._mount):
-            # All else is judged without it.
+            # All other checks use the corrected setup.
             setup, of_camera = error.setup, [camera_finding(error)]
             self._mount = error.setup.mount
             looks = look(self._bag, self._images, infos, setup, most_images)
@@ -99,7 +99,7 @@ class DriveChecks:
         return Diagnosis((*of_camera, *(f for f in found if f.name not in said)), delays)
 
     def _judged(self, looks: Looks) -> tuple[list[Finding], Delays, bool]:
-        """Findings, delays, and whether joints and odometry explain what the images show."""
+        """Findings, delays, and whether joints and odometry explain the motion of the images."""
         content = check_content(looks)
         found = [*check_stamps(looks.stream), *looks.findings, *content]
         pan, by_names = self._pan()
@@ -121,7 +121,7 @@ class DriveChecks:
         if pan is None or len(pan) < 2 or len(looks.stream) < 2:
             return found, Delays(), True
         if any(f.name == COVERED and f.level == 'error' for f in content):
-            return found, Delays(), True  # what stays the same hides how the rest moves
+            return found, Delays(), True  # the constant part prevents the measurement of turns
         if _unstamped(looks.stream) or _unstamped(pan) or (odometry and _unstamped(odometry)):
             return found, Delays(), True
         looks = replace(looks, stream=by_arrival(looks.stream))
@@ -130,18 +130,18 @@ class DriveChecks:
 
     @cached_property
     def _joints(self) -> dict[str, Stream]:
-        """All joints by their names."""
+        """Streams of all joints, by name."""
         topic = self._bag.find('joint_states')
         return read_joints(self._bag, topic) if topic else {}
 
     def _pan(self) -> tuple[Stream | None, list[Finding]]:
-        """Stream of the pan as it is read from the bag, and what there is to say of joints."""
+        """Stream of the pan as it is read from the bag, and findings of the joints."""
         names, name = ', '.join(self._joints)[:90], self._mount.pan_joint
         try:
             pan = pan_stream(self._bag, self._mount)
         except LandmarkNavError as error:
             if name in self._joints:
-                # Readers refuse what is no pan; what it is instead is to be found.
+                # The reader refuses its values; later checks find out why.
                 return self._joints[name], []
             if names:
                 advice = f'set pan_joint in robot.yaml to what turns the camera, not {name}'
@@ -178,7 +178,7 @@ class DriveChecks:
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
         if (repeated := repeated_images(motion)) is not None:
             return [*found, repeated], Delays(), False
-        # A pan that stops for each image holds its values, too, and explains what images show.
+        # A pan that stops for each image repeats its values, too, but explains the images.
         for part in () if linear(motion).quiet else (held_values, limited_values):
             if (odd := part(motion)) is not None:
                 one, motion = odd
@@ -230,7 +230,7 @@ class DriveChecks:
             right = cause.motion.pan_clock if cause.stream == IMAGES else Clock()
             found += self._truth(images, cause.motion, right)
         if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
-            # What follows from a wrong heading is no fault of its own.
+            # Consequences of a wrong heading are not separate faults.
             follows: tuple[str, ...] = ('odom twist, forward', 'camera heading', 'odom unit')
             if cause.kind == 'scale':
                 follows = ('odom twist', *follows)
@@ -249,12 +249,12 @@ class DriveChecks:
         return found, Delays(**{by_stream[cause.stream]: late}, pan_sigma_s=pan_sigma_s), False
 
     def _truth(self, images: Stream, motion: Motion, clock: Clock) -> list[Finding]:
-        """The clock of the ground truth, which serves figures alone, against one that is right."""
+        """Check the clock of the ground truth, used for metrics only, against a correct one."""
         topic = self._bag.find('ground_truth/odom')
         truth = read_stream(self._bag, 'ground_truth', topic, _odometry_of) if topic else None
         if truth is None or len(truth) < 2:
             return []
-        # Of the same part of the recording as the images.
+        # Only the part of the recording with images counts.
         first, last = images.logged_ns[[0, -1]]
         truth = truth.only((truth.logged_ns >= first) & (truth.logged_ns <= last))
         if len(truth) < 2:
@@ -299,13 +299,13 @@ class DriveChecks:
 
 
 def _odometry_of(message: Any) -> FloatArray:
-    """x, y, yaw, forward speed and yaw rate of a message."""
+    """Return x, y, yaw, forward speed and yaw rate of a message."""
     sample = decode.odometry(message)
     return np.array([*sample.pose_odom_base, sample.linear_m_s, sample.angular_rad_s])
 
 
 def _odometry_track(stream: Stream, values: FloatArray) -> Track:
-    """Of values (n, k) of a stream of odometry."""
+    """Return the track of a stream of odometry with the given values (n, k)."""
     poses = values[:, :3].copy()
     poses[:, 2] = np.unwrap(poses[:, 2])
     return Track.of(stream.seconds, poses)
@@ -320,7 +320,7 @@ def _unstamped(stream: Stream) -> bool:
 
 
 def _by_twist(stream: Stream) -> Track:
-    """Odometry summed up from its speeds, (n, 3)."""
+    """Odometry integrated from its twists, (n, 3)."""
     order = np.argsort(stream.seconds, kind='stable')
     times, values = stream.seconds[order], stream.values[order]
     steps = np.clip(np.diff(times, prepend=times[0]), 0.0, 1.0)
@@ -332,12 +332,12 @@ def _by_twist(stream: Stream) -> Track:
 def _one_source(
     stream: Stream, angles: tuple[int, ...], columns: int
 ) -> tuple[Stream, list[Finding]]:
-    """The main source of a stream, and what there is to say of a second one."""
+    """Return the messages of the main source of a stream, and a finding of a second one."""
     split = two_sources(replace(stream, values=stream.values[:, :columns]), angles)
     if split is None:
         return stream, []
     main, second = split
-    # Of two, one that stands is not the robot's.
+    # A constant source is not the robot.
     if main.stands and not second.stands:
         main, second = second, main
     does = 'stands still' if second.stands else 'moves otherwise'
@@ -352,7 +352,7 @@ def _one_source(
 
 
 def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Finding]:
-    """Frames that odometry and images name."""
+    """Check the frames of odometry and images."""
     described = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
     children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames} - {''}
     bases = {mount.base_frame.rpartition('/')[2], 'base_footprint', 'base_link'}
@@ -368,7 +368,7 @@ def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Findi
 def _clocks_by_log(
     motion: Motion, hints: Mapping[str, Sequence[Clock]], slopes: Linear | None
 ) -> list[Finding]:
-    """Clocks by times of recording, where motion does not show them."""
+    """Find clock offsets by times of recording if motion does not show them."""
     known = {
         JOINTS: slopes is not None and slopes.quiet and slopes.pan_clock_s.sigma < _KNOWN_S,
         ODOMETRY: slopes is not None and slopes.quiet and slopes.odometry_clock_s.sigma < _KNOWN_S,
@@ -392,7 +392,7 @@ def _clocks_by_log(
 
 
 def _covered(motion: Motion, track: Track | None) -> float:
-    """Share of the images that lie in the time of a track."""
+    """Share of the pairs of images within the time of a track."""
     if track is None or not len(motion):
         return 1.0
     inside = (motion.before_s >= track.seconds[0]) & (motion.after_s <= track.seconds[-1])

@@ -1,4 +1,4 @@
-"""What a check found: one line each, for people and programs."""
+"""Results of checks, one line each, for people and programs."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ class Finding:
     Parameters
     ----------
     name : str
-        What was checked: ``odom clock``.
+        Subject of the check, such as ``odom clock``.
     level : Level
-        An error is what localization or learning cannot handle.
+        ``error`` if localization or learning cannot handle the fault.
     measured : str
-        What was measured, with its unit, for people.
+        Measured value with its unit, for people.
     advice : str
-        What to do; empty where all is well.
+        Remedy; empty if the check passed.
     values : dict
-        The same as `measured` for programs; the unit is in the name: ``offset_s``.
+        Values of `measured` for programs; the unit is in the name: ``offset_s``.
     when_read : bool
-        Whether whoever reads the bag says it as well, message by message.
+        Whether the readers of the bag report it as well, message by message.
     """
 
     name: str
@@ -42,16 +42,16 @@ class Finding:
     when_read: bool = False
 
     def __post_init__(self) -> None:
-        """Names in messages may hold anything."""
+        """Make both texts one line: names in messages may hold any characters."""
         object.__setattr__(self, 'measured', one_line(self.measured))
         object.__setattr__(self, 'advice', one_line(self.advice))
 
     def line(self) -> str:
-        """All of it in one line."""
+        """Return name, measurement and advice in one line."""
         return f'{self.name}: {self.measured}' + (f': {self.advice}' if self.advice else '')
 
     def report(self) -> dict[str, Any]:
-        """Entry of ``check --json``."""
+        """Return the entry of ``check --json``."""
         return {
             'name': self.name,
             'level': self.level,
@@ -64,9 +64,9 @@ class Finding:
 @dataclass(frozen=True)
 class Delays:
     """
-    By how much streams are stamped late, seconds, where that is to be taken off.
+    Delays of the stamps of streams, s, that readers subtract.
 
-    `pan_sigma_s` is the sigma of what the first two do to the pan of an image.
+    `pan_sigma_s` is the sigma of the delay between images and joints.
     """
 
     images_s: float = 0.0
@@ -77,19 +77,19 @@ class Delays:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found, and the delays that can be corrected."""
+    """Findings, and the delays that can be corrected."""
 
     findings: tuple[Finding, ...]
     delays: Delays = Delays()
 
     @property
     def errors(self) -> tuple[Finding, ...]:
-        """What cannot be localized or learned with."""
+        """Findings that prevent localization or learning."""
         return tuple(finding for finding in self.findings if finding.level == 'error')
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """What costs accuracy, or may."""
+        """Findings that reduce, or may reduce, the accuracy."""
         return tuple(finding for finding in self.findings if finding.level == 'warning')
 
 
@@ -99,7 +99,7 @@ def worst(findings: Iterable[Finding]) -> Level:
 
 
 def table(findings: Sequence[Finding]) -> list[str]:
-    """Aligned lines: name, level, what was measured; what to do below it."""
+    """Aligned lines: name, level and measurement; the advice is on a line below."""
     width = max((len(finding.name) for finding in findings), default=0)
     lines = []
     for finding in findings:

@@ -1,8 +1,8 @@
 """
 Rotation of the camera about the vertical, from consecutive images alone.
 
-Images are reduced to a strip of azimuth by slope, where a turn of the camera is a shift along
-azimuth; normalised cross-correlation finds it. Neither joints nor odometry take part.
+Images are re-mapped to a strip of azimuth by slope, where a turn of the camera is a shift along
+azimuth. Normalised cross-correlation finds the shift, without joints or odometry.
 """
 
 from __future__ import annotations
@@ -15,28 +15,31 @@ from scipy import fft
 from landmark_nav.arrays import FloatArray, ImageArray
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
+# Size of a strip, pixels.
 _COLUMNS, _ROWS = 128, 48
-# Contrast is evened out over parts of a strip; below this, grey levels a column, it is none.
+# Window in which the contrast is normalised, pixels; least contrast, grey levels per column.
 _CONTRAST, _LEAST_CONTRAST = (41, 41), 6.0
-# Two images that share less of their width are not compared.
+# Least overlap of two images that are compared, as a share of their width.
 _LEAST_OVERLAP = 0.25
-# Energy of a pixel whose contrast is of the fixed pattern of a camera, beside 1 of texture.
+# Energy per pixel of the fixed pattern of a camera; that of texture is 1.
 _BLANK = 0.1
-# A peak of the correlation below this is chance.
+# Least peak of the correlation; lower ones are by chance.
 _LEAST_SCORE = 0.4
 
-# Spectrum of each row, and energy of the columns up to each.
+# Spectrum of each row, and cumulative energy of the columns.
 Strip = tuple[npt.NDArray[np.complexfloating], FloatArray]
 
 
 class StripView:
     """
-    The strip of azimuth by slope that a camera sees, as seen at pan 0.
+    Map from the images of a camera to strips of azimuth by slope, at pan 0.
 
     Parameters
     ----------
+    camera : CameraModel
+        Intrinsics.
     mount : PanTiltMount
-        How it is mounted: tilt and roll matter here.
+        Extrinsics, of which tilt and roll are used.
     tilt_rad : float
         Usual tilt of the joints.
     """
@@ -54,7 +57,7 @@ class StripView:
         inside = camera.unproject(np.stack(np.meshgrid(u, v), -1)) @ upright.T
         azimuth = np.arctan2(inside[..., 1], inside[..., 0])
         slope = inside[..., 2] / np.hypot(inside[..., 0], inside[..., 1])
-        # The largest rectangle about the middle of the image that all of its border encloses.
+        # The largest rectangle around the middle that is inside the border of the image.
         middle = (float(azimuth[16, 16]), float(slope[16, 16]))
         sides, rims = azimuth[:, [0, -1]] - middle[0], slope[[0, -1]] - middle[1]
         least, most = (
@@ -73,21 +76,21 @@ class StripView:
         self._pixels = pixels.astype(np.float32)
 
     def strip(self, image: ImageArray) -> Strip:
-        """Spectrum of the strip of a grey image (height, width)."""
+        """Return the strip of a grey image (height, width)."""
         if self._reduction > 1:
             size = (image.shape[1] // self._reduction, image.shape[0] // self._reduction)
             image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
         along, down = self._pixels[..., 0], self._pixels[..., 1]
         strip = cv2.remap(image, along, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         seen = np.asarray(strip, dtype=np.float32)
-        # What runs along azimuth does not show turns.
+        # Structures along the azimuth carry no information about turns.
         seen = np.asarray(cv2.Sobel(seen, cv2.CV_32F, 1, 0, ksize=3, scale=0.125))
         seen /= np.maximum(np.sqrt(cv2.blur(seen * seen, _CONTRAST)), _LEAST_CONTRAST)
         energy = np.concatenate([[0.0], np.cumsum((seen * seen).sum(0))])
         return fft.rfft(seen, 2 * _COLUMNS, axis=1), energy
 
     def turn(self, first: Strip, second: Strip) -> tuple[float, float]:
-        """As `turn_between`, of two strips of this view."""
+        """Return `turn_between` two strips of this view."""
         return turn_between(first, second, self.step_rad)
 
 
@@ -95,8 +98,8 @@ def turn_between(first: Strip, second: Strip, step_rad: float) -> tuple[float, f
     """
     Turn of the camera from one strip to another, rad, counter-clockwise, and its score.
 
-    The score is the normalised cross-correlation of what both see; the turn is NaN where that is
-    too little, or not alike.
+    The score is the normalised cross-correlation of the overlap. The turn is NaN if the overlap or
+    the score is too small.
     """
     shifts = np.arange(-_COLUMNS, _COLUMNS)
     product = fft.irfft((first[0] * np.conj(second[0])).sum(0), 2 * _COLUMNS)
@@ -104,7 +107,7 @@ def turn_between(first: Strip, second: Strip, step_rad: float) -> tuple[float, f
     low, high = np.maximum(shifts, 0), np.minimum(_COLUMNS + shifts, _COLUMNS)
     shared = high - low >= _LEAST_OVERLAP * _COLUMNS
     width = high - low
-    # A wall without texture shows the grid of JPEG and dirt on the lens, which do not turn.
+    # On a wall without texture, the JPEG grid and dirt on the lens dominate; these do not turn.
     blank = _BLANK * _ROWS * width
     energy = (first[1][high] - first[1][low] + blank) * (
         second[1][high - shifts] - second[1][low - shifts] + blank

@@ -1,4 +1,4 @@
-"""The images of a bag: their stamps, encodings and lens, and how the camera turned."""
+"""The images of a bag: stamps, encodings and lens, and turns of the camera."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from landmark_nav.storage.bags import Bag, BagMessage
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import JointSample
 
-# Images are compared in runs of so many, spread over the recording.
+# Length of the runs of images that are decoded; the runs are spread over the recording.
 _RUN = 12
-# Sizes at which images are looked at as a whole, and at which their details are.
+# Size of images for cover and exposure, and their width for sharpness, pixels.
 _SMALL, _WIDTH = (16, 12), 256
-# Pairs of images in which points are tracked.
+# Number of pairs of images in which points are tracked.
 _TRACKED = 30
-# A lens that sees less or more is mistaken, or cannot be used here.
+# Bounds of the horizontal field of view; outside them the lens is wrong or not supported.
 _LEAST_FOV_DEG, _MOST_FOV_DEG = 8.0, 200.0
-# Pixels are square to this share.
+# Greatest relative difference of fx and fy.
 _SQUARE = 0.05
 
 
@@ -48,21 +48,21 @@ class Looks:
     Parameters
     ----------
     stream : Stream
-        Their stamps; no values.
+        Stamps of all images; no values.
     pairs : ndarray of int, shape (n, 2)
-        Images next to each other that were both decoded.
+        Indices of consecutive images that were both decoded.
     findings : tuple of Finding
-        Encoding, size and lens.
+        Findings of encoding, size and lens.
     strips : dict
-        What was seen in the images that were decoded, by their index.
+        Strips of the decoded images, by index of the image.
     small : dict
-        The same images of 12 x 16 pixels, grey.
+        The same images in grey, reduced to 12 x 16 pixels.
     sharpness : dict
-        Contrast of their fine details beside that of coarse ones, about 0.5 in focus.
+        Contrast of their fine details over that of coarse ones, about 0.5 in focus.
     view : StripView or None
-        How; None where no image could be used.
+        Map from images to strips; None if no image could be used.
     camera : CameraModel or None
-        Of the images.
+        Intrinsics of the images.
     points : dict
         Pixels (m, 2) of points in an image and in the next one, by the index of the first.
     """
@@ -78,11 +78,11 @@ class Looks:
     points: dict[int, tuple[FloatArray, FloatArray]]
 
     def turn(self, first: int, second: int) -> float:
-        """Turn of the camera between two images, rad; NaN where it is not known."""
+        """Turn of the camera between two images, rad; NaN if it is unknown."""
         return self.compared(first, second)[0]
 
     def compared(self, first: int, second: int) -> tuple[float, float]:
-        """Turn between two images and how alike they are, of 1; NaN where it is not known."""
+        """Turn between two images, rad, and their correlation; NaN if unknown."""
         if self.view is None or first not in self.strips or second not in self.strips:
             return float('nan'), float('nan')
         return self.view.turn(self.strips[first], self.strips[second])
@@ -96,18 +96,18 @@ def look(
     most_images: int,
 ) -> Looks:
     """
-    Look through images.
+    Decode and examine images.
 
     Parameters
     ----------
     topic : str
-        Their topic in the bag.
+        Topic of the images in the bag.
     infos : tuple of str
-        Contract's names of the topics that may hold their calibration.
+        Names in the contract of the topics that may hold the intrinsics.
     mounted : PanTiltMount or CameraSetup
-        How the camera is mounted; with a lens, that one is taken, and no points are tracked.
+        Extrinsics; a setup replaces the recorded intrinsics, and no points are tracked.
     most_images : int
-        So many are decoded at most.
+        Greatest number of decoded images.
     """
     chosen = _chosen(bag.counts[topic], most_images)
     stamps: list[int] = []
@@ -173,10 +173,10 @@ def _reduced(image: ImageArray, size: tuple[int, int]) -> ImageArray:
 
 def _sharpness(image: ImageArray) -> float:
     """
-    Contrast of fine details of a grey image beside that of coarse ones.
+    Contrast of fine details of a grey image over that of coarse ones.
 
-    What natural scenes show is as strong at each scale (Field, J. Opt. Soc. Am. A 4(12), 1987);
-    images of any size are compared at the same width.
+    Natural scenes have equal contrast at each scale (Field, J. Opt. Soc. Am. A 4(12), 1987).
+    Images of any size are compared at the same width.
     """
     height, width = image.shape
     fine, coarse = (
@@ -189,13 +189,13 @@ def _sharpness(image: ImageArray) -> float:
 
 
 def camera_error_of(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError | None:
-    """An error of lens or mount that matters, by points that were tracked."""
+    """Find a relevant error of lens or mount by the tracked points; None if there is none."""
     if looks.camera is None or not looks.points:
         return None
     try:
         joints = JointHistory.read(bag, mount)
     except LandmarkNavError:
-        joints = JointHistory(())  # said elsewhere
+        joints = JointHistory(())  # reported elsewhere
     first = np.array(list(looks.points))
     stamps = looks.stream.stamps_ns[np.stack([first, first + 1], -1)]
     angles = [
@@ -212,7 +212,7 @@ def camera_error_of(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError 
 
 
 def _cameras(bag: Bag, infos: tuple[str, ...]) -> tuple[CameraInfos | None, tuple[Finding, ...]]:
-    """Read the calibrations of a bag; or say why none can be used."""
+    """Read the intrinsics of a bag; if none can be used, return a finding."""
     try:
         return CameraInfos.read(bag, *infos), ()
     except LandmarkNavError as error:
@@ -221,13 +221,13 @@ def _cameras(bag: Bag, infos: tuple[str, ...]) -> tuple[CameraInfos | None, tupl
 
 
 def _tracked(chosen: set[int]) -> set[int]:
-    """First images of pairs, spread over the recording."""
+    """Return the first images of pairs, spread over the recording."""
     firsts = [k for k in sorted(chosen) if k + 1 in chosen]
     return set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
 
 
 def _chosen(count: int, most: int) -> set[int]:
-    """Which of `count` images are decoded: all, or runs of them."""
+    """Indices of the images to decode out of `count`: all, or runs of them."""
     if count <= most:
         return set(range(count))
     runs = max(most // _RUN, 1)
@@ -236,7 +236,7 @@ def _chosen(count: int, most: int) -> set[int]:
 
 
 def _kind(entry: BagMessage) -> str:
-    """Encoding of an image, as its message names it."""
+    """Return the encoding of an image as stated in its message."""
     name = getattr(entry.message, 'encoding', None) or getattr(entry.message, 'format', '')
     return str(name)[:40] or 'unnamed'
 

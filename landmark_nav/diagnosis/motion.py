@@ -1,5 +1,5 @@
 """
-What turns the camera: pan and odometry against the images' own motion.
+Turns of the camera: pan and odometry compared with the motion of the images.
 
 From one image to the next the camera turns by
 
@@ -9,9 +9,10 @@ From one image to the next the camera turns by
          + sideways * (displacement along the view)
          + bias * (time) + curve * (path by odometry)
 
-and both scales are 1, bias and curve 0, where all is well. `nearness` is the mean inverse distance
-of what is seen; `sideways` is 0 unless the camera is turned on the robot. The noise is Student's
-t: images are mistaken now and then (Lange, Little, Taylor, J. Am. Stat. Assoc. 84, 1989).
+and without faults both scales are 1, and bias and curve 0. `nearness` is the mean inverse distance
+of visible things; `sideways` is 0 unless the heading of the camera is wrong. The noise is
+Student's t, as turns by images have outliers (Lange, Little, Taylor, J. Am. Stat. Assoc. 84,
+1989).
 """
 
 from __future__ import annotations
@@ -24,27 +25,29 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import BoolArray, FloatArray
 
+# Degrees of freedom of Student's t.
 FREEDOM = 3.0
 _ITERATIONS = 25
-# More is no noise of images; nor is it where more of them than this are as far off.
+# Bounds of the noise of images: greatest scale; greatest share of residuals beyond these sigmas.
 NOISE_RAD = 0.02
 _FAR_SIGMAS, _MOST_AWAY = 5.0, 0.15
-# Errors up to these are within what localization estimates.
+# Greatest errors that localization estimates.
 PAN_SCALE, YAW_SCALE, PAN_CLOCK_S, YAW_CLOCK_S = 0.03, 0.12, 0.01, 0.03
-# Twice what unequal distances of what is seen feign in recordings without these errors.
+# Twice the values that unequal distances cause in recordings without these errors.
 BIAS_RAD_S, CURVE_RAD_M, AXIS_M = 0.06, 0.2, 0.4
+# Step of the numerical derivative by time.
 _STEP_S = 0.05
-# Turns between images are not measured better, whatever agrees.
+# Least sigma of turns between images.
 _LEAST_SIGMA_RAD = 1e-3
 
 
 @dataclass(frozen=True)
 class Clock:
     """
-    A clock against that of the images.
+    A clock relative to that of the images.
 
-    A stream stamped by it shows at `seconds` what happened at that time less `offset_s`, and it
-    runs faster by `drift` from `anchor_s` on. At `step_at_s` it is set ahead by `step_s`.
+    It is ahead by `offset_s` at `anchor_s`, and runs faster by the share `drift`. At `step_at_s`
+    it is set ahead by `step_s`.
     """
 
     offset_s: float = 0.0
@@ -54,25 +57,25 @@ class Clock:
     step_at_s: float = 0.0
 
     def at(self, seconds: FloatArray) -> FloatArray:
-        """Its times, at times of the images' clock."""
+        """Times of this clock at times of the images' clock."""
         ahead = self.offset_s + self.drift * (seconds - self.anchor_s)
         return seconds + ahead + self.step_s * (seconds >= self.step_at_s)
 
     def later(self, seconds: float) -> Clock:
-        """Return the clock that is ahead by so much more."""
+        """Return the clock that is ahead by `seconds` more."""
         return replace(self, offset_s=self.offset_s + seconds)
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Values (n, k) at ascending times (n,); beyond them they stay, as nothing is known."""
+    """Values (n, k) at ascending times (n,), constant before the first and after the last."""
 
     seconds: FloatArray
     values: FloatArray
 
     @classmethod
     def of(cls, seconds: FloatArray, values: FloatArray) -> Track:
-        """Sort by time; of several at one time the last counts."""
+        """Sort values by time; of several at one time the last is kept."""
         order = np.argsort(seconds, kind='stable')
         times, values = seconds[order], values[order]
         last = np.append(np.diff(times) > 0.0, True)
@@ -89,9 +92,10 @@ def driven_again(
     track: Track, yaw_scale: float = 1.0, bias_rad_s: float = 0.0, curve_rad_m: float = 0.0
 ) -> Track:
     """
-    Odometry (n, 3) with the steps that it has, in its own frame, and other turns.
+    Integrate odometry (n, 3) again with the same steps in the frame of the base and other turns.
 
-    Each turn is `yaw_scale` of what it was, and more by `bias_rad_s` and `curve_rad_m`.
+    Each turn is multiplied by `yaw_scale`; `bias_rad_s` and `curve_rad_m` times duration and path
+    are added.
     """
     x, y, yaw = track.values.T
     ahead = np.diff(x + 1j * y) * np.exp(-0.5j * (yaw[1:] + yaw[:-1]))
@@ -105,7 +109,7 @@ def driven_again(
 @dataclass(frozen=True, eq=False)
 class Motion:
     """
-    Turns between images, and what joints and odometry say of them.
+    Turns between images, and joints and odometry that explain them.
 
     Parameters
     ----------
@@ -118,15 +122,17 @@ class Motion:
     odometry : Track or None
         x, y in metres and unwrapped yaw in radians, (n, 3).
     axis_xy : tuple of float
-        Pan axis in ``base_link``.
+        Position of the pan axis in ``base_link``, m.
     offset_xy : tuple of float
-        Optical centre from the axis, in the frame that turns.
+        Optical centre offset from the axis, in the frame that turns, m.
     ahead_rad : float
-        Azimuth in ``base_link`` of pan 0.
+        Azimuth of pan 0 in ``base_link``.
     hangs : bool
-        Whether the camera is given as upside down.
+        Whether the given extrinsics are those of a camera upside down.
     pan_clock, odometry_clock : Clock
-        Of these streams.
+        Clocks of these streams.
+    pan_scale, yaw_scale : float
+        Factors of pan and yaw.
     """
 
     before_s: FloatArray
@@ -144,11 +150,11 @@ class Motion:
     yaw_scale: float = 1.0
 
     def __len__(self) -> int:
-        """How many pairs."""
+        """Return the number of pairs."""
         return len(self.turns_rad)
 
     def only(self, chosen: BoolArray) -> Motion:
-        """The pairs that a mask (n,) selects."""
+        """Return the pairs selected by a mask (n,)."""
         return replace(
             self,
             before_s=self.before_s[chosen],
@@ -171,9 +177,10 @@ class Motion:
 
     def parallax(self) -> FloatArray:
         """
-        Columns of `nearness` and `sideways`, (n, 2): displacement of the optical centre.
+        Columns (n, 2) of `nearness` and `sideways`, m.
 
-        To the left of the view, and along it; by odometry, metres.
+        They are the displacements of the optical centre by odometry, to the left of the view and
+        along it.
         """
         if self.odometry is None:
             return np.zeros((len(self), 2))
@@ -184,14 +191,14 @@ class Motion:
         return self._seen(moved)
 
     def levers(self) -> FloatArray:
-        """By how much an axis 1 m farther ahead, or to the left, moves it to the left, (n, 2)."""
+        """Displacements (n, 2) to the left of the view by an axis 1 m ahead, or to the left."""
         if self.odometry is None:
             return np.zeros((len(self), 2))
         each = [self._seen(self._carried(at))[:, 0] for at in ((1.0, 0.0), (0.0, 1.0))]
         return np.stack(each, -1)
 
     def passed(self) -> FloatArray:
-        """Times and lengths of path between the images, (n, 2), seconds and metres."""
+        """Duration, s, and length of the path, m, between the images, (n, 2)."""
         times = self._odometry_times()
         if self.odometry is None:
             return np.zeros((len(self), 2))
@@ -200,12 +207,12 @@ class Motion:
         return np.stack([times[1] - times[0], np.diff(path.at(times)[..., 0], axis=0)[0]], -1)
 
     def _headings(self) -> FloatArray:
-        """Of the base before and after, (2, n)."""
+        """Headings of the base before and after, (2, n)."""
         assert self.odometry is not None
         return np.asarray(self.yaw_scale * self.odometry.at(self._odometry_times())[..., 2])
 
     def _carried(self, at_xy: tuple[float, float], *, with_pan: bool = False) -> FloatArray:
-        """By how much a point of the base, or of what pans, moves as these turn, (n, 2)."""
+        """Displacements (n, 2) of a point in the frame of the base, or of the pan, by turns."""
         turned = self._headings()
         if with_pan:
             times = self.pan_clock.at(np.stack([self.before_s, self.after_s]))
@@ -215,7 +222,7 @@ class Motion:
         return np.asarray(np.diff(np.stack([c * x - s * y, s * x + c * y], -1), axis=0)[0])
 
     def _seen(self, moved: FloatArray) -> FloatArray:
-        """Displacements (n, 2) in the frame of the odometry, to the left of the view and along."""
+        """Components of displacements (n, 2) to the left of the view and along it."""
         middle = 0.5 * (self.before_s + self.after_s)
         pan = self.pan_scale * self.pan.at(self.pan_clock.at(middle))[:, 0]
         look = self._headings().mean(0) + self.ahead_rad + pan
@@ -238,14 +245,14 @@ class Fit:
 
     @property
     def quiet(self) -> bool:
-        """Whether what is left is noise."""
+        """Whether the residuals are noise of images."""
         away = np.abs(self.residuals_rad) > max(NOISE_RAD, _FAR_SIGMAS * self.noise_rad)
         return self.noise_rad < NOISE_RAD and bool(np.mean(away) < _MOST_AWAY)
 
 
 def fit(turns: FloatArray, columns: FloatArray) -> Fit:
     """
-    Regress turns (n,) on columns (n, k) with noise of Student's t of unknown scale.
+    Regress turns (n,) on columns (n, k) with Student's t noise of unknown scale.
 
     Expectation maximisation; a column of zeros gets the coefficient 0 and an infinite sigma.
     """
@@ -280,31 +287,32 @@ def fit(turns: FloatArray, columns: FloatArray) -> Fit:
 
 
 def explained(motion: Motion) -> Fit:
-    """How well joints and odometry explain the turns as they are: only the parallax is free."""
+    """Fit the turns by joints and odometry as they are; only the parallax is free."""
     return fit(motion.turns_rad - motion.panned() - motion.yawed(), motion.parallax())
 
 
 class Estimate(NamedTuple):
-    """A value and its sigma, which is infinite where nothing shows it."""
+    """A value and its sigma, which is infinite if the value is not observable."""
 
     value: float
     sigma: float
 
     def beyond(self, least: float, known: float) -> bool:
-        """Whether it is more than `least` from 0, with 3 sigma, and known to `known`."""
+        """Whether it exceeds `least` by 3 sigma, and the sigma is less than `known`."""
         return self.sigma < known and abs(self.value) - 3.0 * self.sigma > least
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
     """
-    Small errors about what a motion assumes: of scales and clocks, all at once.
+    Small errors of the values of a motion, estimated together.
 
-    `pan_scale` and `yaw_scale` are errors as shares, `pan_clock_s` and `odometry_clock_s` by how
-    much stamps are late, `nearness` in 1/m, `sideways`, `bias_rad_s` and `curve_rad_m` as in the
-    module's equation; `ahead_m` and `left_m` by how much farther the pan axis is than given.
-    Each of these four is what it would be if the others were 0. `straight` is how much likelier,
-    as a logarithm, a camera that looks ahead on a robot that curves by `curved_rad_m` is.
+    `pan_scale` and `yaw_scale` are relative errors, `pan_clock_s` and `odometry_clock_s` delays of
+    the stamps; `nearness`, 1/m, `sideways`, `bias_rad_s` and `curve_rad_m` are those of the
+    module's equation; `ahead_m` and `left_m` are displacements of the pan axis from its given
+    position. Bias, curve and the two displacements are each estimated as if the other three were
+    0. `straight` is the logarithm of a likelihood ratio: a correct heading of the camera on a
+    robot that curves by `curved_rad_m`, over a wrong heading.
     """
 
     quiet: bool
@@ -323,7 +331,7 @@ class Linear:
 
     @property
     def heading_rad(self) -> Estimate:
-        """By how much the camera looks farther left than pan and mount say."""
+        """Heading error of the camera relative to pan and mount, positive to the left."""
         size = float(np.hypot(self.nearness.value, self.sideways.value))
         sigma = max(self.nearness.sigma, self.sideways.sigma) / max(size, 1e-9)
         return Estimate(float(np.arctan2(-self.sideways.value, self.nearness.value)), sigma)
@@ -344,7 +352,7 @@ class Linear:
 
 
 def linear(motion: Motion) -> Linear:
-    """Estimate small errors; what nothing shows has an infinite sigma."""
+    """Estimate small errors; the sigma of unobservable ones is infinite."""
     panned, yawed = motion.panned(), motion.yawed()
 
     def rate(move: str) -> FloatArray:
@@ -362,15 +370,15 @@ def linear(motion: Motion) -> Linear:
     found = fit(left, base)
     pairs = zip(found.values.tolist(), found.sigmas.tolist(), strict=True)
     small = [Estimate(*pair) for pair in pairs]
-    # One at a time: at a steady speed time and path are alike, and so are levers and distances.
+    # One at a time: at constant speed, time and path are correlated, as are levers and distances.
     passed = motion.passed()
     for column in np.column_stack([passed, motion.levers()]).T:
         alone = fit(left, np.column_stack([base, column]))
         small.append(Estimate(float(alone.values[-1]), float(alone.sigmas[-1])))
-    # A lever shows by how it moves what is seen.
+    # Turns by a lever are proportional to the nearness.
     near = max(abs(found.values[4]), 1e-3)
     small[-2:] = (Estimate(*(float(v) / near for v in lever)) for lever in small[-2:])
-    # A curved path looks like a camera that is turned, while the pan stays ahead.
+    # With a constant pan, a curved path has the same effect as a wrong heading of the camera.
     curved = fit(left, np.column_stack([base[:, :-1], passed[:, 1]]))
     straight = curved.log_likelihood - found.log_likelihood
     return Linear(found.quiet, straight, float(curved.values[-1]), *small)

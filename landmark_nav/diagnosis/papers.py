@@ -1,4 +1,4 @@
-"""Reference papers in recorded sweeps: whether they give the place of each."""
+"""Reference papers in recorded sweeps: whether they give the pose of each sweep."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ def check_papers(bag: Bag, mount: PanTiltMount, room: Room) -> list[Finding]:
     Parameters
     ----------
     bag : Bag
-        Of sweeps; one without any has no papers to see.
+        Bag of sweeps; without sweeps there are no findings.
     mount : PanTiltMount
-        How the camera is mounted.
+        Extrinsics of the camera.
+    room : Room
+        Walls and papers.
     """
     found: list[Finding] = []
     if not (bag.find('sweep/image') or bag.find('sweep/image/compressed')):

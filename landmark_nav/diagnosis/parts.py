@@ -1,4 +1,4 @@
-"""Faults of a part of a recording: images that show nothing or repeat, values that stay."""
+"""Faults of parts of a recording: blank or repeated images, constant values, jumps."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from landmark_nav.diagnosis.looks import Looks
 from landmark_nav.diagnosis.motion import fit, Motion, NOISE_RAD, Track
 from landmark_nav.diagnosis.streams import Stream
 
-# Texture of a strip per pixel, where evened contrast is 1: less is a wall, much less is nothing.
+# Least texture of a strip, per pixel; normalised contrast is 1, a bare wall has less.
 _BLANK = 0.02
-# Contrast of fine details in images that are blurred by 3 pixels of 512.
+# Relative contrast of fine details in images that are blurred by 3 of 512 pixels.
 _BLURRED = 0.03
-# Grey levels by which a part of images that is covered, and one that is not, change; brightness
-# that changes by a factor of 1.2 from one image to the next.
+# Sigmas of grey levels over time: greatest of a covered part, least of a free one. Least change of
+# brightness between images that flicker, as a logarithm (a factor of 1.2).
 _STAYS_GREY, _CHANGES_GREY, _FLICKERS = 3.0, 10.0, 0.2
 COVERED = 'images cover'
-# A share of the images that is worth a word.
+# Least share that is reported.
 _SOME = 0.1
-# Images that turn less, while the pan turns more, in most pairs, are one image; an image that is
-# sent again does not turn at all.
+# A camera repeats one image if, in this share of the pairs, images turn by less than the first
+# while the pan turns by more than the second; a single repeated image does not turn at all.
 _STILL_RAD, _TURNING_RAD, _MOST = 1e-3, 0.03, 0.9
 _SAME_RAD = 1e-7
 _LEAST_PAIRS = 12
-# A value that stays all the time between two images, in so many pairs of them that turn.
+# Share of the time between two images in which a value is constant; least number of such pairs.
 _ALL, _STAYS_PAIRS = 0.99, 6
-# It turned so far in as many pairs before, or after: else it is another joint's.
+# Least turn in as many other pairs: otherwise the value is that of another joint.
 _WORKS_RAD = 0.01
-# What is off by so much is no noise.
+# Least residuals that are not noise.
 _OFF_RAD, _OFF_SIGMAS = 0.02, 6.0
-# Values that each come more often than this; such a time is too long for localization.
+# Least repetitions of each value; times of a constant value that are too long for localization.
 _HELD, _HELD_S = 2.5, 0.1
-# A jump that is no noise; what the images lack is as large, to this share.
+# Least jump; relative tolerance of the residual of the images that it causes.
 _JUMP_RAD, _SAME_JUMP = 0.1, 0.25
-# Values are whole multiples of a step to this share of it.
+# Tolerance of multiples of a step, as a share of it.
 _WHOLE = 1e-3
-# Images of another camera: of pairs that should share half of what they show, so many do not
-# match, or are off by more than parallax may be.
+# Images of another camera: least share of pairs that do not match though they should overlap by
+# half, or whose residual exceeds any parallax.
 _MOST_STRANGE, _SHARED, _STRANGE_RAD = 0.3, 0.5, 0.15
-# By so much images are more alike, of 1.
+# Least difference of correlation scores of more and less similar images.
 _ALIKE = 0.1
 
 
 def check_content(looks: Looks) -> list[Finding]:
-    """What is wrong with images as such: blank, out of focus, covered, of unsteady exposure."""
+    """Find faults of the images themselves: blank, out of focus, covered, flickering."""
     checks = (_blank_images, _blurred_images, _covered_images, _flickering_images)
     return [found for check in checks if (found := check(looks)) is not None]
 
@@ -99,7 +99,7 @@ def _flickering_images(looks: Looks) -> Finding | None:
         for k in small
         if k + 1 in small and k + 2 in small
     ]
-    # A trend, as of a camera that turns to a window, is none.
+    # Second differences ignore a trend, as when the camera turns towards a window.
     bends = np.abs(np.diff(light, 2)) / 2.0 if light else np.empty(0)
     usual = float(np.median(bends)) if len(bends) >= _LEAST_PAIRS else 0.0
     if usual < _FLICKERS:
@@ -133,7 +133,7 @@ def _pixels(looks: Looks) -> int:
 
 
 def repeated_images(motion: Motion) -> Finding | None:
-    """Images that do not turn though the pan does; None where they do."""
+    """Find images that do not turn though the pan does; None if there are few."""
     turning, turns = np.abs(motion.panned()) > _TURNING_RAD, np.abs(motion.turns_rad)
     if turning.sum() < _LEAST_PAIRS:
         return None
@@ -157,7 +157,7 @@ def repeated_images(motion: Motion) -> Finding | None:
 
 
 def alternating_images(looks: Looks, motion: Motion) -> Finding | None:
-    """Images that are like the one before the last, not like the last; None where they are few."""
+    """Find images that resemble the one before the last, not the last; None if they are few."""
     if looks.view is None:
         return None
     seconds = looks.stream.seconds
@@ -183,9 +183,10 @@ def alternating_images(looks: Looks, motion: Motion) -> Finding | None:
 
 def strange_images(motion: Motion, width_rad: float) -> Finding | None:
     """
-    Images that do not show what the one before shows, though they should; None where they are few.
+    Find images that do not match the previous one though they overlap; None if they are few.
 
-    `motion` is right, with turns of NaN where images do not match; images are `width_rad` wide.
+    `motion` has no other fault, and turns of NaN if images do not match; images are `width_rad`
+    wide.
     """
     expected = motion.panned() + motion.yawed()
     shared = np.abs(expected) < _SHARED * width_rad
@@ -203,7 +204,7 @@ def strange_images(motion: Motion, width_rad: float) -> Finding | None:
 
 
 def staying_values(motion: Motion) -> tuple[Finding, Motion] | None:
-    """A stream whose values stay now and then though the images turn, and the motion without."""
+    """Find a stream that is constant at times while images turn; return the motion without."""
     for stream, track in ((JOINTS, motion.pan), (ODOMETRY, motion.odometry)):
         if track is None:
             continue
@@ -216,7 +217,7 @@ def staying_values(motion: Motion) -> tuple[Finding, Motion] | None:
         rest = fit(left[~inside], sideways[~inside])
         away = np.abs(left - sideways @ rest.values)[inside]
         off = away > max(_OFF_RAD, _OFF_SIGMAS * rest.noise_rad)
-        # What turns then may be another stream that is off by a scale.
+        # A wrong scale of the other stream may explain these turns.
         others = np.column_stack([motion.panned() + motion.yawed() - by_stream, sideways])
         scaled = fit(left[inside], others[inside]).quiet and np.abs(others[:, 0]).max() > 0.0
         if rest.quiet and not scaled and off.sum() >= max(_STAYS_PAIRS, _SOME * inside.sum()):
@@ -235,7 +236,7 @@ def staying_values(motion: Motion) -> tuple[Finding, Motion] | None:
 
 
 def limited_values(motion: Motion) -> tuple[Finding, Motion] | None:
-    """A pan that stays at its least or greatest value though images turn; the motion without."""
+    """Find a pan that stays at its extremes while images turn; return the motion without."""
     low, high = motion.pan.values.min(), motion.pan.values.max()
     left, parallax = motion.turns_rad - motion.panned() - motion.yawed(), motion.parallax()
     ends = motion.pan.at(motion.pan_clock.at(np.stack([motion.before_s, motion.after_s])))[..., 0]
@@ -244,7 +245,7 @@ def limited_values(motion: Motion) -> tuple[Finding, Motion] | None:
     if high - low < _JUMP_RAD or (at & off).sum() < max(_STAYS_PAIRS, _MOST * off.sum()):
         return None
     if fit(left[at], np.column_stack([motion.yawed(), parallax])[at]).quiet:
-        return None  # a yaw of another scale
+        return None  # explained by a wrong scale of the yaw
     finding = Finding(
         'pan limit',
         'error',
@@ -256,7 +257,7 @@ def limited_values(motion: Motion) -> tuple[Finding, Motion] | None:
 
 
 def held_values(motion: Motion) -> tuple[Finding, Motion] | None:
-    """A stream that sends each of its values several times, and the motion by these once each."""
+    """Find a stream that repeats each value; return the motion without the repetitions."""
     turned = motion.turns_rad - motion.panned() - motion.yawed()
     for stream, track in ((JOINTS, motion.pan), (ODOMETRY, motion.odometry)):
         if track is None or len(track.seconds) < 3:
@@ -265,7 +266,7 @@ def held_values(motion: Motion) -> tuple[Finding, Motion] | None:
         changes = np.append(True, (np.diff(track.values, axis=0) != 0.0).any(1))
         times = track.seconds[changes]
         moves = np.abs(turned + by_stream) > _TURNING_RAD
-        # Values that hold while the stream should turn.
+        # Values that are constant while the stream should turn.
         at = np.searchsorted(times, motion.before_s[moves], side='right') - 1
         at = np.unique(at[(at >= 0) & (at + 1 < len(times))])
         if len(at) < _STAYS_PAIRS:
@@ -289,7 +290,7 @@ def held_values(motion: Motion) -> tuple[Finding, Motion] | None:
 
 
 def jumping_values(motion: Motion) -> list[Finding]:
-    """Jumps of pan or yaw in which the images do not turn; `motion` is right but for these."""
+    """Find jumps of pan or yaw that images do not show; `motion` has no other fault."""
     left = motion.turns_rad - motion.panned() - motion.yawed()
     left = fit(left, motion.parallax()).residuals_rad
     noise = fit(left, np.empty((len(left), 0))).noise_rad
@@ -325,9 +326,9 @@ def jumping_values(motion: Motion) -> list[Finding]:
 
 def moved_between(motion: Motion, wide: Motion) -> list[Finding]:
     """
-    Jumps of the camera in a sweep that the pan does not show, seen by images next to each other.
+    Find jumps of the camera in a sweep that consecutive images show and the pan does not.
 
-    Images farther apart, in `wide`, show them as well; those next to each other may be mistaken.
+    A turn of consecutive images may be an outlier; images farther apart, in `wide`, confirm it.
     """
     left, across = (m.turns_rad - m.panned() for m in (motion, wide))
     noise = fit(left, np.empty((len(left), 0))).noise_rad
@@ -350,7 +351,7 @@ def moved_between(motion: Motion, wide: Motion) -> list[Finding]:
 
 
 def coarse_values(stream: Stream) -> Finding | None:
-    """Pan or yaw in steps that are coarser than what images show; None where it is fine."""
+    """Find a resolution of pan or yaw that is coarser than that of the images; None if fine."""
     name, column = ('pan', 0) if stream.name == JOINTS else ('odom yaw', 2)
     values = np.unique(np.round(stream.values[:, column], 9))
     step = float(np.diff(values).min()) if len(values) > 2 else 0.0

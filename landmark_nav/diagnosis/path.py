@@ -1,4 +1,4 @@
-"""The path of an odometry: whether it jumps, and whether it leads where the robot heads."""
+"""The path of odometry: whether it jumps, and whether it follows the heading."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.streams import Stream
 from landmark_nav.diagnosis.units import steps_of
 
-# A step is a jump if it is so many times the usual ones, and metres or radians.
+# A jump exceeds the usual speed (95 % quantile) by this factor, and these metres or radians.
 _JUMP, _JUMP_M, _JUMP_RAD = 10.0, 0.3, 0.5
-# More of them are no jumps but a source that is noisy, or two.
+# More jumps than these come from a noisy source, or from two sources.
 _MOST_JUMPS = 5
-# How well directions of steps agree with the heading, of 1: that of a path in its own axes at
-# least, and that of one in other axes at most.
+# Agreement of the directions of steps with the heading, 0 to 1: least of correct axes, greatest
+# of wrong axes.
 _AGREES, _CONTRADICTS = 0.9, 0.7
 _LEAST_PATH_M, _LEAST_STEPS = 0.5, 8
+# Greatest angle between path and heading in correct axes.
 _ASIDE_RAD = np.radians(20.0)
 
 
 def check_jumps(stream: Stream) -> Finding | None:
-    """Steps of an odometry (x, y, yaw, ...) that no robot makes; None where there is none."""
+    """Find impossible steps of odometry (x, y, yaw, ...); None if there are none."""
     if len(stream) < _LEAST_STEPS:
         return None
     moved = np.hypot(*np.diff(stream.values[:, :2], axis=0).T)
     turned = np.abs(np.angle(np.exp(1j * np.diff(stream.values[:, 2]))))
-    # As far as it may go in the time of a step, which a gap makes longer.
+    # A step over a gap takes longer and may be larger.
     times = np.maximum(np.diff(stream.seconds), float(np.median(np.diff(stream.seconds))))
     jumps = np.zeros(len(moved), dtype=np.bool_)
     for size, least in ((moved, _JUMP_M), (turned, _JUMP_RAD)):
@@ -50,7 +51,7 @@ def check_jumps(stream: Stream) -> Finding | None:
 
 
 class Path(NamedTuple):
-    """What is wrong with a path, and the values (n, k) of its stream without that."""
+    """Fault of a path, and the values (n, k) of its stream without the fault."""
 
     finding: Finding
     mended: FloatArray
@@ -58,11 +59,11 @@ class Path(NamedTuple):
 
 def check_path(stream: Stream) -> Path | None:
     """
-    Compare the direction of the path with the yaw; None where they go together.
+    Compare the direction of the path with the yaw; None if they agree.
 
     A robot that drives along its heading, forwards and backwards, keeps the angle between the two;
-    in a mirrored path it is their sum that stays. Either the path is turned or mirrored, or the
-    heading is another: whatever explains the images.
+    in a mirrored path their sum is constant. The fault is in the path or in the heading; the
+    caller decides by the images.
     """
     _, values = steps_of(stream)
     moved = np.diff(values[:, 0]) + 1j * np.diff(values[:, 1])
@@ -76,7 +77,7 @@ def check_path(stream: Stream) -> Path | None:
     own = float(np.abs(np.sum(weight * (direction / heading) ** 2)))
     mirrored = float(np.abs(np.sum(weight * (direction * heading) ** 2)))
     aside = float(np.angle(np.sum(weight * direction / heading)))  # mostly forwards
-    # A robot may well drive backwards; one that drives straight shows nothing.
+    # The robot may drive backwards; a straight path does not show a mirrored one.
     turned = min(abs(aside), np.pi - abs(aside)) > _ASIDE_RAD
     if own > _AGREES >= mirrored and turned:
         finding = Finding(
@@ -89,8 +90,7 @@ def check_path(stream: Stream) -> Path | None:
         return _mended(stream, finding, lambda place: place * np.exp(-1j * aside))
     if own > _CONTRADICTS or mirrored < _AGREES:
         return None
-    # The sum is 0 with y mirrored, half a turn with x, a quarter with both
-    # exchanged.
+    # The sum is 0 if y is mirrored, half a turn if x is, a quarter if both are exchanged.
     sum_of_both = np.sum(weight * direction * heading)
     quarter = round(float(np.angle(sum_of_both)) / (0.5 * np.pi)) % 4
     text = ('y has the wrong sign', 'x and y are exchanged', 'x has the wrong sign')[quarter % 3]

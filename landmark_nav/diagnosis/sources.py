@@ -1,4 +1,4 @@
-"""Two sources on one topic: messages in turns that no single motion explains."""
+"""Two sources on one topic: alternating messages that no single motion explains."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ import numpy.typing as npt
 from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.streams import Stream
 
-# No robot and no joint is faster, and none measures better.
+# Greatest rates of a robot or a joint, and least tolerance of its measurements.
 _FASTEST_RAD_S, _FASTEST_M_S = 6.0, 5.0
 _TOLERANCE_RAD, _TOLERANCE_M = 0.06, 0.05
 _TURN_RAD = 2.0 * np.pi
-# Where a track was so long ago, anything may follow.
+# A track is extrapolated for this time at most.
 _MEMORY_S = 0.5
-# More tracks than these are noise, or another unit.
+# More tracks than these come from noise, or from another unit.
 _MOST_TRACKS = 4
+# The second source has at least this share of the messages, in this number of runs.
 _LEAST_SHARE, _LEAST_TURNS = 0.03, 6
 
 
 class Source(NamedTuple):
-    """Messages (n,) of one of two sources, and what it says."""
+    """Mask (n,) of the messages of one source, its rate, and whether its values are constant."""
 
     keep: npt.NDArray[np.bool_]
     rate_hz: float
@@ -31,18 +32,18 @@ class Source(NamedTuple):
 
 def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source] | None:
     """
-    Split a stream into two sources, the one with more messages first; None if it is one.
+    Split a stream into two sources, the one with more messages first; None if there is only one.
 
     Parameters
     ----------
     stream : Stream
         Positions [m] and angles [rad] in its columns.
     angles : tuple of int
-        Which columns are angles.
+        Indices of the columns that are angles.
     """
-    # As they arrive: stamps may go back.
+    # In the order of arrival: stamps may go back.
     order = np.argsort(stream.logged, kind='stable')
-    # A source that sends a value again says nothing new.
+    # Repeated values carry no information.
     new = np.append(True, (np.diff(stream.values[order], axis=0) != 0.0).any(1))
     times, values = stream.logged[order[new]], stream.values[order[new]]
     is_angle = np.isin(np.arange(values.shape[1]), angles)
@@ -78,7 +79,7 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
     changes = np.flatnonzero(np.diff(owner) != 0) + 1
     if len(changes) < 2 * _LEAST_TURNS or counts[other] < _LEAST_SHARE * len(times):
         return None
-    # Tracks that cross may be exchanged there; a source that stands is known by its value.
+    # Tracks may be exchanged where they cross; a constant source is identified by its value.
     alone = changes[:-1][np.diff(changes) == 1]
     kinds, often = np.unique(values[alone], axis=0, return_counts=True)
     if len(alone) >= _LEAST_TURNS and often.max() > 0.8 * len(alone):

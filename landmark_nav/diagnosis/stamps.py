@@ -1,4 +1,4 @@
-"""Stamps of a stream: rate, gaps, order, and its clock against its time of recording."""
+"""Stamps of a stream: rate, gaps, order, and its clock relative to the times of recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from landmark_nav.diagnosis.streams import Stream
 
 
 class _Need(NamedTuple):
-    """Least rate, Hz, and longest gap, s, that localization takes without loss."""
+    """Least rate, Hz, and longest gap, s, with which localization keeps its accuracy."""
 
     rate_hz: float
     gap_s: float
@@ -26,27 +26,28 @@ _NEEDS = {
     'joint_states': _Need(10.0, 0.5, 'the driver of the joints'),
     'odom': _Need(5.0, 1.5, 'the odometry'),
 }
-# Stamps that go back by more are a clock that was set back.
+# If stamps go back by more, the clock was set back.
 _SET_BACK_S = 0.5
-# Of the lag between stamp and recording, what is farther from its line has another clock.
+# Greatest residual of a stamp from the line over times of recording, for messages of one clock.
 _OUT_OF_STEP_S = 0.5
+# Least share of the messages within that residual, for a steady clock.
 _STEADY = 0.8
-# Jitter of stamps that matters while a camera turns at 1 rad/s.
+# Least jitter of stamps that is reported: 10 mrad while the camera turns at 1 rad/s.
 _SHAKEN_S = 0.01
-# A drift that stamps show beyond these; fewer messages show nothing.
+# Least significance of a drift, and least number of messages.
 _DRIFT_SIGMAS, _LEAST_MESSAGES = 5.0, 8
-# Of a normal distribution, 90 % lie within so many standard deviations.
+# Sigmas that contain 90 % of a normal distribution.
 _NORMAL_90 = 1.645
-# What is more often than this out of order was sent so; stamps that come twice so often are
-# rounded.
+# Shares of the stamps: greatest one out of order that is normal; least one of duplicates that
+# shows rounded stamps.
 _OFTEN, _REPEATED = 0.01, 0.1
 
 
 class LogClock(NamedTuple):
     """
-    Stamps against times of recording: offset at the start, s, and drift as a share.
+    Stamps relative to times of recording: offset at the start, s, and drift as a share.
 
-    `steady` says whether most messages lie on that line.
+    `steady` is whether most messages lie on that line.
     """
 
     offset_s: float
@@ -55,7 +56,7 @@ class LogClock(NamedTuple):
 
 
 def check_stamps(stream: Stream) -> list[Finding]:
-    """Rate, gaps, order, duplicates and zeros of the stamps of one stream."""
+    """Check rate, gaps, order, duplicates and zeros of the stamps of one stream."""
     name, n = stream.name, len(stream)
     need = _NEEDS.get(name)
     if stream.refused:
@@ -123,10 +124,10 @@ def _rate(name: str, need: _Need | None, rate_hz: float, messages: int) -> Findi
 
 
 def _jitter(stream: Stream, what: str) -> list[Finding]:
-    """Stamps that are shaken while messages arrive evenly."""
+    """Find jitter of stamps of messages that arrive evenly."""
     steps = np.diff([stream.seconds - stream.logged, stream.logged])
     away = np.abs(steps - np.median(steps, axis=1, keepdims=True))
-    # One message in five that is off counts, a step of a clock does not.
+    # The quantile ignores a step of the clock, but not errors of one message in five.
     shaken, uneven = (np.quantile(away, 0.9, axis=1) / _NORMAL_90).tolist()
     if shaken < _SHAKEN_S or uneven > 0.5 * shaken:
         return []
@@ -143,10 +144,10 @@ def _jitter(stream: Stream, what: str) -> list[Finding]:
 
 
 def _nanosec_unit(stream: Stream) -> Finding | None:
-    """Stamps whose nanoseconds count something longer; None where they do not."""
+    """Find stamps whose nanoseconds are in a larger unit; None if they are correct."""
     parts = stream.stamps_ns % 1_000_000_000
     most = int(parts.max())
-    # Of several messages a second, some lie late in it; stamps of whole seconds are rounded.
+    # With several messages per second, some have large nanoseconds; whole seconds are rounded.
     often = np.median(np.diff(stream.logged)) < 0.5 and len(stream) > _LEAST_MESSAGES
     if not (often and 0 < most < 1_000_000):
         return None
@@ -161,7 +162,7 @@ def _nanosec_unit(stream: Stream) -> Finding | None:
 
 
 def by_arrival(stream: Stream) -> Stream:
-    """Stamp a stream by its times of recording where its own stamps say less than these."""
+    """Replace rounded or shaken stamps by the times of recording with the clock of the stamps."""
     if len(stream) < _LEAST_MESSAGES or not (stream.stamps_ns.any() and np.ptp(stream.logged)):
         return stream
     same = np.mean(np.diff(stream.stamps_ns) == 0)
@@ -197,7 +198,7 @@ def _order(name: str, stream: Stream, same: int, back: int, furthest_s: float) -
 
 
 def log_clock(stream: Stream) -> LogClock:
-    """Robust line of stamps over times of recording (after Theil and Sen)."""
+    """Fit a robust line of stamps over times of recording (after Theil and Sen)."""
     lag = stream.seconds - stream.logged
     third = max(len(lag) // 3, 1)
     apart = float(np.median(stream.logged[-third:]) - np.median(stream.logged[:third]))
@@ -210,7 +211,7 @@ def log_clock(stream: Stream) -> LogClock:
 
 
 def in_step(stream: Stream) -> Stream:
-    """The messages whose stamps follow the clock that most of them follow."""
+    """Return the messages whose stamps follow the clock of the majority."""
     clock = log_clock(stream)
     away = np.abs(stream.seconds - stream.logged * (1.0 + clock.drift) - clock.offset_s)
     keep = away < max(_OUT_OF_STEP_S, 6.0 * float(np.median(away)))
@@ -218,7 +219,7 @@ def in_step(stream: Stream) -> Stream:
 
 
 def longest_part(images: Stream) -> tuple[int, int]:
-    """First and last time of recording, ns, between which the images' clock was not set back."""
+    """First and last time of recording, ns, of the longest part whose clock was not set back."""
     back = np.flatnonzero(np.diff(images.seconds) < -_SET_BACK_S) + 1
     begins = [int(images.logged_ns[0]), *images.logged_ns[back].tolist()]
     ends = [*(begin - 1 for begin in begins[1:]), np.iinfo(np.int64).max]
@@ -231,12 +232,13 @@ def longest_part(images: Stream) -> tuple[int, int]:
 
 def clock_hints(images: Stream, others: Mapping[str, Stream]) -> dict[str, list[Clock]]:
     """
-    Clocks that stamps and times of recording suggest, to begin a search at.
+    Start values of clocks by stamps and times of recording.
 
     Returns
     -------
     dict
-        For each stream; for the images all of them, as it may be theirs that is off.
+        Clocks of each stream; those of all streams for the images, whose clock may be the wrong
+        one.
     """
     begin, by_images = float(images.seconds[0]), log_clock(images)
     extent = float(np.ptp(images.seconds))

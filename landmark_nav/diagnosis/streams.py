@@ -1,4 +1,4 @@
-"""The streams of a bag as arrays: stamps, times of recording and what was measured."""
+"""The streams of a bag as arrays: stamps, times of recording and measured values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagMessage
 from landmark_nav.storage.bags.timelines import logged_joints
 
-# Numbers of one message; None where it has none of use.
+# Function from a message to its values; None if it has no usable ones.
 Values = Callable[[Any], 'FloatArray | None']
 
 
@@ -28,23 +28,23 @@ class Stream:
     Parameters
     ----------
     name : str
-        The contract's name, without namespace.
+        Name of the topic in the contract, without namespace.
     topic : str
-        Its name in the bag.
+        Name of the topic in the bag.
     stamps_ns, logged_ns : ndarray of int, shape (n,)
         Stamps of the headers and times of recording.
     values : ndarray, shape (n, k)
-        What was measured; (n, 0) where numbers do not matter.
+        Measured values; (n, 0) if only the stamps are needed.
     frames : tuple of str
-        Frames that the messages name, each once: ``odom -> base_link``.
+        Different frames in the messages, such as ``odom -> base_link``.
     refused : int
-        Messages that hold nothing of use.
+        Number of messages that cannot be decoded.
     why : str
-        The first reason for that.
+        Reason for the first of these.
     origin_ns : int
-        Where the seconds of all streams of a bag begin: its first time of recording.
+        Origin of the seconds of all streams of a bag: its first time of recording.
     unstamped : int
-        Messages whose header has a stamp of 0; the time of recording stands for it.
+        Number of messages with a stamp of 0, which the time of recording replaces.
     """
 
     name: str
@@ -60,20 +60,20 @@ class Stream:
 
     @cached_property
     def seconds(self) -> FloatArray:
-        """Stamps after the origin, (n,)."""
+        """Stamps (n,) from the origin."""
         return np.asarray(1e-9 * (self.stamps_ns - self.origin_ns))
 
     @cached_property
     def logged(self) -> FloatArray:
-        """Times of recording after the origin, (n,)."""
+        """Times of recording (n,) from the origin."""
         return np.asarray(1e-9 * (self.logged_ns - self.origin_ns))
 
     def __len__(self) -> int:
-        """How many messages are of use."""
+        """Return the number of usable messages."""
         return len(self.stamps_ns)
 
     def only(self, keep: Any) -> Stream:
-        """The messages that an index or a mask (n,) selects."""
+        """Return the messages selected by an index or a mask (n,)."""
         return replace(
             self,
             stamps_ns=self.stamps_ns[keep],
@@ -89,9 +89,9 @@ def read_stream(bag: Bag, name: str, topic: str, values: Values | None = None) -
     Parameters
     ----------
     name, topic : str
-        The contract's name, and that in the bag.
+        Names of the topic in the contract and in the bag.
     values : callable, optional
-        Numbers of one message, always as many; None where a message is about something else.
+        Function from a message to its values (k,); None if the message has none.
     """
     stamps, logged, numbers = [], [], []
     frames: dict[str, None] = {}
@@ -135,7 +135,7 @@ def _one(entry: BagMessage, values: Values | None) -> tuple[int, str, FloatArray
 
 
 def read_joints(bag: Bag, topic: str) -> dict[str, Stream]:
-    """Streams of all joints on a topic by their names; each has positions (n, 1)."""
+    """Read the streams of all joints on a topic, by name; each has positions (n, 1)."""
     held: dict[str, list[tuple[int, int, float]]] = {}
     refused, why = 0, ''
     for entry in bag.messages([topic]):
@@ -172,11 +172,11 @@ def _positions(message: Any) -> FloatArray:
 
 
 def unwrapped(angles: FloatArray) -> FloatArray:
-    """Angles (n,) of a joint without the jumps of a driver that reports within one turn."""
+    """Angles (n,) of a joint without the jumps of a driver that wraps them to one turn."""
     if len(angles) < 2:
         return angles
     extent = float(np.ptp(angles))
-    # Degrees wrap, too.
+    # The angles may be degrees.
     for turn in (2.0 * np.pi, 360.0):
         if extent <= 1.01 * turn:
             jumps = np.abs(np.diff(angles)) > 0.5 * turn
@@ -185,7 +185,7 @@ def unwrapped(angles: FloatArray) -> FloatArray:
 
 
 def pan_stream(bag: Bag, mount: PanTiltMount) -> Stream:
-    """Pan (n, 1) of a bag, wherever it is."""
+    """Read the pan (n, 1) of a bag from any of the topics that may hold it."""
     logged, _ = logged_joints(bag, mount)
     return Stream(
         'joint_states',

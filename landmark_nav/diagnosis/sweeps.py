@@ -1,4 +1,4 @@
-"""Checks of the streams of sweeps: what learning cannot estimate is an error."""
+"""Checks of the streams of sweeps: faults that learning cannot estimate are errors."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.reader import naming
 
-# Fewer pairs of images show no motion.
+# Least number of pairs of images from which motion is judged.
 _LEAST_PAIRS = 12
-# Scale of focal length or pan that calibration finds in a sweep; angles of as many radians.
+# Greatest factor of focal length or pan that calibration corrects in a sweep; its logarithm is the
+# bound of angles, rad.
 _CALIBRATED = 1.2
-# Between two sweeps nothing is seen for so many times as between two images.
+# Least pause between two sweeps, in intervals between two images.
 _PAUSE = 5.0
 
 
@@ -39,7 +40,7 @@ class SweepChecks:
         self._bag, self._images, self._mount = bag, images, mount
 
     def findings(self, most_images: int) -> list[Finding]:
-        """Decode so many images."""
+        """Check with at most `most_images` decoded images."""
         infos = ('sweep/camera_info', 'camera/camera_info')
         looks = look(self._bag, self._images, infos, self._mount, most_images)
         of_camera = []
@@ -65,7 +66,7 @@ class SweepChecks:
         return [*found, *motion_findings(motion, slopes, None)[:1]]
 
     def _each(self, motion: Motion) -> list[Finding]:
-        """What is wrong with single sweeps, where no fault is that of all."""
+        """Find faults of single sweeps if no fault is common to all."""
         pauses = motion.before_s[1:] - motion.after_s[:-1]
         usual = float(np.median(motion.after_s - motion.before_s))
         begins = np.flatnonzero(pauses > _PAUSE * usual) + 1
@@ -80,7 +81,7 @@ class SweepChecks:
         return found
 
     def _motion(self, looks: Looks, apart: int) -> Motion | None:
-        """Pan and turn between images so many apart."""
+        """Pan and turn between images `apart` apart."""
         samples = [*self._planned()] or [*self._jointed()]
         if len(samples) < 2:
             return None
@@ -90,7 +91,7 @@ class SweepChecks:
         first, second = looks.stream.seconds[np.stack([firsts, firsts + apart])]
         turns = np.array([looks.turn(int(k), int(k + apart)) for k in firsts])
         good = np.isfinite(turns) & (second > first)
-        # From sweep to sweep the robot moved.
+        # The robot moves between sweeps.
         good &= second - first < 3.0 * float(np.median(second - first)) if len(first) else good
         pan = Track.of(seconds, self._mount.pan_sense * unwrapped(pans)[:, None])
         return Motion(first[good], second[good], turns[good], pan, None)
@@ -109,7 +110,7 @@ class SweepChecks:
 
 
 def _learned(finding: Finding) -> Finding:
-    """What learning calibrates itself is no error of a sweep."""
+    """Reduce the level of an error that learning calibrates itself to a warning."""
     scale = abs(finding.values.get('scale', np.inf))
     calibrated = finding.name != 'pan sign' and 1.0 / _CALIBRATED < scale < _CALIBRATED
     return replace(finding, level='warning') if calibrated else finding

@@ -1,4 +1,4 @@
-"""Units and signs of odometry that its own numbers, or the room, show."""
+"""Units and signs of odometry, judged by its own values or by the room."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.streams import Stream
 from landmark_nav.geometry.walls import Room
 
-# Robots indoors are slower than the first; nothing on wheels is faster than the second.
+# Speeds that are suspicious for a robot indoors, and impossible.
 _FAST_M_S, _FASTEST_M_S = 3.0, 10.0
-# Steps that are shorter say more of noise than of speed.
+# Least time of a step; in shorter ones noise dominates the speed.
 _STEP_S = 0.2
+# Least path and turn with which pose and twist are compared.
 _LEAST_MOTION_M, _LEAST_MOTION_RAD = 0.3, 0.3
+# Ratio up to which pose and twist agree.
 _ALIKE = 1.25
+# Quantile of the steps that are compared; larger ones are jumps.
 _USUAL = 0.98
 _ANGLES = {'degrees': 57.2958, 'revolutions': 1.0 / (2.0 * np.pi)}
 _UNITS = {'centimetres': 100.0, 'millimetres': 1000.0, 'inches': 39.37, 'feet': 3.281}
@@ -31,7 +34,7 @@ def unit_of(factor: float, units: Mapping[str, float] = _UNITS) -> str:
 
 
 def steps_of(stream: Stream) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) and values (n, 5) at about equal steps that are long enough."""
+    """Times (n,) and values (n, 5) at about equal steps of `_STEP_S` or more."""
     times = stream.seconds
     rising = np.append(True, np.diff(times) > 0.0)
     times, values = times[rising], stream.values[rising]
@@ -41,7 +44,7 @@ def steps_of(stream: Stream) -> tuple[FloatArray, FloatArray]:
 
 
 def check_speed(stream: Stream) -> Finding:
-    """Speed of the poses of an odometry (x, y, yaw, forward speed, yaw rate)."""
+    """Check the speed by the poses of odometry (x, y, yaw, forward speed, yaw rate)."""
     times, values = steps_of(stream)
     steps = np.hypot(*np.diff(values[:, :2], axis=0).T) / np.diff(times)
     speed = float(np.quantile(steps, 0.9)) if len(steps) else 0.0
@@ -54,7 +57,7 @@ def check_speed(stream: Stream) -> Finding:
 
 
 def check_twist(stream: Stream) -> list[Finding]:
-    """Speeds of an odometry against its poses: unit and sign."""
+    """Compare the twists of odometry with its poses: unit and sign."""
     times, values = stream.seconds, stream.values
     steps = np.diff(times)
     good = (steps > 0.0) & (steps < 1.0)
@@ -71,7 +74,7 @@ def check_twist(stream: Stream) -> list[Finding]:
         ('turn', turned, 4, _LEAST_MOTION_RAD),
     ):
         by_twist = 0.5 * (values[1:, column] + values[:-1, column]) * steps
-        # An odometry that jumps once is another matter.
+        # Single jumps are reported by `check_jumps`.
         usual = good & (np.abs(by_pose) <= np.quantile(np.abs(by_pose[good]), _USUAL))
         pose, twist = by_pose[usual], by_twist[usual]
         if max(np.abs(pose).sum(), np.abs(twist).sum()) < least:
@@ -106,7 +109,7 @@ def nearness_of_room(room: Room) -> float:
     """
     Mean inverse distance of the walls, 1/m, over the floor and all directions.
 
-    For the parallax of a camera that is somewhere in the room.
+    It is the expected parallax of a camera at an unknown pose in the room.
     """
     low, high = room.bounds
     share = np.linspace(0.2, 0.8, 5)

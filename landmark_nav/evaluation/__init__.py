@@ -1,1 +1,1 @@
-"""Bags through the pipelines, measured against truth and drawn."""
+"""Runs of the pipelines on bags: metrics against ground truth, reports and figures."""

@@ -1,4 +1,4 @@
-"""Calibration of a robot out of recorded drives: what it is, how sure, and what it explains."""
+"""Calibration of a robot from recorded drives: estimate, covariance and residuals."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from landmark_nav.types import (
     Refusal,
 )
 
-# Papers that hang off by a millimetre tilt a map so much against the floor, radians: no drive
-# shows the lean of the axis better.
+# Tilt of the map relative to the floor, rad, if papers are misplaced by a millimetre: least sigma
+# of roll and pitch of the pan axis by a drive.
 _LEVEL_RAD = 5e-4
-# Share of the images in which localization may be lost.
+# Greatest share of the images in which localization is lost.
 _MOST_LOST = 0.5
-# Quantities that are so much correlated show together only.
+# Correlation beyond which two quantities are not separately observable.
 _TRADES_OFF = 0.9
-# A value that was given as exact is contradicted by so many sigmas.
+# Sigmas beyond which the estimate contradicts a value that was given as exact.
 _CONTRADICTION = 5.0
-# Motion -> quantities that it shows.
+# Motion -> quantities that it makes observable.
 _SHOWN_BY = {
     'a turn on the spot in view of mapped landmarks, to both sides': ('axis_x', 'axis_y'),
     'several straight metres': ('axis_yaw',),
@@ -61,8 +61,8 @@ class Residuals:
     """
     Measured minus predicted points of landmarks in the images of a drive.
 
-    `seconds` (m,) since its first image, `points_px` (m, 2) to the right and down, `weights` (m,)
-    near 0 for outliers.
+    `seconds` (m,) are times since the start of the drive, `points_px` (m, 2) residuals to the
+    right and down, `weights` (m,) robust weights, near 0 for outliers.
     """
 
     seconds: FloatArray
@@ -71,7 +71,7 @@ class Residuals:
 
     @property
     def rms_px(self) -> FloatArray:
-        """Weighted root mean square to the right and down, (2,); NaN without any."""
+        """Weighted root mean square to the right and down, (2,); NaN if there are no points."""
         total = self.weights.sum()
         if not total:
             return np.full(2, np.nan)
@@ -88,14 +88,14 @@ class CalibrationDrive:
     start : PoseEstimate
         Pose at the first image in which landmarks were found.
     calibration : Calibration
-        As estimated by the end.
+        Estimate at the end.
     images, lost : int
-        Images since the start, and those in which localization was lost.
+        Number of images since the start, and of those in which localization was lost.
     landmark_map : LandmarkMap
-        What was looked for.
+        Map of the drive.
     slip_bound_rad : float
-        Sigma of the direction of travel by the learned noise of the wheels, most of it side slip
-        in turns: pan zero is known no better.
+        Sigma of the direction of travel by the learned noise of the wheels, mostly side slip in
+        turns. It is the least sigma of pan zero.
     """
 
     start: PoseEstimate
@@ -108,7 +108,7 @@ class CalibrationDrive:
     _config: LocalizationConfig
 
     def again(self, calibration: Calibration) -> tuple[Calibration, Residuals]:
-        """Use the same detections with another prior; what came of it, and the residuals."""
+        """Return estimate and residuals by the same detections with another prior."""
         config = self._config
         joint = JointFilter(
             self.landmark_map, calibration, self.start, config.estimator, config.odometry
@@ -150,7 +150,8 @@ def calibrate_by_drive(
     Parameters
     ----------
     events : iterable of SensorEvent
-        What was sensed; ground truth is not used, and the robot finds its own pose.
+        Measurements; ground truth is not used, and the initial pose is found by global
+        localization.
     """
     localizer = Localizer(landmark_map, prior, config)
     measured: list[OdometrySample | tuple[ImagePoints, float]] = []
@@ -173,7 +174,7 @@ def calibrate_by_drive(
             lost += update.status == 'lost'
             if begin is None:
                 begin = update.fused
-                # What was driven before is of no use.
+                # Odometry before the initial pose cannot be used.
                 odometry = [m for m in measured if isinstance(m, OdometrySample)]
                 measured = list(odometry[-1:])
             assert update.points is not None, 'it is of an image'
@@ -193,7 +194,7 @@ def calibrate_by_drive(
     found = localizer.calibration
     lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
     level = np.zeros_like(found.covariance)
-    # What is exact stays.
+    # Exact quantities remain exact.
     level[lean, lean] = np.where(prior.sigmas[lean] > 0.0, _LEVEL_RAD**2, 0.0)
     found = replace(found, covariance=found.covariance + level)
     return CalibrationDrive(
@@ -205,7 +206,7 @@ def calibrate_by_drive(
 def _direction_bound(
     measured: Sequence[OdometrySample | tuple[ImagePoints, float]], localizer: Localizer
 ) -> float:
-    """Sigma of the mean direction of travel, each way weighted by how it is known, radians."""
+    """Sigma of the mean direction of travel, rad, with each step weighted by its information."""
     samples = [m for m in measured if isinstance(m, OdometrySample)]
     known = 0.0
     for before, after in pairwise(samples):
@@ -218,9 +219,9 @@ def _direction_bound(
 
 def broken_promises(drive: CalibrationDrive, given: Calibration) -> dict[str, tuple[float, float]]:
     """
-    Quantities that were given as exact and that a drive shows to be off: true minus given, sigma.
+    Quantities given as exact that a drive contradicts: estimated minus given value, and sigma.
 
-    The detections are used once more with the default sigmas of these quantities.
+    The detections are used again with the default sigmas of these quantities.
     """
     exact = {name for name in NAMES if given[name][1] == 0.0}
     if not exact:
@@ -239,7 +240,7 @@ def broken_promises(drive: CalibrationDrive, given: Calibration) -> dict[str, tu
 
 
 def advice(unobserved: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
-    """Motions that would show what was not observed, and what of it."""
+    """Motions that make unobserved quantities observable, and these quantities."""
     wanted = [
         (motion, tuple(name for name in shown if name in unobserved))
         for motion, shown in _SHOWN_BY.items()
@@ -248,7 +249,7 @@ def advice(unobserved: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
 
 
 def trade_offs(found: Calibration) -> list[tuple[str, str, float]]:
-    """Pairs of quantities whose errors look alike in the recording, and their correlation."""
+    """Pairs of quantities that are not separately observable, and their correlation."""
     sigmas = np.where(found.sigmas > 0.0, found.sigmas, 1.0)
     correlation = found.covariance / np.outer(sigmas, sigmas)
     return [

@@ -1,4 +1,4 @@
-"""The figures of learning, as ``learn --json`` writes them, and the truth they are beside."""
+"""The metrics of learning, as ``learn --json`` writes them, and their ground truth."""
 
 from __future__ import annotations
 
@@ -34,17 +34,16 @@ def learning_report(
     seconds: float,
 ) -> dict[str, Any]:
     """
-    Figures of learning.
+    Metrics of learning.
 
     Parameters
     ----------
     measured : sequence of Panorama
-        The panoramas as they were before: their poses are those that the papers give alone, or
-        ``sweep/pose``.
+        Panoramas before the adjustment, with poses by the papers alone, or by ``sweep/pose``.
     frames : sequence of int
-        How many frames each sweep had.
+        Number of frames of each sweep.
     truth : PoseTrack
-        Ground truth of ``base_link``, for the errors alone; may be empty.
+        Ground truth of ``base_link``, used for errors only; may be empty.
     """
     outcomes = [outcome for group in result.outcomes for outcome in group]
     refused = Counter(o.reason for o in outcomes if isinstance(o, Refusal))
@@ -80,7 +79,7 @@ def learning_report(
 
 
 def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
-    """Figures of a panorama; terms of the calibration in radians, metres, or relative."""
+    """Metrics of a panorama; terms of the calibration in radians, metres, or relative."""
     closure = quality.closure_rad
     entry = {
         'sharpness': quality.sharpness,
@@ -107,7 +106,7 @@ def _sweep(
     truth: PoseTrack,
     mount: PanTiltMount,
 ) -> dict[str, Any]:
-    """Report one sweep: where it was taken, and what it led to."""
+    """Report one sweep: its pose, quality, candidates and landmarks."""
     return {
         'stamp_ns': panorama.stamp_ns,
         'frames': frames,
@@ -120,7 +119,7 @@ def _sweep(
 
 
 def _place(panorama: Panorama, truth: PoseTrack, mount: PanTiltMount) -> dict[str, Any]:
-    """X [m], y [m] and heading [rad] of the base, and their errors."""
+    """Pose of the base, x [m], y [m], heading [rad], and its errors."""
     base = base_from_axis(panorama.axis, mount)
     pose, covariance = base.pose, base.covariance
     entry: dict[str, Any] = {'pose': pose.tolist(), 'sigma': np.sqrt(np.diag(covariance)).tolist()}
@@ -134,7 +133,7 @@ def _place(panorama: Panorama, truth: PoseTrack, mount: PanTiltMount) -> dict[st
 
 
 def truth_of_bag(bag: Bag) -> PoseTrack:
-    """Ground truth of a bag; empty where it has none."""
+    """Read the ground truth of a bag; empty if it has none."""
     topic = bag.find('ground_truth/odom')
     if topic is None:
         return PoseTrack.of(())
@@ -143,13 +142,13 @@ def truth_of_bag(bag: Bag) -> PoseTrack:
 
 
 def check_truth_frame(bag: Bag, frame: str) -> None:
-    """Warn where the ground truth of a bag is given in another frame than `frame`."""
+    """Warn if the frame of the ground truth of a bag is not `frame`."""
     topic = bag.find('ground_truth/odom')
     first = next(bag.messages([topic]), None) if topic else None
     try:
         found = '' if first is None else str(first.message.header.frame_id)
     except LandmarkNavError:
-        return  # its errors are reported where it is read
+        return  # the reader of the ground truth reports this
     if found and not decode.same_frame(found, frame):
         bag.warn(
             f'{bag.path}: {topic} is in frame {found}, the map in {frame}: errors are right only '
@@ -159,20 +158,20 @@ def check_truth_frame(bag: Bag, frame: str) -> None:
 
 def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMount) -> FloatArray:
     """
-    Where the true rays to the patches of the landmarks end.
+    Intersections of the true rays to the patches with the planes of their landmarks.
 
-    A patch is as far off its wall as its landmark, so that the two differ along the wall alone:
-    posters hang a finger's breadth before it, nobody knows how far.
+    The true location along the normal is unknown, as posters hang off the wall by an unknown
+    distance. It is set to that of the landmark, so that the two differ along the wall only.
 
     Parameters
     ----------
     true_poses : ndarray, shape (k, 3)
-        Of the base, one a panorama.
+        True pose of the base at each panorama.
 
     Returns
     -------
     ndarray, shape (n, 2)
-        In the order of the map.
+        Locations in the order of the map.
     """
     truth = np.zeros((len(result.map.landmarks), 2))
     for pose, panorama, candidates, outcomes in zip(

@@ -1,7 +1,7 @@
 """
-Tracks of poses; how good a run was, and how good any can be (posterior Cramer-Rao bound).
+Tracks of poses, metrics of a run, and the posterior Cramer-Rao bound.
 
-Errors are absolute in ``map``: never aligned, so that a map or a start that is off shows.
+Errors are absolute in ``map`` without alignment, so that they include errors of map and start.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class PoseTrack:
     Parameters
     ----------
     stamps_ns : ndarray of int, shape (n,)
-        Strictly increasing.
+        Strictly increasing stamps.
     poses : ndarray, shape (n, 3)
-        x [m], y [m], heading [rad].
+        Poses: x [m], y [m], heading [rad].
     """
 
     stamps_ns: IntArray
@@ -45,23 +45,23 @@ class PoseTrack:
 
     @classmethod
     def of(cls, stamped: Iterable[tuple[int, FloatArray]]) -> PoseTrack:
-        """Sort stamped poses (3,); of several with one stamp the last counts."""
+        """Sort stamped poses (3,); of several with one stamp the last is kept."""
         by_stamp = dict(stamped)
         stamps = sorted(by_stamp)
         poses = [by_stamp[stamp] for stamp in stamps]
         return cls(np.array(stamps, np.int64), np.array(poses, np.float64).reshape(-1, 3))
 
     def __len__(self) -> int:
-        """Return how many poses there are."""
+        """Return the number of poses."""
         return len(self.stamps_ns)
 
     def seen_from(self, pose: FloatArray, scale: float = 1.0) -> PoseTrack:
-        """The track in the frame of a pose (3,), its ways `scale` times as long."""
+        """Transform the track to the frame of a pose (3,), with positions scaled by `scale`."""
         poses = se2.relative(pose, self.poses)
         return PoseTrack(self.stamps_ns, poses * [scale, scale, 1.0])
 
     def carry(self, known: PoseTrack) -> PoseTrack:
-        """Carry `known` poses on, each until the next one, as this track moves; NaN beyond it."""
+        """Propagate `known` poses by this track, each to the next one; NaN outside its times."""
         inside = (self.stamps_ns > known.stamps_ns[0]) & (self.stamps_ns < known.stamps_ns[-1])
         stamps = np.union1d(known.stamps_ns, self.stamps_ns[inside])
         last = np.searchsorted(known.stamps_ns, stamps, 'right') - 1
@@ -76,12 +76,12 @@ class PoseTrack:
         Parameters
         ----------
         stamps_ns : array_like of int, shape (m,)
-            When.
+            Times of the poses.
 
         Returns
         -------
         ndarray, shape (m, 3)
-            NaN before the first and after the last pose.
+            Poses; NaN before the first and after the last one.
         """
         stamps = np.atleast_1d(np.asarray(stamps_ns, dtype=np.int64))
         found = np.full((len(stamps), 3), np.nan)
@@ -96,7 +96,7 @@ class PoseTrack:
         span = self.stamps_ns[after] - self.stamps_ns[before]
         share = (stamps[inside] - self.stamps_ns[before]) / span
         step = se2.relative(self.poses[before], self.poses[after])
-        # Exponential of a share of the logarithm: the chord shrinks and turns with the turn.
+        # Exponential of a share of the logarithm: a chord of the same arc.
         turn = step[:, 2]
         ratio = share * np.sinc(share * turn / (2 * np.pi)) / np.sinc(turn / (2 * np.pi))
         bend = se2.rotation((share - 1.0) * turn / 2.0)
@@ -106,10 +106,10 @@ class PoseTrack:
         return found
 
 
-# Of the errors x, y and heading.
+# x, y and heading.
 _DEGREES_OF_FREEDOM = 3
 _FIVE_SIGMA = 5.0
-# Metres and radians that `result_hash` distinguish.
+# Resolution of poses in `result_hash`, m and rad.
 _RESOLUTION = 1e-6
 
 
@@ -118,8 +118,8 @@ class Consistency(NamedTuple):
     Normalised estimation errors squared.
 
     With consistent covariances the expectation of `mean` is 3, and `mean` lies inside
-    `interval_95` in 19 of 20 runs, each with a newly drawn map and errors as correlated as here.
-    `inside_95` is the share of errors below the 95 % bound of a single one.
+    `interval_95` in 19 of 20 runs, each with a newly drawn map and errors of the same correlation.
+    `inside_95` is the share of errors within the 95 % bound of a single error.
     """
 
     mean: float
@@ -134,12 +134,12 @@ def pose_errors(poses: npt.ArrayLike, truth: npt.ArrayLike) -> FloatArray:
     Parameters
     ----------
     poses, truth : array_like, shape (n, 3)
-        NaN where there is no pose.
+        Poses; NaN if unknown.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        NaN where either is.
+        Errors; NaN if either pose is unknown.
     """
     errors = np.asarray(poses, dtype=np.float64) - np.asarray(truth, dtype=np.float64)
     errors[:, 2] = wrap_rad(errors[:, 2])
@@ -147,7 +147,7 @@ def pose_errors(poses: npt.ArrayLike, truth: npt.ArrayLike) -> FloatArray:
 
 
 def error_summary(errors: FloatArray) -> dict[str, float | None]:
-    """Figures of the contract out of errors (n, 3); None where there are none."""
+    """Metrics of the contract from errors (n, 3); None if all errors are unknown."""
     known = errors[np.all(np.isfinite(errors), axis=1)]
     keys = (
         'position_rmse_m',
@@ -176,7 +176,7 @@ def consistency(
     errors: FloatArray, covariances: FloatArray, by_map: FloatArray | None = None
 ) -> Consistency | None:
     """
-    Compare errors with the covariances that were claimed for them.
+    Compare errors with their estimated covariances.
 
     Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
     section 5.4.
@@ -184,17 +184,17 @@ def consistency(
     Parameters
     ----------
     errors : ndarray, shape (n, 3)
-        NaN where unknown.
+        Errors; NaN if unknown.
     covariances : ndarray, shape (n, 3, 3)
-        Claimed covariances of the errors.
+        Estimated covariances of the errors.
     by_map : ndarray, shape (n, 3, m), optional
-        Derivatives of the errors by m factors of unit variance, which make up the errors of the
-        map. The factors are drawn once a run, so they correlate all its errors.
+        Derivatives of the errors by m factors of unit variance that generate the errors of the
+        map. The factors are constant over a run and correlate all its errors.
 
     Returns
     -------
     Consistency or None
-        None without a single known error.
+        None if all errors are unknown.
     """
     known = np.all(np.isfinite(errors), axis=1)
     if not np.any(known):
@@ -216,7 +216,7 @@ def _independent(white: FloatArray) -> float:
     """
     Effective number of independent samples among whitened errors (n, 3), for their mean square.
 
-    Errors of a run are correlated: those of the map throughout, those of the odometry for a while.
+    Errors of a run are correlated: those by the map throughout, those by odometry for some time.
     The correlation of squares of Gaussians is the square of their correlation.
     """
     n = len(white)
@@ -234,7 +234,7 @@ def _independent(white: FloatArray) -> float:
 
 def _independent_maps(white: FloatArray) -> float:
     """
-    Effective number of independent samples, by the share of the map in them alone, (n, 3, m).
+    Effective number of independent samples with whitened loadings of the map only, (n, 3, m).
 
     The variance of a sum of squares of Gaussians is twice the sum of their squared correlations.
     """
@@ -247,7 +247,7 @@ def _independent_maps(white: FloatArray) -> float:
 def undetected_failures(
     errors: FloatArray, covariances: FloatArray, tracking: npt.NDArray[np.bool_]
 ) -> int:
-    """Count states (n,) that call themselves tracking with an error beyond five sigmas."""
+    """Count OK states, by the mask `tracking` (n,), with an error beyond five sigmas."""
     sure = tracking & np.all(np.isfinite(errors), axis=1)
     position = errors[sure, :2]
     weighted = np.linalg.solve(covariances[sure, :2, :2], position[..., None])[..., 0]
@@ -263,9 +263,9 @@ def crlb_ratio(errors: FloatArray, bound: FloatArray) -> float | None:
     Parameters
     ----------
     errors : ndarray, shape (n, 3)
-        NaN where unknown.
+        Errors; NaN if unknown.
     bound : ndarray, shape (n, 3, 3)
-        Least covariance of x, y, heading that any estimator can have.
+        Least covariance of x, y, heading of any estimator; NaN if unknown.
     """
     known = np.all(np.isfinite(errors), axis=1) & np.all(np.isfinite(bound), axis=(1, 2))
     if not np.any(known):
@@ -277,14 +277,14 @@ def crlb_ratio(errors: FloatArray, bound: FloatArray) -> float | None:
 
 def result_hash(stamps_ns: npt.NDArray[np.int64], fused: FloatArray, fixes: FloatArray) -> str:
     """
-    SHA-256 of what a run gave, rounded, so that it is the same run after run.
+    SHA-256 of the rounded results of a run, which is reproducible.
 
     Parameters
     ----------
     stamps_ns : ndarray of int, shape (n,)
         Stamps of the images.
     fused, fixes : ndarray, shape (n, 3)
-        Fused and triangulated poses; NaN where there is none.
+        Fused and triangulated poses; NaN for images without one.
     """
     digest = hashlib.sha256(np.ascontiguousarray(stamps_ns, dtype='<i8').tobytes())
     for poses in (fused, fixes):
@@ -307,33 +307,33 @@ def posterior_bound(
     For a nonlinear system with Gaussian noise the bound obeys the covariance recursion of the
     extended Kalman filter linearised along the true trajectory (Taylor, IEEE Trans. Automatic
     Control 24(2), 1979; Tichavsky, Muravchik and Nehorai, IEEE Trans. Signal Processing 46(5),
-    1998). So the filter is given the truth without noise, with the noise models, the joint
+    1998). The filter therefore runs on the truth without noise, with the noise models, the joint
     covariance of map and calibration, and the landmarks that the run used.
 
     Parameters
     ----------
     truth : PoseTrack
-        Base in map.
+        True poses of the base in map.
     images : sequence of ImagePoints
-        What was used of each image: landmarks and covariances count, points do not.
+        Used landmarks of each image and their covariances; their points are ignored.
     calibration : Calibration
-        True values, with the covariance of what was known at the start.
+        True values, with the covariance of the prior.
     config : LocalizationConfig
         Noise of odometry, map and mount.
     start : PoseEstimate
-        Its covariance is what was known at the start.
+        Initial pose, of which the covariance is used.
 
     Returns
     -------
     ndarray, shape (n, 3, 3)
-        NaN where the truth is not known, and everywhere where it moves as nothing does.
+        Bounds; NaN if the truth is unknown, all NaN if its motion is impossible.
     """
     bound = np.full((len(images), 3, 3), np.nan)
     begin = max(start.stamp_ns, int(truth.stamps_ns[0])) if len(truth) else 0
     poses = truth.at([begin, *(seen.stamp_ns for seen in images)])
     if np.isnan(poses[0]).any():
         return bound
-    # Points without noise are nothing to learn noise from, and no surprise.
+    # Points without noise must not adapt the noise models, and cannot be outliers.
     noise = replace(config.estimator, tail_freedom=0.0, step_probability=0.0, learning_sigma=0.0)
     start = PoseEstimate(begin, poses[0], start.covariance)
     ideal = JointFilter(landmark_map, calibration, start, noise, config.odometry)

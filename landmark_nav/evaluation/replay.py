@@ -27,9 +27,9 @@ from landmark_nav.types import (
     Refusal,
 )
 
-# Odometry that goes back by more is not late.
+# If stamps of odometry go back by more, the clock was set back.
 _STEP_NS = 500_000_000
-# Between the last odometry before and the first after.
+# Time inserted between the last odometry before such a step and the first one after it.
 _GAP_NS = 100_000_000
 
 
@@ -37,21 +37,21 @@ def shifts_by_odometry(
     stamps_ns: npt.ArrayLike, after: npt.ArrayLike, odometry_ns: npt.ArrayLike
 ) -> IntArray:
     """
-    What to add to stamps, so that each time comes once.
+    Shifts of stamps that make time monotonic although the clock was set back.
 
     Parameters
     ----------
     stamps_ns : array_like of int, shape (m,)
-        Stamps of the odometry itself, or of what was recorded beside it.
+        Stamps of the odometry, or of another stream of the same recording.
     after : array_like of int, shape (m,)
-        Place of the odometry that came last before each; -1 for none.
+        Index of the last odometry that arrived before each; -1 if there is none.
     odometry_ns : array_like of int, shape (n,)
-        Stamps of the odometry, as they came.
+        Stamps of the odometry in the order of arrival.
 
     Returns
     -------
     ndarray of int, shape (m,)
-        0 where no clock was set back.
+        Values to add to the stamps, ns; 0 if no clock was set back.
     """
     stamps = np.asarray(stamps_ns, dtype=np.int64)
     clock = np.asarray(odometry_ns, dtype=np.int64)
@@ -64,46 +64,46 @@ def shifts_by_odometry(
     following = np.minimum(last + 1, len(clock) - 1)
     stepped = np.maximum.accumulate(np.where(back > 0, np.arange(len(clock)), 0))[last]
     ahead = stamps - clock[last]
-    # Messages of one moment come in any order: some by the new clock before the odometry is, some
-    # by the old one after it.
+    # The streams arrive in any order: some messages have stamps of the new clock before the
+    # odometry has, others have stamps of the old one after it.
     early = -2 * ahead > np.where(back[following] > 0, back[following], np.inf)
     late = 2 * ahead > np.where(stepped > 0, back[stepped], np.inf)
     return shift[np.where(early, following, np.where(late, stepped - 1, last))]
 
 
-# Variances of a map below this share of the largest one are none.
+# Variances of a map below this share of the largest one are zero up to rounding.
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
     """
-    The results of a run; where its clock was set back, stamps go on as if it had not been.
+    The results of a run; stamps are continuous even if the clock was set back.
 
     Parameters
     ----------
     start : PoseEstimate
-        Pose at which it began, or that was found.
+        Initial pose, given or found.
     searched : tuple of int
-        Stamps of the images before that, while the place was searched.
+        Stamps of the images of global localization, up to the start.
     updates : tuple of LocalizationUpdate
-        One for each image after that.
+        Update of each image after that.
     update_seconds : ndarray, shape (n,)
-        Computing time of each.
+        Computing time of each update.
     odometry : PoseTrack
-        The odometry alone, from the start.
+        Dead reckoning from the start.
     truth : PoseTrack
-        Ground truth; empty where there is none.
+        Ground truth; empty if there is none.
     seconds : float
-        Computing time of the whole run, reading and decoding included.
+        Computing time of the whole run, including reading and decoding.
     odometry_noise : OdometryNoiseConfig
-        Noise of the odometry, as learned by the end.
+        Noise of the odometry as learned by the end.
     detection_sigma_factor : float
-        Factor on the claimed sigmas of detections, as learned by the end.
+        Factor on the given sigmas of detections as learned by the end.
     samples : tuple of OdometrySample
-        The odometry as it came, by time.
+        Measured odometry, sorted by time.
     calibration : Calibration or None
-        As estimated by the end; None of a recording of the nodes.
+        Estimate at the end; None for a recording of the nodes.
     """
 
     start: PoseEstimate
@@ -136,7 +136,7 @@ class Replay:
 
     @property
     def fused_covariances(self) -> FloatArray:
-        """Their covariances, (n, 3, 3)."""
+        """Covariances of the fused poses, (n, 3, 3)."""
         return np.array([update.fused.covariance for update in self.updates]).reshape(-1, 3, 3)
 
     def by_map(self, landmark_map: LandmarkMap) -> FloatArray | None:
@@ -146,14 +146,14 @@ class Replay:
         if not known or len(known) < len(parts):
             return None
         variance, factor = np.linalg.eigh(landmark_map.joint_covariance_xy)
-        # Landmarks may be exact, or err together.
+        # The covariance may be singular: landmarks may be exact, or fully correlated.
         varies = variance > _ROUNDING * variance[-1]
         by_factors = np.vstack(known) @ (factor[:, varies] / np.sqrt(variance[varies]))
         return np.asarray(by_factors.reshape(len(known), 3, -1))
 
     @property
     def fixes(self) -> FloatArray:
-        """Triangulated poses that passed the gates, (n, 3); NaN where there is none."""
+        """Triangulated poses that passed the gates, (n, 3); NaN for images without a fix."""
         none = np.full(3, np.nan)
         fixes = [update.observation.fix for update in self.updates]
         poses = [fix.pose if isinstance(fix, PoseEstimate) else none for fix in fixes]
@@ -161,12 +161,12 @@ class Replay:
 
     @property
     def lost(self) -> npt.NDArray[np.bool_]:
-        """Where the fused state was lost, (n,)."""
+        """Mask (n,) of the images at which the fused state was lost."""
         return np.array([update.status == 'lost' for update in self.updates], dtype=np.bool_)
 
     @property
     def tracking(self) -> npt.NDArray[np.bool_]:
-        """Where the fused state called itself tracking, (n,)."""
+        """Mask (n,) of the images at which the fused state was OK."""
         return np.array([update.status == 'tracking' for update in self.updates], dtype=np.bool_)
 
 
@@ -181,21 +181,20 @@ def replay(
     """
     Localize along a recorded drive.
 
-    Raises `LandmarkNavError`: no image or no odometry in it, stamps that stand still, or nowhere
-    in it a place was found.
+    Raises `LandmarkNavError`: there is no image or no odometry, all stamps are equal, or the pose
+    was never found.
 
     Parameters
     ----------
     events : iterable of SensorEvent
-        What was sensed, in the order of its arrival. Ground truth is kept aside, for
-        figures alone.
+        Measurements in the order of arrival. Ground truth is used for metrics only.
     calibration : Calibration
-        What is known of mount, lens and clocks before.
+        Prior of mount, lens and clocks.
     start_pose : ndarray, shape (3,), optional
-        Pose of the base in map at the first image or odometry; without it the robot finds its
-        own place.
+        Pose of the base in map at the first image or odometry; by default it is found by global
+        localization.
     start_covariance : ndarray, shape (3, 3), optional
-        How sure the start is; goes with it.
+        Covariance of `start_pose`, required with it.
     """
     localizer = Localizer(landmark_map, calibration, config)
     start: PoseEstimate | None = None
@@ -205,7 +204,7 @@ def replay(
     took: list[float] = []
     samples: list[OdometrySample] = []
     truth: list[tuple[int, FloatArray]] = []
-    # Place of the last odometry before each.
+    # Index of the last odometry before each image and each ground truth.
     looked_after: list[int] = []
     truth_after: list[int] = []
     begin = time.perf_counter()
@@ -283,14 +282,14 @@ def replay(
 def _given(
     stamp_ns: int, pose: FloatArray | None, covariance: FloatArray | None
 ) -> PoseEstimate | None:
-    """Pose to start with, if there is one."""
+    """Return the given initial pose, if there is one."""
     if pose is None or covariance is None:
         return None
     return PoseEstimate(stamp_ns, pose, covariance)
 
 
 def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:
-    """What came of an image, with another stamp."""
+    """Shift the stamp of an update."""
     if not shift_ns:
         return update
     stamp, seen = update.stamp_ns + shift_ns, update.observation
@@ -299,7 +298,7 @@ def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:
 
 
 def _dead_reckoning(odometry: PoseTrack, start: PoseEstimate) -> PoseTrack:
-    """Odometry alone, moved so that it passes through the start."""
+    """Transform odometry so that it passes through the start."""
     first = max(start.stamp_ns, int(odometry.stamps_ns[0]))
     increments = se2.relative(odometry.at([first]), odometry.poses)
     return PoseTrack(odometry.stamps_ns, se2.compose(start.pose, increments))

@@ -1,7 +1,7 @@
 """
-The figures of a run, as ``landmark-nav evaluate --json`` writes them.
+The metrics of a run, as ``landmark-nav evaluate --json`` writes them.
 
-Ground truth is brought into the frame and the metre of a map that has its own.
+Ground truth is transformed to the frame and the scale of a map that has its own.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from landmark_nav.localization.localizer import LocalizationConfig, Localization
 from landmark_nav.types import FloatArray, LandmarkMap
 
 SCHEMA = 1
-# A place that is known in fewer of the images is hardly known.
+# Least availability without a warning.
 _MOSTLY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class RunErrors:
-    """Errors (n, 3) at the images against the truth; NaN where one of both is missing."""
+    """Errors (n, 3) at the images against the truth; NaN if one of both is unknown."""
 
     fused: FloatArray
     triangulation: FloatArray
@@ -45,7 +45,7 @@ class RunErrors:
 
 
 def run_errors(run: Replay) -> RunErrors:
-    """Errors of the fused, the triangulated and the merely reckoned poses."""
+    """Errors of the fused, the triangulated and the dead reckoned poses."""
     truth = run.truth.at(run.stamps_ns)
     return RunErrors(
         pose_errors(run.fused, truth),
@@ -62,11 +62,11 @@ def run_report(
     config: LocalizationConfig,
 ) -> dict[str, Any]:
     """
-    Figures of a run with this prior calibration, by the keys of the contract.
+    Metrics of a run with this prior calibration, by the keys of the contract.
 
-    Those that need ground truth are None where the bag has none; ``found`` is None where the start
-    was given; ``spells`` are the stretches of images in which the state was coasting or lost;
-    ``warning`` says where the figures mean little, and is None where they do.
+    Metrics that require ground truth are None if the bag has none; ``found`` is None if the start
+    was given; ``spells`` are the stretches of images in which the state was degraded or lost;
+    ``warning`` says why the metrics mean little, and is None if they are meaningful.
     """
     known = calibration if run.calibration is None else run.calibration
     bound = posterior_bound(
@@ -112,7 +112,7 @@ def run_report(
 
 
 def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> dict[str, Any]:
-    """Of these figures, those that the poses of a run give; ``claimed`` are their sigmas."""
+    """Metrics that depend on the poses of a run only; ``claimed`` are their sigmas."""
     images = len(run.searched) + len(run.updates)
     by_map = run.by_map(landmark_map)
     nees = consistency(errors.fused, run.fused_covariances, by_map)
@@ -130,7 +130,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
         'nees': {
             'mean': nees.mean if nees else None,
             'inside_95': nees.inside_95 if nees else None,
-            # What the nodes publish does not hold the map's share, without which it is too narrow.
+            # Recordings of the nodes lack the errors by the map, without which it is too narrow.
             'interval_95': list(nees.interval_95) if nees and by_map is not None else None,
         },
         'claimed': {
@@ -146,7 +146,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
 
 def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
     """
-    Return how the protection levels of a run hold; None without levels or ground truth.
+    Check the protection levels of a run; None without levels or ground truth.
 
     `coverage_99` is the share of images with position and heading inside, by quarter from the
     smallest to the largest level of the position; `undetected_wrong` counts images that are off by
@@ -179,7 +179,7 @@ def _warning(availability: float) -> str | None:
 
 
 def spells(run: Replay) -> list[dict[str, Any]]:
-    """When the state was not tracking, and the reason that it gave first."""
+    """List the times at which the state was not OK, with the first reason of each."""
     found = []
     for status, group in groupby(run.updates, key=lambda update: update.status):
         updates = list(group)
@@ -193,7 +193,7 @@ def spells(run: Replay) -> list[dict[str, Any]]:
 
 
 def _used(update: LocalizationUpdate, sigma_factor: float) -> ImagePoints:
-    """Return what of an image the estimator used, with noise as it was learned."""
+    """Return the points of an image that the estimator used, with learned noise."""
     seen, taken = update.points, update.taken
     if seen is None or not isinstance(taken, Update):
         return ImagePoints.nothing(update.stamp_ns)
@@ -201,13 +201,13 @@ def _used(update: LocalizationUpdate, sigma_factor: float) -> ImagePoints:
     return replace(seen, covariance=sigma_factor**2 * seen.covariance)
 
 
-# Ways that are shorter show no heading, metres.
+# Least extent of a path by which it is aligned.
 _LEAST_EXTENT_M = 0.05
 
 
 class Alignment(NamedTuple):
     """
-    Pose (3,) of the map's frame in that of the ground truth, and the map's metre in true ones.
+    Pose (3,) of the map's frame in that of the ground truth, and lengths in map over true ones.
 
     Umeyama, PAMI 13(4), 1991, in the plane.
     """
@@ -220,7 +220,7 @@ def align(poses: FloatArray, truth: FloatArray, scaled: bool) -> Alignment:
     """
     Align poses (n, 3) with the truth (n, 3), by their positions.
 
-    Raises `LandmarkNavError`: too few of both, or all in one place.
+    Raises `LandmarkNavError`: too few poses are known in both, or all have one position.
     """
     known = np.isfinite(poses).all(1) & np.isfinite(truth).all(1)
     own, true = poses[known, :2], truth[known, :2]
@@ -230,14 +230,14 @@ def align(poses: FloatArray, truth: FloatArray, scaled: bool) -> Alignment:
     a, b = own - middle, true - true_middle
     cosine, sine = np.sum(a * b), np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     turn = float(np.arctan2(sine, cosine))
-    # Of the map's ways over the true ones: what truth is multiplied by.
+    # Lengths in the map over true ones: the factor for the truth.
     scale = float(np.sum(a * a) / np.hypot(cosine, sine)) if scaled else 1.0
     origin = true_middle - se2.rotation(turn) @ middle / scale
     return Alignment(np.array([*origin, turn]), scale)
 
 
 def aligned(run: Replay, scaled: bool) -> tuple[Replay, RunErrors, Alignment]:
-    """A run with its ground truth in the frame of the map, its errors, and how it was aligned."""
+    """Transform the ground truth to the frame of the map; return run, errors and alignment."""
     poses = np.where(run.lost[:, None], np.nan, run.fused)
     found = align(poses, run.truth.at(run.stamps_ns), scaled)
     truth = run.truth.seen_from(found.pose, found.scale)
@@ -249,9 +249,9 @@ def aligned(run: Replay, scaled: bool) -> tuple[Replay, RunErrors, Alignment]:
 
 def _likeliest(run: Replay, truth: PoseTrack, poses: FloatArray) -> PoseTrack:
     """
-    Ground truth moved, turned and scaled a little more, to where it is likeliest.
+    Refine the alignment of the ground truth to the likeliest one, by headings and covariances.
 
-    Headings and covariances have a say in that: where a map has its frame is no error of poses.
+    The choice of the map's frame is not an error of the poses.
     """
     errors = pose_errors(poses, truth.at(run.stamps_ns))
     known = np.isfinite(errors).all(1)
@@ -270,11 +270,11 @@ def against_truth(
     run: Replay, landmark_map: LandmarkMap
 ) -> tuple[Replay, RunErrors, dict[str, Any]]:
     """
-    A run, its errors, and figures of how it was aligned; none where the map is in the true frame.
+    A run, its errors, and metrics of the alignment; these are empty for a map in the true frame.
 
-    A map of its own frame has errors after one rigid transformation; `scale` and what is left
-    after it are beside them. The run is in the metre of the map then, as the covariance of a pose
-    is: consistency is taken in that.
+    For a map with its own frame, errors are those after one rigid transformation; `scale` and the
+    errors after scaling are separate metrics. The truth of the run is then in the scale of the
+    map, like the covariance of a pose, so that consistency is judged in that scale.
     """
     if not (landmark_map.has_own_frame and len(run.truth)):
         return run, run_errors(run), {}

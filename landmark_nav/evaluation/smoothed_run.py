@@ -1,5 +1,5 @@
 """
-A run once more, with all of its measurements at hand: the best line that they allow.
+Smoothed trajectory of a run, estimated from all of its measurements.
 
 Trajectories are also written as TUM files, which evo and many other tools read.
 """
@@ -23,7 +23,7 @@ from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray, LandmarkMap
 
-# Five sigmas of three numbers.
+# Bound of the squared normalised difference of three values, as improbable as five sigmas of one.
 _FAR = 31.8
 
 
@@ -35,11 +35,11 @@ class Smoothed:
     Parameters
     ----------
     stamps_ns : ndarray of int, shape (n,)
-        Of the images.
+        Stamps of the images.
     poses : ndarray, shape (n, 3)
-        ``base_link`` in map.
+        Poses of ``base_link`` in map.
     covariances : ndarray, shape (n, 3, 3)
-        Of x, y, heading, given all measurements.
+        Covariances of x, y, heading, given all measurements.
     """
 
     stamps_ns: npt.NDArray[np.int64]
@@ -53,10 +53,10 @@ def smooth_run(
     """
     Smooth over all images of a run.
 
-    Where the pose was lost, from the last image that was used before on, nothing is known of the
-    motion.
+    From the last image that was used before the pose was lost until it was found again, the motion
+    is unknown.
     """
-    # Images may have come late.
+    # Images may have arrived late.
     order = np.argsort(run.stamps_ns, kind='stable')
     updates = [run.updates[k] for k in order if run.updates[k].stamp_ns >= run.start.stamp_ns]
     lost, used = np.zeros(len(updates), dtype=np.bool_), 0
@@ -84,9 +84,9 @@ def smooth_run(
 
 def departures(run: Replay, smoothed: Smoothed) -> str:
     """
-    Where the line is far from the filter's, in words; empty if it is not.
+    Describe where the smoothed trajectory differs from the filter's; empty if it does not.
 
-    The filter inflates covariances where wheels, camera or clock seem wrong; the line does not.
+    The filter inflates covariances if wheels, camera or clock seem wrong; the smoother does not.
     """
     fused = {update.stamp_ns: update.fused for update in run.updates}
     both = [fused[stamp] for stamp in smoothed.stamps_ns.tolist()]
@@ -105,7 +105,7 @@ def departures(run: Replay, smoothed: Smoothed) -> str:
 
 
 def smoothed_report(run: Replay, smoothed: Smoothed) -> dict[str, Any]:
-    """Figures of the line: its errors, as of the other estimates, and its NEES."""
+    """Metrics of the smoothed trajectory: errors, as for the other estimates, and NEES."""
     errors = pose_errors(smoothed.poses, run.truth.at(smoothed.stamps_ns))
     nees = consistency(errors, smoothed.covariances)
     return {
@@ -124,12 +124,12 @@ def write_tum_files(
     Write ``truth.tum``, ``fused.tum``, ``triangulation.tum`` and others into a folder.
 
     All are at the stamps of the images, so that other tools compare the same pairs of poses as
-    `landmark_nav.evaluation.metrics`; what is not known at a stamp has no line.
+    `landmark_nav.evaluation.metrics`; a pose that is unknown at a stamp has no line.
 
     Returns
     -------
     tuple of Path
-        What was written.
+        Written files.
     """
     stamps = run.stamps_ns
     tracks = {
@@ -144,7 +144,7 @@ def write_tum_files(
     for name, (at_ns, poses) in tracks.items():
         known = np.flatnonzero(np.isfinite(poses).all(axis=1))
         if len(known):
-            # Images may have come late.
+            # Images may have arrived late.
             known = known[np.argsort(at_ns[known], kind='stable')]
             paths.append(folder / f'{name}.tum')
             write_atomically(paths[-1], _lines(at_ns[known], poses[known]))
@@ -152,7 +152,7 @@ def write_tum_files(
 
 
 def _lines(stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> str:
-    """Lines ``timestamp tx ty tz qx qy qz qw``; numbers come back as the same ones."""
+    """Format lines ``timestamp tx ty tz qx qy qz qw`` without loss of precision."""
     return ''.join(
         f'{stamp // 10**9}.{stamp % 10**9:09d} {x!r} {y!r} 0 0 0 '
         f'{float(np.sin(heading / 2.0))!r} {float(np.cos(heading / 2.0))!r}\n'

@@ -123,13 +123,13 @@ def localization_sigma(
     own, loading : ndarray, shape (s, 2, 2), (s, 2, m)
         Errors of landmarks, see `landmark_errors`.
     bearing_sigma_rad : float
-        Standard deviation of a bearing.
+        Sigma of a bearing.
 
     Returns
     -------
     ndarray, shape (c,)
-        Root of the trace of the covariance of the position, metres; inf where fewer than three
-        landmarks are in view or they do not determine it.
+        Root of the trace of the covariance of the position, m; inf if fewer than three landmarks
+        are in view, or if the position is not observable.
     """
     gx, gy = gradient[..., 0], gradient[..., 1]
     variance = gx * gx * own[:, 0, 0] + 2.0 * gx * gy * own[:, 0, 1] + gy * gy * own[:, 1, 1]
@@ -174,7 +174,7 @@ def _position_sigma(information: FloatArray, enough: npt.NDArray[np.bool_]) -> F
 # assumption.
 _MATCH_PROBABILITY = 0.97
 _MATCH_HALF_RAD, _MATCH_SLOPE_RAD = 1.4, 0.12
-# Standard deviations of a match: position, pixels, and relative size.
+# Sigmas of a match: position, pixels, and relative size.
 _MATCH_SIGMA_PX = 0.08
 _MATCH_SIGMA_SIZE = 3e-3
 # Share of the reconstructed patches that no more salient one overlaps.
@@ -199,8 +199,8 @@ class Forecast:
     covariance : ndarray, shape (s, 2, 2)
         Covariance of x and y of a landmark there.
     floor_xy, sigma_m : ndarray, shape (c, 2), (c,)
-        Cells of the free floor, and the localization error there, root of the trace; inf where
-        too few landmarks are in view.
+        Cells of the free floor, and the localization error there, root of the trace; inf if too
+        few landmarks are in view.
     """
 
     poses_map_base: FloatArray
@@ -235,7 +235,7 @@ class Predictor:
     Parameters
     ----------
     views : Views
-        Poses of panoramas, one or more, and what is visible from them.
+        Poses of panoramas, one or more, and the visibility of wall samples from them.
     cells : ndarray, shape (c, 2)
         Floor cells where the robot will localize itself.
     """
@@ -248,7 +248,7 @@ class Predictor:
         room: Room,
         config: PlanConfig,
     ) -> None:
-        """Compute what does not depend on the subset."""
+        """Compute the values that do not depend on the subset."""
         self._views, self._samples, self._config = views, samples, config
         self._cells = cells
         self._gradient = bearing_gradients(cells, samples.xy)

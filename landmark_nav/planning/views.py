@@ -103,7 +103,7 @@ class Views:
     azimuth_rad, range_m : ndarray, shape (p, s)
         Azimuth in map and range of the samples.
     share : ndarray, shape (p, s)
-        Share of the textured band that is in the image; 0 where a sample is hidden or seen too
+        Share of the textured band that is in the image; 0 if a sample is hidden or seen too
         obliquely to be matched.
     proposed : ndarray, shape (p, s)
         Expected number of patches that attention proposes and that can become landmarks.

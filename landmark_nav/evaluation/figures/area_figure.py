@@ -1,4 +1,4 @@
-"""Counterpart of Figure 6 of Livatino and Madsen: from where landmarks can be observed."""
+"""Counterpart of Figure 6 of Livatino and Madsen: observation areas of landmarks."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ from landmark_nav.localization.triplet import TripletConfig
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap
 
 _COUNT = 3
-# As the robot has them.
+# Bounds of the robot by default.
 _BOUNDS = TripletConfig()
 _CELL_M = 0.04
-# Around the plans, which names of walls are written in, as a share of the longer side.
+# Margin of the plans for the names of walls, as a share of the longer side.
 _MARGIN = 0.07
 _LEVELS = (0.5, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
 class AreaTest:
-    """Whether a landmark was `found` (c,) where it is, from places `xy` (c, 2) of a robot."""
+    """Whether a landmark was correctly `found` (c,) from positions `xy` (c, 2) of a robot."""
 
     landmark: int
     xy: FloatArray
@@ -49,7 +49,7 @@ class AreaTest:
 
 
 def typical_landmarks(landmarks: LandmarkMap) -> list[Landmark]:
-    """The strongest landmark of each wall, three at most, the strongest first."""
+    """Return the strongest landmark of each wall, three at most, the strongest first."""
     ranked = sorted(landmarks.landmarks, key=lambda k: -k.saliency)
     chosen: list[Landmark] = []
     for landmark in [*ranked, *ranked]:
@@ -64,17 +64,17 @@ def draw_observation_areas(
     landmarks: LandmarkMap, room: Room, path: Path, tests: Sequence[AreaTest] = ()
 ) -> str:
     """
-    Draw observation areas of three landmarks and the places of the sweeps; return the caption.
+    Draw observation areas of three landmarks and the poses of the sweeps; return the caption.
 
     Parameters
     ----------
     tests : sequence of AreaTest
-        From where the landmarks were found, if that was tried.
+        Tests of the areas, if there are any.
     """
     chosen = typical_landmarks(landmarks)
     tried = {test.landmark: test for test in tests}
     width, height = np.ptp(room.bounds, axis=0) + 2.0 * _margin_m(room)
-    # Higher than needed: the layout leaves no room for labels below plans that fill their cells.
+    # The figure is higher than the plans: otherwise the layout has no room for labels below them.
     figure = new_figure(15.0, 2.0 * (5.9 * height / width + 1.1) + 1.2)
     top, body = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=[0.04, 1.0])))
     grid = np.asarray(body.subplots(2, 4, width_ratios=[5.0, 1.0, 5.0, 1.0]))
@@ -120,7 +120,7 @@ def _margin_m(room: Room) -> float:
 def _draw_area(
     axes: Axes, landmark: Landmark, room: Room, test: AreaTest | None
 ) -> tuple[int, int]:
-    """One landmark; at how many places prediction and test agree, of how many."""
+    """Draw one landmark; return the numbers of tests that agree with the area, and of all."""
     x, y = (np.arange(a, b + _CELL_M, _CELL_M) for a, b in zip(*room.bounds, strict=True))
     cells = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     area = _predicted(landmark, room, cells).reshape(len(y), len(x)).astype(float)
@@ -157,7 +157,7 @@ def _predicted(landmark: Landmark, room: Room, xy: FloatArray) -> npt.NDArray[np
 
 
 def _draw_patch(axes: Axes, landmark: Landmark) -> None:
-    """What is looked for."""
+    """Draw the patch of a landmark."""
     show(axes, landmark.patch)
     axes.set_anchor('NW')
     for spine in axes.spines.values():
@@ -175,7 +175,7 @@ def _draw_places(axes: Axes, landmarks: LandmarkMap, room: Room) -> None:
     counts = Counter(k.wall_id for k in landmarks.landmarks)
     for wall, normal in zip(room.walls, room.normals, strict=True):
         x, y = 0.5 * np.add(wall.start, wall.end)
-        # Along the wall, outside of it, and never upside down.
+        # Along the wall, outside of it, and not upside down.
         turn = np.degrees(np.arctan2(-normal[0], normal[1]))
         axes.annotate(
             f'{wall.id}: {counts[wall.id]}', (x, y), tuple(-12.0 * normal[:2]),

@@ -1,7 +1,7 @@
 """
-Counterparts of Figures 4, 7 and 8 (left) of Livatino and Madsen: what attracts attention.
+Counterparts of Figures 4, 7 and 8 (left) of Livatino and Madsen: attention.
 
-Figure 4 is the way from an image to candidates, Figure 7 each feature alone, Figure 8 all.
+Figure 4 shows the stages from image to candidates, Figure 7 each feature alone, Figure 8 all.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from landmark_nav.learning.attention import (
 from landmark_nav.learning.attention.maps import CENTER_SIGMA_PX, SURROUND_SIGMA_PX
 from landmark_nav.types import Candidate, Panorama, Refusal
 
-# Shown of a panorama, as a share of the turn, and how many patches of it.
+# Shown part of a panorama, as a share of the turn, and number of shown patches.
 _SHARE = 0.25
 _PATCHES = 6
 _COLUMNS = 4
@@ -35,7 +35,7 @@ _PATCH_PX = 96
 
 
 def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> str:
-    """Draw the way from a part of a panorama to its candidates, map by map; return the caption."""
+    """Draw the maps from a part of a panorama to its candidates; return the caption."""
     attended = attend(panorama, config)
     strip = _strip(panorama, attended.candidates[:30])
     maps = attention_maps(_grey(panorama), config)
@@ -83,7 +83,7 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
 def draw_features_alone(
     panorama: Panorama, config: AttentionConfig, path: Path, names: Sequence[str] = FEATURES
 ) -> str:
-    """Draw what each feature alone selects, conspicuity above, patches below; the caption."""
+    """Draw conspicuity and selected patches of each feature alone; return the caption."""
     grey = _grey(panorama)
     strip = _strip(panorama, attend(panorama, config).candidates[:30])
     columns = min(len(names), _COLUMNS)
@@ -144,7 +144,7 @@ def _strip(panorama: Panorama, candidates: Sequence[Candidate]) -> Strip:
 def _inside(
     strip: Strip, panorama: Panorama, candidates: Sequence[Candidate]
 ) -> list[tuple[Candidate, tuple[float, float]]]:
-    """Those in the strip with their places there."""
+    """Return the candidates in the strip and their positions in it."""
     turn = panorama.mask.shape[1]
     placed = ((candidate, strip.place(candidate, turn)) for candidate in candidates)
     return [(candidate, place) for candidate, place in placed if place is not None]
@@ -155,7 +155,7 @@ def _grey(panorama: Panorama) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
 
 
 def _part(maps: AttentionMaps, image: Float32Array, strip: Strip) -> Float32Array:
-    """Cut a strip out of a map of half resolution, without the columns that it repeats."""
+    """Cut a strip out of a map of half resolution, without its padding columns."""
     turn = image[:, maps.side : image.shape[1] - maps.side]
     return np.asarray(strip.cut(turn, 0.5), np.float32)
 

@@ -1,4 +1,4 @@
-"""Counterpart of Figure 8 of Livatino and Madsen: what all features select, and where it lies."""
+"""Counterpart of Figure 8 of Livatino and Madsen: patches by all features, and their locations."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def draw_learned(
     result: LearningResult, room: Room, path: Path, truth: FloatArray | None = None
 ) -> str:
     """
-    Draw two parts of a panorama with what was selected there, and its places; return the caption.
+    Draw two parts of a panorama with selected patches, and their locations; return the caption.
 
     Parameters
     ----------
     result : LearningResult
-        What was learned; its first panorama is shown.
+        Result of learning, of which the first panorama is shown.
     truth : ndarray, shape (n, 2), optional
-        Where true rays meet the landmarks of the map, as far off their walls as those lie.
+        True locations by `true_places`.
     """
     first, second = _strips(result)
     figure = new_figure(17.0, 7.2)
@@ -77,7 +77,7 @@ def draw_learned(
 
 
 def _strips(result: LearningResult) -> tuple[Strip, Strip]:
-    """The part with most landmarks, and the next one that lies elsewhere."""
+    """Return the part with most landmarks, and the best part apart from it."""
     panorama = result.panoramas[0]
     turn = panorama.mask.shape[1]
     pairs = zip(result.candidates[0], result.outcomes[0], strict=True)
@@ -90,7 +90,7 @@ def _strips(result: LearningResult) -> tuple[Strip, Strip]:
 
 
 def _draw_strip(axes: Axes, result: LearningResult, strip: Strip) -> set[int]:
-    """Part of the first panorama; the ids of the landmarks in it."""
+    """Draw a part of the first panorama; return the ids of the landmarks in it."""
     panorama = result.panoramas[0]
     show(axes, strip.cut(panorama.image))
     ids = set()

@@ -1,4 +1,4 @@
-"""``map.png``: the walls, the landmarks and how sure they are, where they were learned from."""
+"""``map.png``: walls, landmarks with their covariances, and poses of the sweeps."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from landmark_nav.evaluation.figures.style import (
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.types import LandmarkMap, PoseEstimate
 
-# Ellipses of millimetres would not be seen in a room: they are drawn this many times as large.
+# Scale of the ellipses: those of millimetres would not be visible in a room.
 _MAGNIFIED = 10.0
 _NORMAL_M = 0.18
 _MARGIN_M = 0.4
-# Inches from a wall to the middle of a number, that a digit of 7 points takes, and a number.
+# Distance of a number from its wall, width of a digit of 7 points, and height of a number.
 _WALL_IN, _DIGIT_IN, _ROW_IN = 0.16, 0.08, 0.105
 
 
@@ -85,7 +85,7 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
 
 
 def draw_landmarks(axes: Axes, landmarks: LandmarkMap) -> None:
-    """Landmarks as dots."""
+    """Draw landmarks as dots."""
     axes.plot(*landmarks.positions[:, :2].T, 'o', color=LANDMARK, markersize=4, zorder=6)
 
 
@@ -93,9 +93,9 @@ def number_landmarks(
     figure: Figure, axes: Axes, landmarks: LandmarkMap, shown: npt.ArrayLike = True
 ) -> None:
     """
-    Write numbers outside the walls, where they do not crowd, and make room for them there.
+    Write numbers outside the walls if they do not overlap, and widen the axes for them.
 
-    The last to be drawn in a figure, whose layout must stand. `shown` (n,) says which.
+    Call it last, as it depends on the final layout of the figure. `shown` (n,) selects landmarks.
     """
     which = np.flatnonzero(np.broadcast_to(shown, len(landmarks.landmarks)))
     if not len(which):
@@ -111,12 +111,12 @@ def number_landmarks(
         text = axes.text(
             x, y, str(number), fontsize=7, ha='center', va='center', color='#333333', zorder=8
         )
-        # It lies inside the axes; to find that out for each takes long.
+        # The text is inside the axes; to check that in the layout is slow.
         text.set_in_layout(False)
 
 
 def _draw_certainty(axes: Axes, landmarks: LandmarkMap) -> None:
-    """Ellipses and normals of landmarks."""
+    """Draw ellipses and normals of landmarks."""
     feet = landmarks.positions[:, :2]
     lines = list(np.stack([feet, feet + _NORMAL_M * landmarks.normals[:, :2]], 1))
     axes.add_collection(LineCollection(lines, colors=LANDMARK, linewidths=1.0, zorder=5))
@@ -125,7 +125,7 @@ def _draw_certainty(axes: Axes, landmarks: LandmarkMap) -> None:
 
 
 def _draw_place(axes: Axes, place: PoseEstimate, number: int) -> None:
-    """Draw a sweep's place: where, where the base looked, how sure."""
+    """Draw the pose of a sweep: position, heading of the base, and covariance."""
     x, y, heading = place.pose
     add_ellipse(axes, place.pose, place.covariance[:2, :2], 3.0, FUSED, _MAGNIFIED)
     axes.plot(x, y, '^', color=FUSED, markersize=8, zorder=6)
@@ -136,7 +136,7 @@ def _draw_place(axes: Axes, place: PoseEstimate, number: int) -> None:
         arrowprops={'arrowstyle': '->', 'color': FUSED},
         zorder=6,
     )
-    # On the side that the arrow does not point to.
+    # On the side opposite to the arrow.
     away = -17 if np.sin(heading) > 0.0 else 8
     axes.annotate(
         f'sweep {number}', (x, y), (0, away), textcoords='offset points', ha='center', color=FUSED

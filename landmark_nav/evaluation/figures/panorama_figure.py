@@ -1,4 +1,4 @@
-"""``panorama_K.png``: what attention proposed and what was elected, on the panorama itself."""
+"""``panorama_K.png``: candidates and elected landmarks drawn on the panorama."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from landmark_nav.evaluation.figures.style import (
 )
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
-# Around the image: left, bottom, right, top, inches.
+# Margins of the image: left, bottom, right, top, inches.
 _MARGINS_IN = (0.7, 0.6, 0.2, 0.4)
-# Width of a digit of a label, of its border, and its height, pixels.
+# Width of a digit of a label and of its border, and height of the label.
 _DIGIT_PX, _BORDER_PX, _LABEL_PX = 0.09 * DPI, 0.06 * DPI, 0.19 * DPI
-# Of a label above its patch.
+# Distance of a label from the patch below it.
 _ABOVE_PX = 3.0
 
 
@@ -40,10 +40,10 @@ def draw_panorama(
     """
     Draw a panorama with its candidates thin and its elected landmarks bold, with their ids.
 
-    An id that would lie on one before is left out.
+    Ids that would overlap a previous one are omitted.
     """
     rows, columns = panorama.image.shape[:2]
-    # Pixel for pixel: nothing has to be resampled.
+    # The figure has the resolution of the panorama, so that nothing is resampled.
     left, bottom, right, top = _MARGINS_IN
     width, height = columns / DPI, rows / DPI
     size = (left + width + right, bottom + height + top)
@@ -55,7 +55,7 @@ def draw_panorama(
     for candidate, outcome, label in zip(
         candidates, outcomes, _labels(candidates, outcomes), strict=True
     ):
-        # What lies across the seam is drawn at both of its ends.
+        # Patches across the seam are drawn at both ends.
         for turn in (-columns, 0, columns):
             column = candidate.column + turn
             if -candidate.width_px < column < columns + candidate.width_px:
@@ -78,7 +78,7 @@ def draw_panorama(
 
 
 class _PanoramaArtist(Artist):
-    """What is covered of a panorama, pixel for pixel; `figimage` would resample it, slowly."""
+    """The covered part of a panorama at its resolution; `figimage` would resample it slowly."""
 
     def __init__(self, panorama: Panorama, left_px: float, bottom_px: float) -> None:
         super().__init__()
@@ -88,13 +88,13 @@ class _PanoramaArtist(Artist):
         self._rgba[~panorama.mask] = 255
 
     def draw(self, renderer: RendererBase) -> None:
-        """Paint it; the renderer counts rows from below."""
+        """Draw the image; the renderer counts rows from the bottom."""
         context = renderer.new_gc()
         renderer.draw_image(context, *self._corner, np.flipud(self._rgba))
 
 
 def _labels(candidates: Sequence[Candidate], outcomes: Sequence[Landmark | Refusal]) -> list[str]:
-    """Ids of the elected ones that lie on none before; others are empty."""
+    """Ids of elected candidates that overlap no previous one; empty for all others."""
     elected = {k: str(one.id) for k, one in enumerate(outcomes) if isinstance(one, Landmark)}
     sizes, corners = np.empty((2, len(elected), 2))
     for row, (k, word) in enumerate(elected.items()):
@@ -107,7 +107,7 @@ def _labels(candidates: Sequence[Candidate], outcomes: Sequence[Landmark | Refus
 
 
 def _frame(axes: Axes, candidate: Candidate, column: float, is_elected: bool, label: str) -> None:
-    """Outline of a candidate; bold and labelled if it was elected."""
+    """Draw the outline of a candidate; bold and labelled if it was elected."""
     corner = (
         column - 0.5 * candidate.width_px,
         candidate.row - 0.5 * candidate.height_px,

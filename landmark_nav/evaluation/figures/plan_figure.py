@@ -1,4 +1,4 @@
-"""``plan.png``: how exactly the robot would know its place, all over the floor."""
+"""``plan.png``: expected localization error over the floor."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MARGIN_M = 0.35
 
 
 def draw_plan(plan: Plan, room: Room, path: Path) -> None:
-    """Draw the map of expected accuracy with the proposed places."""
+    """Draw the map of expected accuracy with the proposed poses."""
     width, height = np.ptp(room.bounds, axis=0) + 2.0 * _MARGIN_M
     scale = 7.0 / max(width, height)
     figure = new_figure(scale * width + 1.5, scale * height + 1.5)
@@ -59,7 +59,7 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
 
 
 def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
-    """Heat map in millimetres with lines of equal error; blank where nothing is known."""
+    """Draw a heat map in millimetres with lines of equal error; unknown cells are blank."""
     x, y, error = _gridded(forecast.floor_xy, 1e3 * forecast.sigma_m)
     known = error[np.isfinite(error)]
     low, high = (float(np.quantile(known, q)) for q in (0.0, 0.98))
@@ -83,7 +83,7 @@ def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
 def _gridded(
     xy: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float64]]:
-    """Columns, rows, and values (rows, columns) of points on a grid; NaN where there is none."""
+    """Columns, rows, and values (rows, columns) of points on a grid; NaN for missing points."""
     x, column = np.unique(np.round(xy[:, 0], 6), return_inverse=True)
     y, row = np.unique(np.round(xy[:, 1], 6), return_inverse=True)
     grid = np.full((len(y), len(x)), np.nan)
@@ -99,7 +99,7 @@ def _draw_places(axes: Axes, forecast: Forecast, marker: str, color: str) -> Non
 
 
 def _draw_headings(axes: Axes, forecast: Forecast) -> None:
-    """Where the base looks at each place, and the number of the place at its back."""
+    """Draw the heading of the base at each pose, and the number of the pose behind it."""
     for number, (x, y, heading) in enumerate(forecast.poses_map_base, 1):
         ahead = np.array([np.cos(heading), np.sin(heading)])
         arrow = {'arrowstyle': '->', 'color': FUSED, 'path_effects': HALO}

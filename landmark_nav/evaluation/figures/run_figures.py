@@ -1,4 +1,4 @@
-"""``trajectory.png`` and ``errors.png``: a run against its truth."""
+"""``trajectory.png`` and ``errors.png``: a run compared with the ground truth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from landmark_nav.evaluation.smoothed_run import Smoothed
 from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.types import FloatArray, LandmarkMap
 
-# Share of the images whose bands are shown whole.
+# Percentage of the images whose bands are completely inside the axes.
 _SHOWN_SHARE = 98.0
 _AXES = (('ahead [cm]', 100.0), ('left [cm]', 100.0), ('heading [deg]', 180.0 / np.pi))
 
@@ -41,7 +41,7 @@ _AXES = (('ahead [cm]', 100.0), ('left [cm]', 100.0), ('heading [deg]', 180.0 / 
 def draw_trajectory(
     run: Replay, landmark_map: LandmarkMap, path: Path | BytesIO, smoothed: Smoothed | None = None
 ) -> None:
-    """Draw where the robot was, where odometry alone and fusion say it was, in the room."""
+    """Draw true, dead reckoned, fused and other trajectories in the plan of the room."""
     figure = new_figure(9.0, 6.6)
     axes = figure.add_subplot()
     draw_walls(axes, landmark_map.walls, 0.3)
@@ -73,17 +73,17 @@ def draw_trajectory(
 
 
 def driven(run: Replay, stamps_ns: IntArray, poses: FloatArray) -> FloatArray:
-    """Line (2, n) through poses; images may be far apart, and odometry leads on between them."""
+    """Line (2, n) through poses; between images that are far apart it follows odometry."""
     known = PoseTrack.of(zip(stamps_ns.tolist(), poses, strict=True))
     return np.asarray(run.odometry.carry(known).poses[:, :2].T)
 
 
 def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
     """
-    Draw the errors along and across the way and in heading, with the claimed +-3 sigma.
+    Draw the errors ahead, to the left and in heading, with +-3 sigma by the covariance.
 
-    Fixes beyond the axes are counted. Below lies a strip of which images gave a fix and when
-    the state was lost.
+    Fixes beyond the axes are counted. A strip below shows which images gave a fix and when the
+    state was lost.
     """
     figure = new_figure(10.0, 7.6)
     rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 3.0, 3.0, 1.0])
@@ -122,7 +122,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
 
 
 def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
-    """Show for each image whether it gave a fix, whether fusion used it, whether it was lost."""
+    """Draw for each image whether it gave a fix, whether fusion used it, whether it was lost."""
     fixed = np.isfinite(run.fixes[:, 0])
     used = np.array([update.used > 0 for update in run.updates])
     marks: tuple[tuple[str, npt.NDArray[np.bool_], str], ...] = (
@@ -141,7 +141,7 @@ class AxisErrors(NamedTuple):
     """
     Errors (n,) ahead, to the left or in heading, in centimetres or degrees.
 
-    `band` are three sigmas; of what is beyond `limit` little is to be seen.
+    `band` are three sigmas; `limit` is the half height of the axes.
     """
 
     label: str
@@ -161,8 +161,8 @@ def errors_by_axis(run: Replay, fused: FloatArray, fixes: FloatArray) -> list[Ax
     found = []
     for k, (label, factor) in enumerate(_AXES):
         band, off = factor * bands[:, k], factor * fused[:, k]
-        # A robot that is lost may be anywhere, and a start be given to decimetres: such bands run
-        # off the axes.
+        # The sigmas of a lost pose, and of a rough start, may be large: these bands exceed the
+        # axes.
         widest = np.percentile(band[~run.lost], _SHOWN_SHARE) if not run.lost.all() else np.nan
         shown = np.append(np.abs(off), widest)
         limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0

@@ -1,8 +1,8 @@
 """
-Counterpart of Figure 5 of Livatino and Madsen: how two panoramas place a landmark, and how well.
+Counterpart of Figure 5 of Livatino and Madsen: location of a landmark from two panoramas.
 
 Left, one landmark: its patch in one panorama, the epipolar curve with the match in the other, and
-both rays in plan. Right, how uncertain two rays alone would leave a landmark all over the room.
+both rays in plan. Right, the sigma of a landmark by two rays alone, all over the room.
 """
 
 from __future__ import annotations
@@ -30,23 +30,24 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama
 
+# Width of a strip, as a share of the turn.
 _SHARE = 0.16
 _NAMES = 'LR'
 _MARGIN_M = 0.3
 _CELL_M = 0.02
-# Standard deviation of a match, a usual one, as a share of a column.
+# Usual sigma of a match, columns.
 _MATCH_PX = 0.1
 _LEVELS_MM = (2.0, 3.0, 5.0, 10.0, 20.0, 50.0)
 
 
 def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
     """
-    Draw how a landmark is reconstructed and where that is certain; return the caption.
+    Draw the reconstruction of a landmark and its sigma over the room; return the caption.
 
     Parameters
     ----------
     result : LearningResult
-        Two panoramas or more, of which the first two are drawn, with their landmarks.
+        Result with two panoramas or more, of which the first two are drawn.
     """
     source, candidate, landmark = _example(result)
     views = result.panoramas[source], result.panoramas[1 - source]
@@ -84,10 +85,10 @@ def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
 
 def ray_sigma_m(panoramas: tuple[Panorama, Panorama], xy: FloatArray) -> FloatArray:
     """
-    Root of the trace of the covariance of points (n, 2) that two panoramas' azimuths fix.
+    Root of the trace of the covariance of points (n, 2) located by azimuths of two panoramas.
 
-    ``Sigma = [(r1 s1)^2 u2 u2^T + (r2 s2)^2 u1 u1^T] / sin^2 a`` with the panorama's own errors
-    as part of s; both panoramas' errors are taken as independent.
+    ``Sigma = [(r1 s1)^2 u2 u2^T + (r2 s2)^2 u1 u1^T] / sin^2 a``, where s includes the errors of
+    the pose of the panorama; the errors of the two panoramas are regarded as independent.
     """
     square = np.zeros(len(xy))
     for panorama in panoramas:
@@ -108,7 +109,7 @@ def _angle(panoramas: tuple[Panorama, ...], xy: FloatArray) -> FloatArray:
 
 
 def _example(result: LearningResult) -> tuple[int, Candidate, Landmark]:
-    """The elected landmark of the first two panoramas whose rays meet best, with its candidate."""
+    """Return the landmark of the first two panoramas with the best parallax, and its candidate."""
     best: tuple[float, int, Candidate, Landmark] | None = None
     for source, (candidates, outcomes) in enumerate(
         zip(result.candidates[:2], result.outcomes[:2], strict=True)
@@ -127,7 +128,7 @@ def _draw_epipolar(
     axes: Axes, views: tuple[Panorama, Panorama], candidate: Candidate, landmark: Landmark,
     width: int, name: str,
 ) -> None:  # fmt: skip
-    """The other panorama with the curve of all distances, and the match."""
+    """Draw the other panorama with the curve of all distances, and the match."""
     here, there = views
     azimuth = float(here.cylinder.azimuth_rad(candidate.column)) + here.heading_rad
     ray = np.array([np.cos(azimuth), np.sin(azimuth), here.cylinder.tangent(candidate.row)])
@@ -167,7 +168,7 @@ def _draw_rays(
         axes.annotate(
             name, (center[0], center[1]), ha='center', va='center', color=FUSED, weight='bold'
         )
-        # Beside the ray, on the side where the other one is not.
+        # Beside the ray, on the side opposite to the other ray.
         way = (center - point) / np.hypot(*(center - point))
         aside = np.array([-way[1], way[0]])
         aside *= np.sign(aside @ (center - other)) or 1.0
@@ -185,7 +186,7 @@ def _draw_rays(
 
 
 def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
-    """Heat map of standard deviations; the least one, millimetres."""
+    """Draw a heat map of sigmas; return the least one, mm."""
     pair = result.panoramas[0], result.panoramas[1]
     x, y = (
         np.arange(low, high + _CELL_M, _CELL_M) for low, high in zip(*room.bounds, strict=True)

@@ -1,4 +1,4 @@
-"""Parts of panoramas in figures: cut out round the seam, with marked patches and captions."""
+"""Parts of panoramas in figures: strips across the seam, marked patches and captions."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ import numpy.typing as npt
 from landmark_nav.evaluation.figures.style import LANDMARK
 from landmark_nav.types import Candidate, ImageArray, Panorama
 
-# Width of a letter of a caption, per point of its size, and height of a strip per width.
+# Width of a letter of a caption, inches per point of its size; height of a strip over its width.
 _LETTER_IN = 0.0072
 _HEIGHT = 0.45
 
 
 @dataclass(frozen=True)
 class Strip:
-    """`width` columns of a panorama from `start` on, round the seam, rows `top` to `bottom`."""
+    """`width` columns of a panorama from `start`, wrapped at the seam, rows `top` to `bottom`."""
 
     start: int
     width: int
@@ -32,21 +32,21 @@ class Strip:
 
     @classmethod
     def around(cls, panorama: Panorama, column: float, row: float, width: int) -> Strip:
-        """Strip centred at a column and, if the panorama is high enough for that, at a row."""
+        """Return the strip centred at a column and, if the panorama is high enough, at a row."""
         height, turn = panorama.mask.shape
         rows = round(min(_HEIGHT * width, height))
         top = int(np.clip(round(row - rows / 2), 0, height - rows))
         return cls(round(column - width / 2), min(width, turn), top, top + rows)
 
     def cut(self, image: npt.NDArray[np.generic], scale: float = 1.0) -> npt.NDArray[np.generic]:
-        """Cut it out of the panorama or of a map that is `scale` times as large."""
+        """Cut the strip out of the panorama, or of a map that is `scale` times as large."""
         first, count = round(scale * self.start), round(scale * self.width)
         rows = slice(round(scale * self.top), round(scale * self.bottom))
         columns = np.arange(first, first + count) % image.shape[1]
         return np.asarray(image[rows].take(columns, axis=1))
 
     def place(self, candidate: Candidate, turn: int) -> tuple[float, float] | None:
-        """Column and row of a patch in the strip; None if it is not whole inside."""
+        """Column and row of a patch in the strip; None if it is not completely inside."""
         column = (candidate.column - self.start) % turn
         row = candidate.row - self.top
         across, down = candidate.width_px / 2, candidate.height_px / 2
@@ -57,12 +57,12 @@ class Strip:
 
 def widest(panorama: Panorama, candidates: Iterable[Candidate], width: int, apart: int) -> Strip:
     """
-    Strip that shows the first candidate, and of the others as many as can be.
+    Find the strip that shows the first candidate, and as many of the others as possible.
 
     Parameters
     ----------
     width, apart : int
-        Columns of the strip, and how many there are between those that are tried.
+        Width of the strip, and distance between the tried ones, columns.
     """
     turn = panorama.mask.shape[1]
     chosen = list(candidates)
@@ -77,7 +77,7 @@ def widest(panorama: Panorama, candidates: Iterable[Candidate], width: int, apar
 
 
 def show(axes: Axes, image: npt.NDArray[np.generic], title: str = '') -> None:
-    """Image without ticks: BGR, or grey levels 0 to 255, or a map 0 to its largest value."""
+    """Draw an image without ticks: BGR, grey levels 0 to 255, or a map from 0 to its maximum."""
     if image.ndim == 3:
         axes.imshow(image[..., ::-1])
     elif image.dtype == np.uint8:
@@ -96,7 +96,7 @@ def mark(
     axes: Axes, place: tuple[float, float], candidate: Candidate, label: str = '',
     color: str = LANDMARK, style: str = '-',
 ) -> None:  # fmt: skip
-    """Outline of a patch whose centre is at `place` of the axes, with a label above it."""
+    """Draw the outline of a patch centred at `place` of the axes, with a label above it."""
     corner = (place[0] - candidate.width_px / 2, place[1] - candidate.height_px / 2)
     axes.add_patch(
         Rectangle(
@@ -113,7 +113,7 @@ def mark(
 
 
 def patch_of(panorama: Panorama, candidate: Candidate, size: int = 96) -> ImageArray:
-    """The pixels of a candidate, enlarged to `size`."""
+    """Return the pixels of a candidate, resized to `size`."""
     turn = panorama.mask.shape[1]
     columns = np.arange(candidate.width_px) + round(candidate.column - candidate.width_px / 2)
     top = round(candidate.row - candidate.height_px / 2)
@@ -123,6 +123,6 @@ def patch_of(panorama: Panorama, candidate: Candidate, size: int = 96) -> ImageA
 
 
 def caption(figure: Figure, text: str, size: float = 10.0) -> None:
-    """Caption below the figure, broken to its width."""
+    """Write a caption below the figure, wrapped to its width."""
     letters = int(figure.get_size_inches()[0] / (_LETTER_IN * size))
     figure.supxlabel(fill(text, letters), x=0.01, ha='left', fontsize=size)

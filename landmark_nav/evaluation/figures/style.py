@@ -1,4 +1,4 @@
-"""What all figures share: colours, plans of the room, saving."""
+"""Common parts of all figures: colours, plans of the room, saving."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from landmark_nav.geometry.walls import Paper, paper_bgr, Wall
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray
 
-# Distinguishable also without colour vision (Okabe and Ito, Color Universal Design, 2008).
+# Colours for all kinds of colour vision (Okabe and Ito, Color Universal Design, 2008).
 TRUTH = '#222222'
 FUSED = '#0072b2'
 ODOMETRY = '#d55e00'
@@ -30,14 +30,14 @@ CANDIDATE = '#e69f00'
 SMOOTHED = '#cc79a7'
 WALL = '#555555'
 GRID = '#dddddd'
-# Around what is written over a drawing.
+# Border of text over a drawing.
 HALO = (withStroke(linewidth=3.0, foreground='white'),)
 
 DPI = 130
 
 
 def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figure:
-    """Empty figure that no window system and no global state knows of."""
+    """Create an empty figure without a window or global state."""
     layout: Literal['constrained'] | None = 'constrained' if arranged else None
     figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout=layout)
     FigureCanvasAgg(figure)
@@ -48,10 +48,8 @@ def save(figure: Figure, path: Path | BytesIO, tight: bool = True) -> None:
     """
     Write a PNG, to a file or to memory.
 
-    It holds no date and no version, so that the same figure is the same file.
-
-    Tight, as axes of equal scale leave less room below them than the layout had planned for; it
-    draws everything twice.
+    It contains no date and no version, so that the same figure gives the same file. A tight box
+    is required for axes of equal scale, which do not fill their layout; it draws everything twice.
     """
     drawn = BytesIO()
     figure.savefig(
@@ -59,7 +57,7 @@ def save(figure: Figure, path: Path | BytesIO, tight: bool = True) -> None:
         metadata={'Software': None},
         bbox_inches='tight' if tight else None,
         pad_inches=0.12,
-        # Half the size is not worth many times the time.
+        # Higher levels halve the size, but take many times as long.
         pil_kwargs={'compress_level': 1},
     )
     if isinstance(path, Path):
@@ -69,7 +67,7 @@ def save(figure: Figure, path: Path | BytesIO, tight: bool = True) -> None:
 
 
 def plain(axes: Axes) -> None:
-    """Quiet grid, no frame above and right."""
+    """Set a light grid, and no frame at the top and right."""
     axes.grid(color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     for side in ('top', 'right'):
@@ -79,7 +77,7 @@ def plain(axes: Axes) -> None:
 def legend_beside(
     axes: Axes, where: str, columns: int, handles: Sequence[Artist] | None = None
 ) -> None:
-    """Legend above or below the axes, where it covers no data."""
+    """Add a legend above or below the axes, where it covers no data."""
     chosen = axes.get_legend_handles_labels()[0] if handles is None else handles
     above = where == 'above'
     axes.legend(
@@ -92,7 +90,7 @@ def legend_beside(
 
 
 def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
-    """Plan of the walls with equal axes in metres, `margin_m` around it."""
+    """Draw a plan of the walls with equal axes in metres and a margin of `margin_m`."""
     drawn = list(walls)
     for wall in drawn:
         axes.plot(*zip(wall.start, wall.end, strict=True), color=WALL, linewidth=2.5, zorder=2)
@@ -107,14 +105,14 @@ def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
 
 
 def draw_papers(axes: Axes, papers: Iterable[Paper]) -> None:
-    """Reference papers as squares of their colour."""
+    """Draw reference papers as squares of their colour."""
     for paper in papers:
         blue, green, red = (part / 255.0 for part in paper_bgr(paper.color))
         axes.plot(*paper.center[:2], 's', color=(red, green, blue), markersize=7, zorder=5)
 
 
 def draw_sweep_places(axes: Axes, places_xy: Iterable[FloatArray]) -> None:
-    """Where sweeps were taken: left and right, as in stereo, or numbers where there are more."""
+    """Draw positions of sweeps: L and R for two, as in stereo, numbers for more."""
     places = list(places_xy)
     names = 'LR' if len(places) <= 2 else [str(number) for number in range(1, len(places) + 1)]
     for name, (x, y) in zip(names, places, strict=False):
@@ -129,9 +127,9 @@ def add_ellipse(
     axes: Axes, center: FloatArray, covariance: FloatArray, sigmas: float, color: str, scale: float
 ) -> None:
     """
-    Ellipse of `sigmas` standard deviations of a planar covariance (2, 2).
+    Draw the ellipse of `sigmas` sigmas of a planar covariance (2, 2).
 
-    `scale` enlarges it, so that centimetres can be seen in a room.
+    `scale` enlarges it, so that centimetres are visible in a room.
     """
     variances, axes_2d = np.linalg.eigh(covariance)
     width, height = 2.0 * sigmas * scale * np.sqrt(np.maximum(variances[::-1], 0.0))
@@ -153,12 +151,12 @@ def add_ellipse(
 
 def free_labels(corners: npt.ArrayLike, sizes: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """
-    Which labels (n,) lie on none of those before that are kept.
+    Mask (n,) of labels that overlap none of the previously kept ones.
 
     Parameters
     ----------
     corners, sizes : array_like, shape (n, 2)
-        Least x and y of each label, its width and height, in one unit.
+        Least x and y of each label, and its width and height, in one unit.
     """
     low = np.asarray(corners, float).reshape(-1, 2)
     high = low + np.asarray(sizes, float).reshape(-1, 2)
@@ -170,13 +168,13 @@ def free_labels(corners: npt.ArrayLike, sizes: npt.ArrayLike) -> npt.NDArray[np.
 
 
 def metres_per_inch(figure: Figure, axes: Axes) -> float:
-    """Scale at which a plan is going to be drawn in a figure."""
+    """Scale of a plan in the final layout of a figure."""
     figure.draw_without_rendering()
     return float(np.ptp(axes.get_xlim()) * figure.dpi / axes.get_window_extent().width)
 
 
 def keep_in_view(axes: Axes, points: FloatArray, margin_m: float) -> None:
-    """Widen the limits so far that all points (n, 2) lie `margin_m` inside."""
+    """Widen the limits so that all points (n, 2) are at least `margin_m` inside."""
     low, high = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     axes.set_xlim(min(left, low[0]), max(right, high[0]))

@@ -1,4 +1,4 @@
-"""Counterpart of Figure 3 of Livatino and Madsen: panoramas out of frames of a turning camera."""
+"""Counterpart of Figure 3 of Livatino and Madsen: panoramas from frames of a turning camera."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from landmark_nav.types import FloatArray, Panorama, Sweep
 
 _WIDTH_IN = 24.0
 _NAMES = 'LR'
-# Height of a line of 12 points with what is around it, and pixels of a panorama that two need.
+# Height of a line of 12 points with its border; height of two lines, pixels of a panorama.
 _LINE_PT, _NAMES_PX = 20.0, 75.0
 
 
 def draw_sweeps(
     sweeps: Sequence[Sweep], panoramas: Sequence[Panorama], room: Room, path: Path
 ) -> str:
-    """Draw panoramas with how many frames show each column, and papers; the caption."""
+    """Draw panoramas with papers and the number of frames of each column; return the caption."""
     shape = panoramas[0].image.shape
     height = len(sweeps) * (_WIDTH_IN * shape[0] / shape[1] + 1.3) + 1.0
     figure = new_figure(_WIDTH_IN, height)
@@ -51,7 +51,7 @@ def _draw_panorama_part(axes: Axes, panorama: Panorama, room: Room, title: str) 
 
 
 def _name_papers(axes: Axes, panorama: Panorama, room: Room) -> None:
-    """Write above each paper what it is, below it if there is no room; neighbours by turns."""
+    """Label each paper above it, or below if there is no room, at alternating distances."""
     height = panorama.mask.shape[0]
     seen = []
     for paper in room.papers:
@@ -84,7 +84,7 @@ def _draw_counts(axes: Axes, panorama: Panorama, counts: FloatArray) -> None:
 
 
 def _frames_of_columns(sweep: Sweep, panorama: Panorama) -> FloatArray:
-    """How many frames show each column (width,), at the horizon."""
+    """Number of frames that show each column (width,) at the horizon."""
     azimuth = panorama.cylinder.azimuth_rad(np.arange(panorama.cylinder.width))
     counts = np.zeros(panorama.cylinder.width)
     for frame in sweep.frames:
@@ -95,7 +95,7 @@ def _frames_of_columns(sweep: Sweep, panorama: Panorama) -> FloatArray:
 
 
 def _sides(camera: CameraModel) -> tuple[float, float]:
-    """Angles of the left and right rims from the optical axis, counter-clockwise."""
+    """Angles of the left and right borders from the optical axis, counter-clockwise."""
     rims = np.array([[0.0, camera.cy], [camera.width - 1.0, camera.cy]])
     rays = camera.unproject(rims)
     left, right = -np.arctan2(rays[:, 0], rays[:, 2])

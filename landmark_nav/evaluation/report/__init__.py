@@ -1,4 +1,4 @@
-"""A run on one page that can be played, in a single HTML file; and as a video."""
+"""Report of a run: an interactive page in a single HTML file, and a video."""
 
 from landmark_nav.evaluation.report.collect import (
     calibration_page,

@@ -1,4 +1,4 @@
-"""What a page shows, as plain values out of a run: arrays rounded, no pose without its unit."""
+"""Data of a page from the results of a run, as plain rounded values."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.storage.reading import read_image
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Landmark, LandmarkMap, Refusal
 
-# More moments than a minute of video are thinned.
+# Greatest number of images that are shown; more are thinned.
 _MOST_MOMENTS = 2000
-# Lines of the plan hold so many points at most.
+# Greatest number of points of a line of the plan.
 _MOST_POINTS = 2000
 _PATCH_PX, _PANORAMA_PX, _QUALITY = 96, 2400, 75
 _MOST_PANORAMAS = 8
-# Residuals beyond this quantile run off the axes; outliers of less weight are left out.
+# Quantile of the residuals that the axes show; least weight of residuals, without outliers.
 _REACH, _LEAST_WEIGHT = 0.99, 0.1
 
 
@@ -69,9 +69,9 @@ def drive_page(
     Parameters
     ----------
     report : mapping
-        As `landmark_nav.evaluation.run_report` makes it, with ``spells``.
+        Report of `landmark_nav.evaluation.run_report`, with ``spells``.
     calibration : Calibration
-        By which landmarks are projected into the images.
+        Calibration with which landmarks are projected into the images.
     """
     chosen = _moments(run)
     drive = _drive(run, chosen, landmarks, calibration, strip, smoothed)
@@ -94,7 +94,7 @@ def drive_page(
 def learning_page(
     report: Mapping[str, Any], result: LearningResult, papers: Iterable[Paper] = ()
 ) -> Page:
-    """Page of a map that was learned; `report` as `learning_report` makes it."""
+    """Page of a learned map; `report` is that of `learning_report`."""
     return Page(
         verdict=learning_verdict(report, result.warning),
         tables=learning_tables(report),
@@ -106,7 +106,7 @@ def learning_page(
 def calibration_page(
     report: Mapping[str, Any], residuals: tuple[Residuals, Residuals] | None
 ) -> Page:
-    """Page of a calibration; `residuals` are those of the last drive before and after it."""
+    """Page of a calibration; `residuals` are those of the last drive before and after."""
     return Page(
         verdict=calibration_verdict(report),
         tables=calibration_tables(report),
@@ -116,7 +116,7 @@ def calibration_page(
 
 
 def _numbers(values: npt.ArrayLike, digits: int) -> Any:
-    """Nested lists, rounded; None for what is not finite."""
+    """Round to nested lists; values that are not finite are None."""
     array = np.asarray(values, dtype=np.float64)
     known = np.isfinite(array)
     rounded = np.round(np.where(known, array, 0.0), digits)
@@ -172,7 +172,7 @@ def _map(
 
 
 def _moments(run: Replay) -> npt.NDArray[np.intp]:
-    """Places of the updates that are shown, by time; where the state changes all are."""
+    """Indices of the updates that are shown, by time; they include all changes of the state."""
     order = np.argsort(run.stamps_ns, kind='stable')
     every = -(-len(order) // _MOST_MOMENTS)
     status = np.array([run.updates[k].status for k in order])
@@ -189,7 +189,7 @@ def _drive(
     strip: FrameStrip,
     smoothed: Smoothed | None,
 ) -> dict[str, Any]:
-    """What the player shows, one entry a moment."""
+    """Data of the player, one entry for each chosen update."""
     updates = [run.updates[k] for k in chosen]
     stamps = run.stamps_ns[chosen]
     mount = calibration.mount
@@ -199,7 +199,7 @@ def _drive(
         for frame in frames
     ]
     camera = next((frame.camera for frame in frames if frame is not None), None)
-    # The copy that was last before each moment, and the moment that it is of.
+    # Index of the last copy before each update.
     kept = np.array(sorted(strip.jpegs), dtype=np.int64)
     image = np.searchsorted(kept, stamps, 'right') - 1
     levels = [(np.nan, np.nan) if u.level is None else tuple(u.level) for u in updates]
@@ -242,11 +242,11 @@ def _missed(update: LocalizationUpdate) -> list[int]:
 
 
 def _used(update: LocalizationUpdate, landmarks: LandmarkMap) -> tuple[set[int], str]:
-    """Ids of the landmarks that corrected the pose, and why the others did not."""
+    """Ids of the landmarks that corrected the pose, and the reason for the others."""
     if isinstance(update.taken, Refusal):
         return set(), str(update.taken)
     if update.taken is None:
-        # Of a recording only what was found is known.
+        # A recording of the nodes contains the detections only.
         return set(update.observation.detections.ids.tolist()), ''
     return set(landmarks.ids[update.taken.used].tolist()), 'outlier'
 
@@ -260,7 +260,7 @@ def _seen(
     """
     Landmarks of one image: found and used, found and not used, or not found.
 
-    `outline` are the corners of the patch where the fused pose expects it, pixels.
+    `outline` are the corners of the patch as predicted by the fused pose, pixels.
     """
     observation, found = update.observation, update.observation.detections
     used, why = _used(update, landmarks)
@@ -299,7 +299,7 @@ def _charts(run: Replay, errors: RunErrors, chosen: npt.NDArray[np.intp]) -> lis
     """
     Errors ahead, to the left and in heading, +-3 sigma and protection levels.
 
-    Without ground truth triangulated poses are compared with the fused ones.
+    Without ground truth, triangulated poses are compared with the fused ones.
     """
     known = len(run.truth) > 0
     off = errors.triangulation if known else pose_errors(run.fixes, run.fused)
@@ -353,7 +353,7 @@ def _residual_charts(before: Residuals, after: Residuals) -> list[dict[str, Any]
 
 
 def drawn_panoramas(map_folder: Path) -> list[dict[str, Any]]:
-    """Panoramas as `learn` drew them into the folder of a map, where it did."""
+    """Panoramas that `learn` drew into the folder of a map, if there are any."""
     shown = []
     for number in range(1, _MOST_PANORAMAS + 1):
         path = map_folder / f'panorama_{number}.png'
@@ -365,7 +365,7 @@ def drawn_panoramas(map_folder: Path) -> list[dict[str, Any]]:
 
 
 def _without_border(drawn: ImageArray) -> ImageArray:
-    """Leave out title and axes, which are white in dark mode and too small to read."""
+    """Crop title and axes, which are white in dark mode and too small to read."""
     inside = (drawn < 250).any(axis=2)
     rows = np.flatnonzero(inside.mean(axis=1) > 0.5)
     columns = np.flatnonzero(inside.mean(axis=0) > 0.5)
@@ -375,7 +375,7 @@ def _without_border(drawn: ImageArray) -> ImageArray:
 
 
 def panoramas(result: LearningResult) -> list[dict[str, Any]]:
-    """Panoramas with what became of every candidate in them, pixels of the panorama."""
+    """Panoramas with the outcome of every candidate, in pixels of the panorama."""
     shown = []
     for view, candidates, outcomes in zip(
         result.panoramas, result.candidates, result.outcomes, strict=True

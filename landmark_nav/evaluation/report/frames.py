@@ -1,4 +1,4 @@
-"""The images of a drive, small and few enough for a page."""
+"""Reduced copies of the images of a drive for a page."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from landmark_nav.image_codec import encode_image
 from landmark_nav.storage.bags import SensorEvent
 from landmark_nav.types import CameraFrame
 
-# Base64 makes four bytes of three: a page of 15 MB, with 4 MB for all the rest.
+# Greatest size of all copies: 11 MB in base64, for a page of 15 MB with 4 MB of other data.
 _BUDGET_BYTES = 8_000_000
 _WIDTH_PX = 480
 _QUALITY = 60
@@ -20,10 +20,10 @@ _QUALITY = 60
 
 class FrameStrip:
     """
-    Small JPEG copies of images, evenly thinned to `budget_bytes`, however long the drive is.
+    Small JPEG copies of images, evenly thinned to `budget_bytes` for a drive of any length.
 
-    `frames` holds all frames without their pixels, `jpegs` the copies that were kept; both by
-    stamp in nanoseconds.
+    `frames` holds all frames without their pixels, `jpegs` the kept copies; both by stamp in
+    nanoseconds.
     """
 
     def __init__(self, budget_bytes: int = _BUDGET_BYTES) -> None:
@@ -32,14 +32,14 @@ class FrameStrip:
         self._budget, self._bytes, self._stride = budget_bytes, 0, 1
 
     def watch(self, events: Iterable[SensorEvent]) -> Iterator[SensorEvent]:
-        """Pass events on, and keep copies of their images."""
+        """Yield the events unchanged, and keep copies of their images."""
         for event in events:
             if isinstance(event, CameraFrame):
                 self.add(event)
             yield event
 
     def add(self, frame: CameraFrame) -> None:
-        """Keep a copy of an image if it is its turn."""
+        """Keep a copy of an image if its index is a multiple of the stride."""
         if len(self.frames) % self._stride == 0:
             self.jpegs[frame.stamp_ns] = copied = jpeg(frame.image, _WIDTH_PX, _QUALITY)
             self._bytes += len(copied)
@@ -51,7 +51,7 @@ class FrameStrip:
 
 
 def jpeg(image: np.ndarray, most_px: int, quality: int) -> bytes:
-    """Bytes of an image, grey or BGR, at most `most_px` wide."""
+    """Encode an image, grey or BGR, reduced to a width of at most `most_px`."""
     scale = min(1.0, most_px / image.shape[1])
     if scale < 1.0:
         image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)

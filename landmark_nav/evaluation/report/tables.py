@@ -1,4 +1,4 @@
-"""Verdicts and tables of a page: figures with their units, each explained."""
+"""Verdicts and tables of a page: metrics with units and explanations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from landmark_nav.calibration import MEANINGS, SHOWN_IN
 
 ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
-# States of localization as the glossary calls them.
+# States of localization by the terms of the glossary.
 STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}
 
 Table = dict[str, Any]
@@ -36,12 +36,12 @@ _ERRORS = (
 
 
 def cell(value: float | None, factor: float, digits: int) -> str:
-    """Write a figure in another unit, or a dash where there is none."""
+    """Format a metric in another unit, or a dash if it is None."""
     return '-' if value is None else f'{factor * value:.{digits}f}'
 
 
 def nees_range(interval: Sequence[float] | None) -> str:
-    """Give the bounds between which the mean NEES is consistent, if that is known."""
+    """Format the bounds within which the mean NEES is consistent, if they are known."""
     return f', {interval[0]:.2f} to {interval[1]:.2f} is consistent' if interval else ''
 
 
@@ -56,7 +56,7 @@ def _table(
     note: str = '',
     whys: Mapping[str, str] | None = None,
 ) -> Table:
-    """Rows below their head; `whys` explain columns."""
+    """Return a table; `whys` are explanations of columns."""
     table = {'title': title, 'head': list(head), 'rows': list(rows), 'note': note}
     return {**table, 'whys': whys or {}}
 
@@ -67,7 +67,7 @@ def _verdict(level: str, parts: Iterable[str]) -> dict[str, str]:
 
 
 def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
-    """How good a drive was, whether its covariance is consistent, and when it was lost."""
+    """Summarise the accuracy of a drive, the consistency of its covariance, and its states."""
     fused, claimed, mean = report['fused'], report['claimed'], report['nees']['mean']
     interval, wrong = report['nees']['interval_95'], report['silently_wrong']
     level = 'good'
@@ -111,7 +111,7 @@ def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
 
 
 def drive_tables(report: Mapping[str, Any]) -> list[Table]:
-    """Errors, figures of merit, times without tracking, calibration and checks of a drive."""
+    """Errors, figures of merit, times that are not OK, calibration and checks of a drive."""
     names = [name for name in ESTIMATES if name in report]
     note = 'Errors are absolute in map, never aligned, at the stamps of the images.'
     if report.get('aligned'):
@@ -192,7 +192,7 @@ def _merits(report: Mapping[str, Any]) -> Iterable[Row]:
 
 
 def learning_verdict(report: Mapping[str, Any], warning: str) -> dict[str, str]:
-    """How many landmarks, on which walls, and how well the sweeps' poses are known."""
+    """Summarise the number of landmarks, their walls, and the sigmas of the sweeps' poses."""
     walls = report['landmarks_per_wall']
     worst_m = max(float(np.hypot(*sweep['sigma'][:2])) for sweep in report['sweeps'])
     errors = [sweep['error_position_m'] for sweep in report['sweeps'] if 'error' in sweep]
@@ -233,7 +233,7 @@ def learning_tables(report: Mapping[str, Any]) -> list[Table]:
 
 
 def _calibration_table(table: Mapping[str, Mapping[str, Any]]) -> Table:
-    """The mount, lens and clocks as given and as estimated, in the units of people."""
+    """Prior and estimate of mount, lens and clocks, in units for people."""
     rows = []
     for name, row in table.items():
         factor, unit = SHOWN_IN[row['unit']]
@@ -247,14 +247,14 @@ def _calibration_table(table: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def calibration_tables(report: Mapping[str, Any]) -> list[Table]:
-    """The calibration, and what to record for what the recording does not show."""
+    """The calibration, and the motions to record for unobserved quantities."""
     wanted = [_row(', '.join(one['quantities']), one['motion']) for one in report['unobserved']]
     more = [_table('Not observed', ('quantities', 'record'), wanted)] if wanted else []
     return [_calibration_table(report['calibration']), *more]
 
 
 def calibration_verdict(report: Mapping[str, Any]) -> dict[str, str]:
-    """What was observed, what differs from before, and what contradicts it."""
+    """Summarise observed quantities, differences from the prior, and contradictions."""
     table = report['calibration']
     observed = sum(row['observed'] for row in table.values())
     off = {

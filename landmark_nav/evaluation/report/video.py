@@ -1,4 +1,4 @@
-"""A drive as a video: plan, camera image and error, out of the same values as the page."""
+"""Video of a drive: plan, camera image and error, by the same data as the page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WIDTH, _HEIGHT, _PLAN, _MARGIN = 1280, 720, 800, 40
 _FUSED, _TRUTH, _ODOMETRY = (178, 114, 0), (34, 34, 34), (0, 94, 213)
 _LANDMARK, _LEVEL, _QUIET = (115, 158, 0), (149, 81, 122), (150, 150, 150)
 _MOST_FPS = 30.0
-# Pixels are drawn to a 16th.
+# Fractional bits of pixel coordinates: 1/16 pixel.
 _SHIFT = 4
 
 
@@ -29,7 +29,7 @@ def write_video(path: Path, page: Page) -> None:
     """
     Write a drive as MPEG-4, in real time.
 
-    Raises `LandmarkNavError`: it cannot be written.
+    Raises `LandmarkNavError`: the file cannot be written.
     """
     drive = page['data']['run']
     span_s = drive['t'][-1] - drive['t'][0]
@@ -49,7 +49,7 @@ def write_video(path: Path, page: Page) -> None:
 
 
 class _Scene:
-    """The plan, and what moves on it."""
+    """The static plan, and the moving parts drawn on it."""
 
     def __init__(self, data: dict[str, Any]) -> None:
         self._drive, self._images = data['run'], data['images']
@@ -71,7 +71,7 @@ class _Scene:
                        cv2.LINE_AA, _SHIFT)  # fmt: skip
 
     def at(self, k: int) -> ImageArray:
-        """One frame (720, 1280, 3), BGR."""
+        """Draw one frame (720, 1280, 3), BGR."""
         drive = self._drive
         frame: ImageArray = self._plan.copy()
         pose = np.array(drive['pose'][k])
@@ -98,7 +98,7 @@ class _Scene:
         return frame
 
     def _camera(self, frame: ImageArray, number: int) -> int:
-        """Draw a camera image with what was found in it; the row below it."""
+        """Draw a camera image with its detections; return the row below it."""
         if number < 0:
             return _MARGIN
         data = np.frombuffer(base64.b64decode(self._images[number]), np.uint8)
@@ -116,7 +116,7 @@ class _Scene:
         return int(shown.shape[0])
 
     def _texts(self, k: int) -> list[str]:
-        """Time, state, error and level, ASCII."""
+        """Format time, state, error and level in ASCII."""
         drive = self._drive
         pose, truth, level = drive['pose'][k], drive['truth'][k], drive['level'][k]
         texts = [
@@ -134,7 +134,7 @@ class _Scene:
         return [text.encode('ascii', 'replace').decode()[:54] for text in texts]
 
     def _pixels(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
-        """Points (n, 2) [m] in pixels of the plan, in parts of 16."""
+        """Project points (n, 2) [m] to the plan, in units of 1/16 pixel."""
         x, y = (self._scale * (np.asarray(points, dtype=np.float64) - self._low)).T
         pixels = np.column_stack([self._left + x, _HEIGHT - self._top - y])
         return np.asarray(np.round(np.clip(pixels, -1e4, 1e4) * 2**_SHIFT), np.int32)

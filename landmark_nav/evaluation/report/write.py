@@ -1,4 +1,4 @@
-"""The page as a file: a template, its style and its script in one, which needs no other file."""
+"""Write a page to a self-contained file with its style and script."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from landmark_nav.storage.atomic_io import write_atomically
 
 
 def check_report(path: Path | None) -> None:
-    """Refuse a name that browsers would not open as a page."""
+    """Refuse a file name that browsers do not open as a page."""
     if path and path.suffix.lower() not in ('.html', '.htm'):
         raise UsageError(f'--report {path}: reports are written as .html')
 
@@ -26,17 +26,17 @@ def write_report(
     path: Path, page: Page, title: str, command: str, inputs: Mapping[str, object]
 ) -> None:
     """
-    Write a page with its title, and the command that read these inputs, by their names.
+    Write a page with its title, the command, and the inputs of the command by name.
 
-    Raises `LandmarkNavError`: it cannot be written.
+    Raises `LandmarkNavError`: the file cannot be written.
     """
     write_atomically(path, page_html(page, title, command, inputs))
 
 
 def page_html(page: Page, title: str, command: str, inputs: Mapping[str, object]) -> str:
-    """Return the page; what it shows is text to the browser, wherever it came from."""
+    """Return the page; all inserted values are escaped."""
     now = datetime.now().astimezone().strftime('%Y-%m-%d %H:%M %z')
-    # In a script nothing but `<` could end it.
+    # Only a `<` in the data could end the script element.
     data = json.dumps(page['data'], separators=(',', ':'), allow_nan=False)
     return _template().render(
         page=page,
