@@ -61,7 +61,7 @@ def calibration_entry(known: Calibration) -> dict[str, Any]:
 
 
 def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibration | None:
-    """Calibration of an optional entry; names of frames and joints are the defaults."""
+    """Calibration of an optional entry; it lacks the names of frames and joints of the robot."""
     if document.get(key) is None:
         return None
     entry, where = document[key], f'{where}: {key}'
