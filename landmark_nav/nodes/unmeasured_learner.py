@@ -58,7 +58,7 @@ class UnmeasuredLearner:
         """
         Learn a map from the sweeps that are kept.
 
-        Raises `LandmarkNavError`: nothing gives the scale, or a stage fails.
+        Raises `LandmarkNavError`: the scale is not observable, or a stage fails.
         """
         recorded = [self._sweeps[stamp] for stamp in sorted(self._sweeps)]
 

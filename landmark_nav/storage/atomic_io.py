@@ -158,7 +158,7 @@ def _is_stream(path: Path) -> bool:
 
 def check_writable(*files: Path | None) -> None:
     """
-    Check before the work that output files can be written; None stands for an unwanted output.
+    Check that output files can be written, before they are computed; None stands for no output.
 
     Raises `LandmarkNavError`: one of the files cannot be written.
     """

@@ -36,8 +36,8 @@ from landmark_nav.storage.reading import (
 from landmark_nav.storage.setup_files import wall_entry, walls_field
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap, PoseEstimate
 
-# Greatest negative eigenvalue of the covariance that is left without the shared error, relative to
-# the norm of the covariance: numbers written by hand are rounded.
+# Greatest magnitude of a negative eigenvalue of the covariance without the shared errors, relative
+# to the norm of the covariance: numbers written by hand are rounded.
 _ROUNDING = 1e-6
 # Greatest number of pixels of one patch and of a map, which bound memory. A patch has some 1,000.
 _MAX_PATCH_PIXELS, _MAX_MAP_PIXELS = 1_000_000, 100_000_000

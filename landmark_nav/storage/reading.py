@@ -208,7 +208,7 @@ def _scalar(text: str) -> Any:
 
 # Greatest negative eigenvalue and asymmetry of a covariance, relative to its largest eigenvalue.
 _ROUNDING = 1e-9
-# Least similarity (`difflib`) of an unknown name and a known one that is a spelling error.
+# Least similarity (`difflib`) at which an unknown name is a misspelt known one.
 _ALIKE = 0.8
 # Greatest number of unknown fields that are compared, which takes long. With more, the file is
 # of another kind.

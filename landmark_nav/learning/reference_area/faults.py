@@ -59,9 +59,10 @@ _LEAST_SEEN = 2
 # Costs in each view of a paper that should be in view and is not found, and of one assumed hidden,
 # squared sigmas.
 _MISSING, _HIDDEN = 60.0, 30.0
-# Greatest error of a paper's place that is searched, m, and of its size, relative.
+# Greatest error of the location of a paper that is searched, m, that of its size, relative, and
+# greatest cost of the paper there, squared sigmas.
 _SEARCH_M, _SEARCH_SHARE, _MOST_COST = 0.25, 0.15, 12.0
-# Largest factor on sizes of papers and rooms, and lowest place of a paper.
+# Largest factor on sizes of papers and rooms, and lowest height of a paper.
 _ANY_SIZE, _BELOW_M = 1.6, -0.5
 # Most poses tried in a panorama, papers whose colours are permuted, and views.
 _MOST_PLACES, _MOST_SWAPPED, _MOST_VIEWS = 4, 4, 4
@@ -113,7 +114,7 @@ class PaperFaults:
 
     `chi_square` and `redundancy` are those without a fault. `faults`, the likeliest first, explain
     the data equally well; if there are none though `fits` is false, no single fault does. `text`
-    is one line for people, empty if all fits.
+    is a message of one line, empty if all fits.
     """
 
     fits: bool

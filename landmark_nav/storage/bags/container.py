@@ -28,7 +28,8 @@ from landmark_nav.errors import LandmarkNavError, why
 
 # Greatest size of an uncompressed chunk; a recorder writes chunks of 1 to 10 MB.
 CHUNK_BYTES = 256 * 2**20
-# Greatest compression ratio of sensor data; chunks may unpack to the size behind it in any case.
+# Greatest compression ratio of sensor data; size to which any chunk may unpack; size to which any
+# compressed file may unpack.
 _RATIO, _SMALL_BYTES = 300, 64 * 2**20
 _SMALL_FILE_BYTES = 2**29
 _BLOCK_BYTES = 2**20
