@@ -1,8 +1,8 @@
 """
-All parameters, of all nodes and of ``--config``: what they are, and who reads them.
+Parameters of all nodes and of ``--config``, and the nodes that read them.
 
-What is no parameter describes the method, and is a constant beside its use; what describes the
-robot is in `robot.yaml`. ``config/landmark_nav.yaml`` holds those that a user may want to change.
+Values that describe the method are constants beside their use; those that describe the robot are
+in `robot.yaml`. ``config/landmark_nav.yaml`` holds the parameters that a user may want to change.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LOG = logging.getLogger(__name__)
 
 _WHERE = ': docs/reference/parameters.md lists all'
 
-# Node -> the parameters and sections that it reads.
+# Node -> parameters and sections that it reads.
 READS: dict[str, tuple[str, ...]] = {
     'sweep_capture': ('robot_file', 'image_transport', 'capture', 'command'),
     'panorama_synthesizer': ('robot_file', 'room_file'),
@@ -47,7 +47,7 @@ READS: dict[str, tuple[str, ...]] = {
     'room_simulator': ('seed', 'room_file', 'robot_file', 'camera_file', 'command.type'),
     'bag_player': ('bag', 'rate'),
 }
-# Of these, what may be set while the node runs: the next call, image or transform goes by it.
+# Node -> those that may be set while it runs, with effect from the next call, image or transform.
 LIVE: dict[str, tuple[str, ...]] = {
     'sweep_capture': ('capture',),
     'landmark_learner': ('map_folder', 'attention', 'stereo', 'election', 'unmeasured'),
@@ -59,7 +59,7 @@ LIVE: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class PanCommandConfig(Config):
-    """How the pan-tilt unit is commanded."""
+    """Format of the commands of the pan-tilt unit."""
 
     type: str = parameter(
         'JointTrajectory',
@@ -74,7 +74,7 @@ class Configuration(PanoramaStages, LearningConfig, LocalizationConfig):
     """
     Parameters of all nodes and commands, and settings of all stages.
 
-    `former_robot` are fields of `robot.yaml` that parameters of the last release gave.
+    `former_robot` holds fields of `robot.yaml` that were parameters in the last release.
     """
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits, joints, wheels')
@@ -120,19 +120,19 @@ def load_configuration(
     path: Path | str | None, robot_file: Path | str, *nodes: str
 ) -> Configuration:
     """
-    Read parameters as nodes do; what the file does not name keeps its default.
+    Read parameters as nodes do; parameters that the file does not hold keep their defaults.
 
-    Raises `LandmarkNavError`: no YAML, a parameter that does not exist, or a value that it may not
-    take.
+    Raises `LandmarkNavError`: the file is not YAML, a parameter does not exist, or a value is
+    invalid.
 
     Parameters
     ----------
     path : path-like, optional
-        As for ``--params-file``.
+        File as for ``--params-file``.
     robot_file : path-like
-        `robot.yaml`, for the noise of the wheels and the pan unit.
+        `robot.yaml`, for the noise of the odometry and the pan unit.
     *nodes : str
-        Whose parameters count.
+        Names of the nodes whose parameters are read.
     """
     config = replace(Configuration(), robot_file=str(robot_file))
     if path:
@@ -150,9 +150,9 @@ def load_configuration(
 
 def with_robot(config: Configuration) -> Configuration:
     """
-    Return it with what its robot file says of pan unit and wheels.
+    Return a configuration with pan unit and noise of the odometry by its robot file.
 
-    Raises `LandmarkNavError`: the file can not be read, or says what can not be.
+    Raises `LandmarkNavError`: the file cannot be read, or is invalid.
     """
     path, former = config.robot_file, config.former_robot
     mount = load_robot(path, former)

@@ -1,7 +1,7 @@
 """
-Parameters of the last release that have another name or place now, or are gone: for one release.
+Parameters of the last release that were renamed, moved or removed; accepted for one release.
 
-Names have a dot for each section, as in `parameters`.
+Names have a dot between sections, as in `parameters`.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from typing import Any
 
 from landmark_nav.parameters import resembling
 
-# Name -> that of now.
+# Former name -> present name.
 _RENAMED = {'command_type': 'command.type'}
-# Name -> key of `robot.yaml`. Those of the section odometry are in its section there.
+# Former name -> key of `robot.yaml`. Other parameters of the section odometry have the same names
+# there.
 _OF_THE_ROBOT = {
     'joint_delay_s': 'joint_delay',
     'pan_min_rad': 'pan_min',
@@ -25,7 +26,7 @@ _OF_THE_ROBOT = {
     'command.speed_rad_s': 'pan_rate',
     'triplet.pan_acceleration_rad_s2': 'pan_acceleration',
 }
-# Section -> where its constants are, and their names: they describe the method.
+# Section -> module with its constants, and their names: they describe the method.
 _CONSTANTS = {
     '': (
         'nodes',
@@ -83,7 +84,7 @@ _CONSTANTS = {
         'bearing_sigma_rad min_sampling max_sampling min_range_m border_px margin_sigmas '
         'hysteresis views fix_window_s gather_s dwell_time_s look_s max_sigma_m',
     ),
-    # slip_m_per_rad, which has another unit, is in its place.
+    # It is replaced by slip_m_per_rad, which has another unit.
     'odometry': ('localization/odometry', 'slip_sigma'),
     'look_around': ('localization/triplet', 'after_s dwell_time_s look_s'),
     'detection': (
@@ -120,27 +121,27 @@ _CONSTANTS = {
         'vignetting exposure auto_exposure target_brightness blur_sigma_px read_noise shot_noise',
     ),
 }
-# Section of `--config` that is none any more; what it held stands by itself.
+# Former section of `--config`, whose subsections are sections now.
 _UNWRAPPED = 'observation.'
-# To compare letters takes long; a file with more strange names was not mistyped.
+# Greatest number of unknown names that are compared with known ones, which takes long.
 _MOST_COMPARED = 20
 
 
 @dataclass(frozen=True)
 class Settled:
     """
-    What given parameters mean now.
+    Given parameters by their present meaning.
 
     Parameters
     ----------
     values : dict
-        Of parameters, by their names.
+        Values of parameters, by their present names.
     robot : dict
-        Of keys of `robot.yaml`.
+        Values of keys of `robot.yaml`.
     warnings : tuple of str
-        About former names, a line each.
+        Warnings about former names, a line each.
     unknown : dict
-        Name -> question which one was meant, '' if none is like it.
+        Unknown name -> suggestion of a known one; '' if none is similar.
     """
 
     values: dict[str, Any]
@@ -150,7 +151,7 @@ class Settled:
 
 
 def settled(given: Mapping[str, Any], known: Collection[str]) -> Settled:
-    """Sort given values by what they mean; `known` are all names of now."""
+    """Sort given values by their present meaning; `known` are all present names."""
     values: dict[str, Any] = {}
     robot: dict[str, Any] = {}
     unknown: dict[str, str] = {}
@@ -204,6 +205,6 @@ def _warnings(
 
 
 def _listed(names: list[str]) -> str:
-    """Name of a parameter, or of the first of several."""
+    """Text of the name of the first parameter, and of the number of others."""
     others = f' (and {len(names) - 1} more)' if len(names) > 1 else ''
     return f'parameter {names[0]}{others}'

@@ -1,1 +1,1 @@
-"""Many recordings at once: a file of runs, their stages as processes, one table."""
+"""Batches of many recordings: a file of runs, their stages as processes, and one table."""

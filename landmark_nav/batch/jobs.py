@@ -1,4 +1,4 @@
-"""A file of runs as the stages that they need: commands of `landmark-nav`, each done once."""
+"""Conversion of a file of runs to stages: commands of `landmark-nav`, each executed once."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import Any
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.storage.reading import check_spelling, list_field, name_field, read_yaml_mapping
 
-# Commands in the order of a run, and what each reads of those before, if the file names nothing:
-# option -> (command, place in its folder), the nearest first.
+# Commands in the order of a run, and default inputs from earlier commands: option -> sources
+# (command, path in its folder), of which the first available one is used.
 COMMANDS: dict[str, dict[str, tuple[tuple[str, str], ...]]] = {
     'simulate': {},
     'learn': {
@@ -33,11 +33,11 @@ COMMANDS: dict[str, dict[str, tuple[tuple[str, str], ...]]] = {
         'robot': (('calibrate', 'out'), ('simulate', 'out/robot.yaml')),
     },
 }
-# What a run gives for all of its stages.
+# Options of a run -> the commands that they apply to.
 _SHARED = {'robot': ('learn', 'calibrate', 'evaluate'), 'room': ('learn', 'calibrate')}
-# Options that name files or folders.
+# Options with names of files or folders.
 _PATHS = ('bag', 'bags', 'room', 'robot', 'map', 'camera')
-# What the batch itself gives.
+# Options that the batch sets.
 _OWN = ('out', 'json', 'report', 'overwrite')
 _MOST_RUNS = 100_000
 
@@ -45,20 +45,21 @@ _MOST_RUNS = 100_000
 @dataclass(frozen=True)
 class Stage:
     """
-    One command.
+    One command of a run.
 
     Attributes
     ----------
     command : str
-        Of `landmark-nav`.
+        Command of `landmark-nav`.
     arguments : tuple of str
-        What it is given but outputs; ``@KEY/PLACE`` is a file of another stage.
+        Arguments without outputs; ``@KEY/PLACE`` is a file of another stage.
     config : str
-        Content of its ``--config``, empty for none.
+        Content of the file for ``--config``; empty for none.
     after : tuple of str
         Keys of the stages whose results it reads.
     key : str
-        Of all that its result depends on: command, arguments, content of files, `after`.
+        Command and hash of everything that the result depends on: version, command, arguments,
+        state of files, `config`, `after`.
     """
 
     command: str
@@ -70,7 +71,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Run:
-    """A row of the table: stages in order, and the values of the grid that it has."""
+    """A row of the table: stages in order, and the values of the grid for this run."""
 
     name: str
     values: dict[str, Any]
@@ -81,14 +82,14 @@ def read_runs(path: Path, version: str) -> list[Run]:
     """
     Read a file of runs.
 
-    Raises `LandmarkNavError`: the file does not say what to run.
+    Raises `LandmarkNavError`: the file is invalid or holds no run.
 
     Parameters
     ----------
     path : Path
         YAML with `runs`, a list of mappings (docs/batch.md), and `grid`.
     version : str
-        Of the package: results of another one are not taken.
+        Version of the package; results of other versions are not reused.
     """
     document = read_yaml_mapping(path)
     check_spelling(document, ('runs', 'grid'), str(path))
@@ -105,7 +106,7 @@ def read_runs(path: Path, version: str) -> list[Run]:
         for folder in _folders(path.parent, entry, where):
             for values in grid:
                 run = _run(entry, folder, values, version, where)
-                # Values of the grid for other commands make no other run.
+                # Runs that differ in grid values for other commands only are identical.
                 if runs.setdefault(run.name, run) != run:
                     raise LandmarkNavError(f'{where}: another run is called {run.name}')
                 if len(runs) > _MOST_RUNS:
@@ -116,7 +117,7 @@ def read_runs(path: Path, version: str) -> list[Run]:
 
 
 def _grid(given: Any, where: str) -> list[dict[str, Any]]:
-    """Every combination of values."""
+    """All combinations of the values of a grid."""
     if not isinstance(given, Mapping):
         raise LandmarkNavError(f'{where}: grid is {shown(given)}, not a mapping of lists')
     for name in given:
@@ -130,7 +131,7 @@ def _grid(given: Any, where: str) -> list[dict[str, Any]]:
 
 
 def _folders(base: Path, entry: Mapping[str, Any], where: str) -> Iterator[Path]:
-    """Where the relative paths of a run begin: a run for each folder that `folder` matches."""
+    """Yield the folders that match `folder` of an entry; relative paths of a run start there."""
     pattern = name_field(entry, 'folder', where, '.')
     if Path(pattern).is_absolute():
         base, pattern = Path(Path(pattern).anchor), str(Path(pattern).relative_to('/'))
@@ -144,7 +145,7 @@ def _folders(base: Path, entry: Mapping[str, Any], where: str) -> Iterator[Path]
 def _run(
     entry: Mapping[str, Any], folder: Path, values: dict[str, Any], version: str, where: str
 ) -> Run:
-    """Build the run of an entry, in a folder, with values of the grid that concern it."""
+    """Build the run of an entry in a folder, with the values of the grid for its commands."""
     values = {name: value for name, value in values.items() if name.partition('.')[0] in entry}
     name = name_field(entry, 'name', where, '') or folder.resolve().name
     if name_field(entry, 'folder', where, '.') not in ('.', '') and 'name' in entry:
@@ -162,7 +163,7 @@ def _run(
 def _options(
     entry: Mapping[str, Any], command: str, values: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """Return options of a command: those of its run, its own, and those of the grid."""
+    """Return the options of a command: those of its run, its own, and those of the grid."""
     given = entry[command] or {}
     if not isinstance(given, Mapping):
         raise LandmarkNavError(f'{where} is {shown(given)}, not a mapping of options')
@@ -229,7 +230,7 @@ def _flag(option: str) -> str:
 
 
 def _add_content(content: Any, path: Path, where: str) -> None:
-    """Add what tells another content of a file or folder: names, sizes and times."""
+    """Add the state of a file or folder to a hash: names, sizes and times of change."""
     if str(path).startswith('@'):
         return
     if not path.exists():

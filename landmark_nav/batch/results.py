@@ -1,4 +1,4 @@
-"""The table of a batch, and two tables compared run by run."""
+"""Table of a batch, and comparison of two tables run by run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from landmark_nav.storage.reading import read_text
 Row = dict[str, Any]
 
 
-# Command -> columns: where it writes each, and which way is worse (0: neither).
+# Command -> columns: function that reads the value from the report, and sign of a change for the
+# worse (0: neither).
 _FIGURES: dict[str, dict[str, tuple[Callable[[Mapping[str, Any]], Any], int]]] = {
     'learn': {'elected': (lambda r: r['elected'], -1)},
     'evaluate': {
@@ -42,7 +43,7 @@ _THUMBNAIL_PX = 240
 
 
 def row(run: Run, outcome: Outcome, results: Path) -> Row:
-    """Return the table's row of a run: values of the grid, figures, cost, reason of a failure."""
+    """Return the row of a run: values of the grid, figures, cost, reason of a failure."""
     figures: Row = {}
     for stage in run.stages:
         wanted = _FIGURES.get(stage.command, {})
@@ -56,7 +57,7 @@ def row(run: Run, outcome: Outcome, results: Path) -> Row:
 
 
 def table_csv(rows: Sequence[Row]) -> str:
-    """Return rows as CSV; numbers with all digits, so that equal tables have equal figures."""
+    """Return rows as CSV; numbers have all digits, so that equal figures give equal tables."""
     text = StringIO()
     writer = csv.DictWriter(text, _columns(rows), lineterminator='\n')
     writer.writeheader()
@@ -80,12 +81,12 @@ def read_table(path: Path) -> list[Row]:
     """
     Read ``table.csv`` of an earlier batch.
 
-    Raises `LandmarkNavError`: it is no such table.
+    Raises `LandmarkNavError`: the file is not such a table.
 
     Parameters
     ----------
     path : Path
-        The file, or the folder that holds it.
+        Path of the file, or of its folder.
     """
     path = path / 'table.csv' if path.is_dir() else path
     rows = list(csv.DictReader(StringIO(read_text(path))))
@@ -97,18 +98,20 @@ def read_table(path: Path) -> list[Row]:
 @dataclass(frozen=True)
 class Change:
     """
-    How a figure differs between two batches, over the runs that both have.
+    Difference of a figure between two batches, over their common runs.
 
     Attributes
     ----------
     name : str
+        Name of the figure.
     runs : int
+        Number of runs with the figure in both batches.
     before, after : float
-        Means.
+        Means of the figure.
     change, low, high : float
-        Mean of after less before and its 95 % interval (Student's t over pairs).
+        Mean of after minus before, and its 95 % interval (Student's t for pairs).
     worse : bool
-        The whole interval is on the worse side.
+        Whether the whole interval is on the worse side.
     """
 
     name: str
@@ -152,7 +155,7 @@ def _change(name: str, pairs: np.ndarray[Any, Any], worse: int) -> Change:
         spread = float(difference.std(ddof=1)) / np.sqrt(count)
         half = float(stats.t.ppf(0.975, count - 1)) * spread
     is_worse = bool(worse * mean - half > 0.0)
-    if name == 'failures':  # a run that fails now is worse, how few there may be
+    if name == 'failures':  # even a single new failure is worse
         is_worse = bool((difference > 0.0).any())
     before, after = (float(side.mean()) for side in pairs.T)
     return Change(name, count, before, after, mean, mean - half, mean + half, is_worse)
@@ -161,7 +164,7 @@ def _change(name: str, pairs: np.ndarray[Any, Any], worse: int) -> Change:
 def page(
     title: str, runs: Sequence[Run], rows: Sequence[Row], changes: Sequence[Change], results: Path
 ) -> str:
-    """Return one HTML page: changes, failures with their reason, the table with thumbnails."""
+    """Return one HTML page: changes, failures with their reasons, the table with thumbnails."""
     from jinja2 import Environment
 
     by_name = {run.name: run for run in runs}
@@ -184,7 +187,7 @@ def _cell(value: Any) -> str:
 
 
 def _pictures(run: Run, results: Path) -> list[tuple[str, str]]:
-    """Where a run's pictures lead to, and each as a small image in the page itself."""
+    """Link targets of the figures of a run, and thumbnails of the figures in base64."""
     pictures = []
     for stage in run.stages:
         folder = results / 'stages' / stage.key

@@ -1,4 +1,4 @@
-"""Stages as processes on the workers of dask.distributed; what is done is kept."""
+"""Execution of stages as processes on workers of dask.distributed; results are kept."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _DONE = 'done.json'
 @dataclass(frozen=True)
 class Outcome:
     """
-    What came of a stage.
+    Outcome of a stage or a run.
 
     Attributes
     ----------
     reason : str
-        Why it failed, empty if it did not.
+        Reason of a failure; empty after success.
     cpu_s, wall_s : float
-        Time of its process.
+        Processor time and elapsed time of the process.
     memory_mb : float
-        Most memory that it held.
+        Greatest memory of the process.
     """
 
     reason: str = ''
@@ -43,7 +43,7 @@ class Outcome:
 
 
 def stage_arguments(stage: Stage, stages: Path, folder: Path) -> list[str]:
-    """Words after `landmark-nav` that run a stage, with results of others in `stages`."""
+    """Arguments of `landmark-nav` for a stage, with results of other stages in `stages`."""
     given = [str(stages / word[1:]) if word.startswith('@') else word for word in stage.arguments]
     words = [stage.command, *given, '--out', str(folder / 'out')]
     if stage.config:
@@ -59,24 +59,25 @@ def run_all(
     runs: Sequence[Run], results: Path, scheduler: str | None, workers: int | None
 ) -> Iterator[tuple[Run, Outcome]]:
     """
-    Run what is not done yet.
+    Execute the stages that have no results yet.
 
     Parameters
     ----------
     runs : sequence of Run
+        Runs of the batch.
     results : Path
-        Folder; ``stages/KEY`` is that of a stage.
+        Folder of the batch; ``stages/KEY`` is that of a stage.
     scheduler : str, optional
-        Address of a running one; by default workers are started here.
+        Address of a running scheduler; by default local workers are started.
     workers : int, optional
-        How many of these, by default one a core.
+        Number of local workers; by default one for each core.
 
     Yields
     ------
     (Run, Outcome)
-        As runs end: the sum of their stages, or the first that failed.
+        Runs as they end, with the sum of the costs of their stages and the first failure.
     """
-    # Slow to import; its functions have no types.
+    # Imported here, as the import is slow; the package has no types.
     distributed: Any = import_module('distributed')
 
     logging.getLogger('distributed').setLevel(logging.ERROR)
@@ -127,7 +128,7 @@ def run_all(
 
 
 def _done(folder: Path) -> Outcome | None:
-    """Outcome of a stage that was done, here or in an earlier batch."""
+    """Outcome of a finished stage, also of an earlier batch; None if it is not finished."""
     try:
         return Outcome(**json.loads((folder / _DONE).read_text(encoding='utf-8')))
     except (OSError, ValueError, TypeError):
@@ -135,7 +136,7 @@ def _done(folder: Path) -> Outcome | None:
 
 
 def _sum(outcomes: Sequence[Outcome]) -> Outcome:
-    """Outcome of a run out of those of its stages."""
+    """Outcome of a run: sum of those of its stages."""
     return Outcome(
         next((outcome.reason for outcome in outcomes if outcome.reason), ''),
         sum(outcome.cpu_s for outcome in outcomes),
@@ -145,13 +146,13 @@ def _sum(outcomes: Sequence[Outcome]) -> Outcome:
 
 
 def _run_stage(stage: Stage, stages: Path, needed: Sequence[Outcome]) -> Outcome:
-    """Run a stage in a folder of its own, which gets its name once all is done."""
+    """Execute a stage in a temporary folder, which is renamed when the stage has finished."""
     if failed := [outcome.reason for outcome in needed if outcome.reason]:
         return Outcome(failed[0])
     target = stages / stage.key
     if done := _done(target):
         return done
-    # Another worker may have been lost amid the same stage.
+    # The name is unique, as another worker may have been lost during the same stage.
     folder = stages / f'.{stage.key}.{os.uname().nodename}-{os.getpid()}'
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -181,7 +182,7 @@ def _run_stage(stage: Stage, stages: Path, needed: Sequence[Outcome]) -> Outcome
 
 
 def _reason(folder: Path) -> str:
-    """Last line that a command wrote: it says why it failed."""
+    """Last line of the log of a command, which has the reason of a failure."""
     lines = (folder / 'log.txt').read_text(encoding='utf-8', errors='replace').splitlines()
     said = next((line for line in reversed(lines) if line.strip()), 'it was killed')
     return said.removeprefix('landmark-nav ').replace(f'{folder}/', '')

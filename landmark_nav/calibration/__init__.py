@@ -1,4 +1,4 @@
-"""How the camera is mounted, and how exactly that is known."""
+"""Calibration of a robot: mount, lens and clocks, with their covariance."""
 
 from landmark_nav.calibration.calibration import (
     Calibration,

@@ -1,8 +1,8 @@
 """
-The calibration of a robot: what its mount, lens and clocks are, with covariance.
+The calibration of a robot: values of its mount, lens and clocks, with their covariance.
 
-It is the prior of every stage that estimates some of it, and what such a stage returns. A standard
-deviation of 0 says that a value is exact: it is never changed.
+It is the prior and the result of every stage that estimates some of its values. A sigma of 0
+declares a value exact: it is never changed.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
-# Name -> unit, default sigma, meaning. A person with a tape and a spirit level is off by 2 cm and
-# 1 degree; lens, clocks and encoders by what their calibrations leave.
+# Name -> unit, default sigma, meaning. Default sigmas are those of a measurement with tape and
+# spirit level (2 cm, 1 degree), and for lens, clocks and encoders those of usual calibrations.
 _QUANTITIES: dict[str, tuple[str, float, str]] = {
     'axis_x': ('m', 0.02, 'pan axis ahead of base_link'),
     'axis_y': ('m', 0.02, 'pan axis to the left of base_link'),
@@ -42,13 +42,13 @@ UNITS: dict[str, str] = {name: unit for name, (unit, *_) in _QUANTITIES.items()}
 MEANINGS: dict[str, str] = {name: words for name, (*_, words) in _QUANTITIES.items()}
 _DEFAULTS = np.array([sigma for _, sigma, _ in _QUANTITIES.values()])
 
-# A calibrated mount is given to a tenth of a millimetre and to 0.006 degrees.
+# Sigma of the values of a calibrated mount, by unit.
 _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
-# A measurement contradicts a value if it is off by so many sigmas of their difference.
+# Greatest deviation of a measurement from the prior value, in sigmas of their difference.
 _CONTRADICTION = 5.0
-# A difference is worth a word from this share of the prior standard deviation on.
+# Least difference that is reported, in prior sigmas.
 _WORTH_REPORTING = 0.3
-# A quantity counts as observed once this share of its prior standard deviation is gone.
+# Least relative decrease of the sigma of an observed quantity.
 _OBSERVED = 0.3
 
 
@@ -57,7 +57,7 @@ class Calibration:
     """
     Values of `NAMES` with their joint covariance.
 
-    Raises `LandmarkNavError`: values that are not finite, or a matrix that is no covariance.
+    Raises `LandmarkNavError`: a value is not finite, or the matrix is not a covariance.
 
     Parameters
     ----------
@@ -68,12 +68,12 @@ class Calibration:
         principal point to the right over the focal length; time [s] by which the stamps of
         ``joint_states`` lag those of the images.
     covariance : ndarray, shape (15, 15)
-        Of `values`.
+        Covariance of `values`.
     base : PanTiltMount
-        Names of frames and joints, noise of the pan.
+        Mount with the names of frames and joints, and the noise of the pan.
     by_map : ndarray, shape (15, m), optional
-        Covariance of `values` with the factors of unit variance that all landmarks of a map share:
-        the map was learned with this calibration.
+        Covariance of `values` with the m factors of unit variance that all landmarks of a map
+        share, if the map was learned with this calibration.
     """
 
     values: FloatArray
@@ -100,9 +100,9 @@ class Calibration:
         values: Mapping[str, float] | None = None,
     ) -> Calibration:
         """
-        Return the calibration that a mount gives, independent errors.
+        Return the calibration of a mount, with independent errors.
 
-        `sigmas` replaces default standard deviations, by name; `values` gives what a mount does
+        `sigmas` replaces default sigmas, by name; `values` gives the quantities that a mount does
         not hold (camera_tilt, pan_scale, focal_scale, principal_point, joint_delay).
         """
         of_mount = (*mount.axis_xyz, *mount.axis_rpy, *mount.optical_center_offset)
@@ -117,17 +117,17 @@ class Calibration:
 
     @classmethod
     def exact(cls, mount: PanTiltMount) -> Calibration:
-        """Return that of a mount given as exact: 0.1 mm, 0.006 degrees."""
+        """Return the calibration of a calibrated mount: sigmas of 0.1 mm and 0.006 degrees."""
         return cls.of_mount(mount, {name: _EXACT[unit] for name, unit in UNITS.items()})
 
     @cached_property
     def sigmas(self) -> FloatArray:
-        """Standard deviations, (15,)."""
+        """Sigmas of the values, (15,)."""
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
 
     @cached_property
     def mount(self) -> PanTiltMount:
-        """The mount with these values."""
+        """Mount with these values."""
         x = self.values.tolist()
         return replace(
             self.base,
@@ -138,15 +138,15 @@ class Calibration:
         )
 
     def __getitem__(self, name: str) -> tuple[float, float]:
-        """Value and standard deviation of a quantity."""
+        """Value and sigma of a quantity."""
         k = NAMES.index(name)
         return float(self.values[k]), float(self.sigmas[k])
 
     def camera(self, camera: CameraModel) -> CameraModel:
         """
-        Return the camera with focal length and principal point as calibrated.
+        Return the camera with the calibrated focal length and principal point.
 
-        All rays of `camera` are off by the factor: where the lens bends them stays.
+        The distortion at each pixel is kept, see `scaled`.
         """
         scale, shift = 1.0 + self['focal_scale'][0], self['principal_point'][0]
         if scale == 1.0 and shift == 0.0:
@@ -154,7 +154,7 @@ class Calibration:
         return scaled(replace(camera, cx=camera.cx + shift * camera.fx), scale)
 
     def measured(self, name: str, value: float, sigma: float) -> Calibration:
-        """Return the calibration after a measurement of one quantity; errors as `observed`."""
+        """Return the calibration after a measurement of one quantity; raises as `observed`."""
         row = (np.array(NAMES) == name).astype(np.float64)
         return self.observed(row[None], np.array([value]), np.array([[sigma**2]]))
 
@@ -162,19 +162,19 @@ class Calibration:
         self, rows: FloatArray, values: FloatArray, covariance: FloatArray
     ) -> Calibration:
         """
-        Return the calibration after a measurement of sums of quantities.
+        Return the calibration after a measurement of linear combinations of quantities.
 
-        What contradicts the values that were given counts by itself: their error was given too
-        small.
+        If the measurement contradicts the prior, the prior sigmas were too small: they are
+        inflated, so that the measurement decides.
 
-        Raises `LandmarkNavError`: it contradicts what is given as exact.
+        Raises `LandmarkNavError`: the measurement contradicts exact values.
 
         Parameters
         ----------
         rows : ndarray, shape (m, 15)
-            What was measured: its derivatives.
+            Derivatives of the measured combinations.
         values, covariance : ndarray, shape (m,), (m, m)
-            Of the measurement.
+            Measured values and their covariance.
         """
         prior, off = self.covariance.copy(), values - rows @ self.values
         known = np.einsum('mi,ij,mj->m', rows, prior, rows)
@@ -202,7 +202,7 @@ class Calibration:
         )
 
     def same_as(self, other: Calibration) -> bool:
-        """Whether values and sigmas are the same but for rounding in a file."""
+        """Whether values and sigmas are equal except for rounding in a file."""
         return bool(
             np.allclose(self.values, other.values, rtol=0.0, atol=1e-8)
             and np.allclose(self.sigmas, other.sigmas, rtol=0.0, atol=1e-8)
@@ -216,26 +216,26 @@ class Calibration:
         return replace(self, values=changed)
 
     def widened(self, sigmas: Mapping[str, float]) -> Calibration:
-        """Return a copy that is less certain: `sigmas` are added, by name."""
+        """Return a copy with additional independent errors of `sigmas`, by name."""
         added = np.diag([sigmas.get(name, 0.0) ** 2 for name in NAMES])
         return replace(self, covariance=self.covariance + added)
 
     def unobserved(self, prior: Calibration) -> tuple[str, ...]:
-        """Names of what is known hardly better than by `prior`, and is not exact."""
+        """Names of quantities that are not observed beyond `prior`, without exact ones."""
         hardly = (self.sigmas > (1.0 - _OBSERVED) * prior.sigmas) & (prior.sigmas > 0.0)
         return tuple(name for name, unknown in zip(NAMES, hardly, strict=True) if unknown)
 
     def contradictions(self, prior: Calibration, sigmas: float = 5.0) -> tuple[str, ...]:
-        """Names of what was found more than so many prior standard deviations off."""
+        """Names of quantities that deviate by more than `sigmas` prior sigmas."""
         off = np.abs(self.values - prior.values) > sigmas * prior.sigmas + 1e-12
         return tuple(name for name, far in zip(NAMES, off, strict=True) if far)
 
     def surprises(self, prior: Calibration, sigmas: float = 3.0) -> str:
         """
-        What was found, and surely differs from what was given, in words; empty if nothing does.
+        Text of the significant differences from the prior; empty if there are none.
 
-        Differences far below the prior standard deviation are none. Height counts as one: images
-        do not tell the parts that make it up.
+        Differences far below the prior sigma are left out. The height is one quantity, the sum of
+        axis_z and center_z, which images do not make observable separately.
         """
         words = []
         for what, names in (('height', ('axis_z', 'center_z')), *((n, (n,)) for n in NAMES)):
@@ -250,7 +250,7 @@ class Calibration:
         return ', '.join(words)
 
     def differences(self, prior: Calibration) -> dict[str, dict[str, float | bool | str]]:
-        """Table for people and programs: prior, value, sigma, unit, observed, by name."""
+        """Table of the quantities by name: prior, value, sigma, unit, observed."""
         hidden = self.unobserved(prior)
         return {
             name: {
@@ -264,26 +264,31 @@ class Calibration:
         }
 
     def sigma_of(self, first: str, count: int) -> npt.NDArray[np.float64]:
-        """Standard deviations of `count` quantities from `first` on."""
+        """Sigmas of `count` quantities from `first` on."""
         k = NAMES.index(first)
         return self.sigmas[k : k + count]
 
 
 def scaled(camera: CameraModel, scale: float) -> CameraModel:
-    """Return the camera that sees all tangents smaller by this factor on its focal length."""
+    """
+    Return a camera with scaled focal length.
+
+    The tangents at each pixel are divided by `scale`, unless the model is equidistant: that one
+    keeps its distortion coefficients.
+    """
     distortion = camera.distortion
     if camera.model != 'equidistant':
-        # Powers of the radius that k1, k2, p1, p2, k3 to k6 and s1 to s4 go with.
+        # Powers of the radius for k1, k2, p1, p2, k3 to k6 and s1 to s4.
         powers = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
         distortion = tuple(k * scale**n for k, n in zip(distortion, powers, strict=False))
     return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, distortion=distortion)
 
 
-# Unit -> factor and unit for people.
+# Unit -> factor and unit for texts.
 SHOWN_IN = {'m': (1e3, 'mm'), 'rad': (180.0 / np.pi, 'deg'), 's': (1e3, 'ms'), '1': (100.0, '%')}
 
 
 def shown(value: float, sigma: float, unit: str) -> str:
-    """A difference with its sigma, for people."""
+    """Text of a difference with its sigma."""
     factor, name = SHOWN_IN[unit]
     return f'{factor * value:+.2f} +- {factor * sigma:.2f} {name}'

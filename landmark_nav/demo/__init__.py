@@ -1,1 +1,1 @@
-"""What `landmark-nav demo` is made of, without ROS: the room, the processes, the story."""
+"""Parts of `landmark-nav demo` that do not need ROS: room, processes, scenario, report."""

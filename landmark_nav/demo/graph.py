@@ -1,4 +1,4 @@
-"""The nodes as processes: their command lines and their environment."""
+"""Command lines and environment of the nodes as processes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from landmark_nav.storage.config_files import shipped_config
 def node_command(
     name: str, namespace: str = '', parameter_file: Path | None = None, **parameters: object
 ) -> list[str]:
-    """Command line of a node, with a parameter file (by default the shipped one) and the rest."""
-    # JSON is YAML, which is how ROS reads values: names stay names.
+    """Command line of a node with parameters and a parameter file, by default the shipped one."""
+    # ROS parses values as YAML, of which JSON is a subset; quotes keep names strings.
     settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
     return [
         *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
@@ -38,11 +38,11 @@ def node_commands(
     parameter_file: Path | None = None,
 ) -> dict[str, list[str]]:
     """
-    Command line of each node, by its name; or of one process for all but the simulator.
+    Command line of each process, by its name: one for each node, or one for all if `composed`.
 
-    Without `room_file` walls and poses are found. `simulator` is what the simulated robot is given
-    beside `robot_file`; without it there is none.
-    The others are parameters of the nodes.
+    The simulator is always a separate process. `simulator` holds its parameters besides
+    `robot_file`; if it is None, there is no simulator. Without `room_file`, the nodes estimate
+    walls and poses. The other arguments are parameters of the nodes.
     """
     robot, room = str(robot_file), str(room_file or '')
     camera: dict[str, object] = {'robot_file': robot}
@@ -69,9 +69,9 @@ def node_commands(
 
 def node_environment(domain_id: int) -> dict[str, str]:
     """
-    Whole environment of this process, in a ROS domain of its own on this machine.
+    Environment of this process, changed to a ROS domain of this machine alone.
 
-    Whole, because the ROS wheels start Python anew with variables of their own.
+    It is complete, as the ROS wheels restart Python with their own variables.
     """
     return {
         **os.environ,

@@ -1,4 +1,4 @@
-"""A recording of the nodes as a run, measured and drawn like an offline one; its verdict."""
+"""Evaluation of a recording of the nodes like an offline run, and its checks."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ RECORDED_TOPICS = (
     'odometry/fused',
     '/diagnostics',
     'triplet',
-    # For people: what RViz, Foxglove and PlotJuggler show.
+    # Topics for RViz, Foxglove and PlotJuggler.
     'landmarks/markers',
     'odometry_fusion/protection_level',
     'odometry_fusion/path',
@@ -48,7 +48,7 @@ RECORDED_TOPICS = (
     'triangulation_localizer/debug_image/compressed',
 )
 
-# What `landmark-nav learn` takes without a plan.
+# Topics for `landmark-nav learn` without a plan.
 SWEEP_TOPICS = (
     *('sweep/image/compressed', 'sweep/camera_info', 'sweep/trajectory'),
     *('odom', 'ground_truth/odom'),
@@ -57,18 +57,18 @@ SWEEP_TOPICS = (
 T = TypeVar('T')
 
 _NOT_RECORDED = Refusal('not recorded')
-# By the levels OK, WARN and ERROR of DiagnosticStatus, which rosbags reads as numbers.
+# Status by the levels OK, WARN and ERROR of DiagnosticStatus, which rosbags reads as numbers.
 _STATUS = ('tracking', 'coasting', 'lost')
 
 
 def recorded_run(bag: Bag) -> Replay:
     """
-    Read what the nodes published, one update an image.
+    Read the recording of the nodes as a run with one update for each image.
 
-    The fused pose at an image is the one that was published around its stamp: before anything
-    of that image could have gone into it.
+    The fused pose of an image is interpolated from those published for stamps near its stamp,
+    before the fusion could use the image.
 
-    Raises `LandmarkNavError`: topics are missing, or nothing was fused.
+    Raises `LandmarkNavError`: topics are missing, or there is no fused pose.
     """
     images = _read(bag, 'camera/image_raw/compressed', lambda m: decode.stamp_ns(m.header))
     fused = {e.stamp_ns: e for e in _read(bag, 'odometry/fused', decode.pose_estimate)}
@@ -123,7 +123,7 @@ def _read(bag: Bag, name: str, decoder: Callable[[Any], T]) -> list[T]:
 
 
 def _states_at(bag: Bag, stamps_ns: Any) -> list[tuple[str, str]]:
-    """Last report of the fusion at each image, status and reason; not lost before the first."""
+    """Last status of the fusion and its reason at each image; tracking before the first."""
     states = [(0, 'tracking', '')]
     for entry in bag.messages(['/diagnostics']):
         for status in entry.message.status:
@@ -143,18 +143,19 @@ def _nothing(stamp_ns: int) -> Detections:
     return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))
 
 
+# Bounds of a passed demo.
 _MIN_LANDMARKS = 20
 _MIN_WALLS = 3
 _MAX_RMSE_M = 0.03
 _MAX_RMSE_DEG = 0.4
 _MIN_AVAILABILITY = 0.95
-# Of the scale of a map that is learned without a plan.
+# Greatest error of the scale of a map that is learned without a plan, sigmas.
 _MOST_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
 class Check:
-    """What was asked for, what was measured, and whether that is enough."""
+    """Result of a check, with a text of the measured value and its bound."""
 
     passed: bool
     text: str
@@ -162,9 +163,10 @@ class Check:
 
 def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay, RunErrors]:
     """
-    Figures of the drive, by the keys of ``landmark-nav evaluate --json``; the run, its errors.
+    Return figures with the keys of ``landmark-nav evaluate --json``, the run and its errors.
 
-    A map of its own frame has them after alignment; the run is then in the metre of the map.
+    For a map with its own frame, errors are computed after alignment, and the returned run is in
+    the scale of the map.
     """
     walls = len({landmark.wall_id for landmark in landmarks.landmarks} - {''})
     of_run: dict[str, Any] = {'spells': spells(run), 'walls': walls}
@@ -177,7 +179,7 @@ def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay
 
 
 def judge(measured: dict[str, Any]) -> list[Check]:
-    """Hold the figures against what the demo must reach."""
+    """Compare the figures with the bounds of a passed demo."""
     fused = measured.get('fused_after_scale', measured['fused'])
     odometry = measured['odometry']
     meters, degrees = fused['position_rmse_m'], fused['heading_rmse_deg']

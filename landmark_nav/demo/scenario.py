@@ -1,4 +1,4 @@
-"""The demo, act by act."""
+"""Steps of the demo."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ from landmark_nav.simulation.setup_documents import robot_document, room_documen
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.types import FloatArray, PoseEstimate
 
-if TYPE_CHECKING:  # it needs ROS
+if TYPE_CHECKING:  # the import needs ROS
     from landmark_nav.ros.robot_client import RobotClient
 
 
 @dataclass(frozen=True, eq=False)
 class DemoRoom:
     """
-    A room and what happens in it.
+    A room with the paths of the robot in it.
 
     Parameters
     ----------
     seed : int
-        Draws everything.
+        Seed of all random numbers.
     room_file : Path or None
-        What the nodes are given; None if they find walls and poses.
+        ``room.yaml`` for the nodes; None if they estimate walls and poses.
     robot_file : Path
-        What the nodes are given.
+        ``robot.yaml`` for the nodes.
     mount : PanTiltMount
-        The same as `robot_file`.
+        Mount of `robot_file`.
     to_second_place, tour : ndarray, shape (n, 2)
-        The way from the first to the second sweep, and that of the drive, in map; without a
-        room file that is the base at the first sweep.
+        Path from the first to the second sweep, and path of the drive, in map. Without a room
+        file, map is the frame of the base at the first sweep.
     size_m : tuple of float
         Extent of the room.
     """
@@ -63,11 +63,12 @@ def prepare_room(
     folder: Path, seed: int, tour_m: float = 14.0, *, measured: bool = True
 ) -> DemoRoom:
     """
-    Draw a room, with a tour of `tour_m`; write ``robot.yaml`` into `folder`.
+    Generate a room with a tour of `tour_m`, and write ``robot.yaml`` into `folder`.
 
-    If it is `measured`, ``room.yaml`` as well.
+    If the room is `measured`, ``room.yaml`` is written too.
 
-    Raises `LandmarkNavError`: a room of this seed has no places for sweeps, or no space to drive.
+    Raises `LandmarkNavError`: the room of this seed has no places for sweeps, or no space to
+    drive.
     """
     scene = generate_scene(seed)
     places = choose_sweep_places(scene)
@@ -94,14 +95,15 @@ def prepare_room(
     )
 
 
+# Least time between two updates of the progress line.
 _REFRESH_S = 0.2
 
 
 class Narrator:
     """
-    Steps with their time, and a line below that shows how far the present one is.
+    Prints steps with their time, their results, and a line with the progress.
 
-    That line is drawn on terminals only.
+    The progress is shown on terminals only.
     """
 
     def __init__(self) -> None:
@@ -112,11 +114,11 @@ class Narrator:
 
     @property
     def seconds(self) -> float:
-        """Since the start."""
+        """Time since the start."""
         return time.monotonic() - self._begin
 
     def title(self, text: str) -> None:
-        """Begin a step."""
+        """Print the title of a new step."""
         self._clear()
         self._write(f'\n[{self.seconds:5.1f} s] {self._bold(text)}\n')
 
@@ -126,7 +128,7 @@ class Narrator:
         self._write(f'          {text}\n')
 
     def status(self, text: str) -> None:
-        """Show how far it is, in place of what was shown before."""
+        """Show the progress, in place of the previous one."""
         if not self._stream.isatty() or time.monotonic() - self._shown < _REFRESH_S:
             return
         self._shown = time.monotonic()
@@ -146,6 +148,7 @@ class Narrator:
         self._stream.flush()
 
 
+# Speed of the robot, and least period of its control.
 _SPEED_M_S = 0.3
 _CONTROL_NS = 50_000_000
 
@@ -154,11 +157,11 @@ def run_scenario(
     robot: RobotClient, room: DemoRoom, nodes: Collection[str], folder: Path, narrator: Narrator
 ) -> None:
     """
-    Conduct the robot from knowing nothing to a recorded drive.
+    Run the demo: two sweeps, learning, and a recorded drive.
 
-    Leaves ``map`` and ``recording`` in `folder`.
+    The results are ``map`` and ``recording`` in `folder`.
 
-    Raises `LandmarkNavError`: something does not work out; says what.
+    Raises `LandmarkNavError`: a step fails; the message says which.
     """
     narrator.title(f'Starting {len(nodes)} nodes, each a process')
     robot.wait(
@@ -191,7 +194,7 @@ def run_scenario(
         'the camera keeps turning to the three landmarks that are expected to give the best fix'
     )
     with robot.recording(folder / 'recording', RECORDED_TOPICS, room.mount):
-        if room.room_file:  # otherwise it is known since learning
+        if room.room_file:  # otherwise learning has published the pose
             robot.start_at(second)
         robot.wait(lambda: robot.fused is not None, 10.0, 'odometry/fused')
         robot.wait(lambda: robot.fixes > 0, 20.0, 'a first triangulated pose')
@@ -202,7 +205,7 @@ def run_scenario(
 
 
 def _sweep(robot: RobotClient, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
-    """Take a sweep and wait for its panorama; pose of the base, zero without papers."""
+    """Take a sweep and wait for its panorama; return the pose of the base, zero without papers."""
     narrator.title(f'Taking the {which} sweep: service capture_sweep')
     narrator.print_line(
         'the camera turns step by step, settles and keeps a frame, all the way round'
@@ -218,7 +221,7 @@ def _sweep(robot: RobotClient, room: DemoRoom, narrator: Narrator, which: str) -
         if status.lost:
             raise LandmarkNavError(f'panorama_synthesizer: {status.reason}')
         narrator.status(status.reason)
-        # The learner must have it too before it is asked to learn.
+        # The learner must have received the panorama too.
         learner_has = int(robot.status_of('landmark_learner').values.get('panoramas', 0))
         return min(len(robot.panoramas), learner_has) > before
 
@@ -239,7 +242,7 @@ def _sweep(robot: RobotClient, room: DemoRoom, narrator: Narrator, which: str) -
 def _follow(
     robot: RobotClient, path: FloatArray, pose: Callable[[], FloatArray], narrator: Narrator
 ) -> None:
-    """Drive along a path with feedback of `pose`, until its end."""
+    """Drive along a path to its end, controlled by `pose`."""
     follower = PathFollower(path, _SPEED_M_S)
     commanded_ns = 0
 

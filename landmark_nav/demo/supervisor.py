@@ -1,4 +1,4 @@
-"""Processes that belong together: started, watched, and ended as one."""
+"""Start, supervision and end of a group of processes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
 
+# Period of checks at the end.
 _POLL_S = 0.05
+# Number of lines of a log in a message.
 _LAST_LINES = 4
 
 
 class ProcessEndedError(LandmarkNavError):
-    """A process ended that should have gone on."""
+    """Error: a process has ended unexpectedly."""
 
 
 @dataclass(frozen=True)
@@ -33,16 +35,17 @@ class _Child:
 
 class Supervisor:
     """
-    Context manager over child processes, each in a process group of its own.
+    Context manager for child processes, each in its own process group.
 
-    Where there is `setpriv` (util-linux), they also end, by SIGTERM, if this process is killed.
+    If `setpriv` (util-linux) is installed, they receive SIGTERM if this process is killed.
 
     Parameters
     ----------
     log_folder : Path or None
-        Where what each of them prints goes, ``NAME.log``; None where it goes where ours goes.
+        Folder for the outputs of the processes, ``NAME.log``; if None, they share the output of
+        this process.
     grace_s : float
-        How long each signal may take at the end.
+        Greatest time for the end of the processes after each signal.
     """
 
     def __init__(
@@ -62,11 +65,11 @@ class Supervisor:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End all that are left."""
+        """End all processes that still run."""
         self.stop()
 
     def start(self, name: str, command: Sequence[str]) -> subprocess.Popen[bytes]:
-        """Start one; its own process group keeps a Ctrl-C at the terminal from it."""
+        """Start a process; in its own session it does not receive Ctrl-C of the terminal."""
         log = None if self._log_folder is None else self._log_folder / f'{name}.log'
         with log.open('wb') if log else nullcontext() as output:
             process = subprocess.Popen(
@@ -82,12 +85,12 @@ class Supervisor:
 
     def check(self) -> None:
         """
-        Look after all of them.
+        Check that all processes still run.
 
         Raises
         ------
         ProcessEndedError
-            One has ended; the message says which, how, and its last lines.
+            A process has ended. The message has its name, its status and its last lines.
         """
         for child in self._children:
             status = child.process.poll()
@@ -97,14 +100,15 @@ class Supervisor:
 
     def stop(self, gently: signal.Signals = signal.SIGTERM) -> dict[str, int]:
         """
-        End all, gently at first and at last by force; returns exit statuses by name.
+        End all processes by `gently`, and then by SIGKILL; return exit statuses by name.
 
-        Not by SIGINT: what is still importing may lose the KeyboardInterrupt.
+        SIGINT is not the default, as a process that is still importing may lose the
+        KeyboardInterrupt.
         """
         for number in (gently, signal.SIGKILL):
             running = [child for child in self._children if child.process.poll() is None]
             for child in running:
-                # Its id is that of its group, which also ends what it may have started.
+                # The signal is sent to the group, which includes processes started by the child.
                 os.killpg(child.process.pid, number)
             deadline = time.monotonic() + self._grace_s
             while time.monotonic() < deadline and any(
@@ -133,10 +137,10 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 class Interruption:
     """
-    Context manager, for the main thread: a signal is noted there, and `check` raises it.
+    Context manager for the main thread: signals are noted, and `check` raises the exception.
 
-    A KeyboardInterrupt that is raised wherever the program happens to be is lost in a destructor,
-    which is where a program that waits with rclpy is one time in forty.
+    A KeyboardInterrupt that is raised in a destructor is lost. This happens to one signal in forty
+    in a program that waits with rclpy.
     """
 
     def __init__(self) -> None:
@@ -144,12 +148,12 @@ class Interruption:
         self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> Interruption:
-        """From here on signals are only noted."""
+        """Replace the handlers of the signals."""
         self._handlers = {number: signal.signal(number, self._note) for number in _SIGNALS}
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        """Signals are again what they were before; one that was not heeded is raised."""
+        """Restore the handlers; without another exception, raise a signal that was noted."""
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         if kind is None:

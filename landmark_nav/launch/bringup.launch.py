@@ -1,7 +1,7 @@
 """
-Everything that learns and localizes, for a robot that publishes its sensors.
+Launch file of all nodes that learn and localize, for a robot that publishes its sensor data.
 
-``ros2 launch landmark_nav bringup.launch.py robot_file:=robot.yaml``, and
+``ros2 launch landmark_nav bringup.launch.py robot_file:=robot.yaml``, with
 ``room_file:=room.yaml`` if the room is measured.
 """
 
@@ -15,7 +15,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-# Node -> the launch arguments that it takes as parameters.
+# Node -> launch arguments that are its parameters.
 NODES = {
     'sweep_capture': ('robot_file',),
     'panorama_synthesizer': ('robot_file', 'room_file'),
@@ -27,7 +27,7 @@ NODES = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the nodes with their parameter file and what is given here."""
+    """Return the nodes with their parameter file and the parameters of launch arguments."""
     share = Path(get_package_share_directory('landmark_nav'))
     arguments = [
         DeclareLaunchArgument(
@@ -92,7 +92,7 @@ def generate_launch_description() -> LaunchDescription:
         ],
         condition=IfCondition(composed),
     )
-    # The layout's topics are relative, so that RViz finds them in its namespace.
+    # The topics of the layout are relative: RViz resolves them in its namespace.
     rviz = Node(
         package='rviz2',
         executable='rviz2',

@@ -1,7 +1,7 @@
 """
-Learning, stage by stage.
+The stages of learning.
 
-`sweep_pipeline` leads from each sweep to its panorama;
+`sweep_pipeline` makes a panorama of each sweep. The stages here are
 panoramas -> candidates -> wall patches -> measurements -> adjustment -> election -> map.
 """
 
@@ -52,19 +52,20 @@ from landmark_nav.types import (
 
 _LOG = logging.getLogger(__name__)
 
-# Standard deviations of a panorama that no map can be learned with: metres and radians.
+# Greatest sigmas of the pose of a panorama: x, y, height (m) and heading (rad).
 _MOST_SIGMA = np.array([1.0, 1.0, 1.0, 0.3])
-# Three landmarks make one triplet, which is not in view from everywhere.
+# Greatest number of landmarks that is reported as too few: three make only one triplet, which is
+# not in view from everywhere.
 _FEW = 3
-# So far from its wall a patch may be when stereo alone places it.
+# Sigma of the distance of a patch from its wall for an adjustment by stereo alone.
 _NO_WALL_M = 1.0
-# Weight of expected sigmas that leaves nothing to estimate.
+# Weight of the expected sigmas at which they are not estimated.
 _AS_EXPECTED = 1e9
 
 
 @dataclass(frozen=True)
 class LearningConfig(Config):
-    """Parameters of the stages from panoramas to map."""
+    """Parameters of the stages from panoramas to the map."""
 
     attention: AttentionConfig = field(default_factory=AttentionConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
@@ -77,12 +78,13 @@ class LearningConfig(Config):
 @dataclass(frozen=True, eq=False)
 class LearningResult:
     """
-    What was learned and what became of every candidate.
+    The learned map, and the outcome of every candidate.
 
-    `panoramas` carry their adjusted poses. `candidates` and `outcomes` have one tuple a
-    panorama, in the same order: the elected `Landmark` or why there is none. `ambiguous` holds,
-    a tuple a panorama too, why attention refused others before. `walls` holds how far before each
-    wall what hangs there lies, where enough does, and `warning` whether these walls may be wrong.
+    `panoramas` have adjusted poses. `candidates` and `outcomes` have one tuple for each panorama,
+    in the same order; an outcome is the elected `Landmark` or the reason against it. `ambiguous`
+    holds, for each panorama, the reasons why attention refused other patches. `reconstructed` is
+    the number of candidates found in other panoramas. `walls` holds the distances of patches from
+    each wall that has enough of them, and `warning` describes walls that may be wrong.
     """
 
     map: LandmarkMap
@@ -106,20 +108,20 @@ def learn_from_panoramas(
     """
     Learn landmarks from two panoramas or more.
 
-    Raises `LandmarkNavError`: one panorama only, all from one place, walls that don't fit, or no
-    landmark at all.
+    Raises `LandmarkNavError`: there is only one panorama, all are from one place, walls do not fit
+    the measurements, or no landmark is elected.
 
     Parameters
     ----------
     panoramas : sequence of Panorama
-        From v places.
+        Panoramas from v places.
     log : StageLog, optional
-        Where times go.
+        Log of the times of the stages.
     places : ndarray, shape (4 v, 4 v), optional
-        Joint covariance of the viewpoints before there are measurements; without it they were
-        measured from papers, or each for itself.
+        Prior joint covariance of the viewpoints; by default that of poses measured by papers, or
+        of independently given poses.
     ties : Ties, optional
-        Features that panoramas share.
+        Features common to several panoramas.
     """
     _check(panoramas)
     log = log or StageLog()
@@ -252,10 +254,10 @@ def _adjusted(
     config: LearningConfig,
     ties: Ties | None,
 ) -> tuple[Adjustment, Adjustment, tuple[WallResidual, ...], str]:
-    """Adjust with the walls and without; how far before each wall things lie, and what is odd."""
+    """Adjustment with walls, that without walls, distances from the walls, and a warning."""
     without_walls = _without_walls(config)
     hidden = ''
-    if ties is None:  # otherwise walls were found, and nobody says that they are right
+    if ties is None:  # with ties, walls are estimated, so that there are none to check
         behind = found.before_walls
         placed = _adjust(behind, panoramas, places, room, without_walls, ties)
         hidden = check_walls(placed, behind.walls, room, config.adjustment, config.wall_fit)
@@ -277,7 +279,7 @@ def _adjusted(
 def _calibration(
     panoramas: Sequence[Panorama], adjustment: Adjustment, config: LearningConfig
 ) -> Calibration | None:
-    """Calibration after the last panorama, with what the adjustment found in all of them."""
+    """Calibration after the last panorama, updated by the adjustment of all panoramas."""
     known = panoramas[-1].calibration
     if known is None or not len(adjustment.calibration):
         return known
@@ -286,7 +288,7 @@ def _calibration(
     values[which] = adjustment.calibration
     covariance[which] = covariance[:, which] = 0.0
     covariance[np.ix_(which, which)] = adjustment.calibration_covariance
-    # What the base leans on the floor where the panoramas were taken is no part of the mount.
+    # The tilt of the floor at the panoramas is not part of the mount: its variance is added.
     axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
     covariance[axis_tilt, axis_tilt] += config.reference_area.horizon_sigma_rad**2 / len(panoramas)
     by_map = np.zeros((len(NAMES), adjustment.shared_loading.shape[2]))
@@ -314,7 +316,7 @@ def _check(panoramas: Sequence[Panorama]) -> None:
 
 
 def _reasons(outcomes: Sequence[Sequence[Landmark | Refusal]]) -> str:
-    """Count the refusals, the commonest first."""
+    """Numbers of the reasons of refusals, the most frequent first."""
     reasons = [o.reason for group in outcomes for o in group if isinstance(o, Refusal)]
     ranked = sorted(set(reasons), key=lambda r: -reasons.count(r))
     return ', '.join(f'{reasons.count(r)} {r}' for r in ranked)

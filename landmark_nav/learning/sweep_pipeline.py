@@ -1,8 +1,8 @@
 """
-From a sweep to a panorama with its place, stage by stage.
+The stages from a sweep to a panorama with its pose.
 
-sweep -> calibration out of its overlaps -> cylinder -> place from the reference area;
-with the walls' distance then known -> calibration again, the optical centre's offset too.
+sweep -> calibration from overlaps -> cylinder -> pose from the reference area -> calibration again
+with the distances of the walls, which make the optical centre offset observable.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ from landmark_nav.parameters import Config
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Panorama, PoseEstimate, Sweep
 
-# Nobody writes less.
+# Angles below this are written as 0.
 _HARDLY_RAD = 1e-3
 
 
 def why_seen_otherwise(
     sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
 ) -> str | None:
-    """What to change if that makes the papers fit; None if nothing does."""
+    """Advice for an error of the setup without which the papers fit; None if there is none."""
     for why, seen, mounted in _otherwise(sweep, mount):
         view = synthesize_cylinder(seen, mounted, PanoramaConfig(blend='feather'))
         if papers_fit(seen, view, room, mounted, config):
@@ -73,7 +73,7 @@ def why_seen_otherwise(
 
 
 def _otherwise(sweep: Sweep, mount: PanTiltMount) -> Iterator[tuple[str, Sweep, PanTiltMount]]:
-    """What is wrong and what to do, and the sweep and the mount without it."""
+    """Yield possible errors of the setup: advice, and sweep and mount without the error."""
     roll, pitch, yaw = mount.axis_rpy
     upside_down = 'is mounted the other way up: set'
     yield (
@@ -102,31 +102,31 @@ def _changed(sweep: Sweep, change: Callable[[ImageArray], ImageArray]) -> Sweep:
 
 
 def _turned(angle_rad: float) -> str:
-    """Angle and half a turn, as one writes it."""
+    """Text of an angle plus half a turn, within +-pi."""
     angle_rad = wrap_one_rad(angle_rad + pi)
     return '0' if abs(angle_rad) < _HARDLY_RAD else f'{angle_rad:.4f}'
 
 
 _LOG = logging.getLogger(__name__)
 
-# Walls farther away than this are as good as infinitely far.
+# Greatest distance of a wall; parallax is negligible beyond it.
 _FAR_M = 50.0
-# Standard deviations of a given pose that no map can be learned with: metres, metres, radians.
+# Greatest sigmas of a given pose: x, y (m) and heading (rad).
 _MOST_SIGMA = np.array([1.0, 1.0, 0.3])
-# A focal length that is off by such a share is worth a word.
+# Least relative error of the focal length that is reported.
 _WORTH_REPORTING = 0.02
-# No pose is better known.
+# Least variance of a pose (m2, rad2).
 _LEAST_VARIANCE = 1e-10
-# Height and lean that are off by more of the usual standard deviations are measured once more,
-# with those of the robot's file.
+# Greatest error of height and tilt of the camera, in sigmas of the configuration; beyond it the
+# panorama is made again with the sigmas of the robot file.
 _WIDER_SIGMAS = 2.0
-# Calibrations that differ by less make one panorama.
+# Greatest shift of pixels between two calibrations for which the panorama is not made again.
 _SAME_PX = 0.2
 
 
 @dataclass(frozen=True)
 class PanoramaStages(Config):
-    """Parameters of the stages from sweep to panorama."""
+    """Parameters of the stages from a sweep to its panorama."""
 
     panorama: PanoramaConfig = field(default_factory=PanoramaConfig)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
@@ -142,25 +142,25 @@ def panorama_from_sweep(
     papers: PaperRecord | None = None,
 ) -> Panorama:
     """
-    Make the panorama of a sweep and find where it was taken.
+    Make the panorama of a sweep and find its pose.
 
-    Height and lean of the camera that papers show otherwise than given are used, as far as
-    a person with a tape and a spirit level may be off by them.
+    If the papers contradict the given height or tilt of the camera, the measured values are used,
+    as long as the error is plausible for a measurement with tape and spirit level.
 
-    Raises `LandmarkNavError`: no frames, a pan that does not turn as reported, a camera that is
-    mounted quite otherwise than given, or otherwise than given as exact, or papers that do not
-    give one place.
+    Raises `LandmarkNavError`: the sweep has no frames; the pan does not turn as reported; the
+    mount has a large error, or one in a value that is given as exact; the papers do not give a
+    unique pose.
 
     Parameters
     ----------
     sweep : Sweep
-        Frames of one turn, or of a part of one; its place too, if it is known from elsewhere.
+        Frames of a full turn or a part of it; also the pose, if it is given.
     given : Calibration or PanTiltMount
-        What is known of the robot: the prior. A mount has default standard deviations.
+        Prior of the calibration. A mount has default sigmas.
     log : StageLog, optional
-        Where times go.
+        Log of the times of the stages.
     papers : PaperRecord, optional
-        Papers in other sweeps of the room, which help to name what is wrong; this one is added.
+        Papers in other sweeps of the room, for the diagnosis of faults; this sweep is added.
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
@@ -182,7 +182,7 @@ def panorama_from_sweep(
 def _not_exact(
     error: WrongMountError, prior: Calibration, area: ReferenceAreaConfig
 ) -> MountError:
-    """Return what may be mended of a mount: nothing that was given as exact."""
+    """Return the error of a mount that may be corrected; refuse errors of exact values."""
     rise, axis_tilt = _mount_sigmas(prior)
     found = error.found
     high = abs(found.rise_m) > WRONG_PRIOR * area.height_sigma_m
@@ -193,27 +193,27 @@ def _not_exact(
 
 
 def _within_prior(found: MountError, prior: Calibration) -> bool:
-    """Whether a mount is off by no more than is expected: no fault of papers is looked for."""
+    """Whether the prior allows an error of the mount, so that no fault of papers is searched."""
     rise, axis_tilt = WRONG_PRIOR * np.array(_mount_sigmas(prior))
     return bool(abs(found.rise_m) <= rise and np.hypot(*found.tilt_roll_rad) <= axis_tilt)
 
 
 def _mount_sigmas(prior: Calibration) -> tuple[float, float]:
-    """Standard deviations of height and lean of the camera."""
+    """Sigmas of height and tilt of the camera."""
     height = [NAMES.index(name) for name in HEIGHT]
     rise = float(np.sqrt(prior.covariance[np.ix_(height, height)].sum()))
     return rise, float(prior.sigma_of('axis_roll', 2).max())
 
 
 def mended(given: Calibration, found: MountError) -> Calibration:
-    """Return the calibration with height and lean of the pan axis as they were found."""
+    """Return the calibration with height and tilt of the pan axis as measured."""
     roll, pitch, _ = leant(given.mount, found.tilt_roll_rad).axis_rpy
     height = given['axis_z'][0] + found.rise_m
     return given.with_values(axis_z=height, axis_roll=roll, axis_pitch=pitch)
 
 
 def _wider(config: PanoramaStages, prior: Calibration) -> PanoramaStages:
-    """Parameters with height and lean of the camera as uncertain as the robot's file says."""
+    """Parameters with the uncertainty of height and tilt of the camera by the robot file."""
     area = config.reference_area
     rise, axis_tilt = _mount_sigmas(prior)
     wider = replace(
@@ -234,7 +234,7 @@ def _made(
     log: StageLog,
     papers: PaperRecord,
 ) -> Panorama:
-    """Panorama of a sweep with the calibration `used`; `prior` is what is known of it."""
+    """Panorama of a sweep by the calibration `used`, with the prior of the calibration."""
     sweep, mount = as_calibrated(taken, used), used.mount
     with log.measure('calibration'):
         try:
@@ -313,9 +313,9 @@ def unplaced_panorama(
     sweep: Sweep, mount: PanTiltMount, config: PanoramaStages, log: StageLog
 ) -> Panorama:
     """
-    Make the panorama of a sweep of which no place is known: its pose is that in the base frame.
+    Make the panorama of a sweep with unknown pose: it gets the pose of the axis in the base frame.
 
-    Raises `LandmarkNavError`: no frames, or a pan that does not turn as reported.
+    Raises `LandmarkNavError`: the sweep has no frames, or the pan does not turn as reported.
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
@@ -341,7 +341,7 @@ def unplaced_panorama(
 
 
 def _wrong_focal(quality: PanoramaQuality) -> str:
-    """Warning about a focal length that the turn shows to be far off what was given."""
+    """Warning if the full turn shows a large error of the given focal length; else empty."""
     for term in quality.calibration:
         if term.name == 'focal_length' and term.used and abs(term.value) > _WORTH_REPORTING:
             return (
@@ -353,19 +353,19 @@ def _wrong_focal(quality: PanoramaQuality) -> str:
 
 
 def record_papers(sweep: Sweep, given: Calibration, papers: PaperRecord) -> None:
-    """Add what a sweep shows of the papers to a record, without finding its pose."""
+    """Add the papers in a sweep to a record, without a search for its pose."""
     sweep, mount = as_calibrated(sweep, given), given.mount
     view = synthesize_cylinder(sweep, mount, PanoramaConfig(blend='feather'))
     papers.add(view, optical_height(sweep, mount))
 
 
 def tenengrad(view: CylinderImage) -> float:
-    """Mean squared gradient (Sobel, per pixel) of what is covered: the sharper, the greater."""
+    """Mean squared gradient (Sobel, per pixel) of the covered pixels, a measure of sharpness."""
     grey = cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY)
     across, down = cv2.spatialGradient(grey)
     square = np.square(across, dtype=np.float32) + np.square(down, dtype=np.float32)
     inner = cv2.erode(view.mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    # A Sobel kernel sums up eight times the slope.
+    # A Sobel kernel yields eight times the gradient.
     return float(square[inner].mean() / 64.0) if inner.any() else 0.0
 
 
@@ -383,7 +383,7 @@ def _view(
 def _range_of_azimuth(
     place: SweepPlace, found: SweepCalibration, room: Room
 ) -> Callable[[FloatArray], FloatArray]:
-    """Distance of the walls at azimuths in the base frame."""
+    """Return a function for the distance of walls at azimuths in the base frame."""
     axis, heading = _axis(place, found.mount), place.pose_map_base[2]
     return lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], _FAR_M)
 
@@ -391,7 +391,7 @@ def _range_of_azimuth(
 def _range_of_ray(
     place: SweepPlace, found: SweepCalibration, room: Room
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Distance of walls, floor and ceiling at azimuths and tangents in the base frame."""
+    """Return a function for the distance of walls, floor and ceiling at azimuths and tangents."""
     axis, heading = _axis(place, found.mount), place.pose_map_base[2]
     heights = np.array([wall.height for wall in room.walls])
 
@@ -406,7 +406,7 @@ def _range_of_ray(
 
 
 def _by_calibration(place: SweepPlace, found: SweepCalibration) -> FloatArray:
-    """Derivative (4, 15) of the viewpoint; papers locate the camera itself."""
+    """Derivative (4, 15) of the viewpoint by the calibration; 0 if papers locate the camera."""
     jacobian = np.zeros((4, len(NAMES)))
     if found.sweep.pose_map_base is not None:
         jacobian[:2, :2] = se2.rotation(place.pose_map_base[2])
@@ -447,7 +447,7 @@ def _place(
 
 
 def _given_covariance(known: PoseEstimate) -> FloatArray:
-    """Covariance (3, 3) of the pose of a sweep that is given; an error if it is none."""
+    """Covariance (3, 3) of the given pose of a sweep; an error if it is invalid."""
     if not np.isfinite(known.pose).all():
         raise LandmarkNavError('sweep/pose is not a number: mend its publisher')
     covariance = checked_covariance(known.covariance, _MOST_SIGMA, 'sweep/pose')
@@ -455,7 +455,7 @@ def _given_covariance(known: PoseEstimate) -> FloatArray:
 
 
 def _axis(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
-    """The panorama's viewpoint: the pan axis at the height of the optical centre."""
+    """Viewpoint of the panorama: the pan axis at the height of the optical centre."""
     axis = mount.axis_pose_map(place.pose_map_base)
     return np.array([axis[0], axis[1], place.height_m])
 

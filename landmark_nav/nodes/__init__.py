@@ -1,11 +1,11 @@
 """
-The ROS nodes: each converts, calls a stage and publishes.
+ROS nodes: each converts messages, calls a stage and publishes the result.
 
-Executables are the modules with a `main`; the others are parts of theirs. An executable imports
-this first: it heeds signals from here on, while it imports the rest for a second or so.
+Modules with a `main` are executables; the others are parts of them. An executable imports this
+package first and handles signals from here on, as its other imports take about a second.
 
-Importing any of them without ROS 2 ends the process with one line that says what to install,
-because the executables import their node before they run it.
+Without ROS 2, the import of any of them ends the process with a line that says what to install,
+because an executable imports its node before it runs.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from landmark_nav.signals import end_at_once
 
 
 def _is_program() -> bool:
-    """Whether this process is a node: by ``python -m``, or by an executable of a node's name."""
+    """Whether this process is a node: run by ``python -m`` or by an executable of its name."""
     name = os.path.basename(sys.argv[0])
     return name == '-m' or os.path.isfile(os.path.join(os.path.dirname(__file__), f'{name}.py'))
 

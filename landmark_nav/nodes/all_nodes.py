@@ -18,7 +18,7 @@ _NODES = (
     TriangulationLocalizerNode,
     OdometryFusionNode,
 )
-# As many as they have alone.
+# Sum of the threads of the nodes as separate processes.
 _THREADS = 3 + 2 + 3 + 1 + 1 + 1
 
 

@@ -21,20 +21,21 @@ from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.topics import relative_name
 
 _CLOCK_PERIOD_NS = 10_000_000
+# Greatest time for acknowledgements of the last messages.
 _LAST_WORDS_S = 2.0
-# Time for subscribers to find the topics before the first message: discovery of DDS takes a second
-# or two on a busy machine.
+# Time for discovery of the topics by subscribers before the first message: DDS takes a second or
+# two on a busy machine.
 _START_DELAY_S = 3.0
 
 
 class BagPlayerNode(LandmarkNode):
-    """Publishes the serialised messages as they are, and ends with the bag."""
+    """Publishes the serialised messages unchanged, and shuts down at the end of the bag."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('bag_player', 'playback', **options)
 
     def set_up(self) -> None:
-        """Read parameters and files; make topics and services."""
+        """Read parameters and files; create topics and services."""
         self._config = configured(self, 'bag_player')
         self._bag = Bag(self.required('bag', self._config.bag))
         self._players = {
@@ -48,7 +49,7 @@ class BagPlayerNode(LandmarkNode):
         self.close_with(self._leave)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to play; what has begun goes on to its end."""
+        """Start the playback, once: it continues to the end of the bag."""
         if self._player.ident is None:
             self._player.start()
         return super().on_activate(state)
@@ -59,7 +60,7 @@ class BagPlayerNode(LandmarkNode):
             self._player.join()
 
     def health(self) -> Health:
-        """How far it is."""
+        """OK with the time played."""
         played_s = self._played_ns * 1e-9
         return Health(Level.OK, f'{played_s:.1f} s of {self._bag.duration_s:.1f} s')
 
@@ -74,7 +75,7 @@ class BagPlayerNode(LandmarkNode):
         return self.create_publisher(kind, topic, known.qos if known else RELIABLE)
 
     def _play(self) -> None:
-        """Publish all, then end the node; runs in a thread of its own."""
+        """Publish all messages, then end the node; runs in its own thread."""
         failure: LandmarkNavError | None = None
         try:
             self._publish_all()
@@ -106,7 +107,7 @@ class BagPlayerNode(LandmarkNode):
             self._played_ns = entry.stamp_ns - first_ns
 
     def _wait_until(self, begin: float, bag_ns: int) -> bool:
-        """Wait for the time of a message; whether the node ends meanwhile."""
+        """Wait for the time of a message; return whether the node ends meanwhile."""
         left_s = begin + bag_ns * 1e-9 / self._config.rate - time.monotonic()
         return self._stop.wait(left_s) if left_s > 0.0 else self._stop.is_set()
 

@@ -1,4 +1,4 @@
-"""Parameters of a node, and what its robot file says."""
+"""Parameters of a node, and values of its robot file."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ def configured(
     """
     Declare the parameters that the executable `name` reads, and return their values.
 
-    Raises `LandmarkNavError`: a value that a parameter may not take; a robot file that can not be
-    read.
+    Raises `LandmarkNavError`: a value of a parameter is invalid, or the robot file cannot be read.
 
     Parameters
     ----------
     take : callable, optional
-        Given the configuration again as values of `LIVE` are set.
+        Called with the new configuration after parameters of `LIVE` were set.
     """
     former_robot = settle(node, Configuration())
     live = LIVE.get(name, ())
@@ -38,9 +37,9 @@ def configured(
 
 def calibration_of(node: LandmarkNode, config: Configuration) -> Calibration:
     """
-    Read the calibration of the robot file, which the node needs.
+    Read the calibration from the robot file.
 
-    Raises `LandmarkNavError`: none is given, or it can not be read.
+    Raises `LandmarkNavError`: no robot file is given, or it cannot be read.
     """
     path = node.required('robot_file', config.robot_file)
     return load_calibration(path, config.former_robot)

@@ -25,22 +25,22 @@ from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import LandmarkMap, Panorama
 
 _NOT_SAVED = 'not saved yet: call save_map'
-# Walls that were measured again are nearer to where they were.
+# Greatest distance between two measurements of one wall.
 _SAME_WALL_M = 0.3
 
 
 class LandmarkLearnerNode(LandmarkNode):
     """
-    ``panorama/*`` to ``landmarks``, by `learning.pipeline.learn_from_panoramas`.
+    Turns ``panorama/*`` into ``landmarks`` by `learning.pipeline.learn_from_panoramas`.
 
-    Without ``room_file`` it learns from ``sweep/*`` and ``odom``, by `learning.unmeasured`.
+    Without ``room_file`` it uses ``sweep/*`` and ``odom`` instead, by `learning.unmeasured`.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__('landmark_learner', 'learning', **options)
 
     def set_up(self) -> None:
-        """Read parameters and files; make topics and services."""
+        """Read parameters and files; create topics and services."""
         self._config = configured(self, 'landmark_learner', self._reconfigure)
         self._outputs = [
             self.advertise(name) for name in ('landmarks', 'landmarks/atlas', 'landmarks/markers')
@@ -57,7 +57,7 @@ class LandmarkLearnerNode(LandmarkNode):
             given = calibration_of(self, self._config)
             self._unmeasured = UnmeasuredLearner(self, given, self._config)
             self._start = self.advertise('initialpose')
-        # One service at a time, while panoramas go on arriving.
+        # Services exclude each other, but panoramas still arrive.
         group = MutuallyExclusiveCallbackGroup()
         self.offer('learn_landmarks', self._learn, group=group)
         self.offer('clear_panoramas', self._clear, group=group)
@@ -68,13 +68,13 @@ class LandmarkLearnerNode(LandmarkNode):
             self._load_at_start()
 
     def _reconfigure(self, config: Configuration) -> None:
-        """Take what was set: the next call of a service goes by it."""
+        """Use changed parameters from the next service call on."""
         self._config = config
         if self._room is None:
             self._unmeasured.config = config
 
     def health(self) -> Health:
-        """OK with a map; degraded until then."""
+        """Degraded without a map or with one of another room; else OK."""
         values = {'panoramas': self._count}
         if self._map is None:
             words = f'{self._why_none}: call learn_landmarks or load_map'
@@ -88,7 +88,7 @@ class LandmarkLearnerNode(LandmarkNode):
 
     @property
     def _count(self) -> int:
-        """Panoramas to learn from."""
+        """Number of panoramas or sweeps to learn from."""
         return len(self._panoramas) if self._room else len(self._unmeasured)
 
     def _on_panorama(self, image: Any, info: Any, pose: Any) -> None:
@@ -115,7 +115,7 @@ class LandmarkLearnerNode(LandmarkNode):
         return '; '.join(filter(None, [done, own, _NOT_SAVED, result.warning]))
 
     def _start_at(self, result: LearningResult) -> str:
-        """Give the pose of the robot in a map of its own; where its metres come from."""
+        """Publish the pose of the robot in the new map; report it and the origin of the scale."""
         known = result.map.provenance
         words = f'metres from {known["scale"]}, good to {100 * float(known["scale_sigma"]):.1f} %'
         place = self._unmeasured.place_now(result)
@@ -140,7 +140,7 @@ class LandmarkLearnerNode(LandmarkNode):
         return self._report(f'{len(self._map.landmarks)} landmarks saved in', self._map)
 
     def _load_at_start(self) -> None:
-        """Without a map there is still one to be learned: a missing or broken one ends nothing."""
+        """Load the map; if it is missing or damaged, log a warning: one can still be learned."""
         try:
             self.get_logger().info(self._load())
         except LandmarkNavError as error:
@@ -153,14 +153,14 @@ class LandmarkLearnerNode(LandmarkNode):
         return self._report(f'{len(loaded.landmarks)} landmarks loaded from', loaded)
 
     def _report(self, done: str, landmarks: LandmarkMap) -> str:
-        """What was done with the map folder, and what is odd about its map."""
+        """Describe what was done with the map folder, and warn of a map of another room."""
         warning = self._why_foreign(landmarks)
         if warning:
             self.get_logger().warning(warning)
         return '; '.join(filter(None, [f'{done} {self._config.map_folder}', warning]))
 
     def _why_foreign(self, landmarks: LandmarkMap) -> str:
-        """Why a map seems to be of another room than the room file; nothing if it does not."""
+        """Reason why a map and the room file are of different rooms; empty if they are not."""
         room, files = self._room, f'{self._config.map_folder} and {self._config.room_file}'
         if room is None:
             return ''
@@ -182,7 +182,7 @@ class LandmarkLearnerNode(LandmarkNode):
 
 def main() -> int:
     """Entry point of the executable."""
-    # Frames go on arriving while one thread learns and another waits for those of a sweep.
+    # One thread learns, another waits for the frames of a sweep, and the third receives them.
     return run_node(LandmarkLearnerNode, threads=3)
 
 

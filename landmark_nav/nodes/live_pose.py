@@ -1,4 +1,4 @@
-"""What `odometry_fusion` shows people: the robot, and the lines it drew since its start."""
+"""Visualisation of `odometry_fusion`: markers of the robot, and its paths since the start."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
+# Least time between two publications.
 _PERIOD_S = 0.2
-# Points of a line are at least so far apart, and no more than so many.
+# Least initial distance of two points of a path, and greatest number of points.
 _STEP_M, _MOST_POINTS = 0.05, 1000
-# Stamps go back by more only where the clock was set back or a bag is played anew.
+# Least step back of stamps that shows that the clock was set back or a bag was restarted.
 _CLOCK_STEP_NS = 10**9
 
 
 class ThinnedPath:
-    """A nav_msgs/Path that grows, bounded: when full, every other point goes."""
+    """A nav_msgs/Path of bounded length: when it is full, every other point is removed."""
 
     def __init__(self, frame_id: str) -> None:
         self._frame_id, self._step_m = frame_id, _STEP_M
@@ -30,7 +31,7 @@ class ThinnedPath:
         self.changed = False
 
     def add(self, stamp_ns: int, pose: FloatArray) -> None:
-        """Go on to a pose (3,), which is kept if it is a step away from the last one."""
+        """Append a pose (3,) if it is at least a step away from the last one."""
         x, y, _ = pose.tolist()
         if math.dist((x, y), self._last_xy) < self._step_m:
             return
@@ -40,16 +41,16 @@ class ThinnedPath:
         self._last_xy, self.changed = (x, y), True
 
     def message(self) -> Any:
-        """The path up to now, stamped as its last pose."""
+        """Return the path, with the stamp of its last pose."""
         self.changed = False
         return ros_factory('nav_msgs/msg/Path', header=self._poses[-1].header, poses=self._poses)
 
 
 class LivePose:
     """
-    Publishes paths and markers of the fused pose, five times a second, to who subscribes.
+    Publishes paths and markers of the fused pose to subscribers, five times a second.
 
-    Odometry's path begins where the fused one begins, so that both can be compared.
+    The path of odometry starts at the first fused pose, so that both can be compared.
 
     Parameters
     ----------
@@ -67,7 +68,7 @@ class LivePose:
         self.restart()
 
     def restart(self) -> None:
-        """Begin both lines anew."""
+        """Restart both paths."""
         self._paths = [ThinnedPath(self._frame_id) for _ in self._outputs]
         self._map_from_odom: FloatArray | None = None
         self._stamp_ns = 0
@@ -78,7 +79,7 @@ class LivePose:
         odometry: OdometrySample,
         level: Callable[[], PoseEstimate | None],
     ) -> None:
-        """Take the fused pose at an odometry sample; `level` gives its protection level."""
+        """Add the fused pose at an odometry sample; `level` returns its protection level."""
         if estimate.stamp_ns < self._stamp_ns - _CLOCK_STEP_NS:
             self.restart()
         self._stamp_ns = estimate.stamp_ns
@@ -93,7 +94,7 @@ class LivePose:
         self._published_s = now_s
         for k, (path, output) in enumerate(zip(self._paths, self._outputs, strict=True)):
             before, self._subscribers[k] = self._subscribers[k], output.get_subscription_count()
-            # Who comes later sees the path also while the robot stands.
+            # A new subscriber receives the path even if the robot does not move.
             if self._subscribers[k] > before or (self._subscribers[k] and path.changed):
                 output.publish(path.message())
         if self._markers.get_subscription_count():

@@ -1,4 +1,4 @@
-"""What `triangulation_localizer` shows people: the image with what came of it, and the view."""
+"""Visualisation of `triangulation_localizer`: debug image, and markers of the view."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import CameraFrame, LandmarkMap, PoseEstimate, Triplet
 
 _JPEG_QUALITY = 75
-# Drawing an image takes ten milliseconds of the thread that looks at images.
+# Least time between two debug images, which take the detection thread 10 ms each.
 _PERIOD_S = 0.2
 
 
 class LiveView:
     """
-    Publishes the debug image and the markers of the view, to who subscribes; else does nothing.
+    Publishes the debug image and the markers of the view if there are subscribers.
 
-    Of the images of a second it shows five.
+    It publishes at most five debug images a second.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class LiveView:
         triplet: Triplet | None,
         optical_frame: str,
     ) -> None:
-        """Show what was seen in an image from the expected pose of the base."""
+        """Publish the observation in an image and the expected pose of the base."""
         now_s = time.monotonic()
         if now_s - self._drawn_s >= _PERIOD_S and self._image.get_subscription_count():
             self._drawn_s = now_s

@@ -38,24 +38,24 @@ from landmark_nav.types import (
     Refusal,
 )
 
-# A joint delay that is open matters to a camera that turns so far: where it looked may be reported
-# long after its image. So long that is waited for.
+# Least range of the pan at which an uncertain joint delay matters, and greatest time for which
+# detections wait for late joint states then.
 _PAN_RANGE_RAD, _PATIENCE_S = 0.1, 0.4
 _LEVELS = {Status.OK: Level.OK, Status.DEGRADED: Level.DEGRADED, Status.LOST: Level.LOST}
-# Sigmas of a value of the calibration from which it is said that robot.yaml is off.
+# Least deviation from robot.yaml that is reported, in sigmas of the estimated value.
 _BEYOND_DOUBT = 5.0
-# Sigmas of an initialpose that comes without: where a person points at in a plan, by hand.
+# Sigmas of an initialpose without covariance, which a person sets on a plan by hand.
 _START_SIGMA_M, _START_SIGMA_RAD = 0.3, 0.2
 
 
 class OdometryFusionNode(LandmarkNode):
-    """``odom`` and ``detections`` to ``odometry/fused``, by `Fusion`."""
+    """Fuses ``odom`` and ``detections`` to ``odometry/fused`` by `Fusion`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('odometry_fusion', 'fusion', **options)
 
     def set_up(self) -> None:
-        """Read parameters and files; make topics and services."""
+        """Read parameters and files; create topics and services."""
         self._config = configured(self, 'odometry_fusion', self._reconfigure)
         calibration = calibration_of(self, self._config)
         self._mount = calibration.mount
@@ -85,12 +85,12 @@ class OdometryFusionNode(LandmarkNode):
         self.offer('calibrate', self._calibrate)
 
     def _reconfigure(self, config: Configuration) -> None:
-        """Take what was set."""
+        """Use changed parameters."""
         self._config, self._spread.time_constant_s = config, config.correction_time_s
 
     def health(self) -> Health:
-        """As the fusion judges itself."""
-        # Where odometry stays away nothing moves the fusion on, but its time passes.
+        """Status of the fusion."""
+        # Without odometry the fusion does not advance, so that the time is given.
         status, reason = self._fusion.status_at(self._now_ns() if self._last else None)
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
         values = counts | {'rejected': self._rejected} | self._latency.values()
@@ -99,12 +99,12 @@ class OdometryFusionNode(LandmarkNode):
         return Health(_LEVELS[status], (reason or 'tracking') + advice, values)
 
     def _now_ns(self) -> int:
-        """Time by the clock of the odometry."""
+        """Time now by the clock of the odometry."""
         now_ns = int(self.get_clock().now().nanoseconds)
         return now_ns if self._last is None else self._last.stamp_ns + now_ns - self._heard_ns
 
     def _delay_advice(self) -> str:
-        """What would spare finding out how late the stamps of the joints are."""
+        """Advice to set an estimated joint delay in robot.yaml; empty if it does not matter."""
         late = self._fusion.late
         if not late.matters:
             return ''
@@ -114,7 +114,7 @@ class OdometryFusionNode(LandmarkNode):
         )
 
     def _mount_advice(self) -> str:
-        """By what robot.yaml is off, where that is found out beyond doubt."""
+        """Significant deviations of the estimated calibration from robot.yaml."""
         known, prior = self._fusion.calibration, self._fusion.prior
         off = known.values - prior.values
         far = np.abs(off) > np.maximum(prior.sigmas, _BEYOND_DOUBT * known.sigmas)
@@ -126,7 +126,7 @@ class OdometryFusionNode(LandmarkNode):
         return f'; robot.yaml is off, which is put right: {", ".join(names)}' if names else ''
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
-        """Go on with another map from where the robot is."""
+        """Change the map and keep the pose."""
         decode.check_frame(points.header, self._config.map_frame, 'set map_frame to it')
         landmarks = decode.landmark_map(points, atlas)
         self._fusion.change_map(landmarks)
@@ -134,7 +134,7 @@ class OdometryFusionNode(LandmarkNode):
         self.get_logger().info(f'{self._landmarks} landmarks received')
 
     def _calibrate(self) -> str:
-        """Write what the drive has shown beside `robot_file`, which stays as it is."""
+        """Write the estimated calibration beside `robot_file`, which is not changed."""
         given, found = self._fusion.prior, self._fusion.calibration
         hidden = found.unobserved(given)
         shown = [name for name in NAMES if name not in hidden and given[name][1] > 0.0]
@@ -177,7 +177,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _on_odometry(self, message: Any) -> None:
         if message == self._last_message:
-            # It came twice; a source that repeats it on and on is as good as silent.
+            # A repeated message does not count: a source that only repeats one has failed.
             return
         self._last_message = message
         sample = decode.odometry(message)
@@ -185,10 +185,10 @@ class OdometryFusionNode(LandmarkNode):
         if isinstance(refusal, Distrusted):
             self.note(str(refusal))
         elif refusal is not None:
-            # What is late, or hangs, does not move the filter on.
+            # Odometry that is late or frozen does not advance the filter.
             raise LandmarkNavError(str(refusal))
         if self._last is not None and sample.stamp_ns < self._last.stamp_ns:
-            # The clock was set back: by this one nothing was given yet.
+            # The clock was set back: the stamp of the given start does not apply to it.
             self._start_given_ns = None
         self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
         self._odom_frame = message.header.frame_id.lstrip('/')
@@ -196,7 +196,7 @@ class OdometryFusionNode(LandmarkNode):
         estimate = self._fusion.estimate(sample.stamp_ns)
         if estimate is not None:
             self._publish(estimate, sample)
-            # Only here: a transform must not be published twice for one time.
+            # Only here, as a transform must not be published twice for one stamp.
             pose = self._spread.at(sample.stamp_ns, estimate.pose, sample.pose_odom_base)
             frames = (self._config.map_frame, self._odom_frame)
             self._transform.send(sample.stamp_ns, [encode.planar_transform(*frames, pose)])
@@ -206,7 +206,7 @@ class OdometryFusionNode(LandmarkNode):
         self._use_waiting()
 
     def _use_waiting(self) -> None:
-        """Use what was found in images, in their order, as far as it need not wait."""
+        """Use waiting detections and global poses in order, up to the first that must wait."""
         while self._waiting and not self._waits(self._waiting[0]):
             found = self._waiting.popleft()
             if isinstance(found, Detections):
@@ -215,7 +215,7 @@ class OdometryFusionNode(LandmarkNode):
                 self._use_place(found)
 
     def _waits(self, found: Detections | GlobalPose) -> bool:
-        """Whether joint states that may give where the camera looked are still to come."""
+        """Whether detections or a global pose must wait for joint states that may still arrive."""
         late = self._fusion.late
         settled = late.is_known or self._frames.pan_range_rad < _PAN_RANGE_RAD
         if settled and not late.matters:
@@ -223,7 +223,7 @@ class OdometryFusionNode(LandmarkNode):
         ahead_s = found.joint_delay_s + (late.delay_s if settled else _PATIENCE_S)
         newest = self._last.stamp_ns if self._last is not None else 0
         if 1e-9 * abs(newest - found.stamp_ns) > _PATIENCE_S:
-            # It waited for long, or is of another clock than the odometry.
+            # It has waited long enough, or has another clock than the odometry.
             return False
         return not self._frames.reaches(found.stamp_ns + round(1e9 * ahead_s))
 
@@ -244,7 +244,7 @@ class OdometryFusionNode(LandmarkNode):
         self._started(place, 'found')
 
     def _corrected(self, stamp_ns: int) -> None:
-        """Publish at once what an image changed, at the newest time that is known."""
+        """Publish the pose after an update by an image, at the newest stamp."""
         if self._last is None:
             return
         newest = max(stamp_ns, self._last.stamp_ns)
@@ -256,7 +256,7 @@ class OdometryFusionNode(LandmarkNode):
     def _publish(self, estimate: PoseEstimate, sample: OdometrySample) -> None:
         fused = replace(sample, pose_odom_base=estimate.pose)
         frames = {'frame_id': self._config.map_frame, 'child_frame_id': self._mount.base_frame}
-        # Before the pose: where somebody has that, the other is known, too.
+        # Before the pose, so that a node that has received the pose has the expectation too.
         expected = self._fusion.expectation(estimate.stamp_ns)
         if expected is not None:
             self._expectation.publish(
@@ -269,12 +269,12 @@ class OdometryFusionNode(LandmarkNode):
         self._live.show(estimate, sample, lambda: self._protection_level(estimate))
 
     def _protection_level(self, estimate: PoseEstimate) -> PoseEstimate:
-        """Pose of whose covariance one sigma is the protection level."""
+        """Pose with a covariance whose one-sigma bound is the protection level."""
         return self._fusion.level(estimate).scaled(estimate)
 
 
 def _calibration_values(fusion: Fusion) -> dict[str, str]:
-    """Prior, value and sigma of what is not exact, and whether the motion has shown it."""
+    """Prior, value and sigma of quantities that are not exact, and whether they are observed."""
     delay_s, sigma_s = fusion.calibration['joint_delay']
     values = {'joint_delay_ms': f'{1e3 * delay_s:.2f} +- {1e3 * sigma_s:.2f}'}
     for name, of in fusion.calibration.differences(fusion.prior).items():

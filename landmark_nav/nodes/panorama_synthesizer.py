@@ -29,16 +29,16 @@ from landmark_nav.types import Panorama, Sweep
 
 class PanoramaSynthesizerNode(LandmarkNode):
     """
-    ``sweep/*`` to ``panorama/*``, by `learning.pipeline.panorama_from_sweep`.
+    Turns ``sweep/*`` into ``panorama/*`` by `learning.sweep_pipeline.panorama_from_sweep`.
 
-    Without ``room_file`` a panorama has its pose in ``base_link``.
+    Without ``room_file`` the pose of a panorama is relative to ``base_link``.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__('panorama_synthesizer', 'panorama', **options)
 
     def set_up(self) -> None:
-        """Read parameters and files; make topics and services."""
+        """Read parameters and files; create topics and services."""
         self._config = configured(self, 'panorama_synthesizer')
         self._known = calibration_of(self, self._config)
         self._room = load_room(self._config.room_file) if self._config.room_file else None
@@ -53,7 +53,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
         SweepInbox(self, self._known.mount, frame, self._on_sweep)
 
     def health(self) -> Health:
-        """What became of the last sweep."""
+        """Result of the last sweep."""
         return self._health
 
     def _on_sweep(self, recorded: RecordedSweep) -> None:
@@ -87,7 +87,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
         self.get_logger().info(f'{self._health.reason} in {took_s:.1f} s')
 
     def _panorama(self, sweep: Sweep) -> tuple[Panorama, str, str]:
-        """Panorama, words on its pose, and the frame of that."""
+        """Panorama, description of its pose, and frame of the pose."""
         if self._room is None:
             view = unplaced_panorama(sweep, self._known.mount, self._config, StageLog())
             return view, 'panorama; its pose comes with learning', self._known.mount.base_frame
@@ -100,13 +100,13 @@ class PanoramaSynthesizerNode(LandmarkNode):
 
 
 def _sigmas(view: Panorama) -> dict[str, object]:
-    """How well its pose is known, for diagnostics."""
+    """Sigmas of the pose of a panorama, for diagnostics."""
     x, y, heading = np.sqrt(np.diag(view.covariance)[[0, 1, 3]])
     return {'sigma_m': np.hypot(x, y), 'sigma_deg': np.degrees(heading)}
 
 
 def _quality(quality: PanoramaQuality | None) -> dict[str, object]:
-    """Figures of a panorama for diagnostics."""
+    """Quality figures of a panorama, for diagnostics."""
     if quality is None:
         return {}
     closure = quality.closure_rad

@@ -1,8 +1,8 @@
 """
-Finding the place: when the pose is lost, and by the service ``relocalize``.
+Global localization: when the pose is lost, and by the service ``relocalize``.
 
-The service waits, as a coroutine, for what the thread finds that looks at images: one thread for
-callbacks is enough, and takes a fraction of the time that rclpy needs for two.
+The service is a coroutine that waits for the result of the image thread. So one thread serves all
+callbacks, which needs a fraction of the time that rclpy takes with two.
 """
 
 from __future__ import annotations
@@ -28,18 +28,19 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
-# Ten seconds at 50 Hz: what may come between two images that are looked at.
+# Greatest number of odometry samples between two processed images: ten seconds at 50 Hz.
 _BACKLOG = 500
+# Pause of the waiting service between two checks.
 _PAUSE_S = 0.005
-# A fused pose that stays away for less is on its way: whoever fuses waits for the processor, and a
-# search would take a second of it.
+# Greatest age of a fused pose that counts as current: the fusion may wait for the processor, and
+# a search would take a second of it.
 _LATE_S = 2.0
-# Within that time after its image a pose that was published has become the fused pose.
+# Time after which a published global pose has become the fused pose.
 _FUSED_NS = 10**9
 
 
 class _Pause:
-    """A moment that passes while the executor goes on with other callbacks; it asks again soon."""
+    """Short pause of a coroutine, during which the executor runs other callbacks."""
 
     def __await__(self) -> Generator[None, None, None]:
         time.sleep(_PAUSE_S)
@@ -48,7 +49,7 @@ class _Pause:
 
 @dataclass
 class _Call:
-    """Of the service, which others may join; `outcome` is a pose only once that is published."""
+    """Call of the service, shared by later calls; `outcome` is a pose once that is published."""
 
     until_s: float
     outcome: PoseEstimate | Refusal = field(default_factory=lambda: Refusal('no image came'))
@@ -56,16 +57,17 @@ class _Call:
 
 class PlaceSearch:
     """
-    Finds the robot's pose when called or lost, and publishes it on ``global_localization/pose``.
+    Localizes globally on request or if lost, and publishes on ``global_localization/pose``.
 
     Parameters
     ----------
     fused : callable
-        Gives the newest fused pose, None where that is farther from a time than so many seconds.
+        Returns the newest fused pose, or None if its time differs from a stamp [ns] by more than a
+        limit [s].
     odometry : OdometryNoiseConfig
-        How far the odometry is to be trusted.
+        Noise of the odometry.
     looking : LookingConfig
-        How landmarks are looked for where they are to be expected.
+        Parameters of the search for expected landmarks.
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class PlaceSearch:
         odometry: OdometryNoiseConfig,
         looking: LookingConfig,
     ) -> None:
-        # As far as it is known by now: whoever learns it sets it.
+        # The current estimate, which is updated from outside.
         self.calibration = calibration
         self.config, self._map_frame = config, map_frame
         self._fused, self._noise, self._looking = fused, odometry, looking
@@ -94,35 +96,35 @@ class PlaceSearch:
         node.offer('relocalize', self._search, group=ReentrantCallbackGroup())
 
     def use(self, landmarks: LandmarkMap) -> None:
-        """Look for these from now on."""
+        """Search these landmarks from now on."""
         self.landmarks = landmarks
         if self.active:
             self._relocalizer = self._new_relocalizer()
 
     @property
     def active(self) -> bool:
-        """Whether images are wanted."""
+        """Whether a search runs, which needs images."""
         return self._relocalizer is not None
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether odometry of that time or later is known."""
-        # Another thread begins anew meanwhile.
+        # Another thread may replace the queue meanwhile.
         known = self._odometry
         return bool(known) and known[-1].stamp_ns >= stamp_ns
 
     def consider(self, stamp_ns: int) -> None:
         """
-        Begin by itself where the fused pose is not known at a time, end that where it is again.
+        Start a search if the fused pose is unknown at a time, and end it if the pose is known.
 
-        A pose from which nothing is seen of the map counts as not known. Without odometry nothing
-        follows from a place: the fusion waits for it.
+        A pose at which no landmark has been detected for some time counts as unknown. Without
+        odometry no search is started, as the fusion could not use its result.
         """
         wanted = self.config.when_lost and self._moves and self.landmarks.landmarks
         on_its_way = 0 <= stamp_ns - self._published_ns < _FUSED_NS
         if not wanted or on_its_way:
             return
         fused = self._fused(stamp_ns, _LATE_S)
-        # Another thread may take a call meanwhile.
+        # Another thread may have accepted a call meanwhile.
         if self._call is not None:
             return
         if fused is not None and is_known(fused) and not self._unseen.lasts:
@@ -132,17 +134,17 @@ class PlaceSearch:
             self._relocalizer = self._new_relocalizer()
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Keep odometry for the next image, while one is wanted."""
+        """Keep odometry for the next image if a search runs."""
         self._moves = True
         if self.active:
             self._odometry.append(sample)
 
     def note(self, stamp_ns: int, found: int) -> None:
-        """Take note of how many landmarks an image showed."""
+        """Note the number of landmarks detected in an image."""
         self._unseen.note(stamp_ns, found)
 
     def look(self, frame: CameraFrame) -> PoseEstimate | Refusal:
-        """Go on with an image; what is known of the place by now."""
+        """Continue the search with an image; return the pose, or why it is not known yet."""
         relocalizer = self._relocalizer
         if relocalizer is None:
             return Refusal('nobody looks for it any more')
@@ -150,7 +152,7 @@ class PlaceSearch:
         while known and known[0].stamp_ns <= frame.stamp_ns:
             relocalizer.add_odometry(known.popleft())
         outcome = relocalizer.add_frame(frame)
-        # That took a while, in which somebody may have given the pose.
+        # The pose may have been given during this time.
         known = self._odometry
         self.consider(known[-1].stamp_ns if known else frame.stamp_ns)
         if self._relocalizer is not relocalizer:

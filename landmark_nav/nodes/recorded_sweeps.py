@@ -1,4 +1,4 @@
-"""Sweeps as they come on topics: frames, angles and pose, joined."""
+"""Sweeps received on topics: frames, angles and pose, joined."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from landmark_nav.messages import decode
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import ImageArray, JointSample, PoseEstimate, Sweep
 
-# Frames of the longest sweep, and their bytes; older ones belong to a sweep that was given up.
+# Greatest number of frames of a sweep, and their size; older ones belong to an aborted sweep.
 _MAX_FRAMES, _MAX_BYTES = 1440, 2**30
-# Frames that arrive after their trajectory are waited for so long, chosen by hand.
+# Greatest time for frames that arrive after their trajectory, chosen by hand.
 _LATE_FRAMES_S = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedSweep:
     """
-    A sweep whose images are still as they came: they may be compressed.
+    A sweep with its image messages, which are not decoded and may be compressed.
 
     Parameters
     ----------
     trajectory : tuple of JointSample
-        Angles of its frames.
+        Angles of the frames.
     frames : mapping of int to tuple
-        Stamp -> message of the image, calibration.
+        Stamp -> image message and camera calibration.
     pose_map_base : PoseEstimate, optional
-        Pose of the base, if ``sweep/pose`` gave it.
+        Pose of the base in map, if it was given on ``sweep/pose``.
     """
 
     trajectory: tuple[JointSample, ...]
@@ -44,32 +44,32 @@ class RecordedSweep:
 
     @property
     def stamp_ns(self) -> int:
-        """Its begin."""
+        """Stamp of the first frame of the trajectory."""
         return self.trajectory[0].stamp_ns
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """First and last stamp."""
+        """Earliest and latest stamp."""
         stamps = [sample.stamp_ns for sample in self.trajectory]
         return min(stamps), max(stamps)
 
     @property
     def size_bytes(self) -> int:
-        """Of its images."""
+        """Size of the images."""
         return sum(len(image.data) for image, _ in self.frames.values())
 
     def decoded(self, depth: decode.BitDepth, drop: Callable[[str, object], None]) -> Sweep:
         """
-        Decode it.
+        Decode the images.
 
         Raises `LandmarkNavError`: no frame is left.
 
         Parameters
         ----------
         depth : BitDepth
-            Of the stream of images.
+            Bit depth of the stream of images.
         drop : callable
-            Is called with topic and reason where an image can not be used.
+            Called with topic and reason if an image cannot be used.
         """
         views: dict[int, tuple[ImageArray, CameraModel, int]] = {}
         for stamp, (image, info) in self.frames.items():
@@ -88,14 +88,14 @@ class RecordedSweep:
 
 class SweepInbox:
     """
-    Joins ``sweep/*``.
+    Joins the messages on ``sweep/*``.
 
     Parameters
     ----------
     frame_id : str
-        Frame that ``sweep/pose`` must be in.
+        Required frame of ``sweep/pose``.
     on_sweep : callable
-        Is given each sweep, in a callback group of its own: frames go on arriving meanwhile.
+        Called with each sweep in its own callback group, so that frames still arrive meanwhile.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class SweepInbox:
         self._images: dict[int, Any] = {}
         self._infos: dict[int, decode.CameraInfo] = {}
         self._pose: PoseEstimate | None = None
-        # The next sweep may come in the other form.
+        # Each sweep may be raw or compressed.
         node.listen('sweep/image', self._on_image)
         node.listen('sweep/image/compressed', self._on_image)
         node.listen('sweep/camera_info', self._on_camera_info)
@@ -141,7 +141,7 @@ class SweepInbox:
         frames = {sample.stamp_ns for sample in trajectory} & self._complete()
         with self._lock:
             found = {stamp: (self._images[stamp], self._infos[stamp]) for stamp in sorted(frames)}
-            # What is older belongs to this sweep or to one that was given up.
+            # Older messages belong to this sweep or to an aborted one.
             end_ns = max((sample.stamp_ns for sample in trajectory), default=0)
             for items in (self._images, self._infos):
                 for stamp in [stamp for stamp in items if stamp <= end_ns]:
@@ -150,7 +150,7 @@ class SweepInbox:
         self._on_sweep(RecordedSweep(tuple(trajectory), found, pose))
 
     def _complete(self) -> set[int]:
-        """Stamps of which image and calibration are there."""
+        """Stamps for which both image and calibration have arrived."""
         with self._lock:
             return self._images.keys() & self._infos.keys()
 

@@ -30,26 +30,27 @@ from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 _STEP_S = 1.0 / 60.0
 # Odometry comes at half the rate of the joint states.
 _STEPS_PER_ODOMETRY = 2
-# Behind by more than this, time that nobody could follow is left out.
+# Greatest lag of the simulation; a longer one is skipped.
 _MAX_LAG_S = 20.0
-# Farther from the system's time than two looks at clocks may be apart, stamps jump to it.
+# Greatest difference of stamps and system time, above that of two readings of clocks; beyond it
+# stamps jump to the system time.
 _MAX_OFF_NS = 250_000_000
 _OPTICAL_FRAME = 'camera_optical_frame'
 _EXACT = np.zeros((3, 3))
-# Ten images a second, if there is time for them; a usual quality of JPEG.
+# Least interval of images, and a usual quality of JPEG.
 _IMAGE_PERIOD_NS, _JPEG_QUALITY = 100_000_000, 92
-# Without a cmd_vel for so long the robot stops, as drivers of bases do.
+# Time without cmd_vel after which the robot stops, as with the drivers of real bases.
 _COMMAND_TIMEOUT_S = 0.5
 
 
 class RoomSimulatorNode(LandmarkNode):
-    """`simulation.world.RobotWorld` on topics, in the system's time also with `use_sim_time`."""
+    """`simulation.world.RobotWorld` on topics, in system time even with `use_sim_time`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('room_simulator', 'robot', **options)
 
     def set_up(self) -> None:
-        """Read parameters and files; make topics and services."""
+        """Read parameters and files; create topics and services."""
         self._config = config = configured(self, 'room_simulator')
         self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
         self._began_s = time.monotonic()
@@ -73,7 +74,7 @@ class RoomSimulatorNode(LandmarkNode):
         self.create_timer(_STEP_S, self._tick, clock=steady_clock())
 
     def health(self) -> Health:
-        """Whether it keeps up with the wall's time."""
+        """Degraded if the simulation lags behind real time."""
         image_count, self._image_count = self._image_count, 0
         values = {'lag_s': f'{self._lag_s:.2f}', 'images_per_s': image_count}
         late = self._lag_s > 1.0
@@ -82,7 +83,7 @@ class RoomSimulatorNode(LandmarkNode):
 
     @property
     def _lag_s(self) -> float:
-        """How far the simulated time is behind."""
+        """Lag of the simulated time."""
         return time.monotonic() - self._began_s - self._steps * _STEP_S
 
     def _on_velocity(self, message: Any) -> None:
@@ -93,7 +94,7 @@ class RoomSimulatorNode(LandmarkNode):
         self._world.command_velocity(linear_m_s, angular_rad_s)
 
     def _tick(self) -> None:
-        """Catch up with the wall's time, step by step, then take an image if one is due."""
+        """Catch up with real time in steps, then take an image if one is due."""
         if time.monotonic() - self._last_command > _COMMAND_TIMEOUT_S:
             self._world.command_velocity(0.0, 0.0)
         if self._lag_s > _MAX_LAG_S:
@@ -106,7 +107,7 @@ class RoomSimulatorNode(LandmarkNode):
             self._take_image()
 
     def _follow_clock(self) -> None:
-        """Stamp by the system's time, also where that was set or some time is left out."""
+        """Adjust stamps to the system time after a change of the clock or a skipped lag."""
         stamp_ns = time.time_ns() - int(1e9 * self._lag_s)
         off_ns = stamp_ns - self._world.stamp_ns
         if abs(off_ns) > _MAX_OFF_NS:
@@ -131,7 +132,7 @@ class RoomSimulatorNode(LandmarkNode):
             self._truth.publish(truth)
 
     def _take_image(self) -> None:
-        """Render only what somebody looks at."""
+        """Publish camera_info; render and publish an image if there are subscribers."""
         stamp, camera = self._world.stamp_ns, self._world.camera
         self._info.publish(encode.camera_info(ros_factory, camera, stamp, _OPTICAL_FRAME))
         wanted = [item for item in self._images.items() if item[0].get_subscription_count()]

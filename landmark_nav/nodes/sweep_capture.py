@@ -32,7 +32,7 @@ class SweepCaptureNode(LandmarkNode):
         super().__init__('sweep_capture', 'sweep', **options)
 
     def set_up(self) -> None:
-        """Read parameters and files; make topics and services."""
+        """Read parameters and files; create topics and services."""
         self._config = configured(self, 'sweep_capture', self._reconfigure)
         mount = calibration_of(self, self._config).mount
         command = self._config.command
@@ -44,17 +44,17 @@ class SweepCaptureNode(LandmarkNode):
         )
         self._result = 'ready'
         self._camera_info: Any = None
-        # Of a tilt joint that has a driver of its own.
+        # Tilt reported by a tilt joint with its own driver.
         self._tilt_rad: float | None = None
         listen_for_joints(self, mount, self._on_joints, self._on_tilt)
         self.listen('camera/camera_info', self._on_camera_info)
         self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
         self.listen('odom', lambda message: self._runner.add_odometry(decode.odometry(message)))
-        # Calls may come while one is served: they interrupt it.
+        # A call during another one interrupts that one.
         self.offer('capture_sweep', self._capture, group=ReentrantCallbackGroup())
 
     def _reconfigure(self, config: Configuration) -> None:
-        """Take what was set: the next sweep is taken so."""
+        """Use changed parameters from the next sweep on."""
         self._config, self._runner.config = config, config.capture
 
     def health(self) -> Health:
@@ -68,7 +68,7 @@ class SweepCaptureNode(LandmarkNode):
         return self._runner.pan_rad is None or self._camera_info is None
 
     def _capture(self) -> str:
-        """Take one sweep; blocks its caller while the other callbacks drive it."""
+        """Take one sweep; block the caller while other callbacks advance the sweep."""
         if not self._runner.claim(otherwise='capture_sweep was called again'):
             raise LandmarkNavError('the sweep under way is interrupted: call again to go on')
         try:

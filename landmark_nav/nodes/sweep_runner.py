@@ -1,4 +1,4 @@
-"""Runs a sweep on what the topics bring, in whichever threads they come."""
+"""Runs a sweep on messages of the topics; callbacks may come from several threads."""
 
 from __future__ import annotations
 
@@ -41,30 +41,31 @@ class SweepOutput:
         self._trajectory = node.advertise('sweep/trajectory')
 
     def frame(self, image: Any, info: Any) -> None:
-        """Publish a frame in the form it came in, and its calibration with the same stamp."""
+        """Publish an image, raw or compressed as received, and its calibration with its stamp."""
         info.header.stamp = image.header.stamp
         (self._compressed if isinstance(image, CompressedImage) else self._raw).publish(image)
         self._info.publish(info)
 
     def end(self, samples: Sequence[JointSample]) -> None:
-        """Publish the angles of all frames, which ends the sweep."""
+        """Publish the angles of all frames, which marks the end of the sweep."""
         self._trajectory.publish(sweep_trajectory(ros_factory, samples, self._mount))
 
 
 _LOG = logging.getLogger(__name__)
 
+# Timeout of a wait for progress.
 _POLL_S = 0.1
-# What waiting for that long may take; whatever is longer, this process was held up itself.
+# Greatest time that such a wait may take; the rest of a longer one is a stall of this process.
 _LONGEST_POLL_S = 0.3
-# Log lines of a sweep.
+# Number of log lines about the progress of a sweep.
 _LINES = 8
 
-# An image and its camera_info.
+# Messages of an image and its camera_info.
 _Frame = tuple[Any, Any]
 
 
 class SweepRunner:
-    """The sweep under way, or the last one, and the pan unit that it turns."""
+    """Runs the current sweep with the pan unit, and keeps the last one."""
 
     def __init__(
         self,
@@ -87,11 +88,11 @@ class SweepRunner:
 
     @property
     def stopped(self) -> str:
-        """Why the call that is served has to end; nothing if it need not."""
+        """Reason why the current call has to end; empty if it may continue."""
         return self._stopped
 
     def claim(self, otherwise: str) -> bool:
-        """Whether a call may be served now; else the one that is served ends, for that reason."""
+        """Whether a call may start; if not, the current call is ended with reason `otherwise`."""
         with self._progress:
             if self._claimed:
                 self._stopped = otherwise
@@ -101,15 +102,15 @@ class SweepRunner:
         return False
 
     def release(self) -> None:
-        """The call is served."""
+        """Mark the end of a call."""
         with self._progress:
             self._claimed = False
 
     def run(self, may_go_on: Callable[[], bool]) -> tuple[SweepCapture[_Frame], str]:
         """
-        Take a sweep, or the rest of one; returns it and what became of earlier frames.
+        Take a sweep or resume one; return it and a note on frames kept from before.
 
-        Raises `LandmarkNavError`: it was interrupted; the message says by what.
+        Raises `LandmarkNavError`: the sweep was interrupted; the message says by what.
         """
         with self._progress:
             sweep, note = begin_or_resume(self._sweep, self.config, self._inspect, self._now_ns())
@@ -135,7 +136,7 @@ class SweepRunner:
         return sweep, note
 
     def health(self) -> Health | None:
-        """How the sweep goes; None if there is none that is not complete."""
+        """Progress of the sweep; None if no sweep is incomplete."""
         with self._progress:
             sweep = self._sweep
             if sweep is None or sweep.done:
@@ -147,13 +148,13 @@ class SweepRunner:
         return Health(Level.DEGRADED, f'interrupted, {progress}: call capture_sweep', refused)
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        """Take the robot's place."""
+        """Process odometry."""
         with self._progress:
             if self._sweep is not None:
                 self._sweep.add_odometry(sample)
 
     def add_image(self, image: Any, info: Any) -> None:
-        """Take an image and its calibration."""
+        """Process an image and its calibration."""
         digest = hashlib.blake2b(image.data, digest_size=16).digest()
         shot = Shot((image, info), decode.stamp_ns(image.header), digest)
         with self._progress:
@@ -161,7 +162,7 @@ class SweepRunner:
                 self._sweep.add_frame(shot, self._now_ns())
 
     def add_joints(self, sample: JointSample) -> None:
-        """Take measured angles; they move the sweep on."""
+        """Process measured angles, which advance the sweep."""
         with self._progress:
             self.pan_rad = sample.pan_rad
             sweep = self._sweep
@@ -178,10 +179,10 @@ class SweepRunner:
 
     def _now_ns(self) -> int:
         """
-        Time of this process, without what it was held up for.
+        Monotonic time without the stalls of this process.
 
-        What came meanwhile still lies in the queues: a robot that was not listened to has not
-        been silent.
+        Messages that arrive during a stall are still queued, so that a stall does not count as
+        silence of the robot.
         """
         return time.monotonic_ns() - self._held_up_ns
 

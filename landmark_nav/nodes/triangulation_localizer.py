@@ -35,27 +35,27 @@ from landmark_nav.types import (
     Triplet,
 )
 
-# Ten seconds at 50 Hz: what may come between two images that are looked at.
+# Greatest number of odometry samples between two processed images: ten seconds at 50 Hz.
 _BACKLOG = 500
-# Ages beyond that come of two clocks, such as a bag's and today's.
+# Greatest plausible age of an image; a greater one shows different clocks, such as that of a bag.
 _OTHER_CLOCK_S = 10.0
-# A camera that is silent for so long has stopped, and a look that takes so long is stuck.
+# Least time without a new image, or since the last processed one, that is reported.
 _SILENCE_S = 1.0
-# An image waits so long for joint_states and odometry/fused, chosen by hand: three periods of an
-# odometry at 10 Hz.
+# Greatest time that an image waits for joint_states and odometry/fused, chosen by hand: three
+# periods of an odometry at 10 Hz.
 _MAX_WAIT_S = 0.3
-# So far odometry/fused may be from an image: it is carried on at constant speed.
+# Greatest time from odometry/fused to an image; it is extrapolated at constant velocity.
 _MAX_PRIOR_AGE_S = 0.5
 
 
 class TriangulationLocalizerNode(LandmarkNode):
-    """Images to ``detections`` and ``triangulation/pose``, by an observer."""
+    """Turns images into ``detections`` and ``triangulation/pose`` by an `Observer`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triangulation_localizer', 'detection', **options)
 
     def set_up(self) -> None:
-        """Read parameters and files; make topics and services."""
+        """Read parameters and files; create topics and services."""
         self._config = configured(self, 'triangulation_localizer', self._reconfigure)
         self._calibration = calibration_of(self, self._config)
         self._mount = self._calibration.mount
@@ -81,7 +81,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._triplet: Triplet | None = None
         self._delay_s = 0.0
         self._source: ImageSource | None = None
-        # Joint states and odometry come in while an image is looked at.
+        # Images have their own thread, so that joint states and odometry still arrive.
         self._images = LatestOnlyWorker(self.guarded('camera/image_raw', self._on_image))
         self.close_with(self._images.close)
         self._latency = Latency()
@@ -97,11 +97,11 @@ class TriangulationLocalizerNode(LandmarkNode):
         listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def _reconfigure(self, config: Configuration) -> None:
-        """Take what was set: the next search goes by it."""
+        """Use changed parameters from the next image or search on."""
         self._config, self._search.config = config, config.relocalization
 
     def health(self) -> Health:
-        """What came of the last image, or that none comes any more or it takes too long."""
+        """Result of the last image, or a report that images are missing or take too long."""
         health, now_s = self._health, time.monotonic()
         level = Level.DEGRADED if health.level is Level.OK else health.level
         last = {'no image': self._arrived_s, 'no image looked at': self._looked_s}
@@ -167,7 +167,7 @@ class TriangulationLocalizerNode(LandmarkNode):
             return
         self._search.consider(stamp)
         searches = self._search.active and not self._images_unusable
-        # What gave the pose must not give it again.
+        # An image that gave the global pose must not update it again.
         if searches and (self._look(message) or self._fused.recent(stamp) is None):
             return
         start = time.monotonic()
@@ -194,7 +194,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         )
 
     def _look(self, message: Any) -> bool:
-        """Search for the place in an image; whether it was found."""
+        """Continue global localization with an image; return whether the pose was found."""
         frame = straight(self._complete(message, self._search.reaches), self._calibration)
         outcome = self._search.look(frame)
         found = 'pose found, and published on global_localization/pose'
@@ -203,7 +203,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         return not isinstance(outcome, Refusal)
 
     def _observe(self, message: Any) -> tuple[Observation, CameraFrame, PoseEstimate]:
-        """What is seen in an image, with all that belongs to it, from the expected pose."""
+        """Observation in an image, the frame, and the expected pose of the base."""
         stamp = decode.stamp_ns(message.header)
         assert self._observer is not None, 'images come after the map'
         frame = self._complete(message, self._expected.reaches)
@@ -215,7 +215,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         return self._observer.look(frame, expected), frame, expected
 
     def _complete(self, message: Any, also: Callable[[int], bool]) -> CameraFrame:
-        """Image with all that belongs to it."""
+        """Decoded image with its calibration and joint angles."""
         return self._frames.complete(message, _MAX_WAIT_S, also, self._delay_s)
 
     def _age_ns(self, message: Any) -> int:

@@ -27,26 +27,27 @@ from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import RELIABLE
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
-# A fused pose that nothing followed for so long gives no more where to look.
+# Greatest age of the fused pose for a choice.
 _SILENCE_S = 1.0
-# Time between two choices, chosen by hand: a turn of half a radian takes as long.
+# Period of choices, chosen by hand: a turn of half a radian takes as long.
 _PERIOD_S = 0.5
-# Least change of the pan that is worth a command, chosen by hand: some 3 degrees.
+# Least change of the pan that is commanded, chosen by hand: some 3 degrees.
 _DEADBAND_RAD = 0.05
-# How often is seen whether a view that helps to find the place has been looked at.
+# Period at which the view is checked while the camera looks around.
 _DWELL_TIME_S = 0.1
-# Commands come back, when there is much to do after the next ones.
+# Number of own commands that are remembered: they are received too, on a busy machine after later
+# ones.
 _ECHOES = 8
 
 
 class TripletSelectorNode(LandmarkNode):
-    """``odometry/fused`` to ``triplet`` and the pan, by `localization.triplet.active_camera`."""
+    """Turns ``odometry/fused`` into ``triplet`` and commands of the pan by `ActiveCamera`."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('triplet_selector', 'attention', **options)
 
     def set_up(self) -> None:
-        """Read parameters and files; make topics and services."""
+        """Read parameters and files; create topics and services."""
         self._config = configured(self, 'triplet_selector', self._reconfigure)
         self._mount = calibration_of(self, self._config).mount
         self._calibrated = self._mount
@@ -76,11 +77,11 @@ class TripletSelectorNode(LandmarkNode):
         self.create_timer(_DWELL_TIME_S, self._look_around, clock=own_clock(self))
 
     def _reconfigure(self, config: Configuration) -> None:
-        """Take what was set."""
+        """Use changed parameters."""
         self._config = config
 
     def health(self) -> Health:
-        """What was chosen last, or what a choice waits for; also while the clock stands."""
+        """Last choice, or the missing input; independent of a stopped clock."""
         missing, at = self._missing(), self._looks_at
         health = Health(Level.DEGRADED, missing) if missing else self._health
         if at is None:
@@ -92,7 +93,7 @@ class TripletSelectorNode(LandmarkNode):
         self._fused, self._fused_s = decode.pose_estimate(message), time.monotonic()
 
     def _on_expectation(self, message: Any) -> None:
-        """Look where the estimator has the camera."""
+        """Use the extrinsics estimated by the fusion."""
         self._calibrated = decode.expectation(message, self._mount)[0].calibration.mount
         if self._camera is not None:
             self._camera.mount = self._calibrated
@@ -102,19 +103,19 @@ class TripletSelectorNode(LandmarkNode):
         self._camera = ActiveCamera(self._map, self._calibrated, self._config.triplet)
 
     def _on_detections(self, message: Any) -> None:
-        """Count what was found of what should have been in view."""
+        """Count found and missed landmarks of those that should be in view."""
         if self._camera is not None:
             self._camera.saw(decode.detections(message))
 
     def _on_command(self, pan_rad: float) -> None:
-        """Leave the camera to who else turns it, such as a sweep."""
+        """Yield the camera for a while if another node, such as a sweep, commands the pan."""
         if not any(abs(pan_rad - own) <= 1e-6 for own in self._commanded):
             self._yield_until = time.monotonic() + self._config.yield_s
             self._commanded.clear()
             self._commanded.append(pan_rad)
 
     def _missing(self) -> str:
-        """What a choice still needs, in words; nothing where it has all."""
+        """Description of the missing input of a choice; empty if none is missing."""
         silent_s = time.monotonic() - self._fused_s
         if self._camera is None:
             return 'no landmarks: call learn_landmarks or load_map'
@@ -151,7 +152,7 @@ class TripletSelectorNode(LandmarkNode):
         self._turn_to(chosen)
 
     def _look_around(self) -> None:
-        """Turn the camera view by view while the pose is not known, to help find the place."""
+        """Turn the camera from view to view while the pose is unknown, for global localization."""
         now_s, model, pan_rad = time.monotonic(), self._frames.camera, self._frames.pan_rad
         self._looks_at = None
         if self._knows_pose(now_s) or now_s < self._yield_until:
@@ -177,7 +178,7 @@ class TripletSelectorNode(LandmarkNode):
 
 
 def _why_others_lost(ranking: Ranking) -> dict[str, str]:
-    """For people: the next triplets and the landmarks that take no part, with the reasons."""
+    """Diagnostic values: the next best triplets and the excluded landmarks, with reasons."""
     rivals = zip(ranking.ids[1:], ranking.sigma_m[1:], ranking.verdicts()[1:], strict=True)
     lines = {
         f'rival_{k}': f'{"-".join(map(str, ids))}: {why.words} ({1e3 * sigma:.1f} mm)'

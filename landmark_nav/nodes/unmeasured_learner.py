@@ -1,4 +1,4 @@
-"""Learning without a plan in a node: it keeps the sweeps, and the odometry since the first."""
+"""Learning without a plan in a node, which keeps sweeps and odometry."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import OdometrySample, PlaceChain, PoseEstimate, Sweep
 
-# Odometry is compounded in steps of 50 ms. So many are kept: 1.8 hours from sweep to sweep.
+# Least interval of odometry samples that are kept, which gives 50 ms at usual rates, and their
+# greatest number, which lasts for 1.8 hours.
 _STEP_NS, _MOST_SAMPLES = 45_000_000, 2**17
-# A stamp that is earlier by more is of a clock that was set back.
+# Least step back of a stamp that shows that the clock was set back.
 _SET_BACK_NS = 1_000_000_000
-# Images of all sweeps that are kept.
+# Greatest size of the images of all sweeps that are kept.
 _MAX_BYTES = 2**29
 
 
 class UnmeasuredLearner:
     """
-    ``sweep/*`` and ``odom`` to a map, by `learning.unmeasured`.
+    Learns a map from ``sweep/*`` and ``odom`` by `learning.unmeasured`.
 
     Parameters
     ----------
     given : Calibration
-        Of ``robot.yaml``.
+        Calibration of ``robot.yaml``.
     """
 
     def __init__(self, node: LandmarkNode, given: Calibration, config: Configuration) -> None:
@@ -46,18 +47,18 @@ class UnmeasuredLearner:
         node.listen('odom', self._on_odometry)
 
     def __len__(self) -> int:
-        """Return how many sweeps are kept."""
+        """Return the number of sweeps that are kept."""
         return len(self._sweeps)
 
     def clear(self) -> None:
-        """Forget the sweeps."""
+        """Drop all sweeps."""
         self._sweeps.clear()
 
     def learn(self) -> LearningResult:
         """
-        Learn from the sweeps that are kept.
+        Learn a map from the sweeps that are kept.
 
-        Raises `LandmarkNavError`: nothing gives the scale, and as the stages.
+        Raises `LandmarkNavError`: the scale is not observable, or a stage fails.
         """
         recorded = [self._sweeps[stamp] for stamp in sorted(self._sweeps)]
 

@@ -110,7 +110,7 @@ class CameraFrames:
         return tilt_ns >= stamp_ns or tilt_ns < self._joints[-1].stamp_ns - _TILT_BEHIND_NS
 
     def waking(self, take: Callable[..., None]) -> Callable[..., None]:
-        """Callback for what an image may wait for: it goes on as soon as that is there."""
+        """Wrap a callback of messages that an image may wait for: it wakes the waiting image."""
 
         def taken(*given: Any) -> None:
             take(*given)

@@ -32,7 +32,7 @@ class Health:
 
 
 def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) -> None:
-    """Publish `report()` once a second by the steady clock, even while ``/clock`` stands."""
+    """Publish `report()` once a second by the steady clock, even if ``/clock`` has stopped."""
     topic = '/diagnostics'
     publisher = node.create_publisher(DiagnosticArray, topic, TOPICS[topic].qos)
 

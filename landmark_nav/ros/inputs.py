@@ -281,7 +281,7 @@ class Inputs:
                 )
 
     def _twins(self) -> Iterator[str]:
-        """Yield a text about another node of the same name, if it is there twice in a row."""
+        """Yield a text about another node of the same name, if two checks in a row find it."""
         own = self._node.get_name(), self._node.get_namespace()
         several = self._node.get_node_names_and_namespaces().count(own) > 1
         self._twin_looks = self._twin_looks + 1 if several else 0

@@ -90,27 +90,27 @@ def follow(
     node: Node, config: T, live: Collection[str], take: Callable[[T], None]
 ) -> Callable[[], None]:
     """
-    Have a node take values that are set while it runs; what they may not be is refused, with why.
+    Let parameters of a node be set while it runs; invalid values are refused with the reason.
 
     Parameters
     ----------
     config : dataclass instance
-        As the node has it.
+        Configuration of the node before the changes.
     live : collection of str
-        Parameters and sections that may be set.
+        Names of the parameters and sections that may be set.
     take : callable
-        Given the configuration with new values.
+        Called with the configuration that contains the new values.
 
     Returns
     -------
     callable
-        Ends it.
+        Function that ends this.
     """
 
     def on_set(parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
         nonlocal config
         values = {one.name: _plain(one.value) for one in parameters if is_of(one.name, live)}
-        # rclpy also asks as it declares others, such as qos_overrides.
+        # rclpy also calls this when it declares other parameters, such as qos_overrides.
         if values:
             try:
                 config = changed(config, values)
@@ -124,7 +124,7 @@ def follow(
 
 
 def _plain(value: Any) -> Any:
-    """A list where rclpy gives an array."""
+    """Convert an array of rclpy to a list; return other values unchanged."""
     return value if isinstance(value, str | int | float) else list(value)
 
 

@@ -130,7 +130,7 @@ class RobotClient:
     drives : bool
         Whether it publishes velocities and start poses.
     observes : bool
-        Whether it takes odometry, poses and panoramas; else `status` alone, which costs nothing.
+        Whether it subscribes to odometry, poses and panoramas too; else only to diagnostics.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""Files: room, robot, maps, bags."""
+"""Reading and writing of files: room, robot, maps, bags."""

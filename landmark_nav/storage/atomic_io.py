@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all."""
+"""Atomic writing of files and folders: they appear complete or not at all."""
 
 from __future__ import annotations
 
@@ -16,32 +16,33 @@ import sys
 
 from landmark_nav.errors import LandmarkNavError, why
 
-# What /dev/stdout and /dev/fd/3 lead to: an open file of this process. It has no name.
+# Target of /dev/stdout or /dev/fd/3: an open file of this process, which has no name.
 _DESCRIPTOR = re.compile(rf'/(?:dev|proc/(?:self|thread-self|{os.getpid()}))/fd/(\d+)')
 
 
 @contextmanager
 def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator[Path]:
     """
-    Fill a hidden folder, which takes the place of `folder` if nothing goes wrong.
+    Provide a hidden folder to fill, which replaces `folder` if no exception is raised.
 
-    Raises `LandmarkNavError`: `folder` is something else, or cannot be written.
+    Raises `LandmarkNavError`: `folder` is a file or holds other files, exists although `overwrite`
+    is false, or cannot be written.
 
     Parameters
     ----------
     folder : Path
-        What to write. If it is there already it is replaced as a whole; what the user keeps in
-        it beside `own` stays.
+        Folder to write. An existing one is replaced as a whole, but files of the user, which match
+        no pattern of `own`, are kept.
     own : sequence of str
-        Patterns of what this program writes there; the first must be in any folder that may be
-        replaced.
+        Patterns of the files that this program writes there. A folder may be replaced only if it
+        holds a match of the first pattern.
     overwrite : bool
-        Whether one that is there may be replaced.
+        Whether an existing folder may be replaced.
 
     Yields
     ------
     Path
-        The folder to fill.
+        Folder to fill.
     """
     if folder.is_dir() and any(folder.iterdir()) and not list(folder.glob(own[0])):
         raise LandmarkNavError(
@@ -70,9 +71,9 @@ def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator
 
 def check_new(overwrite: bool, *outputs: Path) -> None:
     """
-    Refuse to replace what is there, unless `overwrite`.
+    Check that no output would be replaced without `overwrite`.
 
-    Raises `LandmarkNavError`: one of the outputs is there.
+    Raises `LandmarkNavError`: one of the outputs exists, and `overwrite` is false.
     """
     there = [path for path in outputs if path.is_file() or path.is_dir()]
     if there and not overwrite:
@@ -83,14 +84,14 @@ def check_new(overwrite: bool, *outputs: Path) -> None:
 
 def write_atomically(path: Path, content: str | bytes) -> None:
     """
-    Write a file, in place of the one that is there, and the folders above it.
+    Write or replace a file atomically; missing parent folders are made.
 
-    A link stays, what it leads to is written. A pipe, a device or an open file of this process
-    (``/dev/stdout``) is written to.
+    A symbolic link stays, and its target is replaced. The content of a pipe, a device or an open
+    file of this process (``/dev/stdout``) is written directly.
 
-    Raises `LandmarkNavError`: it cannot be written.
+    Raises `LandmarkNavError`: the file cannot be written.
     """
-    # Names of files that are not UTF-8 may be in the text.
+    # The text may contain names of files that are not UTF-8.
     data = content.encode('utf-8', 'backslashreplace') if isinstance(content, str) else content
     try:
         if (descriptor := _descriptor(path)) is not None:
@@ -98,7 +99,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
                 stream.flush()
             _write(os.dup(descriptor), data)
         elif _is_stream(path):
-            # A pipe that nobody reads would keep us waiting.
+            # Without O_NONBLOCK, opening a pipe without a reader would block.
             opened = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
             os.set_blocking(opened, True)
             _write(opened, data)
@@ -110,18 +111,18 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 
 def write_json(path: Path | None, document: object) -> None:
-    """Write figures for programs; not where no file is wanted."""
+    """Write a document as JSON; do nothing if `path` is None."""
     if path:
         write_atomically(path, json.dumps(document, indent=2) + '\n')
 
 
 def _replace(target: Path, data: bytes) -> None:
-    """Write beside `target`, then put it there; what is there hands on its permissions."""
+    """Write a temporary file and rename it to `target`; permissions of the old file are kept."""
     growing = target.with_name(f'.{target.name[:40]}.part-{os.getpid()}')
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         growing.write_bytes(data)
-        with suppress(OSError):  # nothing there yet, or no permissions on such a disk
+        with suppress(OSError):  # there is no old file, or the file system has no permissions
             shutil.copymode(target, growing)
         growing.replace(target)
     except OSError:
@@ -136,8 +137,8 @@ def _write(descriptor: int, data: bytes) -> None:
 
 
 def _descriptor(path: Path) -> int | None:
-    """Open file of this process that a path leads to; None where it names a file."""
-    for _ in range(40):  # as many links as Linux follows
+    """Descriptor of the open file of this process that a path leads to; None for other files."""
+    for _ in range(40):  # the greatest number of links that Linux follows
         if found := _DESCRIPTOR.fullmatch(os.path.abspath(path)):
             return int(found[1])
         if not path.is_symlink():
@@ -157,9 +158,9 @@ def _is_stream(path: Path) -> bool:
 
 def check_writable(*files: Path | None) -> None:
     """
-    Refuse at the start what could not be written in the end; None stands for what is not wanted.
+    Check that output files can be written, before they are computed; None stands for no output.
 
-    Raises `LandmarkNavError`: one of them cannot be written.
+    Raises `LandmarkNavError`: one of the files cannot be written.
     """
     for path in files:
         if path is None or _descriptor(path) is not None:
@@ -179,14 +180,14 @@ def check_writable(*files: Path | None) -> None:
 
 
 def left_over(folder: Path) -> Path | None:
-    """What `atomic_folder` moved aside for a new one that never came: it was killed in between."""
+    """Old folder that `atomic_folder` moved aside before it was killed; None if there is none."""
     target = Path(os.path.realpath(folder))
     aside = [] if target.exists() else sorted(target.parent.glob(f'.{target.name}.old-*'))
     return aside[-1] if aside else None
 
 
 def _clear_dead(target: Path, own: Sequence[str]) -> None:
-    """Remove what processes that are gone had begun to write, and what they had replaced."""
+    """Remove the temporary folders and the replaced folders of processes that have ended."""
     for begun in _of_the_dead(target, 'part'):
         shutil.rmtree(begun, ignore_errors=True)
     for old in _of_the_dead(target, 'old') if target.exists() else ():
@@ -195,6 +196,7 @@ def _clear_dead(target: Path, own: Sequence[str]) -> None:
 
 
 def _of_the_dead(target: Path, kind: str) -> Iterator[Path]:
+    """Yield temporary folders of one kind (`part` or `old`) of processes that have ended."""
     for path in target.parent.glob(f'.{target.name}.{kind}-*'):
         number = path.name.rpartition('-')[2]
         if not number.isdecimal():
@@ -208,7 +210,7 @@ def _of_the_dead(target: Path, kind: str) -> Iterator[Path]:
 
 
 def _swap(growing: Path, target: Path, own: Sequence[str]) -> None:
-    """Put `growing` in the place of `target`, which comes back if that fails."""
+    """Replace `target` by `growing`; `target` is restored if that fails."""
     if not target.exists():
         growing.rename(target)
         return
@@ -223,7 +225,7 @@ def _swap(growing: Path, target: Path, own: Sequence[str]) -> None:
 
 
 def _succeed(old: Path, target: Path, own: Sequence[str]) -> None:
-    """Take over what the user kept in `old`, and remove that; not where something is in both."""
+    """Move files of the user from `old` to `target` and remove `old`; stop if a name is taken."""
     for kept in list(old.iterdir()):
         if any(fnmatch.fnmatch(kept.name, pattern) for pattern in own):
             continue

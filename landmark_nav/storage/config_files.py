@@ -1,4 +1,4 @@
-"""Parameter files in ROS's format, as ``--params-file`` takes them; the files that are shipped."""
+"""Parameter files in the format of ROS (``--params-file``), and installed configuration files."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _SECTION = 'ros__parameters'
 
 def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
     """
-    Read what a parameter file gives some nodes.
+    Read the parameters of some nodes from a parameter file.
 
-    Raises `LandmarkNavError`: no such YAML.
+    Raises `LandmarkNavError`: the file cannot be read, or is not YAML of this format.
 
     Parameters
     ----------
     path : path-like
-        YAML with ``ros__parameters`` below names of nodes or ``/**``. For one release also the
-        parameters alone.
+        YAML with ``ros__parameters`` below names of nodes or ``/**``. For one release, a file that
+        holds the parameters alone is read too, with a warning.
     nodes : collection of str
-        Names of the nodes, without a namespace; what is for all counts, too.
+        Names of the nodes, without a namespace. Parameters of wildcards apply too.
 
     Returns
     -------
     dict
-        Values by name; the last one of those that are there several times.
+        Values by full name; of repeated parameters the last one.
     """
     path = Path(path)
     document = read_yaml_mapping(path)
@@ -53,7 +53,7 @@ def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
 
 
 def flat(parameters: Mapping[Any, Any], prefix: str = '') -> dict[str, Any]:
-    """Values by their full names, with a dot for each section."""
+    """Values of nested parameters by full name, with a dot between sections."""
     values: dict[str, Any] = {}
     for key, value in parameters.items():
         if isinstance(value, Mapping):
@@ -64,7 +64,7 @@ def flat(parameters: Mapping[Any, Any], prefix: str = '') -> dict[str, Any]:
 
 
 def _sections(document: Mapping[Any, Any]) -> Iterator[tuple[str, Any]]:
-    """Last name of each node or wildcard, and its parameters, in their order."""
+    """Yield the last part of the name of each node or wildcard, and its parameters, in order."""
     for key, value in document.items():
         if isinstance(value, Mapping):
             if _SECTION in value:
@@ -74,10 +74,10 @@ def _sections(document: Mapping[Any, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def shipped_config(name: str) -> Path:
-    """Path of a file below ``config/``: in the source tree, or where it was installed to."""
+    """Path of a file below ``config/``, in the source tree or in the installation."""
     package = Path(__file__).resolve().parents[1]
     shares = [folder / 'share' / package.name for folder in (Path(sys.prefix), *package.parents)]
-    # The folders of viewers lie beside `config` there.
+    # An installation keeps the folders of viewers beside `config`.
     places = [package.parent / 'config', *(share / 'config' for share in shares), *shares]
     for folder in places:
         if (folder / name).is_file():

@@ -1,9 +1,9 @@
 """
-The map folder: ``map.yaml`` and ``patches/NNN.png``, to be read, diffed and kept in git.
+The map folder: ``map.yaml`` and ``patches/NNN.png``, suited to reading, diffs and git.
 
-What other panoramas show of landmark NNN is in ``views/NNN_1.png`` and on.
+Appearances of landmark NNN in other panoramas are in ``views/NNN_1.png``, ``views/NNN_2.png``, ...
 
-Numbers are written with as many digits as it takes to read the same ones back.
+Numbers are written with enough digits to read back the same values.
 """
 
 from __future__ import annotations
@@ -36,22 +36,23 @@ from landmark_nav.storage.reading import (
 from landmark_nav.storage.setup_files import wall_entry, walls_field
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap, PoseEstimate
 
-# Numbers written by hand may miss what they stand for by this share of the largest one.
+# Greatest magnitude of a negative eigenvalue of the covariance without the shared errors, relative
+# to the norm of the covariance: numbers written by hand are rounded.
 _ROUNDING = 1e-6
-# A patch has some 1,000 pixels; these bounds are those of memory, of one and of a whole map.
+# Greatest number of pixels of one patch and of a map, which bound memory. A patch has some 1,000.
 _MAX_PATCH_PIXELS, _MAX_MAP_PIXELS = 1_000_000, 100_000_000
-# Of a landmark of size 0 x 0: a point that has a bearing but no texture.
+# Patch of a landmark of size 0 x 0: a point with a bearing but without texture.
 _NO_PATCH: ImageArray = np.zeros((0, 0), dtype=np.uint8)
 
 
 def listed(values: Any) -> list[Any]:
-    """Plain numbers, nested as the array is."""
+    """Nested lists of plain numbers, with the shape of an array."""
     listed: list[Any] = np.asarray(values, dtype=np.float64).tolist()
     return listed
 
 
 def calibration_entry(known: Calibration) -> dict[str, Any]:
-    """Values and covariance, in the order of `names`."""
+    """Entry of a calibration: values and covariance, in the order of its `names`."""
     return {
         'names': list(NAMES),
         'values': listed(known.values),
@@ -60,7 +61,7 @@ def calibration_entry(known: Calibration) -> dict[str, Any]:
 
 
 def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibration | None:
-    """Calibration of an entry that may be absent; its frames and joints are those of the robot."""
+    """Calibration of an optional entry; it lacks the names of frames and joints of the robot."""
     if document.get(key) is None:
         return None
     entry, where = document[key], f'{where}: {key}'
@@ -78,12 +79,12 @@ def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibratio
 
 
 def patch_name(identity: int) -> str:
-    """Of its image, in the map folder."""
+    """Name of the patch of a landmark in the map folder."""
     return f'patches/{identity:03d}.png'
 
 
 def view_name(identity: int, number: int) -> str:
-    """Of what another panorama shows of it; the file counts from 1."""
+    """Name of the view `number` (from 0) of a landmark in the map folder; files count from 1."""
     return f'views/{identity:03d}_{number + 1}.png'
 
 
@@ -105,7 +106,7 @@ def described(landmark: Landmark) -> dict[str, Any]:
 
 
 def landmark_of(entry: Any, patch_of: Callable[[str], ImageArray], where: str) -> Landmark:
-    """Landmark of an entry; `patch_of` reads its images, `where` begins an error's line."""
+    """Landmark of an entry; `patch_of` reads its images, errors begin with `where`."""
     identity = integer_field(entry, 'id', where)
     where = f'{where} (id {identity})'
     width, height = array_field(entry, 'size', (2,), where)
@@ -144,7 +145,7 @@ def landmark_of(entry: Any, patch_of: Callable[[str], ImageArray], where: str) -
 
 
 def _viewpoints(entry: Any, where: str) -> FloatArray:
-    """Where other panoramas saw a landmark from (m, 3); maps of before do not say."""
+    """Viewpoints (m, 3) of the views of a landmark; none in maps of older versions."""
     if 'views' not in entry:
         return np.empty((0, 3))
     return array_field(entry, 'views', (None, 3), where)
@@ -152,9 +153,10 @@ def _viewpoints(entry: Any, where: str) -> FloatArray:
 
 def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
     """
-    Function from the name of a patch in a map folder to its grey pixels (h, w).
+    Return a function that reads the grey pixels (h, w) of a patch by its name in a map folder.
 
-    It raises `LandmarkNavError` where that is no image, and where all together are too large.
+    The function raises `LandmarkNavError` if the file is no image, or if all patches together have
+    too many pixels.
     """
     pixels = 0
 
@@ -172,16 +174,16 @@ def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
 
 
 SCHEMA_VERSION = 2
-# Read too: version 1 has no calibration.
+# Versions that can be read; version 1 has no calibration.
 _READ = (1, SCHEMA_VERSION)
 
-# What this package writes into a map folder, for `atomic_folder`: the map, and figures of it.
+# Patterns of the files in a map folder, for `atomic_folder`: the map, and its figures.
 MAP_DATA = ('map.yaml', 'patches', 'views')
 MAP_FILES = (*MAP_DATA, 'map.png', 'panorama_*.png')
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lists of numbers in one line, all else in block style."""
+    """YAML dumper that writes lists of numbers in one line, and all else in block style."""
 
 
 def _represent_list(dumper: yaml.SafeDumper, values: list[Any]) -> yaml.Node:
@@ -194,17 +196,17 @@ _Dumper.add_representer(list, _represent_list)
 
 def save_map(landmarks: LandmarkMap, folder: Path | str, overwrite: bool = True) -> None:
     """
-    Write a map folder whole or not at all; one that is there is replaced if `overwrite`.
+    Write a map folder atomically; an existing one is replaced if `overwrite`.
 
-    Raises `LandmarkNavError`: `folder` holds something else, or a map that stays, or cannot be
-    written.
+    Raises `LandmarkNavError`: `folder` holds other files, or a map although `overwrite` is false,
+    or cannot be written.
     """
     with atomic_folder(Path(folder), MAP_FILES, overwrite) as growing:
         write_map(landmarks, growing)
 
 
 def write_map(landmarks: LandmarkMap, folder: Path) -> None:
-    """Write the files of a map into a folder that is there."""
+    """Write the files of a map into an existing folder."""
     document = {
         'schema_version': SCHEMA_VERSION,
         'frame_id': landmarks.frame_id,
@@ -229,7 +231,7 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
     images = {
         patch_name(k.id): k.patch
         for k in landmarks.landmarks
-        if k.width_m or k.height_m  # not of a point, such as a surveyed beacon
+        if k.width_m or k.height_m  # a point, such as a surveyed beacon, has no patch
     }
     for k in landmarks.landmarks:
         images |= {view_name(k.id, n): view.patch for n, view in enumerate(k.views)}
@@ -243,8 +245,8 @@ def load_map(folder: Path | str) -> LandmarkMap:
     """
     Read a map folder.
 
-    Raises `LandmarkNavError`: no map there, another schema version, or anything in it that cannot
-    be.
+    Raises `LandmarkNavError`: there is no map, its schema version is not supported, or a value is
+    invalid.
     """
     folder = Path(folder)
     path = folder / 'map.yaml'

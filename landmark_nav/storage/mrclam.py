@@ -1,9 +1,9 @@
 """
-The log of one robot of the UTIAS multi-robot data set, in terms of this package.
+Reader of the log of one robot of the UTIAS multi-robot data set.
 
 Leung, Halpern, Barfoot and Liu, The UTIAS Multi-Robot Cooperative Localization and Mapping Data
-Set, International Journal of Robotics Research 30(8), 2011. A forward camera reads the barcodes on
-fifteen posts; velocities are the ones commanded; truth is motion capture.
+Set, International Journal of Robotics Research 30(8), 2011. A forward camera reads the barcodes of
+fifteen posts. Velocities are the commanded ones. Motion capture gives the ground truth.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ from landmark_nav.types import (
     PoseEstimate,
 )
 
-# Subjects up to here are the robots themselves.
+# Greatest number of a subject that is a robot.
 _ROBOTS = 5
-# Unpacked; stamps are seconds since 1970.
+# Greatest size of an unpacked file, and greatest number in it; stamps are seconds since 1970.
 _MAX_BYTES, _LARGEST = 32_000_000, 1e11
 
 
 @dataclass(frozen=True, eq=False)
 class MrclamLog:
     """
-    What one robot commanded and saw, and where it was.
+    Commands, detections and ground truth of one robot.
 
     Parameters
     ----------
     landmark_map : LandmarkMap
-        The posts: points without an image; ids are the data set's subjects.
+        The posts, as points without patches; ids are the subjects of the data set.
     command_ns : ndarray of int, shape (n,)
-        Strictly increasing.
+        Stamps of the commands, strictly increasing.
     commands : ndarray, shape (n, 2)
-        Forward [m/s] and turning [rad/s] velocity, each until the next.
+        Linear [m/s] and angular [rad/s] velocities; each holds until the next stamp.
     detections : tuple of Detections
-        What was read in each image, other robots left out.
+        Posts detected in each image, without other robots.
     truth : tuple of PoseEstimate
-        Motion capture.
+        Poses by motion capture.
     unknown : int
-        Readings that are no barcode of the list, left out.
+        Number of readings that were left out because the list has no such barcode.
     """
 
     landmark_map: LandmarkMap
@@ -69,17 +69,17 @@ def read_mrclam(
     """
     Read the files of one robot, plain (``.dat``) or compressed (``.dat.gz``).
 
-    Raises `LandmarkNavError`: a file is missing, or holds what it should not.
+    Raises `LandmarkNavError`: a file is missing or malformed.
 
     Parameters
     ----------
     folder : path-like
-        With ``Barcodes.dat``, ``Landmark_Groundtruth.dat`` and the three ``RobotN_*.dat``.
+        Folder with ``Barcodes.dat``, ``Landmark_Groundtruth.dat`` and the three ``RobotN_*.dat``.
     bearing_sigma_rad : float
-        Of every bearing; the data do not give it.
+        Sigma of every bearing; the data set does not give it.
     landmark_sigma_m : float
-        What a post is off by as the camera sees it, beside the survey: it is no point, and the
-        lens is not known well. It is an error that repeats, however often the post is seen.
+        Sigma of the systematic error of a post in each coordinate, in addition to that of the
+        survey: a post is not a point, and the lens is not calibrated well.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -109,7 +109,7 @@ def read_mrclam(
 
 
 def _table(folder: Path, name: str, columns: int) -> FloatArray:
-    """Rows (n, columns) of a file, whatever its packing."""
+    """Rows (n, columns) of a file, plain or compressed."""
     plain, packed = folder / f'{name}.dat', folder / f'{name}.dat.gz'
     path = plain if plain.is_file() else packed
     if not path.is_file():
@@ -119,11 +119,11 @@ def _table(folder: Path, name: str, columns: int) -> FloatArray:
         if path == packed:
             with gzip.open(BytesIO(data)) as stream:
                 data = stream.read(_MAX_BYTES)
-        # A cut row would be read; no table of the data set has a tenth of this.
+        # A truncated last row would be read as a valid one. No table has a tenth of this size.
         if len(data) == _MAX_BYTES:
             raise LandmarkNavError(f'{path}: {_MAX_BYTES / 1e6:g} MB or more: is it the file?')
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore', UserWarning)  # of an empty file, refused below
+            warnings.simplefilter('ignore', UserWarning)  # an empty file is refused below
             table = np.loadtxt(StringIO(data.decode('utf-8-sig')), ndmin=2)
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise LandmarkNavError(f'{path}: cannot be read: {why(error)}') from error
@@ -137,12 +137,12 @@ def _table(folder: Path, name: str, columns: int) -> FloatArray:
 
 
 def _nanoseconds(seconds: FloatArray) -> IntArray:
-    """Stamps of a clock that ticks in milliseconds; as floats they are only nearly so."""
+    """Stamps in nanoseconds, rounded to the milliseconds in which the clock of the data ticks."""
     return np.rint(seconds * 1e3).astype(np.int64) * 1_000_000
 
 
 def _landmark_map(posts: FloatArray, folder: Path, sigma_m: float) -> LandmarkMap:
-    """Points on the floor, whose errors have nothing in common."""
+    """Map of the posts as points on the floor with independent errors."""
     landmarks = tuple(
         Landmark(
             id=int(subject),
@@ -164,7 +164,7 @@ def _landmark_map(posts: FloatArray, folder: Path, sigma_m: float) -> LandmarkMa
 def _detections(
     seen: FloatArray, subjects: IntArray, bearing_sigma_rad: float
 ) -> tuple[Detections, ...]:
-    """Group readings by image: they share a stamp."""
+    """Group readings by image; those of one image share a stamp."""
     stamps, which = np.unique(_nanoseconds(seen[:, 0]), return_inverse=True)
     found = []
     for k, stamp in enumerate(stamps):

@@ -1,4 +1,4 @@
-"""Files that are read, and fields in them: bounded size, text in UTF-8, YAML of plain values."""
+"""Checked reading of files and fields: bounded size, UTF-8 text, YAML with plain values."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from landmark_nav.errors import inside, LandmarkNavError, shown, why
 from landmark_nav.image_codec import decode_image, MAX_PIXELS
 from landmark_nav.types import FloatArray
 
-# The largest map has a few megabytes.
+# Greatest size of a file; the largest map has a few megabytes.
 _MAX_BYTES = 32_000_000
-# What a document may hold; a map of 3,000 landmarks has as many nodes.
+# Greatest number of nodes of a document (that of a map of 3,000 landmarks), and greatest depth.
 _MAX_NODES, _MAX_DEPTH = 500_000, 40
-# Longer plain scalars are text: no number has so many digits.
+# Greatest length of a plain scalar that is parsed as a number; longer ones are text.
 _MAX_NUMBER_LENGTH = 64
 
-# libyaml, where PyYAML has it, reads a map ten times as fast.
+# The loader of libyaml, if PyYAML has it, is ten times as fast.
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 _RESOLVERS: dict[str, list[tuple[str, re.Pattern[str]]]] = yaml.SafeLoader.yaml_implicit_resolvers
 _CONSTRUCTOR = yaml.constructor.SafeConstructor()
@@ -36,17 +36,17 @@ _CONSTRUCT = {
     f'{_TAG}bool': _CONSTRUCTOR.construct_yaml_bool,
     f'{_TAG}null': _CONSTRUCTOR.construct_yaml_null,
 }
-# YAML 1.2 and JSON write 1e-3; to PyYAML, which reads 1.1, this is text.
+# YAML 1.2 and JSON write 1e-3, which PyYAML (YAML 1.1) takes for text.
 _EXPONENT = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+')
 _ABSENT = object()
 
 
 def check_regular(path: Path) -> int:
     """
-    Size of a file in bytes.
+    Return the size of a file in bytes.
 
-    Raises `LandmarkNavError`: it is not there, or is a folder, a pipe or a device, which may never
-    end.
+    Raises `LandmarkNavError`: the file does not exist, or is a folder, a pipe, a socket or a
+    device, whose content may be endless.
     """
     try:
         status = path.stat()
@@ -60,9 +60,9 @@ def check_regular(path: Path) -> int:
 
 def read_bytes(path: Path, max_bytes: int = _MAX_BYTES) -> bytes:
     """
-    Content of a file.
+    Return the content of a file.
 
-    Raises `LandmarkNavError`: it is no regular file, has more than `max_bytes`, or can not be
+    Raises `LandmarkNavError`: it is not a regular file, has more than `max_bytes`, or cannot be
     read.
     """
     size = check_regular(path)
@@ -81,9 +81,9 @@ def read_image(
     path: Path, mode: int = cv2.IMREAD_COLOR, max_pixels: int = MAX_PIXELS
 ) -> ImageArray:
     """
-    Pixels of a PNG or JPEG file, 8 bits each, as of `decode_image`.
+    Return the 8-bit pixels of a PNG or JPEG file, see `decode_image`.
 
-    Raises `LandmarkNavError`: as of `read_bytes`, or it is no such image, or has more than
+    Raises `LandmarkNavError`: as `read_bytes`, or the file is not such an image, or has more than
     `max_pixels`.
     """
     data = read_bytes(path)
@@ -93,9 +93,9 @@ def read_image(
 
 def read_text(path: Path, max_bytes: int = _MAX_BYTES) -> str:
     """
-    Text of a file in UTF-8, with or without byte order mark.
+    Return the text of a UTF-8 file, with or without byte order mark.
 
-    Raises `LandmarkNavError`: as of `read_bytes`, or it is no such text.
+    Raises `LandmarkNavError`: as `read_bytes`, or the file is not UTF-8.
     """
     data = read_bytes(path, max_bytes)
     try:
@@ -107,13 +107,13 @@ def read_text(path: Path, max_bytes: int = _MAX_BYTES) -> str:
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
     """
-    Top-level mapping of a YAML file, empty if the file is.
+    Return the top-level mapping of a YAML file; it is empty if the file is.
 
-    Values are those of YAML 1.1, and numbers as JSON writes them. Dates are text; tags and aliases
-    are refused.
+    Values follow YAML 1.1; numbers may also be written as in JSON. Dates are text. Tags and
+    aliases are refused.
 
-    Raises `LandmarkNavError`: it can not be read, is no such YAML, or is larger than any file of
-    this package.
+    Raises `LandmarkNavError`: the file cannot be read, is not such YAML, or exceeds the bounds of
+    this module.
     """
     text = read_text(path)
     try:
@@ -132,13 +132,13 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
 
 def _document(events: Iterator[yaml.Event]) -> Any:
     """
-    Build the value of the one document without recursion, each step bounded.
+    Build the value of the single document, without recursion and with bounded steps.
 
-    PyYAML's own constructor follows aliases, whose expansion has no bound, and lets the errors
-    of nonsense behind a tag through.
+    The constructor of PyYAML follows aliases, whose expansion has no bound, and passes on errors
+    of malformed values with a tag.
     """
     document: Any = None
-    # Containers that are open, each with the key that waits for its value.
+    # Open containers, each with the key that has no value yet.
     opened: list[tuple[Any, Any]] = []
     nodes = documents = 0
     for event in events:
@@ -193,32 +193,33 @@ def _refused(event: yaml.Event, what: str) -> LandmarkNavError:
 
 
 def _scalar(text: str) -> Any:
-    """Value of a plain scalar: a number, true or false, nothing, or text."""
+    """Value of a plain scalar: a number, a Boolean, None, or text."""
     if len(text) <= _MAX_NUMBER_LENGTH:
         for tag, pattern in _RESOLVERS.get(text[:1], ()):
             if tag in _CONSTRUCT and pattern.match(text):
                 try:
                     return _CONSTRUCT[tag](yaml.ScalarNode(tag, text))
-                except ValueError:  # `0x_` has the form of a number
+                except ValueError:  # such as `0x_`, which matches the pattern of a number
                     return text
         if _EXPONENT.fullmatch(text):
             return float(text)
     return text
 
 
-# A covariance may miss being positive semi-definite by this share of its largest eigenvalue.
+# Greatest negative eigenvalue and asymmetry of a covariance, relative to its largest eigenvalue.
 _ROUNDING = 1e-9
-# Names that share so much of their letters differ by a slip of the pen.
+# Least similarity (`difflib`) at which an unknown name is a misspelt known one.
 _ALIKE = 0.8
-# To compare letters takes long; what has more strange fields was not mistyped.
+# Greatest number of unknown fields that are compared, which takes long. With more, the file is
+# of another kind.
 _MOST_COMPARED = 100
 _MAX_NAME_LENGTH = 100
-# No length, angle or variance is larger; squares of what is overflow.
+# Greatest length, angle or variance; squares of larger numbers might overflow.
 _LARGEST = 1e12
 
 
 def field(mapping: Any, key: str, where: str) -> Any:
-    """Value of `key`; `LandmarkNavError` where `mapping` is none or lacks it."""
+    """Value of `key`; `LandmarkNavError` if `mapping` is not a mapping or lacks it."""
     if not isinstance(mapping, Mapping):
         raise LandmarkNavError(f'{where} is {shown(mapping)}, not a mapping')
     if key not in mapping:
@@ -227,7 +228,7 @@ def field(mapping: Any, key: str, where: str) -> Any:
 
 
 def check_spelling(mapping: Any, known: Collection[str], where: str) -> None:
-    """`LandmarkNavError` where a key looks like one of `known` that is not there."""
+    """Raise `LandmarkNavError` if an unknown key resembles one of `known` that is absent."""
     absent = [key for key in known if key not in mapping]
     strange = [key for key in mapping if key not in known and len(str(key)) < _MAX_NAME_LENGTH]
     for key in strange[:_MOST_COMPARED]:
@@ -249,7 +250,7 @@ def list_field(mapping: Any, key: str, where: str, longest: int | None = None) -
 def name_field(
     mapping: Any, key: str, where: str, default: str | None = None, *, blank: bool = False
 ) -> str:
-    """Value of `key`, a word or a whole number; `default`, if there is one, where it is not."""
+    """Value of `key`, a word or an integer; `default`, if given, for a key that is absent."""
     if default is not None and key not in mapping:
         return default
     value = field(mapping, key, where)
@@ -262,7 +263,7 @@ def name_field(
 
 
 def integer_field(mapping: Any, key: str, where: str) -> int:
-    """Value of `key`, an integer from 0 on."""
+    """Value of `key`, a non-negative integer."""
     value = field(mapping, key, where)
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
         raise LandmarkNavError(f'{where}: {key} is {shown(value)}, not an integer from 0 on')
@@ -275,7 +276,7 @@ def number_field(mapping: Any, key: str, where: str) -> float:
 
 
 def array_field(mapping: Any, key: str, shape: tuple[int | None, ...], where: str) -> FloatArray:
-    """Value of `key`, finite numbers of `shape`; None in it stands for any length."""
+    """Value of `key`, an array of finite numbers; None in `shape` stands for any length."""
     value = field(mapping, key, where)
     wanted = ' x '.join('n' if length is None else str(length) for length in shape)
     what = f'{key} is {shown(value)}'

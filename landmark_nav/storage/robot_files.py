@@ -1,4 +1,4 @@
-"""The calibration in `robot.yaml`: read with its sigmas, and written."""
+"""Reading and writing of the calibration, with its sigmas, in `robot.yaml`."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ from landmark_nav.types import FloatArray
 
 T = TypeVar('T')
 
-# Field with standard deviations -> the quantities that they are of; one number holds for all.
+# Field with sigmas -> its quantities; a single number applies to all of them.
 _SIGMAS = {
     'xyz_sigma': ('axis_x', 'axis_y', 'axis_z'),
     'rpy_sigma': ('axis_roll', 'axis_pitch', 'axis_yaw'),
     'optical_center_offset_sigma': ('center_x', 'center_y', 'center_z'),
     'camera_roll_sigma': ('camera_roll',),
 }
-# Quantities that a mount does not hold: the field is named as they are, its sigma with `_sigma`.
+# Quantities that a mount does not hold. Their fields have their names; sigmas end in `_sigma`.
 _SCALARS = ('camera_tilt', 'pan_scale', 'focal_scale', 'principal_point', 'joint_delay')
 _SIGMAS |= {f'{name}_sigma': (name,) for name in _SCALARS}
 _OF_AXIS = ('xyz_sigma', 'rpy_sigma')
-# A larger sigma is in another unit.
+# Greatest sigma by unit; a larger one is given in another unit.
 _LARGEST = {'m': 1.0, 'rad': 3.2, '1': 1.0, 's': 10.0}
-# Smaller correlations say nothing.
+# Least absolute correlation that is written.
 _LEAST_CORRELATION = 1e-6
-# A larger value is.
+# Greatest absolute value of a quantity by unit; a larger one is given in another unit.
 _LARGEST_SCALAR = {'rad': 1.0, '1': 0.5, 's': 10.0}
 
 
 def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) -> Calibration:
     """
-    Read where the camera sits on the robot, what else is known of it, and how exactly.
+    Read the calibration of a robot: the mount, the other quantities, and the covariance.
 
-    A standard deviation that is absent is that of a person with a tape and a spirit level; 0 says
-    that a value is exact. `former` is as for `load_robot`.
+    An absent sigma defaults to that of a measurement with tape and spirit level. A sigma of 0
+    declares a value exact. `former` is as for `load_robot`.
 
-    Raises `LandmarkNavError`: missing or malformed fields; sigmas that are negative or in another
+    Raises `LandmarkNavError`: a field is missing or malformed; a sigma is negative or in another
     unit.
     """
     path = Path(path)
@@ -73,11 +73,11 @@ def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) 
 
 def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None = None) -> T:
     """
-    Read the noise of the wheels, section ``odometry``; what it lacks is as in `default`.
+    Read the noise of the odometry, section ``odometry``; absent values are those of `default`.
 
     `former` is as for `load_robot`.
 
-    Raises `LandmarkNavError`: no such field, or a value out of its range.
+    Raises `LandmarkNavError`: a field is unknown, or a value is out of its range.
     """
     given = read_robot(Path(path), former or {}).get('odometry', {})
     if not isinstance(given, Mapping):
@@ -89,7 +89,7 @@ def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None
 
 
 def _correlations(entries: Any) -> FloatArray:
-    """Return the matrix (15, 15) of correlations, out of entries [name, name, number]."""
+    """Return the correlation matrix (15, 15) of entries [name, name, number]."""
     together = np.eye(len(NAMES))
     wrong = (
         f'correlations: give entries [name, name, -1 to 1] of two of {", ".join(NAMES[:2])}, ...'
@@ -109,7 +109,7 @@ def _correlations(entries: Any) -> FloatArray:
 
 
 def _spread(mapping: dict[str, Any], key: str, names: tuple[str, ...], where: str) -> list[float]:
-    """Standard deviations of these quantities out of a field with one number or one each."""
+    """Sigmas of some quantities, from a field with one number for all or one for each."""
     single = not isinstance(mapping[key], list)
     given = array_field(mapping, key, () if single else (len(names),), where)
     spread = np.broadcast_to(given, len(names)).tolist()
@@ -126,9 +126,9 @@ def save_calibration(
     calibration: Calibration, path: Path | str, odometry: Mapping[str, Any] | None = None
 ) -> None:
     """
-    Write a `robot.yaml` with all values and sigmas, whole or not at all.
+    Write a `robot.yaml` with all values and sigmas, atomically.
 
-    `odometry` is what is given of the noise of the wheels.
+    `odometry` is the content of the section of the same name, the noise of the odometry.
     """
     base = calibration.base
     value = {name: calibration[name][0] for name in NAMES}
@@ -162,7 +162,7 @@ def save_calibration(
         document[name], document[f'{name}_sigma'] = _rounded(value[name]), _rounded(sigma[name])
     spread = np.maximum(calibration.sigmas, 1e-12)
     together = calibration.covariance / np.outer(spread, spread)
-    # Rounded toward zero, so that it stays a covariance.
+    # Correlations are rounded toward zero, so that the matrix stays positive semi-definite.
     document['correlations'] = [
         [NAMES[i], NAMES[k], float(np.trunc(together[i, k] * 1e9) / 1e9)]
         for i, k in zip(*np.triu_indices(len(NAMES), 1), strict=True)
@@ -173,5 +173,5 @@ def save_calibration(
 
 
 def _rounded(value: float) -> float:
-    """To a nanometre or nanoradian, plus zero instead of minus zero."""
+    """Round to nine decimals (a nanometre or nanoradian), with plus zero for minus zero."""
     return round(float(value), 9) + 0.0

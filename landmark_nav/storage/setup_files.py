@@ -1,4 +1,4 @@
-"""`room.yaml`, `robot.yaml`, calibrations: read, checked; messages name file and field."""
+"""Checked reading of rooms, robots and camera calibrations; errors name file and field."""
 
 from __future__ import annotations
 
@@ -24,27 +24,28 @@ from landmark_nav.storage.reading import (
     read_yaml_mapping,
 )
 
-# Walls and papers are measured to a few centimetres, with the papers perhaps on a frame; what is
-# farther off its wall was not measured but mistaken.
+# Greatest distance of a paper from its wall, apart from the error of the wall. Walls and papers
+# are measured to a few centimetres, and papers may hang on a frame.
 _MAX_OFF_WALL_M = 0.1
-# A wall may be off by so many of its standard deviations.
+# Number of sigmas of the wall that are added to this distance.
 _OFF_WALL_SIGMAS = 3.0
 
-# Each wall is compared with each other one.
+# Bounds of the time of checks, in which each wall is compared with each other one.
 _MAX_WALLS, _MAX_PAPERS = 1000, 100
 
-# What is longer or higher, or farther from the base, is given in another unit.
+# Greatest length and height of a wall, and greatest coordinate of the mount; larger values are
+# given in another unit.
 _MAX_WALL_M, _MAX_HEIGHT_M, _MAX_MOUNT_M = 1000.0, 50.0, 10.0
-# A wall that may be off by more says nothing.
+# Greatest sigma of a wall; a less certain one gives no information.
 _MAX_WALL_SIGMA_M = 1.0
 
-# Angles beyond half a turn, with some digits cut off, were written in degrees.
+# Greatest angle: half a turn, rounded up. Larger ones are given in degrees.
 _HALF_TURN_RAD = 3.15
 
-# A pan that errs more shows nothing.
+# Greatest sigma of the pan; a less certain one gives no information.
 _LARGEST_SIGMA_RAD = 0.1
-# Field -> the argument of a mount that it is, and its range. A joint may make a full turn to both
-# sides; what is slower or faster is in another unit.
+# Field -> argument of a mount, range and unit. A joint may make a full turn to both sides; rates
+# and accelerations beyond the range are given in another unit.
 _PAN_UNIT = {
     'pan_min': ('pan_min_rad', -6.2832, 6.2832, 'radians'),
     'pan_max': ('pan_max_rad', -6.2832, 6.2832, 'radians'),
@@ -55,7 +56,7 @@ _PAN_UNIT = {
 _ROBOT_FIELDS = (
     *('base_frame', 'pan_joint', 'tilt_joint'),
     *('pan_axis', 'optical_center_offset', 'camera_roll', 'pan_sigma'),
-    # Those that `robot_files` reads.
+    # Fields that `robot_files` reads.
     *('optical_center_offset_sigma', 'camera_roll_sigma', 'camera_tilt', 'camera_tilt_sigma'),
     *('pan_scale', 'pan_scale_sigma', 'focal_scale', 'focal_scale_sigma', 'principal_point'),
     *('principal_point_sigma', 'joint_delay', 'joint_delay_sigma', 'odometry', *_PAN_UNIT),
@@ -67,8 +68,8 @@ def load_room(path: Path | str) -> Room:
     """
     Read the walls and the papers of the reference area.
 
-    Raises `LandmarkNavError`: missing or malformed fields; walls that are open or cross; papers
-    that hang on no wall.
+    Raises `LandmarkNavError`: a field is missing or malformed; walls are open or cross; a paper
+    hangs on no wall.
     """
     path = Path(path)
     document = read_yaml_mapping(path)
@@ -131,7 +132,7 @@ def wall_entry(wall: Wall) -> dict[str, Any]:
 
 
 def room_text(room: Room) -> str:
-    """`room.yaml` of a room."""
+    """Text of the `room.yaml` of a room."""
     document: dict[str, Any] = {
         'frame_id': room.frame_id,
         'walls': [wall_entry(wall) for wall in room.walls],
@@ -143,7 +144,7 @@ def room_text(room: Room) -> str:
 
 
 def _paper(document: Any, where: str) -> Paper:
-    """Check that a paper has a size and a colour that can be looked for."""
+    """Paper of an entry, with a known colour and a plausible size."""
     color = name_field(document, 'color', where)
     with inside(where):
         paper_bgr(color)
@@ -168,7 +169,7 @@ def _check_on_wall(paper: Paper, room: Room, where: str) -> None:
 
 
 def read_robot(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
-    """Content of `robot.yaml`; what it lacks of the robot, `former` parameters may give."""
+    """Content of `robot.yaml`, completed by `former` parameters for absent fields."""
     document = read_yaml_mapping(path)
     for key, value in former.items():
         own = document.get(key, {} if isinstance(value, Mapping) else value)
@@ -178,11 +179,11 @@ def read_robot(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
 
 def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> PanTiltMount:
     """
-    Read where the turning camera sits on the robot, and what its pan joint can do.
+    Read the extrinsics of the camera on the robot, and the limits of its pan joint.
 
-    `former` are fields that parameters of the last release gave; the file goes before them.
+    `former` are fields given by parameters of the last release; the file takes precedence.
 
-    Raises `LandmarkNavError`: missing or malformed fields.
+    Raises `LandmarkNavError`: a field is missing or malformed.
     """
     path = Path(path)
     document = read_robot(path, former or {})
@@ -234,9 +235,9 @@ def _within(document: dict[str, Any], key: str, low: float, high: float, unit: s
 
 def load_camera(path: Path | str) -> CameraModel:
     """
-    Read a camera's calibration as ROS keeps it (camera_calibration, camera_info_manager).
+    Read the intrinsics of a camera in the format of ROS (camera_calibration, camera_info_manager).
 
-    Raises `LandmarkNavError`: missing or malformed fields, or a distortion model that is not
+    Raises `LandmarkNavError`: a field is missing or malformed, or the distortion model is not
     supported.
     """
     path = Path(path)
@@ -247,7 +248,7 @@ def load_camera(path: Path | str) -> CameraModel:
         matrix = field(document, 'camera_matrix', 'camera')
         fx, _, cx, _, fy, cy, *_ = array_field(matrix, 'data', (9,), 'camera_matrix').tolist()
         lens = field(document, 'distortion_coefficients', 'camera')
-        # Without the zeros behind, as a camera_info is read: the same camera is equal.
+        # Trailing zeros are removed as in a camera_info, so that models of one camera are equal.
         coefficients = np.trim_zeros(
             array_field(lens, 'data', (None,), 'distortion_coefficients'), 'b'
         ).tolist()

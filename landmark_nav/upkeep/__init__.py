@@ -1,1 +1,1 @@
-"""Maps that are there: checked, compared, joined."""
+"""Check, comparison and merge of existing maps."""

@@ -1,4 +1,4 @@
-"""Whether a map can be true: its landmarks on its walls, with covariances that can be."""
+"""Plausibility check of a map: landmarks on their walls, valid covariances."""
 
 from __future__ import annotations
 
@@ -11,24 +11,26 @@ from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.types import Landmark, LandmarkMap
 
-# A patch may hang this far in front of the wall's plane, or lie this far behind it, metres.
+# Greatest distance of a patch from the plane of its wall, to both sides, and beyond its ends.
 _OFF_WALL_M = 0.1
+# Greatest angle between the normals of a patch and its wall.
 _MAX_TURN_RAD = np.radians(5.0)
+# Greatest sigma of a landmark, and least sigma of the grey levels of a patch.
 _MAX_SIGMA_M = 0.5
 _MIN_CONTRAST = 2.0
-# Texels are square: width and height of a patch agree with its image to this share.
+# Greatest difference of the logarithms of width and height of a texel.
 _MAX_SQUEEZE = 0.1
 _LEAST_LANDMARKS = 3
 
 
 def problems_of_map(landmarks: LandmarkMap) -> list[str]:
     """
-    Say what cannot be or will not work in a map that could be read.
+    List implausible or unusable contents of a map.
 
     Returns
     -------
     list of str
-        One line a problem, which names the landmark; empty where there is none.
+        One line for each problem, with the id of the landmark; empty if there is none.
     """
     problems = list(_problems_of_room(landmarks))
     walls = {wall.id: wall for wall in landmarks.walls}
@@ -48,7 +50,7 @@ def _problems_of_room(landmarks: LandmarkMap) -> Iterator[str]:
     if count < _LEAST_LANDMARKS:
         yield f'{count} landmarks: a pose needs {_LEAST_LANDMARKS}'
     if not landmarks.walls:
-        return  # surveyed beacons have none
+        return  # a map of surveyed beacons has no walls
     try:
         room = Room(landmarks.walls)
     except LandmarkNavError as error:
@@ -91,7 +93,7 @@ def _problems_on_wall(k: Landmark, wall: Wall) -> Iterator[str]:
     if abs(height) > _OFF_WALL_M:
         yield f'is {100 * height:.1f} cm off the plane of wall {wall.id}'
     right, _ = patch_axes(wall.normal)
-    along = -float(offset @ right)  # `right` runs from the wall's end to its start
+    along = -float(offset @ right)  # `right` points from the end of the wall to its start
     if not -_OFF_WALL_M < along < wall.length + _OFF_WALL_M:
         yield f'lies {along:.2f} m along wall {wall.id}, which is {wall.length:.2f} m long'
     if not 0.0 <= k.position[2] <= wall.height:

@@ -1,9 +1,9 @@
 """
-Two maps of one room, landmark by landmark.
+Comparison of two maps of one room, landmark by landmark.
 
-Attention doesn't choose the same patch twice: two landmarks that overlap have centres of their
-own. Their textures say how far apart these truly are, so that what is compared is where the maps
-put the same point of the same poster.
+Attention does not choose the same patch twice, so that the centres of overlapping landmarks
+differ. Their textures are aligned, so that the locations of the same point of the texture are
+compared.
 """
 
 from __future__ import annotations
@@ -19,22 +19,25 @@ from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.matching import blur_to, match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, Refusal, RefusalCode
 
+# Greatest distance of a patch from the plane of the other, and least cosine of their normals.
 _SAME_PLANE_M = 0.1
 _MIN_COS_NORMALS = np.cos(np.radians(10.0))
-# Two patches share a place if their centres are nearer than this share of their mean size ...
+# Greatest distance of the centres of overlapping patches, relative to their mean size.
 _MAX_SHIFT = 0.6
-# ... and can be compared if what they share is at least as wide as this, texels.
+# Least width of the overlap of patches that are compared, texels.
 _MIN_OVERLAP_PX = 10
-# How far the maps may disagree and still be aligned by texture: share of the patch.
+# Greatest disagreement that is searched, relative to the smaller side of the patch.
 _SEARCH = 0.15
-# Points without a texture are the same within this.
+# Greatest distance of two points without texture that are the same.
 _SAME_POINT_M = 0.06
+# Least correlation of the same texture.
 _MIN_SCORE = 0.7
+# Sigma that is added to covariances, as a location may be given as exact.
 _LEAST_SIGMA_M = 1e-6
 
 
 class Texture(Enum):
-    """What the images of two overlapping patches say."""
+    """Result of the comparison of the images of two overlapping patches."""
 
     SAME = 'same'
     CHANGED = 'changed'
@@ -44,10 +47,10 @@ class Texture(Enum):
 @dataclass(frozen=True, eq=False)
 class Pair:
     """
-    A place that both maps know, as landmarks `a` and `b`.
+    A location in both maps, as landmarks `a` and `b`.
 
-    `disagreement_m` (2,) is how far `b`'s map puts the same texture to the right and downwards,
-    `covariance` (2, 2) what was to be expected of it; both hold where `texture` is the same.
+    `disagreement_m` (2,) is the shift of the texture from the first map to the second, to the
+    right and downwards; `covariance` (2, 2) is the expected one. Both hold if `texture` is SAME.
     """
 
     a: Landmark
@@ -59,7 +62,7 @@ class Pair:
     @property
     def sigmas(self) -> float:
         """Mahalanobis distance of the disagreement (2 degrees of freedom)."""
-        # A place may be given as exact.
+        # The covariance may be zero.
         covariance = self.covariance + _LEAST_SIGMA_M**2 * np.eye(2)
         return float(
             np.sqrt(self.disagreement_m @ np.linalg.solve(covariance, self.disagreement_m))
@@ -68,19 +71,19 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What two maps have in common, and what only one of them holds."""
+    """Landmarks that two maps have in common, and those that only one of them has."""
 
     pairs: tuple[Pair, ...]
     only_a: tuple[Landmark, ...]
     only_b: tuple[Landmark, ...]
 
     def of(self, texture: Texture) -> tuple[Pair, ...]:
-        """Pairs whose images say `texture`."""
+        """Pairs with this result of the comparison of their images."""
         return tuple(pair for pair in self.pairs if pair.texture is texture)
 
 
 def compare_maps(a: LandmarkMap, b: LandmarkMap) -> Comparison:
-    """Pair each landmark with the other map's nearest at the same place, and look at both."""
+    """Pair each landmark with the nearest overlapping one of the other map, and compare them."""
     found = _mutual_nearest(_apart(a, b))
     in_a, in_b = {i for i, _ in found}, {j for _, j in found}
     return Comparison(
@@ -91,7 +94,7 @@ def compare_maps(a: LandmarkMap, b: LandmarkMap) -> Comparison:
 
 
 def wall_changes(a: LandmarkMap, b: LandmarkMap) -> dict[str, float]:
-    """How far an end of each wall moved, m, by the wall's id; inf where one map lacks the wall."""
+    """Greatest shift of the ends of each wall, m, by its id; inf if one map lacks the wall."""
     ends_a, ends_b = ({w.id: np.array([w.start, w.end]) for w in m.walls} for m in (a, b))
     return {
         name: float(np.abs(ends_b[name] - ends_a[name]).max())
@@ -102,7 +105,7 @@ def wall_changes(a: LandmarkMap, b: LandmarkMap) -> dict[str, float]:
 
 
 def _apart(a: LandmarkMap, b: LandmarkMap) -> FloatArray:
-    """Distances (n, m) of centres in units of the patches' size; inf off each other's plane."""
+    """Distances (n, m) of centres relative to the size of patches; inf if they do not overlap."""
     offset = b.positions[None] - a.positions[:, None]
     across = np.abs(np.sum(offset * a.normals[:, None], -1))
     size = 0.5 * (a.sizes_m.mean(1)[:, None] + b.sizes_m.mean(1)[None])
@@ -132,7 +135,7 @@ def _pair(a: Landmark, b: Landmark) -> Pair:
     if seen is None:
         return Pair(a, b, Texture.UNKNOWN, offset, covariance)
     if isinstance(seen, Refusal):
-        # Only a low correlation says that there is something else now.
+        # Only a low correlation shows that the texture has changed.
         changed = seen.code is RefusalCode.LOW_CORRELATION
         what = Texture.CHANGED if changed else Texture.UNKNOWN
         return Pair(a, b, what, offset, covariance)
@@ -140,7 +143,7 @@ def _pair(a: Landmark, b: Landmark) -> Pair:
 
 
 def _is_copy(a: Landmark, b: Landmark) -> bool:
-    """Whether the textures are the same to the last bit; blank ones show nothing."""
+    """Whether sizes and textures are identical; blank textures do not count."""
     alike = (a.width_m, a.height_m) == (b.width_m, b.height_m)
     return alike and bool(np.array_equal(a.patch, b.patch) and a.patch.size and np.ptp(a.patch))
 
@@ -148,10 +151,10 @@ def _is_copy(a: Landmark, b: Landmark) -> bool:
 def _texture_offset(
     a: Landmark, b: Landmark, offset: FloatArray
 ) -> tuple[FloatArray, FloatArray] | Refusal | None:
-    """Disagreement (2,) and its covariance; None where too little is shared to decide."""
+    """Disagreement (2,) and its covariance, or a refusal; None if the overlap is too small."""
     texel = max(a.width_m / a.patch.shape[1], b.width_m / b.patch.shape[1])
     margin = int(np.ceil(_SEARCH * min(b.width_m, b.height_m) / texel)) + 1
-    # Both on one grid of `texel`, which is centred on b; a's image is moved by the offset.
+    # Both images are on a grid of `texel` that is centred on b; that of a is shifted by `offset`.
     shape = (int(b.height_m / texel), int(b.width_m / texel))
     image_b = resampled(b, texel, shape, np.zeros(2))
     image_a = resampled(a, texel, shape, offset)
@@ -168,14 +171,14 @@ def _texture_offset(
     if isinstance(match, Refusal):
         return match
     expected = (np.array(search.shape[::-1]) - 1) / 2.0
-    # Where b's image shows the texture further right, its map puts it further right.
+    # If the texture is further right in the image of b, it is further right in its map too.
     return (match.xy - expected) * texel, match.covariance * texel**2
 
 
 def _shared(
     length: int, texel_m: float, size_m: float, shift_m: float, margin: int
 ) -> npt.NDArray[np.intp]:
-    """Rows (or columns) of b's grid, but for its margin, where a's image reaches."""
+    """Rows (or columns) of the grid of b, without its margin, that the image of a covers."""
     place = np.arange(length)
     reach = np.abs((place - (length - 1) / 2.0) * texel_m + shift_m)
     return np.flatnonzero((reach <= 0.5 * size_m) & (place >= margin) & (place < length - margin))
@@ -184,7 +187,7 @@ def _shared(
 def resampled(
     k: Landmark, texel_m: float, shape: tuple[int, int], offset: FloatArray
 ) -> npt.NDArray[np.float32]:
-    """Patch on a grid of `shape` whose centre lies `offset` (2,) from the patch's."""
+    """Patch resampled on a grid of `shape`, whose centre is shifted by `offset` (2,), m."""
     own = np.array([k.width_m, k.height_m]) / np.array(k.patch.shape[::-1])
     scale = texel_m / own
     center = (np.array(k.patch.shape[::-1]) - 1) / 2.0 + offset / own

@@ -1,8 +1,8 @@
 """
-Two maps with frames of their own in one frame, by the landmarks that both hold.
+Alignment of two maps with different frames by their common landmarks.
 
-One texture that both know gives a whole transformation, as heights and normals are known: each
-such match is tried, and the one that most others agree with is fitted to all of them.
+A single matching texture gives a complete transformation, as heights and normals are known. Each
+match is tried, and the transformation with most support is fitted to all its inliers.
 """
 
 from __future__ import annotations
@@ -20,42 +20,45 @@ from landmark_nav.geometry.se2 import compose, rotation, transform_points
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate
 from landmark_nav.upkeep.comparison import resampled
 
-# Part of a patch that is looked for in the other map's, and the least correlation.
+# Share of a patch that is the template, the least correlation, and the least size of a template.
 _TEMPLATE, _MIN_SCORE = 0.6, 0.7
 _MIN_TEMPLATE_PX = 8
-# Best matches that are tried as transformations: it bounds time and memory.
+# Greatest number of matches that are tried as transformations; it bounds time and memory.
 _MOST_MATCHES = 1500
-# How much the frames of one room differ in height, beside the scale (m): floor and camera.
+# Sigma of the difference in height of two frames, apart from the scale: floor and camera.
 _HEIGHT_SIGMA_M = 0.03
-# Errors of a normal (rad) and of the place where a texture is matched (m).
+# Sigmas of a normal and of the location of a match.
 _NORMAL_SIGMA_RAD, _MATCH_SIGMA_M = 0.02, 0.005
 _GATE_SIGMAS = 3.0
-# Metres that were measured by a person.
+# Relative sigma of a scale that was measured by a person.
 _MEASURED_SCALE_SIGMA = 2e-3
-# Of 120 landmarks of two rooms at most 4 agreed by chance, of one room 84 to 100 (seeds 901, 902).
-# Another transformation may have this share of the support.
+# Least support, also as a share of the landmarks: of 120 landmarks of two rooms at most 4 agreed
+# by chance, of one room 84 to 100 (seeds 901, 902). Greatest support of another transformation,
+# relative to the best one.
 _LEAST_SUPPORT, _LEAST_SHARE, _MOST_RIVAL = 4, 0.1, 0.5
-# Rounds of the fit, and the spread of the first, halved in each; unknowns without data stay.
+# Rounds of the fit; factor on the gate in the first round, halved in each; and information that
+# regularises unknowns without data.
 _ROUNDS, _FIRST_SPREAD, _LEAST_INFORMATION = 10, 8.0, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class FrameAlignment:
     """
-    Frame of map b in that of map a.
+    Transformation from the frame of map b to that of map a.
 
     Parameters
     ----------
     pose : ndarray, shape (3,)
-        Of the frame of b in a: metres of a, radians.
+        Pose of the frame of b in that of a: metres of a, radians.
     rise_m : float
-        Its height in a: that of the camera is given, and not scaled.
+        Height of the frame of b in that of a. It differs from 0 as the height of the camera is
+        given, not scaled.
     scale : float
-        Metre of b in metres of a.
+        Length of a metre of b in metres of a.
     covariance : ndarray, shape (5, 5)
-        Of x, y, height, heading and the logarithm of the scale.
+        Covariance of x, y, height, heading and the logarithm of the scale.
     support : int
-        How many landmarks of a agree.
+        Number of inlier landmarks.
     """
 
     pose: FloatArray
@@ -67,7 +70,7 @@ class FrameAlignment:
 
 @dataclass(frozen=True, eq=False)
 class _Matches:
-    """Textures that look alike: places (m, 3) in each map, heading of b in a, and landmarks."""
+    """Similar textures: locations (m, 3) in each map, heading of b in a, indices of landmarks."""
 
     in_a: FloatArray
     in_b: FloatArray
@@ -80,12 +83,12 @@ class _Matches:
 
     @property
     def landmarks(self) -> int:
-        """How many landmarks take part, of the map with fewer."""
+        """Number of landmarks in the matches, of the map with fewer."""
         return min(len(np.unique(self.a)), len(np.unique(self.b)))
 
 
 def brought_together(a: LandmarkMap, b: LandmarkMap) -> tuple[LandmarkMap, FrameAlignment | None]:
-    """Map b in the frame of a, and how it came there: None if both were measured in one frame."""
+    """Map b in the frame of a, and the alignment: None if both were measured in one frame."""
     if not (a.has_own_frame or b.has_own_frame):
         return b, None
     alignment = align_frames(a, b)
@@ -94,10 +97,10 @@ def brought_together(a: LandmarkMap, b: LandmarkMap) -> tuple[LandmarkMap, Frame
 
 def align_frames(a: LandmarkMap, b: LandmarkMap) -> FrameAlignment:
     """
-    Find the frame and the metre of map b in those of map a.
+    Estimate pose and scale of the frame of map b in that of map a.
 
-    Raises `LandmarkNavError`: the maps share too few landmarks, or more than one transformation
-    fits.
+    Raises `LandmarkNavError`: the maps have too few landmarks in common, or more than one
+    transformation fits.
     """
     scale_sigma = float(np.hypot(_scale_sigma(a), _scale_sigma(b)))
     matches = _matches(a, b, scale_sigma)
@@ -109,7 +112,7 @@ def align_frames(a: LandmarkMap, b: LandmarkMap) -> FrameAlignment:
             f'to each other, {needed:.0f} are needed: are they of one room? Learn one map of all '
             'sweeps'
         )
-    # What the best one explains does not speak for another.
+    # Inliers of the best transformation do not support another.
     rival, _ = _best(a, b, matches.chosen(~explained), scale_sigma)
     if rival is not None and rival.support > max(_LEAST_SUPPORT, _MOST_RIVAL * best.support):
         raise LandmarkNavError(
@@ -121,9 +124,9 @@ def align_frames(a: LandmarkMap, b: LandmarkMap) -> FrameAlignment:
 
 def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
     """
-    Map b in the frame and the metre of a.
+    Return map b in the frame and the scale of a.
 
-    The error of the alignment is five more factors that all its landmarks share.
+    The error of the alignment adds five factors that all its landmarks share.
     """
     scale, pose = alignment.scale, alignment.pose
     turn = np.eye(3)
@@ -182,7 +185,7 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
 
 
 def _by_frame(ways: FloatArray) -> FloatArray:
-    """Derivatives (..., 3, 5) of points, by their ways (..., 3) from the origin of the frame."""
+    """Derivatives (..., 3, 5) of points by the alignment; `ways` (..., 3) are from its origin."""
     jacobian = np.zeros((*ways.shape, 5))
     jacobian[..., :3] = np.eye(3)
     jacobian[..., 0, 3], jacobian[..., 1, 3] = -ways[..., 1], ways[..., 0]
@@ -195,7 +198,7 @@ def _scale_sigma(landmarks: LandmarkMap) -> float:
 
 
 def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
-    """Textures that look alike at one height, the best first."""
+    """Similar textures at the same height, the best first."""
     textured_a = [i for i, k in enumerate(a.landmarks) if k.patch.size]
     textured_b = [j for j, k in enumerate(b.landmarks) if k.patch.size]
     texels = [k.width_m / k.patch.shape[1] for m in (a, b) for k in m.landmarks if k.patch.size]
@@ -233,7 +236,7 @@ def _image(k: Landmark, texel_m: float) -> npt.NDArray[np.float32]:
 def _offset(
     a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]
 ) -> tuple[float, FloatArray, FloatArray] | None:
-    """Score, and the same point in both images (2,), right and down from their middles, px."""
+    """Score, and offsets (2,) of the same point from the middles of both images, px; or None."""
     swapped = a.size > b.size
     small, large = (b, a) if swapped else (a, b)
     rows, columns = (max(round(_TEMPLATE * length), 1) for length in small.shape)
@@ -257,7 +260,7 @@ def _point(k: Landmark, offset_m: FloatArray) -> FloatArray:
 
 
 def _agreement(matches: _Matches, scale_sigma: float) -> npt.NDArray[np.bool_]:
-    """Which matches (columns) the transformation of each match (rows) fits, (m, m)."""
+    """Whether the transformation of each match (rows) fits the others (columns), (m, m)."""
     way_a, way_b = (xyz[None, :, :2] - xyz[:, None, :2] for xyz in (matches.in_a, matches.in_b))
     off = np.einsum('kij,klj->kli', rotation(matches.turn_rad), way_b) - way_a
     sigma = np.hypot(scale_sigma, _NORMAL_SIGMA_RAD) * np.linalg.norm(way_b, axis=-1)
@@ -269,7 +272,7 @@ def _agreement(matches: _Matches, scale_sigma: float) -> npt.NDArray[np.bool_]:
 
 
 def _distinct(agree: npt.NDArray[np.bool_], matches: _Matches) -> npt.NDArray[np.intp]:
-    """How many landmarks of each map are behind each row of `agree`, the lesser number."""
+    """Number of landmarks in each row of `agree`, of the map with fewer."""
     counts = []
     for index in (matches.a, matches.b):
         order = np.argsort(index, kind='stable')
@@ -281,7 +284,7 @@ def _distinct(agree: npt.NDArray[np.bool_], matches: _Matches) -> npt.NDArray[np
 def _best(
     a: LandmarkMap, b: LandmarkMap, matches: _Matches, scale_sigma: float
 ) -> tuple[FrameAlignment | None, npt.NDArray[np.bool_]]:
-    """Transformation that most matches agree with, fitted to them, and which these are (m,)."""
+    """Transformation with most inliers, fitted to them, and the mask (m,) of the inliers."""
     if not len(matches.a):
         return None, np.zeros(0, dtype=np.bool_)
     agree = _agreement(matches, scale_sigma)
@@ -298,12 +301,12 @@ def _fitted(
     turn_rad: float,
     scale_sigma: float,
 ) -> FrameAlignment:
-    """Pose and scale that fit the matches that agree (Gauss-Newton; outliers leave)."""
+    """Pose and scale by Gauss-Newton from the inliers `agree`; inliers are updated each round."""
     chosen = matches.chosen(agree)
     turn = np.eye(3)
     turn[:2, :2] = rotation(turn_rad)
     state = np.array([*(chosen.in_a - chosen.in_b @ turn.T).mean(0), turn_rad, 0.0])
-    # Both frames are on the floor, but for what cameras of given height see in another metre.
+    # Both frames are on the floor, except for the effect of the scale at a given camera height.
     height_sigma = np.hypot(_HEIGHT_SIGMA_M, scale_sigma * np.abs(matches.in_a[:, 2]).max())
     prior = np.diag([0.0, 0.0, height_sigma**-2, 0.0, scale_sigma**-2])
     spread = _FIRST_SPREAD
@@ -320,7 +323,7 @@ def _fitted(
         weighed = np.einsum('mki,mkl->mil', jacobian, information[which])
         normal = np.einsum('mil,mlj->ij', weighed, jacobian) + prior
         covariance = np.linalg.inv(normal + _LEAST_INFORMATION * np.eye(5))
-        # Only height and scale have a prior, of 0.
+        # Only height and logarithm of the scale have a prior, with mean 0.
         state = state + covariance @ (np.einsum('mil,ml->i', weighed, off[which]) - prior @ state)
     support = matches.chosen(which).landmarks
     pose = np.array([*state[:2], wrap_rad(state[3])])

@@ -1,4 +1,4 @@
-"""Two maps of one room made one."""
+"""Merge of two maps of one room."""
 
 from __future__ import annotations
 
@@ -19,28 +19,30 @@ from landmark_nav.upkeep.comparison import (
 )
 from landmark_nav.upkeep.frames import brought_together
 
+# Greatest shift of a wall between two maps in one frame.
 _SAME_WALL_M = 1e-3
-# A patch of an aligned map hangs so far from a wall at most, and is turned by 5 degrees.
+# Greatest distance of a patch of an aligned map from a wall, and least cosine of their normals.
 _ON_WALL_M, _SAME_NORMAL = 0.1, np.cos(np.radians(5.0))
-# What the provenance says of a map's own frame.
+# Keys of the provenance that describe the frame of a map.
 _OF_FRAME = ('frame', 'scale', 'scale_sigma')
+# Greatest disagreement of the locations of one texture, sigmas.
 _MAX_SIGMAS = 5.0
-# From here on, changed places are more than a poster or two.
+# Least number of changed textures that is more than a few replaced posters.
 _FEW = 4
 
 
 def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
     """
-    Join two maps; where both know a place, the better landmark stays.
+    Merge two maps; at common locations the better landmark is kept.
 
-    Where the texture is the same that is the one that is known better; where it has changed, the
-    newer one; where too little is shared to decide, both. Landmarks of the older map keep their
-    ids, added ones get new ids above them. The errors of the two maps are independent, so the
-    factors of one load nothing in the other. A map with a frame of its own is aligned first; its
-    landmarks then are on the walls of the older map.
+    If the texture is the same, this is the one with the smaller covariance; if it has changed, the
+    newer one; if the overlap is too small to decide, both. Landmarks of the older map keep their
+    ids; added ones get greater ids. The errors of the two maps are independent, so that their
+    landmarks share no factors. A map with its own frame is aligned first; its landmarks are then
+    assigned to the walls of the older map.
 
-    Raises `LandmarkNavError`: other frames or walls, a panorama that both were learned from, maps
-    that can't be aligned or contradict each other.
+    Raises `LandmarkNavError`: frames or walls differ, both maps were learned from one panorama, or
+    the maps cannot be aligned or contradict each other.
     """
     _check_sweeps(older, newer)
     newer, alignment = brought_together(older, newer)
@@ -108,7 +110,7 @@ def _check_sweeps(a: LandmarkMap, b: LandmarkMap) -> None:
 
 
 def _on_wall_of(landmarks: LandmarkMap, k: Landmark) -> Landmark | None:
-    """Landmark on the wall of another map that it is on there; None if there is no such wall."""
+    """Landmark, assigned to the nearest wall of another map; None if there is no such wall."""
     if not landmarks.walls or not k.wall_id:
         return k
     room = Room(landmarks.walls)
@@ -125,14 +127,14 @@ def _without_frame(provenance: dict[str, str]) -> dict[str, str]:
 
 
 def _shifted(known: Calibration | None, factors: int) -> Calibration | None:
-    """Calibration of the newer map, whose factors come after so many of the older one."""
+    """Calibration of the newer map; its factors follow the `factors` of the older one."""
     if known is None or known.by_map is None:
         return known
     return replace(known, by_map=np.pad(known.by_map, ((0, 0), (factors, 0))))
 
 
 def _check_agreement(comparison: Comparison) -> None:
-    """Two right maps show the same in most places, as far apart as their covariances say."""
+    """Check that most common textures are unchanged, at locations consistent with covariances."""
     pairs, changed = comparison.of(Texture.SAME), comparison.of(Texture.CHANGED)
     if len(changed) >= max(len(pairs), _FEW):
         raise LandmarkNavError(
@@ -154,6 +156,6 @@ def _factors(landmarks: LandmarkMap) -> int:
 
 
 def _padded(k: Landmark, before: int, after: int) -> Landmark:
-    """`k` with columns of zeros for the factors of the other map."""
+    """Landmark with columns of zeros for the factors of the other map."""
     loading: FloatArray = np.pad(k.shared_loading, ((0, 0), (before, after)))
     return replace(k, shared_loading=loading)

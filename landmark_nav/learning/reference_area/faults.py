@@ -59,9 +59,10 @@ _LEAST_SEEN = 2
 # Costs in each view of a paper that should be in view and is not found, and of one assumed hidden,
 # squared sigmas.
 _MISSING, _HIDDEN = 60.0, 30.0
-# Greatest error of a paper's place that is searched, m, and of its size, relative.
+# Greatest error of the location of a paper that is searched, m, that of its size, relative, and
+# greatest cost of the paper there, squared sigmas.
 _SEARCH_M, _SEARCH_SHARE, _MOST_COST = 0.25, 0.15, 12.0
-# Largest factor on sizes of papers and rooms, and lowest place of a paper.
+# Largest factor on sizes of papers and rooms, and lowest height of a paper.
 _ANY_SIZE, _BELOW_M = 1.6, -0.5
 # Most poses tried in a panorama, papers whose colours are permuted, and views.
 _MOST_PLACES, _MOST_SWAPPED, _MOST_VIEWS = 4, 4, 4
@@ -113,7 +114,7 @@ class PaperFaults:
 
     `chi_square` and `redundancy` are those without a fault. `faults`, the likeliest first, explain
     the data equally well; if there are none though `fits` is false, no single fault does. `text`
-    is one line for people, empty if all fits.
+    is a message of one line, empty if all fits.
     """
 
     fits: bool
@@ -208,7 +209,7 @@ def paper_faults(
     trial = _Trial(views[-_MOST_VIEWS:], room, config)
     as_given = trial.solve(_Hypothesis(''))
     if as_given is None:
-        # Not even two papers fit: another order of colours may explain it.
+        # Without two papers that fit, another order of colours may still explain the data.
         nothing = np.zeros(0)
         as_given = _Solution(_MISSING * len(views) * len(room.papers), nothing, nothing, 0)
     redundancy = max(as_given.redundancy, 1)
@@ -367,7 +368,7 @@ def _redrawn(room: Room, x: float, yz: float) -> Room:
 
 
 class _Trial:
-    """Fits of hypotheses to what panoramas show."""
+    """Fits hypotheses to the papers in panoramas."""
 
     def __init__(
         self, views: Sequence[PaperView], room: Room, config: ReferenceAreaConfig
@@ -376,7 +377,7 @@ class _Trial:
         self._picks = [list(_picks(view, room, config)) for view in views]
 
     def solve(self, hypothesis: _Hypothesis) -> _Solution | None:
-        """Fit all views that show papers, each with the place there that fits best; None: none."""
+        """Fit all views, each at its best pose; None if no view shows enough papers."""
         room, picks = hypothesis.room or self._room, self._picks
         if hypothesis.kind in ('swapped', 'mirrored', 'feet'):
             picks = [list(_picks(view, room, self._config)) for view in self._views]
@@ -451,7 +452,7 @@ class _Trial:
 
 
 def _picks(view: PaperView, room: Room, config: ReferenceAreaConfig) -> Iterator[_Pick]:
-    """Where a panorama may have been taken: by all papers, and by all but one."""
+    """Yield possible poses of a panorama, by all papers and by all but one."""
     seen: set[tuple[int, ...]] = set()
     papers = room.papers
     blobs = [_blobs(view.outlines[paper.color]) for paper in papers]
@@ -470,7 +471,7 @@ def _picks(view: PaperView, room: Room, config: ReferenceAreaConfig) -> Iterator
 
 
 def _elsewhere(view: PaperView, room: Room, axis_pose: FloatArray, k: int) -> int:
-    """The outline that may be paper `k`, hung elsewhere; -1 for none."""
+    """Index of the outline that may be paper `k` at a wrong location; -1 for none."""
     found = view.outlines[room.papers[k].color]
     if not len(found) or not papers_in_view(axis_pose[:2], room)[k]:
         return -1
@@ -491,9 +492,9 @@ def _elsewhere(view: PaperView, room: Room, axis_pose: FloatArray, k: int) -> in
 
 class _Model:
     """
-    Where the picked outlines should be seen, as functions of all that is not exactly known.
+    Model of the picked outlines as functions of the state.
 
-    States come in batches (b, n); `measured` counts the numbers that were measured.
+    States come in batches (b, n). `measured` is the number of measured values.
     """
 
     def __init__(self, views: Sequence[PaperView], picks: Sequence[_Pick], room: Room) -> None:
@@ -519,7 +520,7 @@ class _Model:
         self._eye = np.array([views[v].eye_height_m for v in self._view])
 
     def prior_sigma(self, config: ReferenceAreaConfig) -> FloatArray:
-        """Standard deviations (n,) of the state about its start."""
+        """Prior sigmas (n,) of the state about its start."""
         tilt, paper = config.horizon_sigma_rad, max(config.paper_sigma_m, 1e-4)
         views = np.tile([1e2, 1e2, 1e2, tilt, tilt], self._views)
         common = [config.height_sigma_m, config.paper_size_sigma, _FOCAL_SIGMA]
@@ -527,13 +528,13 @@ class _Model:
         return np.concatenate([views, common, np.tile(own, self._papers)])
 
     def residuals(self, states: FloatArray) -> FloatArray:
-        """Deviations (b, 4 m) of the outlines in standard deviations."""
+        """Residuals (b, 4 m) of the outlines in sigmas."""
         off = self._seen - self.predicted(states)
         off[..., :2] = wrap_rad(off[..., :2])
         return np.asarray(off / self._sigma).reshape(len(states), -1)
 
     def predicted(self, states: FloatArray) -> FloatArray:
-        """Right and left azimuth, bottom and top tangent (b, m, 4)."""
+        """Predicted right and left azimuths, bottom and top tangents (b, m, 4)."""
         split = _VIEW * self._views
         x, y, heading, roll, pitch = np.moveaxis(
             states[:, :split].reshape(len(states), -1, _VIEW)[:, self._view], -1, 0
@@ -547,16 +548,16 @@ class _Model:
         half = 0.5 * self._size[:, 0] * (1.0 + size + wider + larger)
         level = self._center[:, 2] + up - self._eye - rise
         cos, sin = np.cos(heading), np.sin(heading)
-        # Along the wall is to the left, as seen from inside the room.
+        # The direction along the wall is to the left, as seen from inside the room.
         forward, left, azimuth = [], [], []
         for sign in (-1.0, 1.0):
             end = middle + sign * half[..., None] * self._along
             dx, dy = end[..., 0] - x, end[..., 1] - y
             forward.append(cos * dx + sin * dy)
             left.append(cos * dy - sin * dx)
-            # A small turn of the axis about x and y.
+            # Small rotations of the axis about x and y.
             azimuth.append(np.arctan2(left[-1] + roll * level, forward[-1] - pitch * level))
-        # The bisector divides the paper as the distances of its ends are to each other.
+        # The bisector divides the paper in the ratio of the distances of its ends.
         reach = np.hypot(forward, left)
         share = reach[0] / reach.sum(0)
         ahead = (1.0 - share) * forward[0] + share * forward[1]
@@ -573,7 +574,7 @@ class _Model:
 
 
 def _blobs(found: PaperOutlines) -> PaperBlobs:
-    """Outlines as blobs to find places by."""
+    """Outlines as blobs, for the search of poses."""
     return PaperBlobs(
         found.azimuth_rad.mean(1),
         np.diff(found.azimuth_rad)[:, 0],
@@ -583,7 +584,7 @@ def _blobs(found: PaperOutlines) -> PaperBlobs:
 
 
 def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room) -> PaperFault:
-    """A fault with its size and its words."""
+    """Fault of a hypothesis, with its size and its description."""
     kind, k = hypothesis.kind, hypothesis.paper
     value, sigma = (
         float(array[np.argmax(np.abs(solution.values))]) if len(array) else 0.0
@@ -626,7 +627,7 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room
 
 
 def _mount_error(kind: str, solution: _Solution) -> MountError | None:
-    """What a fault says of the mount."""
+    """Error of the mount by a fault; None if the fault is not one of the mount."""
     if kind == 'lean':
         return MountError(tilt_roll_rad=solution.values)
     if kind == 'camera_height':
@@ -634,7 +635,7 @@ def _mount_error(kind: str, solution: _Solution) -> MountError | None:
     return None
 
 
-# How faults with a value are described that is positive, and negative.
+# Descriptions of faults with a positive value, and with a negative one.
 _WORDS = {
     'along': ('hangs {} further left', 'hangs {} further right'),
     'height': ('hangs {} higher', 'hangs {} lower'),

@@ -1,4 +1,4 @@
-"""The place of a sweep from all edges of all papers in all its frames: robust least squares."""
+"""Pose of a sweep by robust least squares over the edges of all papers in its frames."""
 
 from __future__ import annotations
 
@@ -27,39 +27,43 @@ from landmark_nav.learning.reference_area.model import (
 from landmark_nav.learning.reference_area.search import papers_in_view
 from landmark_nav.types import FloatArray, Sweep
 
-# Measurements along each edge of a paper in each frame.
+# Number of measurements along each edge of a paper in each frame.
 _PARTS = 4
 
+# Greatest number of frames that are used for a paper.
 MOST_FRAMES = 12
-# Profiles go so far at first, then less; squared deviations at which a weight has fallen to a
-# quarter: strict only once all fits.
+# Reach of the profiles across edges in successive rounds; and for each round the squared residuals
+# (sigmas) at which weights fall to a quarter, which decrease as the fit converges.
 _SEARCH_PX = (13.0, 8.0, 7.0)
 _TAIL_WIDTHS = ((400.0, 100.0, 40.0), (60.0, 25.0, 12.0), (12.0, 9.0, 9.0))
+# Greatest squared residual of an inlier, in sigmas.
 _SURELY_WRONG = 25.0
 
-# Narrower ones are left out; in a JPEG the colour of narrow ones is that of the wall beside too.
+# Least width of a paper in a frame; and width below which colour edges have a further sigma, as
+# JPEG mixes the colours of narrow papers and the wall.
 _LEAST_WIDTH_PX, _NARROW_PX = 4.5, 7.0
 _NARROW_COLOR_SIGMA_PX = 1.0
-# Edges are measured so far from corners, on this share of them at least.
+# Least distance of measurements from the corners, and least share of an edge that is measured.
 _CORNER_PX, _LEAST_KEPT = 2.5, 0.2
 _GAMMA_RANGE = (0.8, 2.4)
 
-# How many frames the given deviation of joint angles is worth beside those of the sweep.
+# Weight of the given sigma of joint angles, as a number of frames, against that of the sweep.
 _TRUSTED_FRAMES = 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class PaperFit:
     """
-    A place and how well the papers agree on it.
+    Pose of the base by the papers, and how well they fit.
 
-    `pose_map_base` (3,); `rise_m` how much higher than given the camera is; `covariance` (4, 4) of
-    x, y, height, heading; `seen` (papers,) the share of each paper's edges that was found,
-    `agreed` (papers,) the share of those that fits; `hang_m` (papers, 2) how far along the wall
-    and up each hangs from where it should; `tilt_rad` (2,) of the axis about x and y of the base,
-    and `mount_covariance` (3, 3) of height and that, prior included; `size` the share by which all
-    papers are larger than given, `size_sigma` of that, prior included; `misfit` the mean squared
-    deviation.
+    `pose_map_base` (3,) is the pose of the base in map, `rise_m` the height of the camera above
+    the given one, `covariance` (4, 4) that of x, y, height and heading. `seen` (papers,) is the
+    share of the edges of each paper that was found, `agreed` (papers,) the share of inliers among
+    these. `hang_m` (papers, 2) is the displacement of each paper from its given location, along
+    the wall and up. `tilt_rad` (2,) is the rotation of the pan axis from the given one, about x
+    and y of the base, `mount_covariance` (3, 3) the covariance of height and tilt, including the
+    prior. `size` is the relative excess of the sizes of all papers over the given ones,
+    `size_sigma` its sigma, including the prior. `misfit` is the mean squared residual, in sigmas.
     """
 
     pose_map_base: FloatArray
@@ -78,11 +82,13 @@ class PaperFit:
 @dataclass(frozen=True, eq=False)
 class _Measured:
     """
-    Edges that were found, arrays over n: which paper, frame and edge; where, and what.
+    Measurements of edges, arrays over n.
 
-    `along` runs from -1 to 1 along each edge; `bright` is 1 where brightness was measured, not
-    colour; `tried` (papers,) counts what was looked for by colour. All was measured with one
-    `gamma`.
+    `paper`, `frame` and `edge` are indices; `points` are the points on the papers in map;
+    `normal`, `offset_px` and `sigma_px` describe the measured offset of the edge in the image, and
+    `by_gamma` its derivative by gamma. `along` runs from -1 to 1 along each edge. `bright` is 1
+    for measurements of brightness, 0 for those of colour. `tried` (papers,) is the number of
+    attempts by colour. All were measured with the same `gamma`.
     """
 
     paper: IndexArray
@@ -100,7 +106,7 @@ class _Measured:
 
 
 class PaperFitter:
-    """Fits places to the frames of one sweep."""
+    """Fits poses of the base to the papers in the frames of one sweep."""
 
     def __init__(
         self, sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
@@ -117,10 +123,11 @@ class PaperFitter:
         mount: FloatArray | None = None,
     ) -> PaperFit | None:
         """
-        Refine a base pose (3,), and height and tilts of the camera `mount` (3,) beside the given.
+        Refine a pose (3,) of the base from an approximate one.
 
-        None where no paper shows an edge. Fewer frames are quicker, enough to choose between
-        places.
+        `mount` (3,) is an approximate error of height and tilt of the camera. Fewer frames are
+        faster, and suffice to choose between poses. The result is None if no paper is in view, or
+        if the fit diverges.
         """
         state = self._model.start(pose_map_base)
         if mount is not None:
@@ -138,11 +145,11 @@ class PaperFitter:
                         measured, base, state, tail_width, angle_sigma
                     )
                 except LandmarkNavError:
-                    return None  # it runs away from what was measured
+                    return None  # the fit diverges
         return fit
 
     def _measure(self, state: FloatArray, most: int, reach_px: float) -> _Measured | None:
-        """Find the edges of papers in the frames that look at them."""
+        """Measure the edges of papers in the frames that show them; None if there are none."""
         model, middle = self._model, slice(PROFILES // 2, None, PROFILES)
         gamma = float(np.clip(state[GAMMA], *_GAMMA_RANGE))
         side = np.repeat(np.arange(EDGES), _PARTS)
@@ -188,7 +195,8 @@ class PaperFitter:
         paper, frame, edge, along, bright, points, normal, offset, sigma, by_gamma = (
             np.concatenate(column) for column in zip(*columns, strict=True)
         )
-        # Noise moves an edge and its slope alike: each slope by itself would bend gamma.
+        # The noise of an edge and that of its slope are correlated, which would bias gamma: slopes
+        # are averaged.
         _, group = np.unique(paper * 8 + edge * 2 + bright, return_inverse=True)
         by_gamma = (np.bincount(group, by_gamma) / np.bincount(group))[group]
         return _Measured(
@@ -207,7 +215,7 @@ class PaperFitter:
         )
 
     def _views(self, state: FloatArray, most: int) -> list[tuple[int, int]]:
-        """Papers and the frames that show them nearest to the middle."""
+        """Pairs of paper and frame, for the frames that show the paper nearest to the middle."""
         camera = self._frames[0].camera
         half = 0.5 * np.array([camera.width, camera.height])
         frames = np.arange(len(self._frames))
@@ -265,7 +273,7 @@ class PaperFitter:
         chi = np.sum(weight * left**2) + np.sum(prior * (state - usual) ** 2)
         misfit = float(chi / max(1.0, np.sum(weight * m.sigma_px**2) - 3.0))
         fit = self._agreement(m, squared_misfit, state, covariance * max(1.0, misfit), misfit)
-        # The sweep itself shows how exact its joint angles are (expectation maximization).
+        # The sigma of joint angles is estimated from the sweep (expectation maximization).
         used = np.unique(m.frame)
         left_over = model.angles(state)[used] ** 2 + model.angles(np.diag(covariance))[used]
         trusted = _TRUSTED_FRAMES * self._pan_sigma_rad**2
@@ -280,7 +288,7 @@ class PaperFitter:
         covariance: FloatArray,
         misfit: float,
     ) -> PaperFit:
-        """What a solution gives; `squared_misfit` (n,) are the squared deviations of the edges."""
+        """Fit of a solution; `squared_misfit` (n,) are the squared residuals of the edges."""
         model, by_color = self._model, m.bright == 0
         found = np.bincount(m.paper[by_color], minlength=model.papers)
         agreed = by_color & (squared_misfit < _SURELY_WRONG)
@@ -302,9 +310,9 @@ class PaperFitter:
 
 def _off_the_corners(points: FloatArray, pixels: FloatArray) -> FloatArray:
     """
-    Draw points (n, 3) of four edges in turn towards the middles of these.
+    Move points (n, 3) of the four edges towards the middles of their edges.
 
-    Blur rounds corners: up to `_CORNER_PX` from one an edge seems to lie farther in.
+    Blur rounds corners: within `_CORNER_PX` of a corner an edge appears shifted inwards.
     """
     edges, shown = points.reshape(EDGES, -1, 3), pixels.reshape(EDGES, -1, 2)
     middle = edges.mean(axis=1, keepdims=True)
@@ -315,7 +323,7 @@ def _off_the_corners(points: FloatArray, pixels: FloatArray) -> FloatArray:
 
 
 def _normals(pixels: FloatArray, outwards: FloatArray) -> FloatArray:
-    """Unit normals (n, 2) of four edges in turn, towards where `outwards` (n, 2) points."""
+    """Unit normals (n, 2) at points of the four edges, on the side of `outwards` (n, 2)."""
     edges = pixels.reshape(EDGES, -1, 2)
     along = np.asarray(np.gradient(edges, axis=1)).reshape(-1, 2)
     normal = np.stack([along[:, 1], -along[:, 0]], 1)

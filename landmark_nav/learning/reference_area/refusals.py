@@ -1,4 +1,4 @@
-"""Why papers give no place: what was expected, what was seen, and what to do about it."""
+"""Refusals of the reference area: what was expected, what was found, and what to do."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.search import papers_in_view
 from landmark_nav.types import FloatArray, ImageArray
 
-# What a person may be off by; more is another mistake.
+# Greatest errors of height and tilt of a measurement with tape and spirit level.
 _MOST_M, _MOST_RAD = 0.3, float(np.radians(10.0))
 
 
 @dataclass(frozen=True, eq=False)
 class MountError:
     """
-    How much higher the camera is than given, and how its pan axis tilts, about.
+    Approximate error of the given mount: true minus given.
 
-    `tilt_roll_rad` (2,) is about x and y of the base.
+    `rise_m` is that of the height of the camera, `tilt_roll_rad` (2,) that of the pan axis about x
+    and y of the base.
     """
 
     rise_m: float = 0.0
@@ -32,23 +33,23 @@ class MountError:
 
     @property
     def reasonable(self) -> bool:
-        """Whether a person with a tape and a spirit level may be off by it."""
+        """Whether the error is plausible for a measurement with tape and spirit level."""
         return abs(self.rise_m) < _MOST_M and float(np.hypot(*self.tilt_roll_rad)) < _MOST_RAD
 
 
 class WrongMountError(LandmarkNavError):
-    """Papers fit a mount that is off by `found` from the given one."""
+    """Error: the papers show that the given mount is wrong by `found`."""
 
     def __init__(self, message: str, found: MountError) -> None:
         super().__init__(message)
         self.found = found
 
 
-# Shares of a paper's edges: what must be found of it, and what of that must fit.
+# Least share of the edges of a paper that must be found, and least share of these that must fit.
 _LEAST_SEEN, LEAST_AGREED = 0.2, 0.7
-# In standard deviations: beyond that a prior is wrong, and sizes of papers are questioned.
+# Least deviation at which a prior is wrong, and least error of the sizes that is reported, sigmas.
 WRONG_PRIOR, _SIGNIFICANT_SIZE = 4.0, 3.3
-# A grey image comes back from JPEG or resampling with channels that differ by so much.
+# Greatest difference of the channels of a grey image after JPEG or resampling.
 _GREY_SPREAD = 2
 
 
@@ -59,17 +60,17 @@ WITHOUT_COLOR = (
 
 
 def is_grey(image: ImageArray) -> bool:
-    """Whether an image, grey or BGR, shows no colour at all; noise of a colour camera does."""
+    """Whether an image, grey or BGR, has no colour; the noise of a colour camera counts as one."""
     return image.ndim == 2 or bool((np.ptp(image, axis=2) <= _GREY_SPREAD).all())
 
 
 def measured_papers(fit: PaperFit) -> npt.NDArray[np.bool_]:
-    """Which papers were found where they should hang, (papers,)."""
+    """Whether each paper was found at its given location, (papers,)."""
     return np.asarray((fit.seen >= _LEAST_SEEN) & (fit.agreed >= LEAST_AGREED))
 
 
 def place_text(fit: PaperFit) -> str:
-    """A place in words."""
+    """Text of a pose."""
     x, y, heading = fit.pose_map_base
     return f'{x:.2f} m, {y:.2f} m, {np.degrees(heading):.0f} deg'
 
@@ -77,7 +78,7 @@ def place_text(fit: PaperFit) -> str:
 def check_prior(
     fit: PaperFit, room: Room, config: ReferenceAreaConfig, most_sigmas: float
 ) -> None:
-    """`LandmarkNavError` if what was taken as nearly known turns out to be wrong."""
+    """Raise `LandmarkNavError` if a fit contradicts the priors of the mount or of the papers."""
     high = abs(fit.rise_m) > most_sigmas * config.height_sigma_m
     leans = np.hypot(*fit.tilt_rad) > most_sigmas * config.horizon_sigma_rad
     if high or leans:
@@ -94,7 +95,7 @@ def check_prior(
 
 
 def wrong_lean(fit: PaperFit) -> str:
-    """What to do about a pan axis that leans from what is given."""
+    """Message for a tilt of the pan axis that differs from the given one."""
     roll, pitch = np.degrees(fit.tilt_rad)
     return (
         f'the pan axis tilts by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
@@ -105,12 +106,12 @@ def wrong_lean(fit: PaperFit) -> str:
 
 def size_warning(fit: PaperFit, config: ReferenceAreaConfig) -> str:
     """
-    Warning if papers do not look as large as given beside the distances between them.
+    Return a warning if the sizes of the papers do not fit the distances between them.
 
-    A room that is given too large as a whole, papers and all, shows in nothing else.
+    This is the only test for a wrong scale of all lengths of ``room.yaml`` but the sizes.
     """
-    # Variance of a size that the prior drew towards what was given; where edges scatter more than
-    # they should, so does it. Papers that say next to nothing of it leave it where it was.
+    # Variance of the estimated size, which the prior draws towards the given size, times the
+    # scatter of the edges. It vanishes if the papers give no information on the size.
     scatter = max(1.0, fit.misfit)
     variance = max(config.paper_size_sigma**2 - fit.size_sigma**2 / scatter, 1e-12)
     if abs(fit.size) < _SIGNIFICANT_SIZE * np.sqrt(scatter * variance):
@@ -124,7 +125,7 @@ def size_warning(fit: PaperFit, config: ReferenceAreaConfig) -> str:
 
 
 def wrong_height(rise_m: float) -> str:
-    """What to do about a camera that stands higher than given."""
+    """Message for a height of the camera that differs from the given one."""
     return (
         f'the camera is {100 * abs(rise_m):.1f} cm {"higher" if rise_m > 0.0 else "lower"} than '
         'robot.yaml says, as the papers show it: measure the height of camera and papers again; '
@@ -133,7 +134,7 @@ def wrong_height(rise_m: float) -> str:
 
 
 def why_not(blobs: list[PaperBlobs], fits: list[PaperFit], room: Room) -> str:
-    """What was expected, what was seen, and what to do."""
+    """Message if no pose was found: expected papers, found blobs or edges, and advice."""
     missing = [p.color for p, b in zip(room.papers, blobs, strict=True) if not len(b.misfit)]
     expected = ', '.join(p.color for p in room.papers)
     if missing:

@@ -1,4 +1,4 @@
-"""Bags: reading, writing, and what a bag holds in terms of this package."""
+"""Bags: reading, writing, and conversion of their messages to types of this package."""
 
 from landmark_nav.storage.bags.folder import read_sweep_folder
 from landmark_nav.storage.bags.reader import Bag, BagMessage

@@ -1,8 +1,8 @@
 """
-One MCAP file: its channels and its messages, also of a file that lost its end.
+Reader of one MCAP file, complete or truncated: its channels and its messages.
 
-Format: https://mcap.dev/spec. A file with a sound index is read through it; any other one
-record by record, up to the break. Either way messages come by log time and in bounded memory.
+Format: https://mcap.dev/spec. A file with a valid index is read by the index, any other one record
+by record up to the damage. Messages are sorted by log time, and memory is bounded.
 """
 
 from __future__ import annotations
@@ -26,34 +26,35 @@ import zstandard
 
 from landmark_nav.errors import LandmarkNavError, why
 
-# A recorder writes chunks of 1 to 10 MB.
+# Greatest size of an uncompressed chunk; a recorder writes chunks of 1 to 10 MB.
 CHUNK_BYTES = 256 * 2**20
-# No sensor data is as redundant, beyond the first bytes of a chunk and of a file.
+# Greatest compression ratio of sensor data; size to which any chunk may unpack; size to which any
+# compressed file may unpack.
 _RATIO, _SMALL_BYTES = 300, 64 * 2**20
 _SMALL_FILE_BYTES = 2**29
 _BLOCK_BYTES = 2**20
 
 
 def most_bytes(size: int) -> int:
-    """How many bytes a file of a size unpacks to, chunks and all, at most."""
+    """Greatest number of bytes that all chunks of a file of `size` bytes may unpack to."""
     return max(CHUNK_BYTES, _RATIO * size)
 
 
 def unpack(data: bytes, compression: str, size: int | None) -> bytes:
     """
-    Content of a chunk.
+    Return the uncompressed content of a chunk.
 
     Parameters
     ----------
     compression : str
-        ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` where it is not compressed.
+        ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` if the data are not compressed.
     size : int or None
-        How many bytes it declares to hold; None where it does not say.
+        Declared number of bytes of the content; None if it is not declared.
 
     Raises
     ------
     ValueError
-        It holds fewer bytes or more, or more than any recorder puts into one chunk.
+        The content has not the declared size, or is larger than a recorder writes.
     """
     limit = min(CHUNK_BYTES, max(_SMALL_BYTES, _RATIO * len(data)))
     if size is not None and size > limit:
@@ -79,8 +80,8 @@ def unpack_file(path: Path, target: IO[bytes]) -> None:
     """
     Write the content of a file compressed by zstd or lz4 to `target`.
 
-    Raises `LandmarkNavError`: it is damaged, unpacks to more than a recording does, or the disk is
-    full.
+    Raises `LandmarkNavError`: the file is damaged or unpacks to more than a recording, or the disk
+    is full.
     """
     most = max(_SMALL_FILE_BYTES, most_bytes(path.stat().st_size))
     written = 0
@@ -101,7 +102,7 @@ def unpack_file(path: Path, target: IO[bytes]) -> None:
 
 
 def _opened(stream: BinaryIO) -> Any:
-    """Reader of the content of a compressed stream."""
+    """Return a reader of the content of a compressed stream."""
     zstd = stream.read(4) == b'\x28\xb5\x2f\xfd'
     stream.seek(0)
     if zstd:
@@ -113,16 +114,17 @@ _MAGIC = b'\x89MCAP0\r\n'
 # Opcode and length of a footer, its content, and the magic.
 _FOOTER_BYTES = 9 + 20 + len(_MAGIC)
 
-# A robot has some hundreds.
+# Greatest number of channels of a file; a robot has some hundreds.
 MAX_CHANNELS = 65535
-# A recorder puts some thousands into a chunk.
+# Greatest number of records of a chunk; a recorder writes some thousands.
 _MAX_RECORDS = 1_000_000
 
-# Chunks that overlap in time are held together up to this, beyond it messages go to the disk.
+# Greatest size of overlapping chunks that are held in memory; beyond it messages are sorted on
+# the disk.
 _HELD_BYTES = CHUNK_BYTES
 
-# Whatever the container, its decompressors and text decoding raise on damaged bytes: no list of
-# it is complete, and the error of zstandard has no base but this.
+# Errors that the parser, the decompressors and text decoding raise on damaged bytes: no list is
+# complete, and the error of zstandard has no other base class.
 _DAMAGE = Exception
 
 _READ = {
@@ -133,7 +135,7 @@ _READ = {
 
 @dataclass(frozen=True)
 class ChannelInfo:
-    """A topic of the file: how its messages are written."""
+    """Topic of a file, with type and encoding of its messages."""
 
     topic: str
     type_name: str
@@ -144,7 +146,7 @@ class ChannelInfo:
 
 @dataclass(frozen=True)
 class RawMessage:
-    """A message as it lies in the file, with the time it was recorded."""
+    """Serialised message of a file, with its log time."""
 
     channel: ChannelInfo
     stamp_ns: int
@@ -153,29 +155,29 @@ class RawMessage:
 
 class McapFile:
     """
-    A readable MCAP file.
+    An MCAP file.
 
     Parameters
     ----------
     on_warning : callable
-        Gets one line if the file lost its end.
+        Called with one line if the file is truncated or damaged.
     name : Path, optional
-        What messages call the file; `path` by default.
+        Name of the file in messages; `path` by default.
 
     Attributes
     ----------
     counts : dict
-        Messages of each `ChannelInfo`.
+        Number of messages of each `ChannelInfo`.
     first_ns, last_ns : int
-        Log times of the first and last message; 0 in an empty file.
+        Log times of the first and last message; 0 for an empty file.
     complete : bool
-        Whether the file has its end.
+        Whether the file is not truncated.
     """
 
     def __init__(
         self, path: Path, on_warning: Callable[[str], None], name: Path | None = None
     ) -> None:
-        """Read what the file holds."""
+        """Read the index, or all messages if there is none."""
         self.path, self.name = path, name or path
         self.counts: dict[ChannelInfo, int] = {}
         self.first_ns = self.last_ns = 0
@@ -195,7 +197,7 @@ class McapFile:
             self._take_scan(on_warning)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Messages of `topics` (all by default) by log time."""
+        """Yield messages of `topics` (all by default) by log time."""
         if self._index is None:
             scanned = self._scan(topics)
             yield from scanned if self._ordered else self._by_time(scanned)
@@ -233,9 +235,9 @@ class McapFile:
 
     def _scan(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
         """
-        Messages up to the break, in the order of the file, sorted within a chunk.
+        Yield messages up to the damage, in the order of the file, sorted within a chunk.
 
-        Sets `complete` if the footer is reached.
+        Set `complete` if the footer is reached.
         """
         records = _Records()
         size = self.path.stat().st_size - len(_MAGIC)
@@ -262,7 +264,7 @@ class McapFile:
                 self._break = str(error)
 
     def _by_time(self, messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
-        """Messages by log time; their data lie on the disk meanwhile, as they fill the memory."""
+        """Yield messages by log time; a temporary file holds their data to spare memory."""
         places: list[tuple[int, int, int, ChannelInfo]] = []
         try:
             with TemporaryFile() as data:
@@ -280,27 +282,27 @@ class McapFile:
 
 
 class _TooManyChannelsError(ValueError):
-    """A file that defines more channels than any recording."""
+    """Error: a file defines more channels than any recording."""
 
     def __init__(self) -> None:
         super().__init__(f'over {MAX_CHANNELS} channels: not a recording of a robot')
 
 
 class _Records:
-    """Channels that records define, and the messages among them."""
+    """Channels defined by records, and the messages of records."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, ChannelInfo] = {}
         self.schema_of: dict[int, int] = {}
-        # Each chunk may define them again.
+        # Definitions that were parsed: each chunk may repeat them.
         self._seen: dict[tuple[int, bytes], bytes] = {}
         self._defined = 0
 
     def take(
         self, opcode: int, payload: bytes, topics: Collection[str] | None
     ) -> RawMessage | None:
-        """Keep what a record defines; the message that it holds, if it is on one of `topics`."""
+        """Keep the definition in a record; return the message in it if it is on `topics`."""
         if opcode == Opcode.MESSAGE:
             channel, _, log_time_ns, _ = struct.unpack_from('<HIQQ', payload)
             info = self.channels[channel]
@@ -328,7 +330,7 @@ class _Records:
     def messages(
         self, content: bytes, topics: Collection[str] | None, whole: bool
     ) -> list[RawMessage]:
-        """Messages of a chunk, whole or cut off, by log time."""
+        """Messages of a chunk, complete (`whole`) or truncated, by log time."""
         found = []
         inside = _records(BytesIO(content), len(content))
         for count, (opcode, payload, entire) in enumerate(inside):
@@ -341,7 +343,7 @@ class _Records:
 
 
 class _Index:
-    """The summary of a whole file."""
+    """Summary section of a complete file."""
 
     def __init__(
         self, records: _Records, statistics: Statistics, chunks: list[ChunkIndex]
@@ -365,7 +367,7 @@ class _Index:
 
     @classmethod
     def read(cls, stream: BinaryIO) -> _Index | None:
-        """Summary of a file; None where it does not name all chunks, channels and schemas."""
+        """Read the summary; None if it does not name all chunks, channels and schemas."""
         size = stream.seek(0, 2)
         stream.seek(size - _FOOTER_BYTES)
         ((opcode, footer, _),) = _records(stream, _FOOTER_BYTES - len(_MAGIC))
@@ -405,7 +407,7 @@ class _Index:
         return cls(records, statistics, chunks) if sound and complete and not empty else None
 
     def messages(self, path: Path, topics: Collection[str] | None) -> Iterator[RawMessage]:
-        """Messages by log time; a chunk is read when its first message is due."""
+        """Yield messages by log time; a chunk is read when its first message is due."""
         channels = self.records.channels
         wanted = {k for k, info in channels.items() if topics is None or info.topic in topics}
         held: list[tuple[int, int, RawMessage]] = []
@@ -444,7 +446,7 @@ def _info(channel: Channel, schema: Schema | None) -> ChannelInfo:
 
 
 def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
-    """Opcode, content and whether it is whole of each record in `size` bytes; others are empty."""
+    """Yield opcode, content and completeness of each record in `size` bytes; others are empty."""
     left = size
     while left >= 9:
         opcode, length = struct.unpack('<BQ', stream.read(9))
@@ -464,7 +466,7 @@ def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
 
 
 def _chunk_content(payload: bytes, whole: bool) -> bytes:
-    """Records in a chunk; of one that was cut off what is left, if it was not compressed."""
+    """Records in a chunk; of a truncated one those that are left, if it is not compressed."""
     # Start, end, size (8 bytes each), checksum (4), compression (length and text), length (8).
     _, _, size, checksum, name_length = struct.unpack_from('<QQQII', payload)
     compression = payload[32 : 32 + name_length].decode()

@@ -1,4 +1,4 @@
-"""What the messages of a bag are made of, by its own definitions, and whether that can be read."""
+"""Message definitions of a bag, and deserialisation of its messages."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags.container import ChannelInfo
 
-# Types that ROS 1 calls otherwise.
+# Name of a type in ROS 1 -> its name in ROS 2.
 STANDARD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
 
-# The longest definitions that people write have some ten thousand characters and fields.
+# Greatest length and number of fields of a definition; real ones have some ten thousand at most.
 _MAX_CHARACTERS, _MAX_FIELDS = 200_000, 100_000
 
 
 class MessageReader:
     """
-    Messages of one channel, as objects and as ROS 2 serialises them.
+    Deserialises the messages of one channel, or converts them to the serialisation of ROS 2.
 
-    A standard type is read by its ROS 2 definition, which the one in the bag must agree with; the
-    bag may call fields by capitals, as ROS 1 does. Any other type is read by the bag's definition.
+    A standard type is read by its ROS 2 definition. The definition in the bag must agree with it,
+    but names of fields may have capitals as in ROS 1. Any other type is read by the definition in
+    the bag.
 
-    Raises `LandmarkNavError`: the definition is missing or damaged, contains itself, holds more
-    fields than a message can have, or differs from the one of ROS 2.
+    Raises `LandmarkNavError`: the definition is missing or damaged, contains itself, has too many
+    fields, or differs from the one of ROS 2.
     """
 
     def __init__(self, info: ChannelInfo) -> None:
@@ -53,10 +54,10 @@ class MessageReader:
             return
         try:
             defined = _parsed(info)
-            # Time and the like have no definition in ROS 1.
+            # Definitions of ROS 1 do not include built-in types such as time.
             fields = ours | {name: entry[1] for name, entry in defined.items()}
             if self._ros1:
-                # Its first field, which ROS 2 gave up, is not converted.
+                # The first field, which ROS 2 does not have, is dropped by the conversion.
                 name = 'std_msgs/msg/Header'
                 fields[name] = [field for field in fields[name] if field[0] != 'seq']
             _size(fields, info.type_name, ())
@@ -67,7 +68,7 @@ class MessageReader:
         except LandmarkNavError:
             raise
         except (Exception, RecursionError) as error:
-            # The parser's own complaint repeats the whole definition.
+            # The message of the parser is left out: it repeats the whole definition.
             raise LandmarkNavError(
                 f'the definition of {info.type_name} in the bag is missing or damaged: '
                 'record it again'
@@ -80,16 +81,16 @@ class MessageReader:
             )
 
     def serialized(self, data: bytes | memoryview) -> bytes | memoryview:
-        """A message as ROS 2 serialises it (CDR)."""
+        """Return a message in the serialisation of ROS 2 (CDR)."""
         return self._store.ros1_to_cdr(data, self.type_name) if self._ros1 else data
 
     def message(self, data: bytes | memoryview) -> Any:
-        """A message, from its bytes as serialised by ROS 2."""
+        """Return a message from its bytes in the serialisation of ROS 2 (CDR)."""
         return self._store.deserialize_cdr(data, self.type_name)
 
 
 def has_header(type_name: str) -> bool:
-    """Whether messages of a type begin with a header, as far as ROS 2 knows the type."""
+    """Whether messages of a standard type begin with a header; false for other types."""
     _, fields = default_typestore().fielddefs.get(type_name, ([], []))
     return bool(fields) and fields[0][1] == (Nodetype.NAME, 'std_msgs/msg/Header')
 
@@ -100,7 +101,7 @@ def _parsed(info: ChannelInfo) -> dict[str, Any]:
     if info.schema_encoding in ('ros2msg', ''):
         return get_types_from_msg(info.schema, info.type_name)
     types: dict[str, Any] = {}
-    # Several files follow each other behind lines of this kind.
+    # Such lines separate the definitions of several files.
     for part in info.schema.split('=' * 80 + '\n'):
         text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
         types |= get_types_from_idl(text) if text.strip() else {}
@@ -108,7 +109,7 @@ def _parsed(info: ChannelInfo) -> dict[str, Any]:
 
 
 def _size(fields: Mapping[str, Any], name: str, inside: tuple[str, ...]) -> int:
-    """Fields of a message, those of its parts included; refuses what has no end."""
+    """Number of fields of a message, including those of its parts; recursion is refused."""
     if name in inside:
         raise LandmarkNavError(
             f'the definition of {name} in the bag contains itself: record it again'
@@ -120,7 +121,7 @@ def _size(fields: Mapping[str, Any], name: str, inside: tuple[str, ...]) -> int:
             element, length = element[1]
             count = length if description[0] == Nodetype.ARRAY else 1
         within = _size(fields, element[1], (*inside, name)) if element[0] == Nodetype.NAME else 1
-        # Of something without content a sequence may have as many as it likes.
+        # An element without content counts too, as a sequence of it could have any length.
         total += count * max(within, 1)
         if total > _MAX_FIELDS:
             raise LandmarkNavError(
@@ -133,7 +134,7 @@ def _size(fields: Mapping[str, Any], name: str, inside: tuple[str, ...]) -> int:
 def _difference(
     theirs: Mapping[str, Any], ours: Mapping[str, Any], their_type: str, our_type: str
 ) -> str:
-    """First field of a type that is not the same in both; empty if all are."""
+    """First difference of the fields of a type; empty if there is none."""
     found, expected = (
         [(field.lower(), kind) for field, kind in fields if not _filler(field)]
         for fields in (theirs[their_type], ours[our_type])
@@ -157,7 +158,7 @@ def _filler(field: str) -> bool:
 
 
 def _words(description: Any) -> str:
-    """Type of a field in the words of a definition, bounds left out: they are not serialised."""
+    """Type of a field as a definition writes it, without bounds, which are not serialised."""
     kind, content = description
     if kind == Nodetype.BASE:
         return str(content[0])

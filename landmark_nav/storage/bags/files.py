@@ -1,4 +1,4 @@
-"""The files that a bag consists of, whichever way it was recorded, split and compressed."""
+"""Files of a bag in all supported formats, also split and compressed ones."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class RosbagsFile:
 
     Messages of ROS 1 have the message encoding ``ros1``.
 
-    Raises `LandmarkNavError`: it is damaged, or no bag.
+    Raises `LandmarkNavError`: the file is damaged, or not a bag.
     """
 
     complete = True
 
     def __init__(self, path: Path, name: Path | None = None) -> None:
-        """Read what the file holds; messages call it `name`."""
+        """Open a file; messages call it `name`."""
         self.name = name or path
         with path.open('rb') as stream:
             ros1 = stream.read(7) == b'#ROSBAG'
@@ -66,7 +66,7 @@ class RosbagsFile:
         self.last_ns = of_time.end_time - 1 if filled else 0
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Messages of `topics` (all by default) by log time."""
+        """Yield messages of `topics` (all by default) by log time."""
         wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
         if not wanted:
             return
@@ -77,7 +77,7 @@ class RosbagsFile:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Whatever readers raise on damaged bytes, assertions included, in one line."""
+    """Convert any error of a reader, assertions included, to a `LandmarkNavError` of one line."""
     try:
         yield
     except LandmarkNavError:
@@ -146,23 +146,23 @@ _WHAT = 'give a rosbag2 folder or a file .mcap, .db3 or .bag'
 
 def open_files(path: Path, on_warning: Callable[[str], None]) -> tuple[list[BagFile], bool]:
     """
-    Files of a bag, and whether each of their messages is compressed by itself.
+    Open the files of a bag; also return whether messages are compressed one by one.
 
     Raises `LandmarkNavError`: there is no bag, or a file of it is missing or damaged.
 
     Parameters
     ----------
     path : Path
-        A rosbag2 folder, a folder of bag files, or such a file, itself perhaps compressed.
+        Rosbag2 folder, folder of bag files, or a bag file; the files may be compressed.
     on_warning : callable
-        Gets what had to be passed over, in one line each.
+        Called with one line for each defect that is passed over.
     """
     paths, by_message = _paths(path, on_warning)
     return [_opened(file, on_warning) for file in paths], by_message
 
 
 def _opened(path: Path, on_warning: Callable[[str], None]) -> BagFile:
-    """File of a bag, by its first bytes; a compressed one is unpacked while it is used."""
+    """Open a file by the format of its first bytes; a compressed one is unpacked temporarily."""
     with path.open('rb') as stream:
         head = stream.read(16)
     if not head.startswith(_PACKED):
@@ -192,7 +192,7 @@ def _storage(path: Path, name: Path, head: bytes, on_warning: Callable[[str], No
 
 
 def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], bool]:
-    """Files of a bag, and whether their messages are compressed one by one."""
+    """Paths of the files of a bag, and whether messages are compressed one by one."""
     if not path.exists():
         raise LandmarkNavError(f'{path}: no bag there: {_WHAT}')
     if path.name == 'metadata.yaml':
@@ -206,7 +206,7 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
     if not isinstance(information, dict):
         raise LandmarkNavError(f'{metadata}: not the description of a rosbag2 bag')
     names = list(_names(information.get('relative_file_paths')))
-    # A file may have been compressed after its name was written down.
+    # A file may have been compressed after the metadata were written.
     found = {
         name: _first(path / f'{name}{end}' for end in ('', *_PACKED_SUFFIXES)) for name in names
     }
@@ -215,13 +215,13 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
         raise LandmarkNavError(
             f'{metadata}: names {", ".join(missing[:3]) or "no file"}, which is not there'
         )
-    # Compressed files are known by their first bytes.
+    # Compressed files are recognised by their first bytes, not by the metadata.
     by_message = str(information.get('compression_mode')).lower() == 'message'
     return [file for file in found.values() if file is not None], by_message
 
 
 def _names(listed: Any) -> Iterator[str]:
-    """Names of files in a bag's folder; only there they are looked for."""
+    """Yield names of files of a bag, without folders: files are searched in its folder only."""
     for name in listed if isinstance(listed, list) else ():
         if isinstance(name, str) and Path(name).name:
             yield Path(name).name

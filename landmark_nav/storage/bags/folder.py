@@ -1,4 +1,4 @@
-"""A sweep kept as a folder of images with ``frames.csv``."""
+"""Reader of a sweep that is a folder of images with ``frames.csv``."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from landmark_nav.storage.reading import read_image, read_text
 from landmark_nav.types import CameraFrame, Sweep
 
 _COLUMNS = ('file', 'pan_rad', 'focal_px', 'width', 'height')
-# Of a list, and of all its images together: 36 of 8 million, say.
+# Greatest size of a list, and greatest number of pixels of all its images (36 of 8 million).
 _MAX_LIST_BYTES, _MAX_SWEEP_PIXELS = 1_000_000, 300_000_000
 
 
 def read_sweep_folder(folder: Path | str) -> Sweep:
     """
-    Read the images that ``frames.csv`` (`file,pan_rad,focal_px,width,height`) lists.
+    Read the images listed in ``frames.csv`` (`file,pan_rad,focal_px,width,height`).
 
-    Their centre is the principal point; stamps just count.
+    The principal point is the centre of the image. Stamps are the numbers of the rows.
 
-    Raises `LandmarkNavError`: the list or an image is missing, or a value does not fit.
+    Raises `LandmarkNavError`: the list or an image is missing, or a value is invalid.
     """
     folder = Path(folder)
     path = folder / 'frames.csv'
@@ -60,7 +60,8 @@ def _frame(folder: Path, row: dict[str, str], number: int, where: str) -> Camera
     file = row['file'] or ''
     with inside(where):
         image = read_image(folder / file)
-    # A camera held upright is often listed by its sensor's size: the image knows better.
+    # For a camera in portrait orientation the list often has the size of the sensor; that of the
+    # image is used.
     if sorted(image.shape[:2]) != sorted((height, width)):
         raise LandmarkNavError(
             f'{where}: {shown(file)} is {image.shape[1]} x {image.shape[0]}, '

@@ -1,7 +1,7 @@
 """
-Bags of ROS 2 and ROS 1, in whichever files they were recorded.
+Reader of bags of ROS 2 and ROS 1.
 
-What of a bag cannot be used is named, left out and reported.
+Messages that cannot be used are left out and reported.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ from landmark_nav.storage.bags.topics import (
 
 _LOG = logging.getLogger(__name__)
 
-# So many messages show whether a topic is stamped.
+# Number of first messages by which a topic counts as stamped or not.
 _STAMPS = 20
 
 
 class BagMessage:
     """
-    A message of a bag, deserialised only if `message` is asked for.
+    A message of a bag, deserialised when `message` is first used.
 
     Attributes
     ----------
     topic, type_name : str
-        Absolute topic and type, ``sensor_msgs/msg/Image``.
+        Absolute topic, and type such as ``sensor_msgs/msg/Image``.
     stamp_ns : int
-        When it was recorded.
+        Log time.
     """
 
     def __init__(self, raw: RawMessage, reader: MessageReader, bag: Bag) -> None:
-        """Keep the bytes."""
+        """Keep the serialised message."""
         self.topic = raw.channel.topic
         self.type_name = reader.type_name
         self.stamp_ns = raw.stamp_ns
@@ -61,7 +61,7 @@ class BagMessage:
 
     @cached_property
     def data(self) -> bytes | memoryview:
-        """As ROS 2 serialises it (CDR); `LandmarkNavError` if it is damaged."""
+        """Bytes in the serialisation of ROS 2 (CDR); `LandmarkNavError` if they are damaged."""
         data: bytes | memoryview = self._guarded(
             lambda: self._reader.serialized(self._bag.unpacked(self._raw.data))
         )
@@ -70,9 +70,9 @@ class BagMessage:
     @cached_property
     def message(self) -> Any:
         """
-        The message; `LandmarkNavError` if its bytes are not one.
+        Deserialised message; `LandmarkNavError` if its bytes are damaged.
 
-        Where its topic is not stamped, its stamp is when it was recorded.
+        If its topic is not stamped, its stamp is the log time.
         """
         message = self._guarded(lambda: self._reader.message(self.data))
         if is_unstamped(message) and self.stamp_ns:
@@ -85,7 +85,7 @@ class BagMessage:
 
     @property
     def header_ns(self) -> int:
-        """Stamp of its header as it lies in the bytes, not checked; 0 where there is none."""
+        """Stamp of the header, read from the bytes without a check; 0 if they are too short."""
         try:
             seconds, nanoseconds = struct.unpack_from(
                 '<iI' if self.data[1] else '>iI', self.data, 4
@@ -99,7 +99,7 @@ class BagMessage:
             return read()
         except LandmarkNavError:
             raise
-        except Exception as error:  # readers are made from definitions: they raise anything
+        except Exception as error:  # readers, generated from definitions, raise any exception
             raise LandmarkNavError(
                 f'{self._bag.path}: a message on {self.topic} is not a {self.type_name} '
                 f'({error}): the recording is damaged'
@@ -107,7 +107,7 @@ class BagMessage:
 
 
 def once(messages: Iterable[BagMessage]) -> Iterator[BagMessage]:
-    """Messages without those that equal the one before on their topic: recorded twice."""
+    """Yield messages without those that repeat the previous one of their topic."""
     last: dict[str, bytes | memoryview] = {}
     for entry in messages:
         if entry.data != last.get(entry.topic):
@@ -119,27 +119,27 @@ class Bag:
     """
     A bag that can be read several times.
 
-    Raises `LandmarkNavError`: it is not there, or is no bag of a kind that can be read.
+    Raises `LandmarkNavError`: the path does not exist, or is not a supported bag.
 
     Parameters
     ----------
     path : path-like
-        A rosbag2 folder, or a file ``.mcap``, ``.db3`` or (ROS 1) ``.bag``; perhaps compressed.
+        Rosbag2 folder, or a file ``.mcap``, ``.db3`` or (ROS 1) ``.bag``; it may be compressed.
     on_warning : callable
-        Gets in one line what had to be passed over; logged by default.
+        Called with one line for each defect that is passed over; a logger by default.
     topics : mapping, optional
-        Topics of the bag by the names of the contract, for those that are called otherwise.
+        Name in the contract -> topic of the bag, for topics with other names.
 
     Attributes
     ----------
     types : dict
         Type of each topic.
     counts : dict
-        Messages of each topic.
+        Number of messages of each topic.
     duration_s : float
-        From the first to the last message.
+        Time from the first to the last message.
     complete : bool
-        Whether every file has its end.
+        Whether no file is truncated.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Bag:
         on_warning: Callable[[str], None] = _LOG.warning,
         topics: Mapping[str, str] | None = None,
     ) -> None:
-        """Open the files and read what they hold."""
+        """Open the files and list their topics."""
         self.path = Path(path)
         self.warn = on_warning
         self._given = dict(topics or {})
@@ -171,13 +171,13 @@ class Bag:
         self.complete = all(file.complete for file in self._files)
 
     def inform(self, text: str) -> None:
-        """Pass a warning on, once."""
+        """Issue a warning, once for each text."""
         if text not in self._informed:
             self._informed.add(text)
             self.warn(f'{self.path}: {text}')
 
     def warning_to(self, on_warning: Callable[[str], None]) -> Bag:
-        """Return the same bag, which warns somebody else: for who looks before it is read."""
+        """Return a copy with another receiver of warnings, for checks before the bag is read."""
         other = copy(self)
         other.warn = on_warning
         other._informed = set()
@@ -185,9 +185,9 @@ class Bag:
 
     def find(self, name: str) -> str | None:
         """
-        Topic that carries what the contract calls `name`, if it has messages.
+        Return the topic that the contract calls `name`; None if it has no messages.
 
-        Raises `LandmarkNavError`: several could be it, or it is of another type.
+        Raises `LandmarkNavError`: the topic is ambiguous, or has another type.
         """
         with inside(self.path):
             topic = find_topic(name, self._filled(), self._given)
@@ -197,11 +197,11 @@ class Bag:
         return topic
 
     def given(self, name: str) -> str:
-        """Topic that the user gives for a name of the contract; empty where he gives none."""
+        """Topic that the user gives for a name in the contract; empty if none is given."""
         return self._given.get(name, '')
 
     def candidates(self, name: str) -> list[str]:
-        """Topics that could carry what the contract calls `name`; `find` takes the one."""
+        """Topics that may be the one the contract calls `name`; `find` chooses among them."""
         if name in self._given:
             return list(filter(None, [self.find(name)]))
         return [
@@ -212,10 +212,10 @@ class Bag:
 
     def require(self, *alternatives: str) -> str:
         """
-        Topic of the first of `alternatives` that the bag has.
+        Return the topic of the first of `alternatives` that the bag has.
 
-        Raises `LandmarkNavError`: none of them is there; says which topics are, and which could be
-        it.
+        Raises `LandmarkNavError`: the bag has none of them. The message lists the topics of the
+        bag, and those that could be meant.
         """
         for name in alternatives:
             if topic := self.find(name):
@@ -232,14 +232,14 @@ class Bag:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """
-        Messages by log time.
+        Yield messages by log time.
 
-        Raises `LandmarkNavError`: a file is damaged, or a topic is not written as ROS 2 messages.
+        Raises `LandmarkNavError`: a file is damaged, or the messages of a topic cannot be read.
 
         Parameters
         ----------
         topics : collection of str, optional
-            Absolute names as in `types`; all by default.
+            Absolute names, as in `types`; all by default.
         """
         for file in self._files:
             for info in file.counts:
@@ -249,7 +249,7 @@ class Bag:
             yield BagMessage(raw, self._reader(raw.channel), self)
 
     def is_unstamped(self, topic: str) -> bool:
-        """Whether the headers of a topic are not stamped; reported once."""
+        """Whether the first headers of a topic have no stamps; reported once."""
         if topic not in self._unstamped:
             first = islice(self.messages([topic]), _STAMPS)
             self._unstamped[topic] = not any(entry.header_ns for entry in first)
@@ -260,9 +260,9 @@ class Bag:
     @cached_property
     def stamps_ns(self) -> dict[str, IntArray]:
         """
-        When each message was recorded, and its header's stamp, (n, 2), of each topic with headers.
+        Log times and stamps (n, 2) of the messages of each topic with headers, by log time.
 
-        By log time. What is not stamped has the time of recording.
+        A message without a stamp has its log time instead.
         """
         found: dict[str, list[tuple[int, int]]] = {}
         topics = [topic for topic, kind in self._filled().items() if has_header(kind)]
@@ -275,7 +275,7 @@ class Bag:
         }
 
     def unpacked(self, data: bytes) -> bytes:
-        """Content of a message's data."""
+        """Data of a message, uncompressed."""
         return unpack(data, 'zstd', None) if self._by_message else data
 
     def _reader(self, info: ChannelInfo) -> MessageReader:
@@ -288,7 +288,7 @@ class Bag:
 
 
 def _merged(files: Iterable[BagFile], topics: Collection[str] | None) -> Iterator[RawMessage]:
-    """Messages of all files by log time; a file is opened when its first message is due."""
+    """Yield messages of all files by log time; a file is read when its first message is due."""
     wanted = [
         file
         for file in files
@@ -306,7 +306,7 @@ def _merged(files: Iterable[BagFile], topics: Collection[str] | None) -> Iterato
 def _until(
     stamp_ns: int | None, heads: list[tuple[int, int, RawMessage, Iterator[RawMessage]]]
 ) -> Iterator[RawMessage]:
-    """Messages of opened files that were recorded before a time."""
+    """Yield messages of opened files with log times before `stamp_ns`; None for all."""
     while heads and (stamp_ns is None or heads[0][0] < stamp_ns):
         _, order, raw, messages = heads[0]
         yield raw
@@ -320,20 +320,20 @@ def _until(
 T = TypeVar('T')
 
 
-# Stamps that differ by more from the time of recording than those around them are wrong.
+# Greatest deviation of the difference of stamp and log time from the median of its neighbours.
 _WRONG_STAMP_NS = 500_000_000
-# So many messages around each show what is usual; a clock that is set back changes it for all.
+# Number of messages of this median; a clock that is set back changes the median too.
 _AROUND = 5
 
 
 def wrong_stamps(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
     """
-    Messages whose stamps are wrong, by log time and stamp; by how much, nanoseconds.
+    Return the errors of wrong stamps, in nanoseconds, by log time and stamp of the message.
 
     Parameters
     ----------
     stamps_ns : ndarray of int, shape (n, 2)
-        Log time and stamp of each message of a topic.
+        Log times and stamps of the messages of a topic.
     """
     if len(stamps_ns) < _AROUND:
         return {}
@@ -347,7 +347,7 @@ def wrong_stamps(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
 
 @contextmanager
 def naming(bag: Bag, topic: str) -> Iterator[None]:
-    """Complaints from inside name the bag and the topic."""
+    """Add the names of the bag and the topic to errors."""
     try:
         yield
     except LandmarkNavError as error:
@@ -355,7 +355,7 @@ def naming(bag: Bag, topic: str) -> Iterator[None]:
             raise
         raise LandmarkNavError(f'{bag.path}: {topic}: {error}') from error
     except AttributeError as error:
-        # The bag brings its own definitions: fields may be called otherwise, or be damaged.
+        # Definitions come from the bag: a field may be missing or have another name.
         raise LandmarkNavError(
             f'{bag.path}: {topic}: its definition in the bag differs from the one of ROS 2 '
             f'({error}): record it again'
@@ -364,17 +364,17 @@ def naming(bag: Bag, topic: str) -> Iterator[None]:
 
 class MessageFilter:
     """
-    Leaves out what of a topic cannot be used, and reports it once.
+    Leaves out the unusable messages of a topic, and reports their number once.
 
-    That is what its decoder refuses, and a message whose stamp differs from those around it as no
-    transport delays a message: it would be put into another time.
+    A message is unusable if its decoder refuses it, or if its stamp deviates from those of its
+    neighbours by more than a transport delays messages (`wrong_stamps`).
 
     Parameters
     ----------
     what : str
-        What it holds, for the complaint.
+        Noun for the messages in the report.
     needed : bool
-        Whether there must be something of it.
+        Whether at least one message must be usable.
     """
 
     def __init__(
@@ -386,7 +386,7 @@ class MessageFilter:
         self._complaints: list[str] = []
 
     def take(self, decode: Callable[[BagMessage], T], entry: BagMessage) -> T | None:
-        """What `decode` makes of a message; None if that is bad input."""
+        """Return the decoded message; None if it is unusable."""
         try:
             with naming(self._bag, self._topic):
                 if (
@@ -404,7 +404,7 @@ class MessageFilter:
         return event
 
     def report(self) -> None:
-        """Warn of what was left out; `LandmarkNavError` if that was all."""
+        """Warn of messages left out; `LandmarkNavError` if none was usable but some are needed."""
         if not self._complaints:
             return
         if not self._used and self._needed:
@@ -418,7 +418,7 @@ class MessageFilter:
 def decoded(
     bag: Bag, topic: str, decode: Callable[[BagMessage], T], *, needed: bool = True
 ) -> list[T]:
-    """What `decode` makes of all messages of a topic, as `MessageFilter` takes them."""
+    """Decoded messages of a topic, without those that `MessageFilter` leaves out."""
     messages = MessageFilter(bag, topic, needed=needed)
     found = [messages.take(decode, entry) for entry in bag.messages([topic])]
     messages.report()

@@ -1,4 +1,4 @@
-"""What the robot sensed on a drive, out of a bag."""
+"""Reader of the sensor data of a drive from a bag."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter, onc
 from landmark_nav.storage.bags.timelines import CameraInfos, JointLog
 from landmark_nav.types import CameraFrame, Detections, OdometrySample, PoseEstimate, Refusal
 
-# What is compared with the truth, in order.
+# Topics whose clock is compared with that of the ground truth; the first available one is used.
 _BESIDE = (
     *('odom', 'joint_states', 'camera/image_raw', 'camera/image_raw/compressed'),
     *('sweep/image', 'sweep/image/compressed'),
 )
-# A transport delays less than this; of clocks that differ the difference stays within the last.
+# Least offset of another clock, which exceeds delays of transport, and greatest median deviation
+# from it.
 _OTHER_CLOCK_NS, _STEADY_NS = 500_000_000, 50_000_000
 
 
 def truth_decoder(bag: Bag, topic: str) -> Callable[[BagMessage], PoseEstimate]:
     """
-    Decoder of the messages of a topic with the ground truth.
+    Return a decoder of the messages of a topic with the ground truth.
 
-    Where it was stamped by another clock than the sensors, which the times of recording show, its
-    poses are moved to theirs, and the bag reports it.
+    If its stamps are of another clock than those of the sensors, by comparison with log times,
+    they are corrected to the clock of the sensors, and the bag reports it.
     """
     shift_ns = _shift_ns(bag, topic)
 
@@ -71,16 +72,16 @@ def sensor_events(
     odometry_delay_s: float = 0.0,
 ) -> Iterator[SensorEvent]:
     """
-    What a drive's bag holds, in the order it was recorded.
+    Yield the sensor data of a drive, by log time.
 
-    Of one moment the images come last, as nodes wait for what belongs to them. They are grey,
-    with pan and tilt interpolated at their stamps. Stamps of joint states, images and odometry
-    that are late by a known delay are put right by it. Ground truth, if there is any, comes as
-    `PoseEstimate`. What cannot be used, such as a value that is not a number, is left out and
-    reported through ``bag.warn``. A bag without images may bring ``detections`` instead, of this
-    package or another sensor.
+    Images follow other data of the same log time, as nodes wait for the data that belong to an
+    image. Images are grey, with pan and tilt interpolated at their stamps. Stamps of joint states,
+    images and odometry are corrected by their known delays. The ground truth, if there is one, is
+    yielded as `PoseEstimate`. Messages that cannot be used, such as those with a value that is not
+    a number, are left out and reported by ``bag.warn``. A bag without images may hold
+    ``detections`` instead, of this package or another sensor.
 
-    Raises `LandmarkNavError`: a topic is missing, or nothing of it can be used.
+    Raises `LandmarkNavError`: a topic is missing, or none of its messages can be used.
     """
     if not any(bag.find(name) for name in _IMAGES) and bag.find('detections'):
         yield from _detections_and_motion(bag)
@@ -110,7 +111,7 @@ def _usable(
     decoders: Mapping[str, Callable[[BagMessage], SensorEvent]],
     names: Mapping[str, str],
 ) -> Iterator[SensorEvent]:
-    """What messages hold, without bad input, which is reported by the `names` of topics."""
+    """Yield decoded messages; unusable ones are left out and reported by the `names` of topics."""
     truth = bag.find('ground_truth/odom')
     filters = {
         topic: MessageFilter(bag, topic, names.get(topic, 'messages'), needed=topic != truth)
@@ -125,7 +126,7 @@ def _usable(
 
 
 def _images_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagMessage]:
-    """Messages with those on the topic `images` behind others that were recorded with them."""
+    """Yield messages by log time; of one log time those on the topic `images` come last."""
     held: list[BagMessage] = []
     for entry in messages:
         if held and entry.stamp_ns > held[-1].stamp_ns:
@@ -139,7 +140,7 @@ def _images_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagMes
 
 
 def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
-    """Bearings that somebody else found in images that are not kept."""
+    """Yield recorded detections, odometry and ground truth of a bag without images."""
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
         bag.require('detections'): lambda entry: decode.detections(entry.message),
         bag.require('odom'): lambda entry: decode.odometry(entry.message),

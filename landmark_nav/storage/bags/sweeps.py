@@ -1,4 +1,4 @@
-"""The sweeps in a bag: kept frames and the pan each was taken at."""
+"""Reader of the sweeps of a bag: frames with their pans."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ def check_coverage(
     cut_off: bool,
 ) -> bool:
     """
-    Say which angles a sweep lacks, through the `warn` of its bag.
+    Report the angles that a sweep does not cover by the `warn` of its bag.
 
-    Raises `LandmarkNavError`: there is no frame at all.
+    Raises `LandmarkNavError`: the sweep has no frame.
 
     Parameters
     ----------
     frames : sequence of CameraFrame
-        What there is, by time.
+        Frames by time.
     missing : sequence of JointSample
-        Where the trajectory says that a frame was taken, but there is none.
+        Angles of the trajectory without a frame.
     cut_off : bool
-        Whether the recording broke off in this sweep.
+        Whether the recording may have ended during this sweep.
 
     Returns
     -------
     bool
-        Whether the sweep can be used; one that was cut off cannot, unless it is whole.
+        Whether the sweep can be used; if it may be cut off, it must be complete.
     """
     where = f'{bag.path}: the sweep of {start_ns * 1e-9:.1f} s'
     pans = [frame.pan_rad for frame in frames]
@@ -57,26 +57,28 @@ def check_coverage(
     return True
 
 
-# Frames that a sweep may have are this close to what its trajectory says.
+# Greatest difference of the stamps of a frame and of its sample in the trajectory.
 _SAME_FRAME_NS = 5_000_000
 
+# Greatest rounding error of a sum of unseen arcs.
 _SAME_ARC_RAD = 1e-6
 
-# Without a trajectory, a pause this many times the usual one begins another sweep.
+# Least pause between sweeps without a trajectory, relative to the median interval of frames.
 _PAUSE = 5.0
 
 
 @dataclass
 class _Plan:
-    """Where the camera looked in one sweep, frame by frame, and the images recorded of it."""
+    """Angles of the camera for each frame of one sweep, and the recorded images."""
 
     samples: tuple[JointSample, ...]
-    # Stamp of the image of each; None where there is none.
+    # Stamp of the image of each sample; None if it is missing.
     stamps_ns: tuple[int | None, ...]
+    # Decoded frames by the stamp of the image.
     frames: dict[int, CameraFrame] = field(default_factory=dict)
-    # Depth that the pixels of each were brought to.
+    # Bit depth at which each frame was decoded, by stamp.
     bits: dict[int, int] = field(default_factory=dict)
-    # What is wrong with images that cannot be used, by stamp.
+    # Errors of images that cannot be used, by stamp.
     unusable: dict[int, str] = field(default_factory=dict)
 
     @property
@@ -93,18 +95,18 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     """
     Read the sweeps of a bag, one at a time, in the order of their start.
 
-    The pan of a frame is the one that ``sweep/trajectory`` measured for it. That comes when a
-    sweep ends: where there is none, or the bag was cut off before it, ``joint_states`` give it.
-    Images that cannot be decoded are left out, unless nothing else sees what they saw.
+    The pan of a frame is measured in ``sweep/trajectory``, which is published at the end of a
+    sweep. If there is none, or the bag ends before it, ``joint_states`` give the pan. Images that
+    cannot be decoded are left out if other frames cover their arcs.
 
-    Raises `LandmarkNavError`: a topic is missing, a sweep has no frames at all or cannot do
-    without one that is damaged, or an angle cannot be read. Frames that are missing, and
-    directions that nothing sees, go to the bag's `warn`.
+    Raises `LandmarkNavError`: a topic is missing, a sweep has no frames, the loss of a damaged
+    frame leaves a gap, or an angle cannot be read. Missing frames and unseen directions are
+    reported by the `warn` of the bag.
 
     Parameters
     ----------
     bag : Bag
-        Holds ``sweep/image`` or its compressed form and ``sweep/camera_info``; may hold
+        Bag with ``sweep/image`` or its compressed form and ``sweep/camera_info``; may hold
         ``sweep/trajectory``, ``sweep/pose`` and ``joint_states``.
 
     Yields
@@ -121,7 +123,7 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     entries = bag.messages([topic])
     depth = decode.BitDepth()
     for plan, pose in zip(plans, poses, strict=True):
-        # One sweep after the other: its images alone are held.
+        # Only the images of one sweep are held in memory.
         while not plan.is_complete and (entry := next(entries, None)) is not None:
             _add(bag, entry, cameras, depth, at)
         last = plan is plans[-1]
@@ -142,7 +144,7 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
 
 
 def _numbers(bag: Bag, topic: str) -> dict[int, int]:
-    """Stamps of the images of a topic; which of them each is, counted from 1."""
+    """Number of each image of a topic, counted from 1, by stamp."""
     message_filter = MessageFilter(bag, topic, 'images')
     stamps = [
         message_filter.take(lambda entry: decode.stamp_ns(entry.message.header), entry)
@@ -159,7 +161,7 @@ def _add(
     depth: decode.BitDepth,
     at: Mapping[int | None, tuple[_Plan, int]],
 ) -> None:
-    """Decode an image for the sweep that it belongs to; a damaged message was left out before."""
+    """Decode an image for its sweep; damaged messages were reported before."""
     try:
         with naming(bag, entry.topic):
             stamp = decode.stamp_ns(entry.message.header)
@@ -188,7 +190,7 @@ def _check_unusable(
     numbers: Mapping[int, int],
     frames: Sequence[CameraFrame],
 ) -> None:
-    """Say which images of a sweep are left out; refuse where they leave a gap."""
+    """Report the images of a sweep that are left out; refuse the sweep if they leave a gap."""
     first = min(plan.unusable)
     if not frames:
         raise LandmarkNavError(
@@ -216,7 +218,7 @@ def _check_unusable(
 
 
 def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
-    """Sweeps by trajectory, then those that only the joint states give, by start."""
+    """Sweeps by their trajectories, and the others by joint states, in order of their start."""
     plans = []
     if trajectory := bag.find('sweep/trajectory'):
         for entry in once(bag.messages([trajectory])):
@@ -241,7 +243,7 @@ def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
 
 
 def _take(samples: tuple[JointSample, ...], left: set[int]) -> tuple[int | None, ...]:
-    """Stamps of the images of `samples`, taken out of `left`; None where there is none."""
+    """Stamps of the images of `samples`, which are removed from `left`; None for missing ones."""
     taken = []
     for sample in samples:
         nearest = min(left, key=lambda stamp: abs(stamp - sample.stamp_ns), default=None)
@@ -253,7 +255,7 @@ def _take(samples: tuple[JointSample, ...], left: set[int]) -> tuple[int | None,
 
 
 def _plans_by_joints(joints: JointHistory, stamps: list[int], left: set[int]) -> list[_Plan]:
-    """Split `stamps` into sweeps at the pauses; angles from the joint states."""
+    """Split `stamps` into sweeps at pauses, with angles by the joint states."""
     steps = np.diff(stamps)
     usual = np.median(steps) if len(steps) else 0.0
     pauses = np.flatnonzero(steps > _PAUSE * usual) + 1
@@ -267,7 +269,7 @@ def _plans_by_joints(joints: JointHistory, stamps: list[int], left: set[int]) ->
 
 
 def _poses(bag: Bag, plans: list[_Plan]) -> list[PoseEstimate | None]:
-    """Known pose of each sweep: the last one given before its end and after the one before."""
+    """Given pose of each sweep: the last one between the end of the previous sweep and its own."""
     found: list[PoseEstimate | None] = [None] * len(plans)
     topic = bag.find('sweep/pose')
     if topic is None:

@@ -1,4 +1,4 @@
-"""What is needed at the stamp of an image: pan and tilt, and the calibration."""
+"""Pan, tilt and camera calibration at the stamp of an image."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded, MessageFi
 from landmark_nav.storage.bags.transforms import joints_of_transforms
 from landmark_nav.types import JointSample, Refusal
 
-# Pan between two joint states is known if they are this close.
+# Greatest interval of two joint states between which the pan is interpolated.
 _MAX_JOINT_GAP_NS = 500_000_000
-# So far beyond them the last rate gives it: a joint may start or stop at any moment.
+# Greatest extrapolation at the last rate: a joint may start or stop at any time.
 _SAME_TIME_NS = 2_000_000
-# A joint that is sent on step by step turns by so much faster and slower, ten times a second.
-# Joint states do not show it if they are as far apart, and in part if over half of that.
+# Relative variation of the rate of a joint that is commanded step by step, and its period. Joint
+# states hide it if their interval is the period, and in part if it is over half of the period.
 _UNEVEN, _UNEVEN_NS = 0.2, 100_000_000
-# Joint states may be late by so much: as far the pan is known before and after an image.
+# Time before and after an image for which the pan is given: the greatest joint delay.
 _TRACK_NS = 400_000_000
-# Joint states older by this are not late: the clock was set back.
+# Least step back of stamps that shows that the clock was set back.
 _CLOCK_STEP_NS = 500_000_000
-# Of steps over the first, so many give the rate of a joint, which is below the last.
+# Least step of a moving joint, least number of such steps to judge the rate, and greatest rate.
 _MOVING_RAD, _ENOUGH_STEPS, _FASTEST_RAD_S = 1e-3, 20, 10.0
 
 
 class JointHistory:
     """
-    Pan and tilt at any time, interpolated between measured ones.
+    Pan and tilt at any time, interpolated between measurements.
 
     Parameters
     ----------
     samples : iterable of JointSample
-        In any order; of several with one stamp the last counts.
+        Measured angles in any order; of several with one stamp the last counts.
     tilts : iterable of (int, float)
-        Stamps and tilts, rad, of a tilt joint that has a driver of its own: what the samples hold
-        of the tilt does not count then. Before the first and after the last it stays.
+        Stamps and tilts, rad, of a tilt joint with its own driver; they replace the tilts of the
+        samples. The tilt is constant before the first and after the last.
     """
 
     def __init__(
         self, samples: Iterable[JointSample], tilts: Iterable[tuple[int, float]] = ()
     ) -> None:
-        """Sort by time."""
+        """Sort the measurements by time."""
         self._tilts = np.array(sorted(tilts)).T
         by_stamp = {sample.stamp_ns: sample for sample in samples}
         self._stamps = sorted(by_stamp)
@@ -57,7 +57,7 @@ class JointHistory:
         self._pans_rad: list[float] = unwrap_joint(self._stamps, pans_rad).tolist()
 
     def at(self, stamp_ns: int) -> JointSample | Refusal:
-        """Angles at `stamp_ns`, or why they are not known."""
+        """Angles at `stamp_ns`, or the reason why they are not known."""
         if not self._samples:
             return Refusal('no joint_states')
         later = min(max(bisect_left(self._stamps, stamp_ns), 1), len(self._samples) - 1)
@@ -88,11 +88,11 @@ class JointHistory:
         return Refusal(f'no joint_states for {gap_ns * 1e-9:.1f} s')
 
     def _tilt_rad(self, stamp_ns: int, with_pan_rad: float) -> float:
-        """Tilt at a time: that reported with the pan, unless it has a topic of its own."""
+        """Tilt at a time: that reported with the pan, unless the tilt joint has its own driver."""
         return float(np.interp(stamp_ns, *self._tilts)) if len(self._tilts) else with_pan_rad
 
     def _track(self, stamp_ns: int, turns_rad: float) -> PanTrack:
-        """Pan about a time that is within the history, that many turns on."""
+        """Pan around a time within the history, shifted by `turns_rad`."""
         first = max(bisect_right(self._stamps, stamp_ns - _TRACK_NS) - 1, 0)
         near = slice(first, bisect_left(self._stamps, stamp_ns + _TRACK_NS) + 1)
         return PanTrack(
@@ -101,7 +101,7 @@ class JointHistory:
         )
 
     def _rate(self, later: int) -> float | None:
-        """Rate of the pan, rad/s, from one sample to a later one; None if they do not show it."""
+        """Rate of the pan, rad/s, from the previous sample to sample `later`; None if unknown."""
         if not 0 < later < len(self._samples):
             return None
         gap_ns = self._stamps[later] - self._stamps[later - 1]
@@ -111,10 +111,10 @@ class JointHistory:
 
     def _rate_change(self, later: int, rate: float) -> float:
         """
-        By how much the pan may turn faster or slower in a part of an interval of that rate.
+        Greatest deviation of the rate within an interval from its mean `rate`.
 
-        The rates before and after it show it: a joint that starts, stops or swings differs from
-        one of them alone. Without any, it may have stood for a part.
+        It is the difference to the rates of the intervals before and after, as the rate changes
+        if a joint starts, stops or oscillates. If both are unknown, the joint may have stopped.
         """
         beside = (self._rate(later - 1), self._rate(later + 1))
         changes = [abs(other - rate) for other in beside if other is not None]
@@ -126,21 +126,21 @@ class JointHistory:
 
     @classmethod
     def read(cls, bag: Bag, mount: PanTiltMount) -> JointHistory:
-        """Read all angles of a bag of one clock; see `JointLog.read`."""
+        """Read all angles of a bag whose clock was not set back; see `JointLog.read`."""
         logged, tilts = logged_joints(bag, mount)
         return cls((sample for _, sample in logged), (tilt for _, tilt in tilts))
 
 
 class JointLog:
     """
-    Pan and tilt at any time of a recording, whose clock may have been set back meanwhile.
+    Pan and tilt at any time of a recording, during which the clock may be set back.
 
     Parameters
     ----------
     logged : iterable of (int, JointSample)
-        When each was recorded, in that order.
+        Log times and angles, by log time.
     tilts : iterable of (int, (int, float))
-        The same of tilts that are reported by themselves, see `JointHistory`.
+        Log times, and stamps and tilts of a tilt joint with its own driver, see `JointHistory`.
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class JointLog:
         ]
 
     def at(self, stamp_ns: int, log_ns: int) -> JointSample | Refusal:
-        """Angles at a stamp, by the clock of those that were recorded about `log_ns`."""
+        """Angles at a stamp, by the clock that was valid at the log time `log_ns`."""
 
         def away_ns(times: npt.NDArray[np.int64]) -> int:
             stamps, logged = times
@@ -182,12 +182,12 @@ class JointLog:
         return cls(*logged_joints(bag, mount))
 
 
-# When each was recorded: angles, and the stamps and tilts of a tilt joint with its own driver.
+# Log times and angles; log times, and stamps and tilts of a tilt joint with its own driver.
 _Logged = tuple[list[tuple[int, JointSample]], list[tuple[int, tuple[int, float]]]]
 
 
 def logged_joints(bag: Bag, mount: PanTiltMount) -> _Logged:
-    """Angles of a bag and when each was recorded: of joint states, else of ``/tf``."""
+    """Angles of a bag with their log times, from joint states, or else from ``/tf``."""
     _, of_frame, frame = bag.given('joint_states').partition(':')
     found: dict[str, _Logged] = {}
     missing = ''
@@ -201,14 +201,14 @@ def logged_joints(bag: Bag, mount: PanTiltMount) -> _Logged:
         found['/tf'] = turned, []
     if not found and missing:
         raise LandmarkNavError(missing)
-    # Several are one too many unless one has the very name; without any it is missing.
+    # `require` refuses several topics unless one has exactly this name, and a missing topic.
     topic = next(iter(found)) if len(found) == 1 else bag.require('joint_states')
     _check_radians([sample for _, sample in found[topic][0]], f'{bag.path}: {topic}')
     return found[topic]
 
 
 def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
-    """Angles of a topic; once more from its begin where a later message brings the pan joint."""
+    """Angles of a topic; it is read again if a later message corrects the names of the joints."""
     message_filter = MessageFilter(bag, topic)
     logged: list[tuple[int, JointSample]] = []
     tilts: list[tuple[int, tuple[int, float]]] = []
@@ -235,7 +235,7 @@ def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
 
 
 def _check_radians(samples: Sequence[JointSample], where: str) -> None:
-    """Refuse a pan that turns as no joint does; steps of half a turn may be wraps."""
+    """Refuse a pan whose median rate is not plausible; single steps may be wraps of the angle."""
     steps = np.diff([(1e-9 * sample.stamp_ns, sample.pan_rad) for sample in samples], axis=0)
     moving = steps[(steps[:, 0] > 0.0) & (np.abs(steps[:, 1]) > _MOVING_RAD)]
     if len(moving) < _ENOUGH_STEPS:
@@ -248,21 +248,21 @@ def _check_radians(samples: Sequence[JointSample], where: str) -> None:
 
 
 class CameraInfos:
-    """Calibrations by time; drivers publish them before or after the image they belong to."""
+    """Camera calibrations by time; a driver may publish them before or after the image."""
 
     def __init__(self, stamped: Iterable[tuple[int, decode.CameraInfo]]) -> None:
-        """Sort by time; there must be one."""
+        """Sort by time; at least one is required."""
         ordered = sorted(stamped, key=lambda pair: pair[0])
         self._stamps = np.array([stamp for stamp, _ in ordered], dtype=np.int64)
         self._infos = [info for _, info in ordered]
 
     def at(self, stamp_ns: int) -> decode.CameraInfo:
-        """Calibration nearest in time."""
+        """Calibration with the nearest stamp."""
         return self._infos[int(np.argmin(np.abs(self._stamps - stamp_ns)))]
 
     @classmethod
     def read(cls, bag: Bag, *names: str) -> CameraInfos:
-        """Read them from the first topic of `names` that `bag` has."""
+        """Read the calibrations from the first topic of `names` that `bag` has."""
         topic = bag.require(*names)
 
         def stamped(entry: BagMessage) -> tuple[int, decode.CameraInfo]:

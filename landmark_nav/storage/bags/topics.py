@@ -1,4 +1,4 @@
-"""The topics of the contract, whatever namespace a bag was recorded under."""
+"""Topics of the contract, in any namespace of a bag."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 
 from landmark_nav.errors import LandmarkNavError
 
-# Latched: who comes later still gets the last one.
+# Latched topics: a later subscriber receives the last message.
 MAP_TOPICS = ('landmarks', 'landmarks/atlas', 'landmarks/markers')
 
-# A line for people has room for so many names.
+# Greatest number of names in a message.
 _MOST_NAMES = 5
 
 TOPIC_TYPES = {
@@ -52,7 +52,7 @@ TOPIC_TYPES = {
 
 def relative_name(topic: str) -> str:
     """
-    Name in the contract of a bag's topic: the longest one that it ends with; else itself.
+    Return the longest name in the contract that a topic ends with; else the topic itself.
 
     ``/robot1/odom`` is ``odom``, ``/ground_truth/odom`` is not.
     """
@@ -65,10 +65,10 @@ def find_topic(
     name: str, types: Mapping[str, str], given: Mapping[str, str] | None = None
 ) -> str | None:
     """
-    Topic of a bag that carries what the contract calls `name`; None if there is none.
+    Return the topic of a bag that the contract calls `name`; None if there is none.
 
-    Raises `LandmarkNavError`: several could be it, it is of another type, or the one that is given
-    is not there.
+    Raises `LandmarkNavError`: the topic is ambiguous, has another type, or the given one is not in
+    the bag.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def find_topic(
     types : mapping
         Topics of the bag and their types.
     given : mapping, optional
-        Topics by their names in the contract, as the user gives them. An image is raw or
-        compressed by its type, whichever name it is given for.
+        Name in the contract -> topic, as the user gives them. The type of an image topic decides
+        whether it is raw or compressed, not the given name.
     """
     topics = {_normal(topic): topic for topic in types}
     by_user = {
@@ -114,7 +114,7 @@ def find_topic(
 
 
 def remedy_of_missing(names: Iterable[str], types: Mapping[str, str]) -> str:
-    """What to do where none of `names` is among topics: those that could be it are named."""
+    """Advice if no topic has one of `names`; it lists unknown topics of a matching type."""
     others = sorted(topic for topic in types if relative_name(topic) not in TOPIC_TYPES)
     choices = [
         f'--topic {name}={topic}'
@@ -126,19 +126,19 @@ def remedy_of_missing(names: Iterable[str], types: Mapping[str, str]) -> str:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names in a line, some of them if they are many."""
+    """Names in a line; of many only the first."""
     ordered = sorted(names)
     more = f' and {len(ordered) - _MOST_NAMES} more' if len(ordered) > _MOST_NAMES else ''
     return ', '.join(ordered[:_MOST_NAMES]) + more
 
 
 def _normal(topic: str) -> str:
-    """Topic with one slash before each part of its name."""
+    """Absolute topic without repeated or trailing slashes."""
     return '/' + '/'.join(part for part in topic.split('/') if part)
 
 
 def _with_form(name: str, type_name: str) -> str:
-    """Name in the contract of what is of a type: images have one for each form."""
+    """Name in the contract by the type: images have one name raw, another compressed."""
     base = name.removesuffix('/compressed')
     forms = {
         TOPIC_TYPES[form]: form for form in (base, f'{base}/compressed') if form in TOPIC_TYPES

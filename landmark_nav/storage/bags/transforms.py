@@ -1,4 +1,4 @@
-"""``/tf``: pan and tilt out of it where a bag has them nowhere else, and ``/tf`` out of others."""
+"""``/tf``: pan and tilt of a bag without joint states, and transforms from other topics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded
 from landmark_nav.storage.bags.topics import listed, TOPIC_TYPES
 from landmark_nav.types import FloatArray, JointSample
 
-# A frame that turns about the pan axis keeps its z axis on it, but for how well that is measured.
+# Least cosine of the angle between the z axis of a frame that turns about the pan axis and the
+# measured pan axis.
 _UPRIGHT = math.cos(0.35)
 
 # Child frame -> parent frame and the rotation (3, 3) between them.
@@ -30,23 +31,23 @@ def joints_of_transforms(
     bag: Bag, mount: PanTiltMount, frame: str = ''
 ) -> list[tuple[int, JointSample]]:
     """
-    Pan and tilt by the transforms of a bag; when each was recorded.
+    Return pan and tilt by the transforms of a bag, with their log times.
 
-    The pan is the angle by which the frame that turns with the joint is turned about the pan axis
-    of `mount`, the tilt the one by which the frame on it looks up; each with its sign in space.
+    The pan is the rotation of the frame of the pan joint about the pan axis of `mount`; the tilt
+    is the elevation of the x axis of the frame of the tilt joint in its parent frame.
 
     Raises `LandmarkNavError`: `frame` is not in ``/tf``, or does not turn about the pan axis.
 
     Parameters
     ----------
     frame : str
-        Frame that turns with the pan joint. If empty, that of ``pan_joint`` as URDF files call it:
-        ``pan_link``, ``pan_frame`` or ``pan``, perhaps behind a prefix.
+        Frame that turns with the pan joint. If empty, the frame that URDF files name after
+        ``pan_joint``: ``pan_link``, ``pan_frame`` or ``pan``, also with a prefix.
 
     Returns
     -------
     list
-        Empty where the bag has no such frame.
+        Log times and angles; empty if the bag has no such frame.
     """
     topic = bag.find('tf')
     if topic is None:
@@ -73,7 +74,7 @@ def joints_of_transforms(
     found = []
     for log_ns, stamp_ns, child, parent, rotation in entries:
         if child == tilt_frame and child != pan_frame:
-            # The view is along x: up where that has a z.
+            # The camera looks along x.
             tilt_rad = math.asin(min(max(float(rotation[2, 0]), -1.0), 1.0))
         elif child == pan_frame:
             turned = axis.T @ _to_base(parent, tree, mount.base_frame) @ rotation
@@ -89,7 +90,7 @@ def joints_of_transforms(
 
 
 def _transforms(bag: Bag, topic: str) -> list[tuple[int, int, str, str, FloatArray]]:
-    """Log time, stamp, child, parent and rotation of each transform."""
+    """Log times, stamps, child frames, parent frames and rotations of the transforms."""
 
     def rotations(entry: BagMessage) -> list[tuple[int, int, str, str, FloatArray]]:
         return [
@@ -115,7 +116,7 @@ def _rotation(quaternion: Any) -> FloatArray:
 
 
 def _frame_of(joint: str, frames: set[str]) -> str | None:
-    """The frame that URDF files name after a joint, if there is one alone."""
+    """Frame that URDF files name after a joint; None if there is none, or no unique one."""
     stem = joint.removesuffix('_joint')
     names = (
         decode.matching_name(name, frames) for name in (f'{stem}_link', f'{stem}_frame', stem)
@@ -124,7 +125,7 @@ def _frame_of(joint: str, frames: set[str]) -> str | None:
 
 
 def _to_base(frame: str, tree: _Tree, base_frame: str) -> FloatArray:
-    """Rotation from a frame to the base through fixed joints, as far as they lead there."""
+    """Rotation from a frame to the base by fixed joints, as far as the tree is known."""
     rotation = np.eye(3)
     passed = set()
     while frame in tree and frame not in passed and not decode.same_frame(frame, base_frame):
@@ -134,16 +135,16 @@ def _to_base(frame: str, tree: _Tree, base_frame: str) -> FloatArray:
     return rotation
 
 
-# Odometry that a fused pose of its stamp is looked for among.
+# Number of odometry samples that are kept for a fused pose of the same stamp.
 _KEPT = 100
 
 
 class RobotTransforms:
     """
-    Transforms of a robot that publishes ``odom``, ``joint_states`` and ``camera/camera_info``.
+    Derives the transforms of a robot from its odometry, joint states and camera calibration.
 
-    The tree is map, odom, base, pan link, tilt link, camera; map to odom follows from
-    ``odometry/fused``.
+    The tree is map, odom, base, pan link, tilt link, camera. The transform from map to odom
+    follows from ``odometry/fused``.
     """
 
     def __init__(self, mount: PanTiltMount) -> None:
@@ -160,11 +161,11 @@ class RobotTransforms:
 
     @property
     def topics(self) -> set[str]:
-        """Topics from which transforms follow."""
+        """Topics from which transforms are derived."""
         return {'camera/camera_info', *self._of}
 
     def of(self, topic: str, data: bytes) -> Iterator[tuple[str, Any]]:
-        """Topic and message of the transforms that follow from a message as serialised."""
+        """Yield topic and message of the transforms derived from a serialised message."""
         if topic == 'camera/camera_info':
             info: Any = self._store.deserialize_cdr(data, TOPIC_TYPES[topic])
             frame = str(info.header.frame_id)

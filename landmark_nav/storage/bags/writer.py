@@ -1,4 +1,4 @@
-"""Bags written whole or not at all."""
+"""Atomic writer of bags."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags.topics import MAP_TOPICS
 
-# What a bag's folder holds, for `atomic_folder`.
+# Patterns of the files in the folder of a bag, for `atomic_folder`.
 _OWN = ('metadata.yaml', '*.mcap')
-# `ros2 bag play` latches these again: it publishes each topic as it was offered.
+# Topics that `ros2 bag play` latches: it publishes each topic with the recorded QoS.
 _LATCHED_TOPICS = {f'/{topic}' for topic in (*MAP_TOPICS, 'tf_static')}
 _NEVER = QosTime(9223372036, 854775807)
 _LATCHED = Qos(
@@ -40,15 +40,15 @@ _LATCHED = Qos(
 
 class BagWriter:
     """
-    Writes a rosbag2 folder: ``metadata.yaml`` and MCAP, ``ros2msg`` schemas, ``cdr``.
+    Writes a rosbag2 folder: ``metadata.yaml`` and MCAP with ``ros2msg`` schemas and ``cdr``.
 
-    A context manager over what `atomic_folder` does: the bag appears at `path` when the context
+    It is a context manager based on `atomic_folder`: the bag appears at `path` when the context
     ends without an exception.
 
     Parameters
     ----------
     overwrite : bool
-        Whether a bag that is there may be replaced.
+        Whether an existing bag may be replaced.
     """
 
     def __init__(self, path: Path | str, overwrite: bool = False) -> None:
@@ -58,10 +58,10 @@ class BagWriter:
         self._connections: dict[str, Any] = {}
 
     def __enter__(self) -> BagWriter:
-        """Start the file; `LandmarkNavError` where something is there already."""
-        # A folder of the bag's name within: the file is called after it.
+        """Open the file; `LandmarkNavError` if `path` exists and may not be replaced."""
+        # The writer names the file after its folder, so that a subfolder has the name of the bag.
         self._growing = self._folder.__enter__() / self.path.name
-        # Version 9 of the metadata is what rosbag2 writes since Jazzy.
+        # rosbag2 writes version 9 of the metadata since Jazzy.
         self._writer = Writer(self._growing, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         return self
@@ -72,7 +72,7 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Put the bag in its place, or remove what was begun."""
+        """Move the bag to its place, or remove it after an exception."""
         try:
             self._writer.__exit__(kind, error, trace)
             for file in self._growing.iterdir() if kind is None else ():
@@ -85,12 +85,12 @@ class BagWriter:
 
     def write(self, topic: str, message: Any, stamp_ns: int) -> None:
         """
-        Append a message that `landmark_nav.messages.factory.rosbag_factory` made.
+        Append a message made by `landmark_nav.messages.factory.rosbag_factory`.
 
         Parameters
         ----------
         topic : str
-            Absolute or relative name; a relative one is put under ``/``.
+            Absolute or relative name; ``/`` is put before a relative one.
         """
         type_name = message.__msgtype__
         data = self._store.serialize_cdr(message, type_name)
@@ -100,12 +100,12 @@ class BagWriter:
         self, topic: str, type_name: str, data: bytes | memoryview, stamp_ns: int
     ) -> None:
         """
-        Append a message as it came over the wire.
+        Append a serialised message.
 
         Parameters
         ----------
         type_name : str
-            Of a standard message, ``sensor_msgs/msg/Image``.
+            Type of a standard message, such as ``sensor_msgs/msg/Image``.
         data : bytes
             CDR with its four bytes of encapsulation.
         """
