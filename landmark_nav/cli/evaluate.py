@@ -53,8 +53,8 @@ def run_summary(report: Mapping[str, Any]) -> str:
     if report.get('aligned'):
         left = cell(report['fused_after_scale']['position_rmse_m'], 100.0, 2)
         lines.append(
-            f'the map has a frame of its own: errors after one rigid alignment. Its metre is '
-            f'{report["scale"]:.4f} m long; after scaling, the RMSE of fused is {left} cm'
+            f'the map has a frame of its own: errors after one rigid alignment. Its lengths are '
+            f'{report["scale"]:.4f} of the true ones; after scaling, the RMSE of fused is {left} cm'
         )
     if report['found'] is not None:
         x, y, heading = report['found']['pose']

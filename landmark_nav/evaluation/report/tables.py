@@ -117,7 +117,7 @@ def drive_tables(report: Mapping[str, Any]) -> list[Table]:
     if report.get('aligned'):
         note = (
             'The map has a frame of its own: errors are those after one rigid transformation; '
-            f'its metre is {report["scale"]:.4f} m long.'
+            f'its lengths are {report["scale"]:.4f} of the true ones.'
         )
     tables = [_table('Figures of merit', ('figure', 'value'), _merits(report))]
     if report['fused']['position_rmse_m'] is not None:
