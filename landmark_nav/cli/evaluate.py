@@ -54,7 +54,8 @@ def run_summary(report: Mapping[str, Any]) -> str:
         left = cell(report['fused_after_scale']['position_rmse_m'], 100.0, 2)
         lines.append(
             f'the map has a frame of its own: errors after one rigid alignment. Its lengths are '
-            f'{report["scale"]:.4f} of the true ones; after scaling, the RMSE of fused is {left} cm'
+            f'{report["scale"]:.4f} of the true ones; after scaling, the RMSE of fused is '
+            f'{left} cm'
         )
     if report['found'] is not None:
         x, y, heading = report['found']['pose']
