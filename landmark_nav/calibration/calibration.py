@@ -186,7 +186,7 @@ class Calibration:
             if spread <= 0.0:
                 raise LandmarkNavError(
                     f'robot.yaml gives {" and ".join(names)} as exact (sigma 0), and the images '
-                    f'show {shown(size, sigma, UNITS[names[0]])} beside it: mend the value, or '
+                    f'show {shown(size, sigma, UNITS[names[0]])} beside it: fix the value, or '
                     'give a sigma'
                 )
             loose = row**2 * (np.diag(prior) > 0.0)

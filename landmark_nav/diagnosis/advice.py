@@ -123,7 +123,7 @@ def camera_finding(error: CameraError) -> Finding:
             'camera tilt',
             f'looks {degrees:.0f} deg {"higher" if value > 0.0 else "lower"} than mount and tilt '
             'say',
-            'mend the zero of the tilt, or pan_axis rpy (pitch) in robot.yaml',
+            'fix the zero of the tilt, or pan_axis rpy (pitch) in robot.yaml',
         ),
         'axis pitch': (
             'camera mount',
@@ -251,7 +251,7 @@ def _named(cause: Cause) -> Finding:
         'upside down': (
             'camera mount',
             'the images show the camera the other way up than robot.yaml: upside down, or not',
-            'mend pan_axis rpy (a unit that hangs: [3.1416, 0, 0]) or camera_roll in robot.yaml',
+            'fix pan_axis rpy (a unit that hangs: [3.1416, 0, 0]) or camera_roll in robot.yaml',
             {},
         ),
         'offset': (
@@ -270,12 +270,12 @@ def _named(cause: Cause) -> Finding:
     return {JOINTS: _pan_scale, ODOMETRY: _yaw_scale, IMAGES: _image_scale}[stream](value)
 
 
-def _pan_scale(mends: float) -> Finding:
-    """Return the finding of a pan that has to be multiplied by `mends` to fit the images."""
-    text = 1.0 / mends if abs(mends) > 1e-9 else np.inf
+def _pan_scale(factor: float) -> Finding:
+    """Return the finding of a pan that has to be multiplied by `factor` to fit the images."""
+    text = 1.0 / factor if abs(factor) > 1e-9 else np.inf
     values = {'scale': text}
     name = 'pan scale'
-    if abs(mends + 1.0) < 0.15:
+    if abs(factor + 1.0) < 0.15:
         return Finding(
             'pan sign',
             'error',
@@ -283,7 +283,7 @@ def _pan_scale(mends: float) -> Finding:
             'negate the pan, unmirror images, or set camera_roll: 3.1416 if upside down',
             values,
         )
-    if abs(abs(mends) * 180.0 / np.pi - 1.0) < 0.15:
+    if abs(abs(factor) * 180.0 / np.pi - 1.0) < 0.15:
         return Finding(
             name,
             'error',
@@ -291,7 +291,7 @@ def _pan_scale(mends: float) -> Finding:
             'publish joint_states in radians',
             values,
         )
-    if abs(mends) < 1e-4:
+    if abs(factor) < 1e-4:
         return Finding(
             'pan scale',
             'error',
@@ -310,10 +310,10 @@ def _pan_scale(mends: float) -> Finding:
     )
 
 
-def _yaw_scale(mends: float) -> Finding:
-    text = 1.0 / mends if abs(mends) > 1e-9 else np.inf
+def _yaw_scale(factor: float) -> Finding:
+    text = 1.0 / factor if abs(factor) > 1e-9 else np.inf
     values = {'scale': text}
-    if abs(mends + 1.0) < 0.35:
+    if abs(factor + 1.0) < 0.35:
         return Finding(
             'odom yaw',
             'error',
@@ -321,7 +321,7 @@ def _yaw_scale(mends: float) -> Finding:
             'yaw is counter-clockwise: check the sides and signs of the wheels',
             values,
         )
-    if abs(mends) < 0.05 or abs(mends) > 20.0:
+    if abs(factor) < 0.05 or abs(factor) > 20.0:
         return Finding(
             'odom yaw',
             'error',
@@ -452,7 +452,7 @@ def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
         values = {'curve_rad_m': -slopes.curved_rad_m}
         found.append(Finding('odom yaw', 'warning', text, _WHEELS, values))
     elif abs(turned) - 3.0 * spread > HEADING_ERROR_RAD:
-        advice = 'mend pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
+        advice = 'fix pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
         found.append(Finding('camera heading', 'error', text, advice, values))
     elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD:
         advice = 'check pan_axis rpy (radians) in robot.yaml and the zero of the pan'

@@ -304,7 +304,7 @@ def _check(panoramas: Sequence[Panorama]) -> None:
         )
     for p in panoramas:
         if not np.isfinite([*p.center_map, p.heading_rad]).all():
-            raise LandmarkNavError('panorama/pose is not a number: mend its publisher')
+            raise LandmarkNavError('panorama/pose is not a number: fix its publisher')
         checked_covariance(p.covariance, _MOST_SIGMA, 'panorama/pose')
     centers = np.array([p.center_map[:2] for p in panoramas])
     spread = float(np.max(np.linalg.norm(centers[:, None] - centers[None], axis=-1)))

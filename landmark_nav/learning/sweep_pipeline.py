@@ -175,7 +175,7 @@ def panorama_from_sweep(
             raise
         allowed = _not_exact(error, prior, config.reference_area)
         papers.clear()
-        other, wider = mended(prior, allowed), _wider(config, prior)
+        other, wider = corrected(prior, allowed), _wider(config, prior)
     return _made(sweep, room, other, prior, wider, floor_rad, log, papers)
 
 
@@ -205,7 +205,7 @@ def _mount_sigmas(prior: Calibration) -> tuple[float, float]:
     return rise, float(prior.sigma_of('axis_roll', 2).max())
 
 
-def mended(given: Calibration, found: MountError) -> Calibration:
+def corrected(given: Calibration, found: MountError) -> Calibration:
     """Return the calibration with height and tilt of the pan axis as measured."""
     roll, pitch, _ = leant(given.mount, found.tilt_roll_rad).axis_rpy
     height = given['axis_z'][0] + found.rise_m
@@ -347,7 +347,7 @@ def _wrong_focal(quality: PanoramaQuality) -> str:
             return (
                 f'the focal length in camera_info is {100.0 * abs(term.value):.1f} % too '
                 f'{"small" if term.value > 0.0 else "large"}, as the turn shows it: the sweep is '
-                'mended, but navigation goes by camera_info: calibrate the camera'
+                'corrected, but navigation goes by camera_info: calibrate the camera'
             )
     return ''
 
@@ -449,7 +449,7 @@ def _place(
 def _given_covariance(known: PoseEstimate) -> FloatArray:
     """Covariance (3, 3) of the given pose of a sweep; an error if it is invalid."""
     if not np.isfinite(known.pose).all():
-        raise LandmarkNavError('sweep/pose is not a number: mend its publisher')
+        raise LandmarkNavError('sweep/pose is not a number: fix its publisher')
     covariance = checked_covariance(known.covariance, _MOST_SIGMA, 'sweep/pose')
     return np.asarray(covariance + _LEAST_VARIANCE * np.eye(3))
 

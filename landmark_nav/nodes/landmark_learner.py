@@ -1,4 +1,4 @@
-"""Learns landmarks from the panoramas it has seen, keeps the map and gives it to who localizes."""
+"""Learns landmarks from panoramas, stores the map and publishes it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fuses wheel odometry with what the camera finds, into the pose of the robot in map."""
+"""Fuses wheel odometry and landmark detections to the pose of the robot in map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Makes a panorama of every sweep and finds where it was taken."""
+"""Makes a panorama of each sweep and estimates its pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A room and a robot in it, in the wall's time: sensors out, commands in."""
+"""Simulates a room and a robot in real time: it publishes sensors and obeys commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Takes a sweep on request: turns the camera step by step and publishes the frames it keeps."""
+"""Takes a sweep on request: turns the camera step by step and publishes the frames."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def check_walls(
     if complaints:
         raise LandmarkNavError(
             f'the walls do not fit what the panoramas see: {"; ".join(complaints)}: '
-            'measure walls and papers again and mend room.yaml'
+            'measure walls and papers again and fix room.yaml'
         )
     return f'room.yaml may be wrong: {"; ".join(warnings)}' if warnings else ''
 

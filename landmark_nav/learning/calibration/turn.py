@@ -95,7 +95,7 @@ def check_turn(sweep: Sweep, mount: PanTiltMount) -> None:
         raise LandmarkNavError(f'{focal}, or else {scale}: check image size, ROI, binning, joint')
     if abs(turn.full_turn - 1.0) < _MOST_OFF:
         raise LandmarkNavError(f'{focal}: check its image size, ROI and binning, or calibrate')
-    raise LandmarkNavError(f'{scale}: mend the scale of the joint')
+    raise LandmarkNavError(f'{scale}: fix the scale of the joint')
 
 
 def measure_turn(sweep: Sweep, mount: PanTiltMount) -> SweepTurn:

@@ -145,7 +145,7 @@ class PaperFaults:
             return ''
         text = ', or '.join(fault.text for fault in self.faults[:2])
         if len(self.faults) == 1:
-            return f'{text}: measure again and mend it'
+            return f'{text}: measure again and fix it'
         return f'{text}; the sweeps fit both: measure both again'
 
 

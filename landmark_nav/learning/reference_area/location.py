@@ -266,12 +266,12 @@ def check_agreement(
         degrees = abs(wrap_rad(off[2] + yaw - np.radians(yaw))) < _SAME_YAW_RAD < abs(yaw)
         raise LandmarkNavError(
             f'the heading of sweep/pose and the papers disagree by {np.degrees(off[2]):+.1f} deg: '
-            f'mend the yaw of pan_axis rpy in robot.yaml, now {yaw:g} rad'
+            f'fix the yaw of pan_axis rpy in robot.yaml, now {yaw:g} rad'
             + (', which looks like degrees' if degrees else ', or the pose')
         )
     raise LandmarkNavError(
         f'sweep/pose and the papers disagree by {100 * np.hypot(off[0], off[1]):.1f} cm and '
-        f'{np.degrees(abs(off[2])):.2f} deg, more than their covariances allow: mend the '
+        f'{np.degrees(abs(off[2])):.2f} deg, more than their covariances allow: fix the '
         'pose or its covariance, or the papers in room.yaml'
     )
 

@@ -108,7 +108,7 @@ class PlaceSource:
         heading, course = turns[worst]
         return (
             f'{self.name} and panoramas disagree from sweep {worst + 1} to {worst + 2}: by '
-            f'{heading:+.1f} deg in heading, {course:+.1f} deg in direction: mend {self.name}, or '
+            f'{heading:+.1f} deg in heading, {course:+.1f} deg in direction: fix {self.name}, or '
             'drive again without slipping'
         )
 

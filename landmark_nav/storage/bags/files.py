@@ -105,7 +105,7 @@ def _ros1(path: Path) -> Ros1Reader:
         stream.readline(80)
         header = Header.read(stream, RecordType.BAGHEADER)
     if not header.get_uint64('index_pos'):
-        raise ValueError('it was not closed: mend it with `rosbag reindex`')
+        raise ValueError('it was not closed: fix it with `rosbag reindex`')
     _check_channels(header.get_uint32('conn_count'))
     reader = Ros1Reader(path)
     reader.open()
