@@ -289,12 +289,16 @@ class Observer:
         self._novelty = 1.0 - _STILL_KNOWN * (1.0 - self._novelty)
         self._novelty[looked_for] *= _NEW
         missed = [k for k, why in result.refused.items() if why.reason not in NOT_LOOKED_FOR]
-        seen = result.detections
+        seen, places = result.detections, result.expected
+        # A template of a wrong scale fits at any of its points.
+        sizes = np.array([places[k].size for k in seen.ids.tolist()]).reshape(-1, 2)
+        covariance = np.array(seen.covariance_px2)
+        covariance[:, [0, 1], [0, 1]] += (expected.calibration['focal_scale'][1] * sizes) ** 2 / 12.0
         points = ImagePoints.of_pixels(
             frame.stamp_ns,
             self._map.indices(seen.ids),
             seen.uv_px,
-            seen.covariance_px2,
+            covariance,
             frame.camera,
             frame.pan_rad,
             known=_zoomed(frame.camera, expected.calibration),
@@ -367,12 +371,7 @@ class Observer:
             looked_for,
             self._blur,
         )
-        found, places = result.detections, result.expected
-        sizes = np.array([places[k].size for k in found.ids.tolist()]).reshape(-1, 2)
-        # A template that is too large or too small fits about any of its points.
-        covariance = np.array(found.covariance_px2)
-        covariance[:, [0, 1], [0, 1]] += (focal * sizes) ** 2 / 12.0
-        return replace(result, detections=replace(found, covariance_px2=covariance)), looked_for
+        return result, looked_for
 
 
 def _nothing(stamp_ns: int) -> Detections:
