@@ -293,7 +293,8 @@ class Observer:
         # A template of a wrong scale fits at any of its points.
         sizes = np.array([places[k].size for k in seen.ids.tolist()]).reshape(-1, 2)
         covariance = np.array(seen.covariance_px2)
-        covariance[:, [0, 1], [0, 1]] += (expected.calibration['focal_scale'][1] * sizes) ** 2 / 12.0
+        focal = expected.calibration['focal_scale'][1]
+        covariance[:, [0, 1], [0, 1]] += (focal * sizes) ** 2 / 12.0
         points = ImagePoints.of_pixels(
             frame.stamp_ns,
             self._map.indices(seen.ids),
