@@ -73,8 +73,8 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 _WITNESSES, _INLIER = 3, 0.3
 # Detections of less weight are outliers.
 _OUTLIER = 0.1
-# Largest factor on the variance of the own error of a landmark: farther off than five of its sigmas
-# it is an outlier.
+# Largest factor on the variance of the own error of a landmark: farther off than five sigmas it is
+# an outlier.
 _WIDEST = 25.0
 # A heading that is known worse than this, rad, shows no slip of the wheels.
 _OPEN_RAD = 0.02
