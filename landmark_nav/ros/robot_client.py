@@ -197,13 +197,13 @@ class RobotClient:
         """
         Handle messages until `condition` is true; `LandmarkNavError` if it takes too long.
 
-        `what` completes "waited 10 s in vain for".
+        `what` completes "waited 10 s for".
         """
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
                 raise LandmarkNavError(
-                    f'waited {timeout_s:g} s in vain for {what}; last heard: {self._last_heard()}'
+                    f'waited {timeout_s:g} s for {what}; last heard: {self._last_heard()}'
                 )
             self._executor.spin_once(timeout_sec=_POLL_S)
             self._watch()

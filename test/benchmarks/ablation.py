@@ -42,10 +42,10 @@ def _nothing(*_: object, **__: object) -> None:
 
 # Name -> what is put in place of what: a constant, a field of a configuration, a function.
 LEARNING: dict[str, dict[str, Any]] = {
-    'depth from sizes': {f'{_LEARN}stereo.own_plane:log_nearer': lambda *_: (0.0, np.inf)},
+    'depth from sizes': {f'{_WALL}log_nearer': lambda *_: (0.0, np.inf)},
     'quarters of a patch': {f'{_WALL}displaced_quarter': lambda *_: 0.0},
     'way back': {f'{_WALL}_MAX_RETURN_PX': BEST},
-    'one peak (stereo)': {f'{_WALL}_MAX_SECOND_RATIO': 1.0},
+    'one peak (stereo)': {f'{_LEARN}stereo.config:StereoConfig.max_second_ratio': 1.0},
     'search off the walls': {f'{_LEARN}stereo.found_again:match_freely': lambda *_: Refusal('')},
     'exposures, vignetting': {
         f'{_LEARN}panorama.synthesis:PanoramaConfig.even_out': False,
@@ -127,7 +127,7 @@ DRIVING: dict[str, dict[str, Any]] = {
 SEARCHING: dict[str, dict[str, Any]] = {
     'two tolerances of votes': {f'{_FIND}relocalization.hypotheses:_FINE_RAD': 0.07},
     'further candidates': {f'{_FIND}relocalization.search:_ALL_CANDIDATES': 4},
-    'any one may be mistaken': {f'{_FIND}relocalization.search:_MOST_WITHOUT': BEST},
+    'any one may be mistaken': {f'{_FIND}relocalization.search:_MOST_RISK': BEST},
     'camera tilt (search)': {
         f'{_FIND}relocalization.config:RelocalizationConfig.tilt_sigma_rad': 0.0
     },
@@ -149,7 +149,7 @@ def put(target: str, value: Any) -> None:
     owner = import_module(module)
     kind, _, field = name.partition('.')
     if not field:
-        getattr(owner, name)  # a row about what is gone fails
+        getattr(owner, name)  # a row about a removed name fails
         setattr(owner, name, value)
         return
     config = getattr(owner, kind)

@@ -216,7 +216,7 @@ def against_truth(
 def facades_against_truth(
     found: Room, frame: Alignment, scene: Scene, landmarks: FloatArray
 ) -> dict[str, float]:
-    """How much of the wall that carries landmarks (n, 3) is found, and what is found in vain."""
+    """Found share of the wall that carries landmarks (n, 3), and share of false facades."""
     facades = [
         frame.pose[:2] + np.array([w.start, w.end]) / frame.scale @ rotation(frame.pose[2]).T
         for w in found.walls

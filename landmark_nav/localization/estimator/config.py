@@ -65,14 +65,14 @@ class EstimatorConfig(Config):
     )
     # Sigma of such a turn of camera or base, rad.
     step_sigma_rad: float = 0.05
-    # Sigma of such a change of the joint delay, s.
-    step_sigma_s: float = 0.1
-    # Share of the images before which the focal length changed as well: a motion that nothing
-    # measured looks much like it. Sigma of such a change, 1.
-    zoom_probability: float = 1e-7
-    step_sigma_focal: float = 0.1
     # Sigma of such a motion of the base, m.
     step_sigma_m: float = 0.07
+    # Sigma of such a change of the joint delay, s.
+    step_sigma_s: float = 0.1
+    # Share of the images before which the focal length changed as well, which an unmeasured motion
+    # resembles, and the sigma of its scale, 1.
+    zoom_probability: float = 1e-7
+    step_sigma_focal: float = 0.1
     # Share of the images before which wheels slip or are off otherwise than their noise says, and
     # its sigmas, m and rad.
     slip_probability: float = 1e-3
