@@ -98,8 +98,8 @@ def turn_between(first: Strip, second: Strip, step_rad: float) -> tuple[float, f
     """
     Turn of the camera from one strip to another, rad, counter-clockwise, and its score.
 
-    The score is the normalised cross-correlation of the overlap. The turn is NaN if the overlap or
-    the score is too small.
+    The turn is that of the largest likelihood ratio, the score the normalised cross-correlation of
+    its overlap. The turn is NaN if the overlap or the score is too small.
     """
     shifts = np.arange(-_COLUMNS, _COLUMNS)
     product = fft.irfft((first[0] * np.conj(second[0])).sum(0), 2 * _COLUMNS)
@@ -113,7 +113,9 @@ def turn_between(first: Strip, second: Strip, step_rad: float) -> tuple[float, f
         second[1][high - shifts] - second[1][low - shifts] + blank
     )
     score = np.where(shared, product / np.sqrt(np.maximum(energy, 1e-9)), -1.0)
-    best = int(np.argmax(score))
+    # The likelihood ratio of a match: frames of a window resemble each other in a small overlap.
+    evidence = -width * np.log1p(-np.square(np.clip(score, 0.0, 1.0 - 1e-9)))
+    best = int(np.argmax(evidence))
     peak = float(score[best])
     if peak < _LEAST_SCORE or not (shared[best - 1] and shared[(best + 1) % len(shared)]):
         return float('nan'), peak

@@ -193,7 +193,7 @@ class OdometryFusionNode(LandmarkNode):
         self._last, self._heard_ns = sample, self.get_clock().now().nanoseconds
         self._odom_frame = message.header.frame_id.lstrip('/')
         self._use_waiting()
-        estimate = self._fusion.estimate(sample.stamp_ns)
+        estimate = self._estimate(sample.stamp_ns)
         if estimate is not None:
             self._publish(estimate, sample)
             # Only here, as a transform must not be published twice for one stamp.
@@ -248,10 +248,15 @@ class OdometryFusionNode(LandmarkNode):
         if self._last is None:
             return
         newest = max(stamp_ns, self._last.stamp_ns)
-        estimate = self._fusion.estimate(newest)
+        estimate = self._estimate(newest)
         if estimate is not None:
             self._publish(estimate, replace(self._last, stamp_ns=newest))
             self._latency.note(self.get_clock().now().nanoseconds - stamp_ns)
+
+    def _estimate(self, stamp_ns: int) -> PoseEstimate | None:
+        """Pose at a time; None before the first known one, as of an image newer than odometry."""
+        estimate = self._fusion.estimate(stamp_ns)
+        return None if estimate is None or estimate.stamp_ns > stamp_ns else estimate
 
     def _publish(self, estimate: PoseEstimate, sample: OdometrySample) -> None:
         fused = replace(sample, pose_odom_base=estimate.pose)

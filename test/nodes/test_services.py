@@ -245,10 +245,15 @@ def test_start_in_another_frame_is_refused(
     publisher = client.advertise('initialpose')
     client.wait(publisher.get_subscription_count, 20.0, 'the fusion')
     client.wait(lambda: 'odometry_fusion' in client.status, 20.0, 'its diagnostics')
-    estimate = PoseEstimate(1, np.zeros(3), np.eye(3))
-    publisher.publish(encode.pose(ros_factory, estimate, 'odom'))
+    message = encode.pose(ros_factory, PoseEstimate(1, np.zeros(3), np.eye(3)), 'odom')
     log = client_log(setup_files)
-    client.wait(lambda: "conductor dropped: it is in frame 'odom'" in log.read_text(), 20.0, 'it')
+
+    def refused() -> bool:
+        # A subscription that does not know its publisher yet misses the message.
+        publisher.publish(message)
+        return "conductor dropped: it is in frame 'odom'" in log.read_text()
+
+    client.wait(refused, 20.0, 'it')
     landmarks = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
     elsewhere = replace(small_map(), frame_id='hall')
     cloud, atlas, _ = encode.landmark_map(ros_factory, elsewhere, 1)
