@@ -73,6 +73,8 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 _WITNESSES, _INLIER = 3, 0.3
 # Detections of less weight are outliers.
 _OUTLIER = 0.1
+# Factor on the variance of a detection that is not used.
+_NO_INFORMATION = 1e6
 # Largest factor on the variance of the own error of a landmark: farther off than five sigmas it is
 # an outlier.
 _WIDEST = 25.0
@@ -549,7 +551,7 @@ class JointFilter:
             by_pan = model.by_pan[:, :rows].ravel()
             spread = jacobian @ with_state + common * np.outer(by_pan, by_pan)
             # A landmark behind the camera has no information.
-            behind = np.where(model.ahead, 0.0, 1e6)
+            behind = np.where(model.ahead, 0.0, _NO_INFORMATION)
             for _ in range(_WEIGHINGS):
                 covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
                 precision = np.linalg.inv(covariance)
@@ -566,6 +568,16 @@ class JointFilter:
                 before, looser = looser, np.maximum((freedom + squares) / (freedom + rows), 1.0)
                 if np.abs(looser / before - 1.0).max() < _SAME_WEIGHT:
                     break
+            _, log_determinant = np.linalg.slogdet(covariance)
+            square = float(innovation @ pull)
+            out = looser > 1.0 / _OUTLIER
+            if out.any():
+                # What is found elsewhere than the landmark has no information: in a wide window
+                # even its widened tail would.
+                behind = np.where(out, _NO_INFORMATION, behind)
+                covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
+                precision = np.linalg.inv(covariance)
+                pull = precision @ innovation
             after = prior + with_state @ pull
             after[2] = wrap_rad(after[2])
             change = np.abs(after[:3] - mean[:3]).max()
@@ -583,8 +595,6 @@ class JointFilter:
         left = np.eye(STATES) - by_acted @ acted
         by_noise = left @ state.by_noise @ left.T
         by_noise[DETECTION] += by_acted @ detected @ by_acted.T
-        _, log_determinant = np.linalg.slogdet(covariance)
-        square = float(innovation @ pull)
         evidence = -0.5 * (square + log_determinant)
         if freedom:
             # Prior density of the weights, which are gamma variables.
