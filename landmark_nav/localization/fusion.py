@@ -270,8 +270,7 @@ class Fusion:
         """
         if self._line is None:
             return None
-        lost = bool(self._unlikely) or self._start_odds < 0.0
-        return self._integrity.inflated_if_lost(self._line.estimate(stamp_ns), lost)
+        return self._integrity.inflated_if_lost(self._line.estimate(stamp_ns), self._wrong)
 
     def expectation(self, stamp_ns: int) -> Expectation | None:
         """Expected pose of the camera at a time; None before a pose is known."""
@@ -336,6 +335,11 @@ class Fusion:
         return status, f'{silence}: {reason}'
 
     @property
+    def _wrong(self) -> bool:
+        """Whether the mount, or the given start, contradicts the pose."""
+        return bool(self._unlikely) or self._start_odds < 0.0
+
+    @property
     def _reach_ns(self) -> tuple[int, int] | None:
         """First and last time from which odometry leads to now."""
         ends = self._track.stamps_ns
@@ -350,6 +354,7 @@ class Fusion:
     def _place(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> None:
         """Set the pose, with the estimates of the robot from while the pose was right."""
         lost = self.status_at()[0] is Status.LOST
+        wrong = self._integrity.contradicted or self._wrong
         if self._line is None or (lost and self._trusted is None):
             # All images of a pan motion agree on a heading that late joint states rotated.
             prior = self._prior_late.sigma_s**2 - self._prior['joint_delay'][1] ** 2
@@ -357,8 +362,8 @@ class Fusion:
             joint = JointFilter(self._map, widened, start, self._config, self._odometry)
         else:
             joint = self._line.filter
-            if lost and self._trusted is not None:
-                # Estimates from a wrong pose are wrong. If the start was right, the pose was lost
+            if wrong and self._trusted is not None:
+                # Estimates from a wrong pose are wrong. If the start was right, the pose was wrong
                 # for another reason: the camera may have been turned.
                 joint.restore(self._trusted)
                 if self._start_odds >= 0.0:

@@ -223,7 +223,7 @@ class Localizer:
         stamp, taken = points.stamp_ns, self._fusion.add_points(points)
         fused = self._fusion.estimate(stamp)
         assert fused is not None, 'a pose is known'
-        status, reason = self._fusion.status_at()
+        status, reason = self._fusion.status_at(stamp)
         return LocalizationUpdate(
             stamp,
             seen,

@@ -113,6 +113,11 @@ class Integrity:
         """Log of the odds that the pose is right, by images alone, bounded."""
         return self._log_ratio
 
+    @property
+    def contradicted(self) -> bool:
+        """Whether images do not show what should be seen from the pose."""
+        return self._log_ratio < _LOST
+
     def add(self, stamp_ns: int, update: Update | None, missed: int = 0) -> None:
         """Add an image: its update, and the number of landmarks that were not found."""
         found = 0 if update is None else len(update.columns)
@@ -129,7 +134,7 @@ class Integrity:
 
     def inflated_if_lost(self, estimate: PoseEstimate, lost: bool = False) -> PoseEstimate:
         """Return a pose for publication: the covariance of a lost one is inflated."""
-        if self._log_ratio >= _LOST and not lost:
+        if not (self.contradicted or lost):
             return estimate
         unknown = np.diag(np.square([_LOST_M, _LOST_M, _LOST_RAD]))
         return replace(estimate, covariance=estimate.covariance + unknown)
@@ -141,7 +146,7 @@ class Integrity:
         blind_s = 1e-9 * (estimate.stamp_ns - since_ns)
         if not np.isfinite(estimate.pose).all() or not np.isfinite(position + heading):
             return Status.LOST, 'the estimate is not a number'
-        if self._log_ratio < _LOST:
+        if self.contradicted:
             return Status.LOST, 'images do not show what should be seen from here'
         if position > _LOST_M or heading > _LOST_RAD:
             return Status.LOST, f'sigma {position:.2f} m, {np.degrees(heading):.0f} deg'
