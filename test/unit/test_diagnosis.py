@@ -258,6 +258,26 @@ def test_turns_are_read_off_images(turn_rad: float, roll_rad: float) -> None:
     assert score > 0.6
 
 
+def test_two_frames_of_one_window_are_kept_apart() -> None:
+    # Both jambs look alike, on a bare wall: the small overlap of the two correlates best.
+    view, rng, turned_rad = StripView(CAMERA, PanTiltMount()), np.random.default_rng(1), 0.08
+    wall = np.full((240, 900), 120.0)
+    wall[40:140, 480:482] = 100.0
+    for jamb in (355, 545):
+        wall[40:140, jamb - 2 : jamb + 2] = 20.0
+    pixels = np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), -1)
+    strips = []
+    for pan in (0.0, turned_rad):
+        rays = CAMERA.unproject(pixels) @ PanTiltMount().camera_pose_base(pan)[0].T
+        azimuth = np.arctan2(rays[..., 1], rays[..., 0])
+        slope = rays[..., 2] / np.hypot(rays[..., 0], rays[..., 1])
+        where = np.stack([450.0 - 260.0 * azimuth, 120.0 - 260.0 * slope]).astype(np.float32)
+        seen = cv2.remap(wall, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen += rng.normal(0.0, 6.0, seen.shape)
+        strips.append(view.strip(np.clip(seen, 0.0, 255.0).astype(np.uint8)))
+    assert view.turn(*strips)[0] == pytest.approx(turned_rad, abs=0.01)
+
+
 def test_blank_images_gives_nothing() -> None:
     view, rng = StripView(CAMERA, PanTiltMount()), np.random.default_rng(0)
     blank = [view.strip(rng.integers(120, 123, (240, 320), dtype=np.uint8)) for _ in range(2)]

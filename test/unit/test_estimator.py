@@ -233,6 +233,23 @@ def test_outliers_cost_little(share: float) -> None:
     assert np.mean([run.nees.mean() for run in degraded]) < 6.0
 
 
+@pytest.mark.parametrize('seed', [1, 2, 3, 4])
+def test_a_wrong_match_leaves_an_unknown_pose_to_the_others(seed: int) -> None:
+    drive = simulated(seed, seconds=6.0)
+    images = [event for event in drive.events if isinstance(event, ImagePoints)]
+    at = next(k for k, seen in enumerate(images) if len(seen) >= 4)
+    few = images[at].chosen(np.arange(len(images[at])) < 4)
+    few, first = replace(few, near=drive.poses[at]), np.arange(4) == 0
+    wrong = replace(few, points=few.points + 0.06 * first[:, None])
+    unknown = PoseEstimate(0, drive.poses[at] + [0.2, -0.2, 0.1], np.diag([1.0, 1.0, 0.3]))
+    poses = []
+    for seen in (wrong, few.chosen(~first)):
+        joint = JointFilter(drive.landmark_map, drive.prior, unknown)
+        joint.observe(seen)
+        poses.append(joint.estimate.pose)
+    assert poses[0] == pytest.approx(poses[1], abs=5e-3)
+
+
 def test_landmarks_that_hang_elsewhere_cost_little() -> None:
     runs: dict[float, list[Run]] = {0.0: [], 0.02: []}
     for seed in range(4):

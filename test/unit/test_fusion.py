@@ -206,6 +206,20 @@ def test_a_kidnapped_robot_states_that_it_does_not_know_where_it_is() -> None:
     assert fusion.status_at()[0] is not Status.LOST
 
 
+def test_a_pose_that_is_lost_without_odometry_leaves_the_calibration() -> None:
+    drive = simulated(11, seconds=24.0, prior=Calibration.of_mount(MOUNT))
+    fusion = fused(drive)
+    for what in arriving(drive):
+        take(fusion, what)
+    before, stamp = fusion.calibration, 40 * NS
+    for later_ns in (0, NS // 20):
+        fusion.add_odometry(OdometrySample(stamp + later_ns, np.zeros(3)))
+    assert fusion.status_at()[0] is Status.LOST
+    fusion.place(PoseEstimate(stamp, drive.poses[-1], 1e-4 * np.eye(3)))
+    assert fusion.status_at()[0] is not Status.LOST
+    assert fusion.calibration['axis_yaw'] == pytest.approx(before['axis_yaw'], abs=5e-3)
+
+
 def test_a_wrong_start_teaches_nothing() -> None:
     drive = simulated(4, seconds=20.0, prior=Calibration.of_mount(MOUNT))
     fusion, right = fused(drive), fused(drive)
