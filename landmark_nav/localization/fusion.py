@@ -195,7 +195,9 @@ class Fusion:
             return Refusal('detections are ahead', f'{1e-9 * (seen.stamp_ns - ends[1]):.1f} s')
         update = line.add_image(seen)
         self._update = update if isinstance(update, Update) else None
-        self._integrity.add(seen.stamp_ns, self._update, len(seen.missed))
+        # From an unknown pose nothing is expected, so that nothing is missed.
+        unknown = is_prior_uncertain(line.filter.predicted.covariance[:3, :3])
+        self._integrity.add(seen.stamp_ns, self._update, 0 if unknown else len(seen.missed))
         if self._update is not None:
             self._weigh_start(line, seen, self._update)
         self._unlikely = self.calibration.contradictions(self._prior.widened(_MAY_STEP))

@@ -18,6 +18,7 @@ from landmark_nav.localization.late_joints import DELAY_BOUND_S
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
+    left_variance,
     Motion,
     motion_variances,
     OdometryNoiseConfig,
@@ -263,5 +264,6 @@ class Relocalizer:
         """Variances (3,) of a motion by uncalibrated wheels."""
         way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
         share = _SLIP * np.array([way, way, turn])
-        sensed = motion_variances(motion, self._odometry) + jitter_variances(motion)
-        return np.asarray(sensed + share**2)
+        sensed = motion_variances(motion, self._odometry)
+        sensed[1] = left_variance(motion, self._odometry)
+        return np.asarray(sensed + jitter_variances(motion) + share**2)
