@@ -160,8 +160,7 @@ class Localizer:
     @property
     def status(self) -> tuple[str, str]:
         """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
-        status, reason = self._fusion.status_at()
-        return STATUS[status], reason
+        return self._status()
 
     def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
         """
@@ -184,7 +183,7 @@ class Localizer:
             return update
         self._relocalizer = self._relocalizer or self._new_search()
         outcome = self._search(frame)
-        status, reason = self.status
+        status, reason = self._status(frame.stamp_ns)
         fused = self.estimate(frame.stamp_ns) or update.fused
         return replace(update, fused=fused, status=status, reason=reason, search=outcome)
 
@@ -198,6 +197,10 @@ class Localizer:
         found = found.chosen(known)
         seen = Observation(found, refused, lambda: self._observer.fix(found, prior))
         return self._updated(seen, self._fusion.points(found))
+
+    def _status(self, stamp_ns: int | None = None) -> tuple[str, str]:
+        status, reason = self._fusion.status_at(stamp_ns)
+        return STATUS[status], reason
 
     def _new_search(self) -> Relocalizer:
         config = self._config
@@ -223,13 +226,13 @@ class Localizer:
         stamp, taken = points.stamp_ns, self._fusion.add_points(points)
         fused = self._fusion.estimate(stamp)
         assert fused is not None, 'a pose is known'
-        status, reason = self._fusion.status_at(stamp)
+        status, reason = self._status(stamp)
         return LocalizationUpdate(
             stamp,
             seen,
             len(taken.used) if isinstance(taken, Update) else 0,
             fused,
-            STATUS[status],
+            status,
             reason,
             self._fusion.with_landmarks(stamp),
             level=self._fusion.level(fused),
