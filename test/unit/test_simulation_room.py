@@ -15,7 +15,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.furnishing import generate_scene, hang_tags, move_one_box
 from landmark_nav.simulation.people import WalkingPeople
-from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M, PainterOrder
+from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M
 from landmark_nav.simulation.scene import Box, Lamp, Scene
 from landmark_nav.simulation.setup_documents import (
     as_measured,
@@ -24,6 +24,7 @@ from landmark_nav.simulation.setup_documents import (
     scene_document,
     start_document,
 )
+from landmark_nav.simulation.solids import back_to_front
 from landmark_nav.simulation.surfaces import irradiance, light_of, Pyramid, values_of
 from landmark_nav.simulation.wall_items import draw_item
 from landmark_nav.storage.setup_files import load_robot, load_room
@@ -145,14 +146,14 @@ class TestPainterOrder:
             gap = [np.linalg.norm(center - b.center_xy) for b in boxes]
             if np.linalg.norm(center) > 1.2 and (not gap or min(gap) > 1.75):
                 boxes.append(box)
-        order = PainterOrder([box.footprint for box in boxes])
         heading = rng.uniform(-np.pi, np.pi)
         ahead = [
             k
             for k, box in enumerate(boxes)
             if np.cos(np.arctan2(*box.center_xy[::-1]) - heading) > 0.4
         ]
-        rank = {k: n for n, k in enumerate(order.back_to_front(np.zeros(2), heading, ahead))}
+        order = back_to_front([boxes[k].footprint for k in ahead], np.zeros(2), heading)
+        rank = {ahead[k]: n for n, k in enumerate(order)}
         for angle in heading + np.linspace(-1.0, 1.0, 60):
             ray = np.array([np.cos(angle), np.sin(angle)])
             hits = []
@@ -168,11 +169,9 @@ class TestPainterOrder:
             ranks = [r for _, r in sorted(hits)]
             assert ranks == sorted(ranks, reverse=True)
 
-    def test_people_join_an_order(self):
-        walls = [np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[4.0, 0.0], [4.0, 3.0]])]
-        person = np.array([[1.5, 1.0], [1.0, 1.0]])
-        order = PainterOrder(walls).extended([person])
-        assert order.back_to_front(np.array([1.2, 2.5]), -np.pi / 2, [0, 2]) == [0, 2]
+    def test_a_person_is_painted_after_the_wall_behind(self):
+        wall, person = np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[1.5, 1.0], [1.0, 1.0]])
+        assert back_to_front([person, wall], np.array([1.2, 2.5]), -np.pi / 2) == [1, 0]
 
 
 class TestPyramid:
