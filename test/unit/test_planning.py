@@ -17,14 +17,12 @@ from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import (
-    best_places,
     exchange,
     forecast,
     left_right_layout,
     Plan,
     plan_positions,
     random_sets,
-    spread,
 )
 from landmark_nav.planning.prediction import Predictor
 from landmark_nav.planning.views import (
@@ -191,27 +189,10 @@ class TestSearch:
             gap = np.linalg.norm(xy[places][:, None] - goals, axis=-1)
             return float(gap.min(axis=0).sum())
 
-        found = best_places(cost, xy, 3, spread(xy, 6), silent)
+        found = exchange(cost, xy, np.array([3, 9, 12]), silent)
         best = min(cost(np.array(s)) for s in combinations(range(len(xy)), 3))
         assert cost(found) == pytest.approx(best)
         assert sorted(xy[found, 0]) == list(xy[found, 0])
-
-    def test_local_exchange_moves_each_place_in_its_own_surroundings(self) -> None:
-        xy = np.array([[0.0, 0.0], [0.3, 0.0], [0.6, 0.0], [4.0, 0.0], [4.3, 0.0], [4.6, 0.0]])
-
-        def cost(places: Any) -> float:
-            return float(np.abs(xy[places, 0] - 4.6).sum())
-
-        start = np.array([0, 3])
-        assert list(exchange(cost, xy, start, silent, local=True)) == [2, 5]
-        assert list(exchange(cost, xy, start, silent)) == [4, 5]
-
-    def test_spread_points_are_far_apart(self) -> None:
-        xy = np.random.default_rng(0).uniform(0.0, 1.0, (200, 2))
-        chosen = spread(xy, 9)
-        gaps = np.linalg.norm(xy[chosen][:, None] - xy[chosen], axis=-1)
-        assert gaps[np.triu_indices(9, 1)].min() > 0.3
-        assert sorted(spread(xy[:4], 9)) == [0, 1, 2, 3]
 
 
 class TestLayouts:
