@@ -33,10 +33,18 @@ _ITERATIONS = 25
 # Bounds of the noise of images: greatest scale; greatest share of residuals beyond these sigmas.
 NOISE_RAD = 0.02
 _FAR_SIGMAS, _MOST_AWAY = 5.0, 0.15
-# Greatest errors that localization estimates.
-PAN_SCALE, YAW_SCALE, PAN_CLOCK_S, YAW_CLOCK_S = 0.03, 0.12, 0.01, 0.03
-# Twice the values that unequal distances cause in recordings without these errors.
-BIAS_RAD_S, CURVE_RAD_M, AXIS_M = 0.06, 0.2, 0.4
+# Greatest errors that localization estimates, and greatest sigmas with which they are judged.
+# Those of bias, curve and axis are twice what unequal distances cause without these errors.
+_ESTIMATED = {
+    'pan_scale': (0.03, 0.1),
+    'yaw_scale': (0.12, 0.2),
+    'pan_clock_s': (0.01, 0.1),
+    'odometry_clock_s': (0.03, 0.1),
+    'bias_rad_s': (0.06, 0.1),
+    'curve_rad_m': (0.2, 0.2),
+    'ahead_m': (0.4, 0.4),
+    'left_m': (0.4, 0.4),
+}
 # Tolerance of the first and last time of a stream.
 _LEEWAY_S = 0.02
 # Step of the numerical derivative by time.
@@ -371,15 +379,8 @@ class Linear:
     @property
     def fits(self) -> bool:
         """Whether joints and odometry explain the images without any fault."""
-        return self.quiet and not (
-            self.pan_scale.beyond(PAN_SCALE, 0.1)
-            or self.yaw_scale.beyond(YAW_SCALE, 0.2)
-            or self.pan_clock_s.beyond(PAN_CLOCK_S, 0.1)
-            or self.odometry_clock_s.beyond(YAW_CLOCK_S, 0.1)
-            or self.bias_rad_s.beyond(BIAS_RAD_S, 0.1)
-            or self.curve_rad_m.beyond(CURVE_RAD_M, 0.2)
-            or self.ahead_m.beyond(AXIS_M, AXIS_M)
-            or self.left_m.beyond(AXIS_M, AXIS_M)
+        return self.quiet and not any(
+            getattr(self, name).beyond(*bounds) for name, bounds in _ESTIMATED.items()
         )
 
 
