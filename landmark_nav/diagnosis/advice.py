@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.diagnosis.camera_errors import CameraError
-from landmark_nav.diagnosis.causes import ALIKE, Cause, IMAGES, JOINTS, ODOMETRY, Verdict
+from landmark_nav.diagnosis.causes import ALIKE, Cause, CLOCKS, Verdict
 from landmark_nav.diagnosis.findings import Finding, Level
-from landmark_nav.diagnosis.motion import Estimate, Linear, Motion
-from landmark_nav.diagnosis.units import nearness_of_room, unit_of
+from landmark_nav.diagnosis.motion import Estimate, IMAGES, JOINTS, Linear, Motion, ODOMETRY
+from landmark_nav.diagnosis.odometry import nearness_of_room, unit_of
 from landmark_nav.geometry.walls import Room
 
 # Greatest delay that is corrected; beyond it, the joint angles are not known well enough.
@@ -98,43 +98,27 @@ def camera_finding(error: CameraError) -> Finding:
     """Return the finding of an error of lens or mount."""
     value, camera, mount = error.value, error.setup.camera, error.setup.mount
     degrees = abs(np.degrees(value))
+    share, more = 100.0 * abs(np.expm1(-value)), value > 0.0
     rpy = ', '.join(f'{angle:.3f}' for angle in mount.axis_rpy)
-    share = 100.0 * abs(np.expm1(-value))
-    of_lens = {
-        name: (
-            'camera lens',
-            f'{what} in camera_info is {share:.0f} % too {"short" if value > 0.0 else "long"}',
-            advice,
-        )
-        for name, what, advice in (
-            ('focal length', 'the focal length', _ZOOM),
-            ('fx', 'fx', _SQUARE),
-            ('fy', 'fy', _SQUARE),
-        )
-    }
+    fix = f'set pan_axis rpy: [{rpy}] in robot.yaml'
+    too_long = f'in camera_info is {share:.0f} % too {"short" if more else "long"}'
+    off, cropped = f'of pan_axis is off by {degrees:.0f} deg', 'images that are cropped need'
     name, text, advice = {
-        **of_lens,
+        'focal length': ('camera lens', f'the focal length {too_long}', _ZOOM),
+        'fx': ('camera lens', f'fx {too_long}', _SQUARE),
+        'fy': ('camera lens', f'fy {too_long}', _SQUARE),
         'size': (
             'camera lens',
-            f'its K is of images {share:.0f} % {"smaller" if value > 0.0 else "larger"}',
+            f'its K is of images {share:.0f} % {"smaller" if more else "larger"}',
             'publish K of the size that is published, or binning and roi with K of the full image',
         ),
         'tilt': (
             'camera tilt',
-            f'looks {degrees:.0f} deg {"higher" if value > 0.0 else "lower"} than mount and tilt '
-            'say',
+            f'looks {degrees:.0f} deg {"higher" if more else "lower"} than mount and tilt say',
             'fix the zero of the tilt, or pan_axis rpy (pitch) in robot.yaml',
         ),
-        'axis pitch': (
-            'camera mount',
-            f'the pitch of pan_axis is off by {degrees:.0f} deg',
-            f'set pan_axis rpy: [{rpy}] in robot.yaml',
-        ),
-        'axis roll': (
-            'camera mount',
-            f'the roll of pan_axis is off by {degrees:.0f} deg',
-            f'set pan_axis rpy: [{rpy}] in robot.yaml',
-        ),
+        'axis pitch': ('camera mount', f'the pitch {off}', fix),
+        'axis roll': ('camera mount', f'the roll {off}', fix),
         'roll': (
             'camera roll',
             f'images are turned by {np.degrees(value):.0f} deg',
@@ -143,14 +127,14 @@ def camera_finding(error: CameraError) -> Finding:
         'cx': (
             'camera lens',
             f'the principal point is {abs(value) * camera.fx:.0f} px farther '
-            f'{"right" if value > 0.0 else "left"} than cx in camera_info',
-            'calibrate again; images that are cropped need cx of the part that is left',
+            f'{"right" if more else "left"} than cx in camera_info',
+            f'calibrate again; {cropped} cx of the part that is left',
         ),
         'cy': (
             'camera lens',
             f'the principal point is {abs(value) * camera.fy:.0f} px farther '
-            f'{"down" if value > 0.0 else "up"} than cy in camera_info',
-            'calibrate again; images that are cropped need cy of the part that is left',
+            f'{"down" if more else "up"} than cy in camera_info',
+            f'calibrate again; {cropped} cy of the part that is left',
         ),
         'distortion': (
             'camera lens',
@@ -165,10 +149,7 @@ def camera_finding(error: CameraError) -> Finding:
 
 
 def _short(cause: Cause) -> str:
-    what = {'clock': 'clock', 'drift': 'clock', 'step': 'clock', 'scale': 'scale'}.get(
-        cause.kind, cause.kind
-    )
-    return f'{cause.stream} {what}'
+    return f'{cause.stream} {"clock" if cause.kind in CLOCKS else cause.kind}'
 
 
 def _named(cause: Cause) -> Finding:
@@ -267,126 +248,71 @@ def _named(cause: Cause) -> Finding:
     if cause.kind in described:
         name, text, advice, values = described[cause.kind]
         return Finding(name, 'error', text, advice, values)
-    return {JOINTS: _pan_scale, ODOMETRY: _yaw_scale, IMAGES: _image_scale}[stream](value)
+    return _scale_finding(stream, value)
 
 
-def _pan_scale(factor: float) -> Finding:
-    """Return the finding of a pan that has to be multiplied by `factor` to fit the images."""
-    text = 1.0 / factor if abs(factor) > 1e-9 else np.inf
-    values = {'scale': text}
-    name = 'pan scale'
-    if abs(factor + 1.0) < 0.15:
-        return Finding(
-            'pan sign',
-            'error',
-            'the images turn against the pan: its sign is reversed',
-            'negate the pan, unmirror images, or set camera_roll: 3.1416 if upside down',
-            values,
-        )
-    if abs(abs(factor) * 180.0 / np.pi - 1.0) < 0.15:
-        return Finding(
-            name,
-            'error',
-            f'the pan moves {text:.1f} times as far as the images turn: degrees',
-            'publish joint_states in radians',
-            values,
-        )
-    if abs(factor) < 1e-4:
-        return Finding(
-            'pan scale',
-            'error',
-            'the images do not turn with the pan',
-            'check pan_joint in robot.yaml and the driver of the joints',
-            values,
-        )
-    off = abs(text - 1.0)
-    level: Level = 'error' if off > _PAN_OFF else 'warning'
-    return Finding(
-        name,
-        level,
-        f'the pan moves {text:.3g} times as far as the images turn',
-        'check the gear or unit of the pan; else the focal length in camera_info',
-        values,
-    )
-
-
-def _yaw_scale(factor: float) -> Finding:
-    text = 1.0 / factor if abs(factor) > 1e-9 else np.inf
-    values = {'scale': text}
-    if abs(factor + 1.0) < 0.35:
-        return Finding(
-            'odom yaw',
-            'error',
-            'the images turn against its yaw: the sign of the yaw is reversed',
-            'yaw is counter-clockwise: check the sides and signs of the wheels',
-            values,
-        )
-    if abs(factor) < 0.05 or abs(factor) > 20.0:
-        return Finding(
-            'odom yaw',
-            'error',
-            f'turns {text:.3g} times as far as the images',
-            'the yaw does not follow the robot: publish the integrated heading in radians',
-            values,
-        )
-    level: Level = 'error' if abs(text - 1.0) > _YAW_OFF else 'warning'
-    return Finding(
-        'odom yaw',
-        level,
-        f'turns {text:.3g} times as far as the images',
-        'check the track width of the wheels, and the unit of the heading',
-        values,
-    )
-
-
-def _image_scale(seen: float) -> Finding:
-    """Return the finding of images that turn `seen` times as far as joints and odometry."""
-    if abs(seen + 1.0) < 0.2:
-        return Finding(
-            'images sign',
-            'error',
-            'turn against both pan and odometry: mirrored or upside down',
-            'do not flip images; for a camera upside down set camera_roll: 3.1416',
-            {'scale': seen},
-        )
-    off = 100.0 * (1.0 / seen - 1.0)
-    side = 'long' if off > 0 else 'short'
-    return Finding(
-        'camera lens',
-        'error' if abs(off) > 10.0 else 'warning',
-        f'the focal length in camera_info is {abs(off):.0f} % too {side}',
-        _ZOOM,
-        {'scale': seen},
-    )
+def _scale_finding(stream: str, factor: float) -> Finding:
+    """Return the finding of a stream that has to be multiplied by `factor` to fit the images."""
+    times = 1.0 / factor if abs(factor) > 1e-9 else np.inf
+    off, far = abs(times - 1.0), f'{times:.3g} times as far as the images turn'
+    level: Level = 'error'
+    if stream == JOINTS:
+        name, text = 'pan scale', f'the pan moves {far}'
+        if abs(factor + 1.0) < 0.15:
+            name, text = 'pan sign', 'the images turn against the pan: its sign is reversed'
+            advice = 'negate the pan, unmirror images, or set camera_roll: 3.1416 if upside down'
+        elif abs(np.degrees(abs(factor)) - 1.0) < 0.15:
+            text, advice = f'{text}: degrees', 'publish joint_states in radians'
+        elif abs(factor) < 1e-4:
+            text = 'the images do not turn with the pan'
+            advice = 'check pan_joint in robot.yaml and the driver of the joints'
+        else:
+            advice = 'check the gear or unit of the pan; else the focal length in camera_info'
+            level = 'error' if off > _PAN_OFF else 'warning'
+        return Finding(name, level, text, advice, {'scale': times})
+    if stream == ODOMETRY:
+        text = f'turns {far}'
+        if abs(factor + 1.0) < 0.35:
+            text = 'the images turn against its yaw: the sign of the yaw is reversed'
+            advice = 'yaw is counter-clockwise: check the sides and signs of the wheels'
+        elif not 0.05 <= abs(factor) <= 20.0:
+            advice = 'the yaw does not follow the robot: publish the integrated heading in radians'
+        else:
+            advice = 'check the track width of the wheels, and the unit of the heading'
+            level = 'error' if off > _YAW_OFF else 'warning'
+        return Finding('odom yaw', level, text, advice, {'scale': times})
+    if abs(factor + 1.0) < 0.2:
+        text = 'turn against both pan and odometry: mirrored or upside down'
+        advice = 'do not flip images; for a camera upside down set camera_roll: 3.1416'
+        return Finding('images sign', level, text, advice, {'scale': factor})
+    side = 'long' if times > 1.0 else 'short'
+    text = f'the focal length in camera_info is {100.0 * off:.0f} % too {side}'
+    level = 'error' if off > 0.1 else 'warning'
+    return Finding('camera lens', level, text, _ZOOM, {'scale': factor})
 
 
 def motion_findings(motion: Motion, slopes: Linear, room: Room | None) -> list[Finding]:
     """Judge scales, clocks, unit of the odometry and heading of the camera by the images."""
+    gear, track = 'check the gear of the pan', 'check the track width of the wheels'
     found = [
-        _small('pan scale', slopes.pan_scale, 0.05, 'check the gear of the pan'),
-        _small('odom yaw', slopes.yaw_scale, 0.1, 'check the track width of the wheels'),
+        _scale('pan scale', slopes.pan_scale, 0.05, 0.03, gear),
         _clock(JOINTS, slopes.pan_clock_s),
-        _clock(ODOMETRY, slopes.odometry_clock_s),
     ]
-    if motion.odometry is None:
-        found = found[::2]
-    more = _parallax(slopes, room)
+    if motion.odometry is not None:
+        found.insert(1, _scale('odom yaw', slopes.yaw_scale, 0.1, 0.15, track))
+        found.append(_clock(ODOMETRY, slopes.odometry_clock_s))
+    more = _unit(slopes, room) + _heading(slopes)
     said = {finding.name for finding in more}
     return [*(finding for finding in found if finding.name not in said), *more]
 
 
-def _small(name: str, error: Estimate, known: float, advice: str) -> Finding:
-    values = {'scale': 1.0 + error.value, 'sigma': error.sigma}
+def _scale(name: str, error: Estimate, known: float, warn: float, advice: str) -> Finding:
+    """Return the finding of a relative error, judged if its sigma is less than `known`."""
     if error.sigma > known:
         return Finding(name, 'ok', 'not judged: it hardly moves')
     text = f'{1.0 + error.value:.3f} of the images (sigma {error.sigma:.3f})'
-    warn = PAN_WARN if name == 'pan scale' else YAW_WARN
-    if error.beyond(warn, known):
-        return Finding(name, 'warning', text, advice, values)
-    return Finding(name, 'ok', text, '', values)
-
-
-PAN_WARN, YAW_WARN = 0.03, 0.15
+    values = {'scale': 1.0 + error.value, 'sigma': error.sigma}
+    return _judged(name, error.beyond(warn, known), text, advice, values)
 
 
 def _clock(stream: str, late: Estimate) -> Finding:
@@ -394,71 +320,59 @@ def _clock(stream: str, late: Estimate) -> Finding:
         return Finding(f'{stream} clock', 'ok', 'not judged by motion: it hardly moves')
     text = f'{1e3 * late.value:+.0f} ms against the images (sigma {1e3 * late.sigma:.0f} ms)'
     values = {'late_s': late.value, 'sigma_s': late.sigma}
-    if late.beyond(0.05, 0.1):
-        return Finding(
-            f'{stream} clock', 'warning', text, 'stamp at the time of measurement', values
-        )
-    return Finding(f'{stream} clock', 'ok', text, '', values)
+    advice = 'stamp at the time of measurement'
+    return _judged(f'{stream} clock', late.beyond(0.05, 0.1), text, advice, values)
 
 
-def _parallax(slopes: Linear, room: Room | None) -> list[Finding]:
-    """Judge unit and direction of the odometry and heading of the camera by parallax."""
-    size = float(np.hypot(slopes.nearness.value, slopes.sideways.value))
-    sigma = max(slopes.nearness.sigma, slopes.sideways.sigma)
-    expected = nearness_of_room(room) if room is not None else float('nan')
-    low, high = (_FAR, _NEAR) if np.isnan(expected) else (expected / _OF_ROOM, expected * _OF_ROOM)
-    usual = 0.3 if np.isnan(expected) else expected
+def _judged(name: str, wrong: bool, text: str, advice: str, values: dict[str, float]) -> Finding:
+    if wrong:
+        return Finding(name, 'warning', text, advice, values)
+    return Finding(name, 'ok', text, '', values)
+
+
+def _unit(slopes: Linear, room: Room | None) -> list[Finding]:
+    """Judge the unit of the odometry by parallax."""
+    size, sigma = slopes.parallax
     if not np.isfinite(sigma) or size < 1e-9:
         return []
-    found = []
+    usual, low, high = 0.3, _FAR, _NEAR
+    if room is not None and np.isfinite(expected := nearness_of_room(room)):
+        usual, low, high = expected, expected / _OF_ROOM, expected * _OF_ROOM
     values = {'nearness_per_m': size, 'sigma_per_m': sigma}
-    if size + 4.0 * sigma < low:
+    if size + 4.0 * sigma < low or size - 4.0 * sigma > high:
         unit = unit_of(usual / size)
         like = f', as if in {unit}' if unit else ''
-        found.append(
-            Finding(
-                'odom unit',
-                'error',
-                f'moves {usual / size:.3g} times as far as the images show{like}',
-                'publish odom in metres',
-                values,
-            )
-        )
-    elif size - 4.0 * sigma > high:
-        found.append(
-            Finding(
-                'odom unit',
-                'error',
-                f'moves {usual / size:.2g} times as far as the images show',
-                'publish odom in metres; check the radius of the wheels',
-                values,
-            )
-        )
-    elif size > 4.0 * sigma:
-        found.append(
-            Finding('odom unit', 'ok', f'what is seen is {1.0 / size:.1f} m away', '', values)
-        )
-    if size < 6.0 * sigma:
-        return found
+        text = f'moves {usual / size:.3g} times as far as the images show{like}'
+        advice = 'publish odom in metres' + ('' if unit else '; check the radius of the wheels')
+        return [Finding('odom unit', 'error', text, advice, values)]
+    if size > 4.0 * sigma:
+        return [Finding('odom unit', 'ok', f'what is seen is {1.0 / size:.1f} m away', '', values)]
+    return []
+
+
+def _heading(slopes: Linear) -> list[Finding]:
+    """Judge the direction of the odometry and the heading of the camera by parallax."""
+    size, sigma = slopes.parallax
+    if not np.isfinite(sigma) or size < max(6.0 * sigma, 1e-9):
+        return []
     turned, spread = slopes.heading_rad
     values = {'heading_rad': turned, 'sigma_rad': spread}
     text = f'looks {abs(np.degrees(turned)):.0f} deg to the {"left" if turned > 0 else "right"}'
     text += f' of where pan and mount say (sigma {np.degrees(spread):.0f} deg)'
-    if abs(turned) - 4.0 * spread > np.radians(140.0):
-        advice = 'odometry drives backwards, or pan_axis rpy is half a turn off'
-        found.append(Finding('camera heading', 'error', text, advice, values))
-    elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD and slopes.straight > ALIKE:
+    least = abs(turned) - 3.0 * spread
+    level: Level = 'ok'
+    name, advice = 'camera heading', ''
+    if least - spread > np.radians(140.0):
+        level, advice = 'error', 'odometry drives backwards, or pan_axis rpy is half a turn off'
+    elif least > _HEADING_WARN_RAD and slopes.straight > ALIKE:
+        name, level, advice = 'odom yaw', 'warning', _WHEELS
         text = f'curves by {np.degrees(-slopes.curved_rad_m):.0f} deg/m against the images'
         values = {'curve_rad_m': -slopes.curved_rad_m}
-        found.append(Finding('odom yaw', 'warning', text, _WHEELS, values))
-    elif abs(turned) - 3.0 * spread > HEADING_ERROR_RAD:
-        advice = 'fix pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
-        found.append(Finding('camera heading', 'error', text, advice, values))
-    elif abs(turned) - 3.0 * spread > _HEADING_WARN_RAD:
+    elif least > HEADING_ERROR_RAD:
+        level, advice = 'error', 'fix pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
+    elif least > _HEADING_WARN_RAD:
+        level = 'warning'
         advice = 'check pan_axis rpy (radians) in robot.yaml and the zero of the pan'
         if slopes.straight > -ALIKE:
             text += ' (or odom yaw curves: undecided)'
-        found.append(Finding('camera heading', 'warning', text, advice, values))
-    else:
-        found.append(Finding('camera heading', 'ok', text, '', values))
-    return found
+    return [Finding(name, level, text, advice, values)]

@@ -176,21 +176,18 @@ def _bent(setup: CameraSetup, value: float) -> CameraSetup:
     return replace(setup, camera=replace(setup.camera, distortion=(first + value, *rest)))
 
 
+# Smaller errors are within the range that localization and learning estimate.
+_MATTERS = 0.05
 # Start values of a search, as shares of the reach; the best is used if it beats no error.
 _TRIED = (-0.5, -0.1, 0.1, 0.5)
 
 
 @dataclass(frozen=True)
 class _Error:
-    """
-    Parameter of lens or mount: how a value is added, start values and reach of the search.
-
-    Errors less than `matters` are within the range that localization and learning estimate.
-    """
+    """Parameter of lens or mount: how a value is added, start values and reach of the search."""
 
     change: Callable[[CameraSetup, float], CameraSetup]
     reach: float
-    matters: float = 0.05
     starts: tuple[float, ...] = (0.0,)
 
 
@@ -256,7 +253,7 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     if score < none + _CERTAIN:
         return None
     value, _ = _best(matches, given, _ERRORS[name], -np.inf)
-    if abs(value) < _ERRORS[name].matters:
+    if abs(value) < _MATTERS:
         return None
     also = tuple(key for key in found if key != name and found[key][1] > score - _ALIKE)
     return CameraError(name, value, _ERRORS[name].change(given, value), also)
@@ -272,12 +269,11 @@ def _nearly(matches: Matches, setup: CameraSetup) -> CameraSetup:
     def turned(angles: FloatArray) -> CameraSetup:
         return _mounted(_rolled(setup, float(angles[0])), *angles[1:].tolist())
 
-    small = _ERRORS['roll'].matters
     found = minimize(
         lambda angles: -_score(matches, turned(angles)),
         np.zeros(3),
         method='Powell',
-        bounds=[(-small, small)] * 3,
+        bounds=[(-_MATTERS, _MATTERS)] * 3,
         options={'xtol': 1e-2, 'ftol': 1e-3, 'maxiter': 3},
     )
     return turned(found.x)
@@ -359,20 +355,15 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
 # Most errors do not change the intrinsics.
 @lru_cache(maxsize=2)
 def _rays(matches: Matches, camera: CameraModel) -> tuple[FloatArray, FloatArray, float]:
-    """Rays (m, 3) of both images in the optical frame, and `_log_angle_per_px`."""
+    """Rays (m, 3) of both images in the optical frame; mean log of the solid angle of a pixel."""
     before, after = (camera.unproject(pixels) for pixels in (matches.before_px, matches.after_px))
-    return before, after, _log_angle_per_px(matches, camera)
-
-
-def _log_angle_per_px(matches: Matches, camera: CameraModel) -> float:
-    """Mean logarithm of the solid angle of a pixel."""
     at = matches.after_px[::_SPARSE]
     middle, right, down = (
         ray / np.linalg.norm(ray, axis=1, keepdims=True)
         for ray in (camera.unproject(at + step) for step in ([0, 0], [1, 0], [0, 1]))
     )
     area = np.linalg.norm(np.cross(right - middle, down - middle), axis=1)
-    return float(np.mean(np.log(np.maximum(area, 1e-12))))
+    return before, after, float(np.mean(np.log(np.maximum(area, 1e-12))))
 
 
 def _sums(values: FloatArray, begins: IndexArray) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -21,8 +22,12 @@ from landmark_nav.diagnosis.motion import (
     Fit,
     fit,
     FREEDOM,
+    IMAGES,
+    JOINTS,
     linear,
     Motion,
+    MOUNT,
+    ODOMETRY,
     Track,
 )
 
@@ -35,11 +40,12 @@ _SCALES = (-1.0, 0.5, 2.0, -0.5, -2.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np
 _LENS = 3.0
 # Drifts that are tried, as shares.
 _DRIFTS = np.arange(-0.1, 0.1001, 0.0025)
-# Ranges and steps of the near and the far search of clock offsets.
-_NEAR_S, _NEAR_STEP_S, _FAR_S, _FAR_STEP_S = 3.0, 0.02, 120.0, 0.05
+# Steps of the near and the far search of clock offsets, range of the far one, and near offsets.
+_NEAR_STEP_S, _FAR_STEP_S, _FAR_S = 0.02, 0.05, 120.0
+_NEAR = np.arange(-3.0, 3.0, _NEAR_STEP_S)
 # Drifts with a smaller effect over the recording are regarded as offsets.
 _LEAST_DRIFT_S = 0.05
-_CLOCKS = ('clock', 'drift', 'step')
+CLOCKS = ('clock', 'drift', 'step')
 # Least drift: a clock at less than a tenth of its rate would explain a scale.
 _SLOWEST = -0.9
 # Greatest sigma with which an offset is refined.
@@ -56,8 +62,6 @@ _ALONG_RAD, _STEP_S = 0.1, 0.2
 _AXIS_M, _OFFSET_M = 0.3, 0.1
 # Grid of the coarse search of one parameter, as shares of its range.
 _GRID = np.linspace(-1.0, 1.0, 21)
-
-IMAGES, JOINTS, ODOMETRY, MOUNT = 'images', 'joint_states', 'odom', 'pan_axis'
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,48 +156,38 @@ def verdict(
 
 def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
     """Delay of the stamps of odometry, s, with which it explains the images."""
-    (first,) = _first_clocks(motion, ODOMETRY, list(hints), drifts=False)
-    return _polished(_refined(motion, ODOMETRY, first, drift=False)).value
+    return _polished(_offset(motion, ODOMETRY, _first_offset(motion, ODOMETRY, list(hints)))).value
 
 
 def _differs(one: Cause, other: Cause) -> bool:
     """Whether two causes are different faults; faults of the same clock are not."""
     if one.kind == 'none':
         return False
-    return (one.stream, one.kind in _CLOCKS) != (other.stream, other.kind in _CLOCKS)
+    return (one.stream, one.kind in CLOCKS) != (other.stream, other.kind in CLOCKS)
 
 
 def _polished(cause: Cause) -> Cause:
     """Refine the offset of a clock together with small errors of the scales."""
-    by_odometry = cause.stream == ODOMETRY
-    sign = -1.0 if cause.stream == IMAGES else 1.0
     for _ in range(2):
-        slopes = linear(cause.motion)
+        motion, slopes = cause.motion, linear(cause.motion)
+        by_odometry = cause.stream == ODOMETRY
         more = slopes.odometry_clock_s if by_odometry else slopes.pan_clock_s
+        _, clock = motion.stream(ODOMETRY if by_odometry else JOINTS)
         if cause.kind != 'clock' or more.sigma > _POLISH_S:
             break
-        clock = cause.motion.odometry_clock if by_odometry else cause.motion.pan_clock
-        motion = _with_clock(cause.motion, cause.stream, clock.later(more.value))
-        value = cause.value + sign * more.value
-        cause = replace(cause, motion=motion, left=explained(motion), value=value, offset_s=value)
+        cause = _clock_cause(motion, cause.stream, 'clock', clock.later(more.value))
     return cause
 
 
 def _cause(
-    stream: str,
-    kind: str,
-    motion: Motion,
-    parameters: int,
-    value: float = 0.0,
-    name: str = '',
-    offset_s: float = 0.0,
+    stream: str, kind: str, motion: Motion, parameters: int, value: float = 0.0, **more: Any
 ) -> Cause:
     left = explained(motion)
     score = left.log_likelihood - 0.5 * parameters * np.log(max(len(motion), 2))
     score += _along(motion)
     score -= 0.5 * float(np.sum(np.square(motion.axis_xy) / _AXIS_M**2))
     score -= 0.5 * float(np.sum(np.square(motion.offset_xy) / _OFFSET_M**2))
-    return Cause(stream, kind, motion, left, float(score), value, name, offset_s)
+    return Cause(stream, kind, motion, left, float(score), value, **more)
 
 
 def _along(motion: Motion) -> float:
@@ -214,6 +208,17 @@ def _along(motion: Motion) -> float:
     return -0.5 * (FREEDOM + 1.0) * float(np.sum(np.log1p((off / _ALONG_RAD) ** 2 / FREEDOM)))
 
 
+def _likeliest(make: Callable[[float], Cause], first: float, reach: float) -> Cause:
+    """Find the cause with the likeliest value within `reach` of `first`."""
+    found = minimize_scalar(
+        lambda value: -make(float(value)).score,
+        bounds=(first - reach, first + reach),
+        method='bounded',
+        options={'xatol': 1e-4},
+    )
+    return make(float(found.x))
+
+
 def _others(motion: Motion) -> Iterator[Cause]:
     """Yield faults of another quantity instead of the pan, and errors of a single number."""
     pan, odometry = motion.pan, motion.odometry
@@ -224,51 +229,40 @@ def _others(motion: Motion) -> Iterator[Cause]:
         return
     yaw = odometry.at(pan.seconds)[:, 2:]
     yield _cause(JOINTS, 'heading', replace(motion, pan=replace(pan, values=pan.values - yaw)), 1)
+    # With a camera upside down, the images turn in the opposite direction.
+    hanging = replace(motion, turns_rad=-motion.turns_rad, pan=replace(pan, values=-pan.values))
+    yield _cause(MOUNT, 'upside down', hanging, 1 if motion.hangs else 3)
+    rate = np.gradient(pan.values[:, 0], pan.seconds)[:, None] if len(pan.seconds) > 1 else 0.0
+    (x, y), (ahead, left) = motion.axis_xy, motion.offset_xy
 
     def again(**change: float) -> Motion:
         return replace(motion, odometry=driven_again(odometry, **change))
 
-    def moved(ahead_m: float, left_m: float) -> Motion:
-        x, y = motion.axis_xy
-        return replace(motion, axis_xy=(x + ahead_m, y + left_m))
-
-    def offset(ahead_m: float) -> Motion:
-        x, y = motion.offset_xy
-        return replace(motion, offset_xy=(x + ahead_m, y))
-
-    # With a camera upside down, the images turn in the opposite direction.
-    hanging = replace(motion, turns_rad=-motion.turns_rad, pan=replace(pan, values=-pan.values))
-    yield _cause(MOUNT, 'upside down', hanging, 1 if motion.hangs else 3)
-
-    def sharp(seconds: float) -> Motion:
-        # The pan before a filter of the first order.
-        rate = np.gradient(pan.values[:, 0], pan.seconds) if len(pan.seconds) > 1 else 0.0
-        return replace(motion, pan=replace(pan, values=pan.values + seconds * np.c_[rate]))
-
-    for stream, kind, reach, change in (
-        (JOINTS, 'filter', 1.0, sharp),
-        (ODOMETRY, 'bias', 1.0, lambda value: again(bias_rad_s=value)),
-        (ODOMETRY, 'curve', 3.0, lambda value: again(curve_rad_m=value)),
-        (MOUNT, 'ahead', 2.0, lambda value: moved(value, 0.0)),
-        (MOUNT, 'left', 2.0, lambda value: moved(0.0, value)),
-        (MOUNT, 'offset', 1.0, offset),
-    ):
-        yield _best(stream, kind, change, reach)
+    # The pan before a filter of the first order.
+    yield _best(
+        JOINTS,
+        'filter',
+        lambda value: replace(motion, pan=replace(pan, values=pan.values + value * rate)),
+        1.0,
+    )
+    yield _best(ODOMETRY, 'bias', lambda value: again(bias_rad_s=value), 1.0)
+    yield _best(ODOMETRY, 'curve', lambda value: again(curve_rad_m=value), 3.0)
+    yield _best(MOUNT, 'ahead', lambda value: replace(motion, axis_xy=(x + value, y)), 2.0)
+    yield _best(MOUNT, 'left', lambda value: replace(motion, axis_xy=(x, y + value)), 2.0)
+    yield _best(
+        MOUNT, 'offset', lambda value: replace(motion, offset_xy=(ahead + value, left)), 1.0
+    )
 
 
 def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: float) -> Cause:
     """Find the likeliest value of an error of a single number within +-`reach`."""
 
-    def badness(value: float) -> float:
-        return -_cause(stream, kind, change(value), 1).score
+    def make(value: float) -> Cause:
+        return _cause(stream, kind, change(value), 1, value)
 
     grid = reach * _GRID
-    first = float(grid[np.argmin([badness(value) for value in grid])])
-    step = float(grid[1] - grid[0])
-    found = minimize_scalar(
-        badness, bounds=(first - step, first + step), method='bounded', options={'xatol': 1e-3}
-    )
-    return _cause(stream, kind, change(float(found.x)), 1, float(found.x))
+    first = max((make(value) for value in grid.tolist()), key=lambda cause: cause.score)
+    return _likeliest(make, first.value, float(grid[1] - grid[0]))
 
 
 def _misfit(residuals: FloatArray) -> FloatArray:
@@ -292,9 +286,8 @@ def _scales(motion: Motion) -> Iterator[Cause]:
         # Very different units, such as ticks, show only in the magnitudes.
         ratio = float(np.median(np.abs(turns - rest)) / max(np.median(np.abs(factor)), 1e-12))
         tried = np.array([*_SCALES, least, ratio, -ratio])
-        first = tried[np.argmin(_misfit(turns - rest - tried[:, None] * factor))]
+        scale = float(tried[np.argmin(_misfit(turns - rest - tried[:, None] * factor))])
         parallax = motion.parallax()
-        scale = float(first)
         for _ in range(3):
             near = fit(turns - rest - scale * factor, np.column_stack([factor, parallax]))
             scale += float(near.values[0])
@@ -307,22 +300,13 @@ def _scales(motion: Motion) -> Iterator[Cause]:
         elif stream == JOINTS:
             changed = replace(motion, pan_scale=motion.pan_scale * scale)
             yield _cause(stream, 'scale', changed, 1, scale)
-        else:
+        elif motion.odometry is not None:
             changed = replace(motion, yaw_scale=motion.yaw_scale * scale)
             yield _cause(stream, 'scale', changed, 1, scale)
-            if motion.odometry is not None:
-                # The path may have been integrated with the wrong yaw.
-                for value in (scale, float(np.sign(scale))):
-                    track = driven_again(motion.odometry, yaw_scale=value)
-                    yield _cause(stream, 'scale', replace(motion, odometry=track), 1, value)
-
-
-def _with_clock(motion: Motion, stream: str, clock: Clock) -> Motion:
-    if stream == JOINTS:
-        return replace(motion, pan_clock=clock)
-    if stream == ODOMETRY:
-        return replace(motion, odometry_clock=clock)
-    return replace(motion, pan_clock=clock, odometry_clock=clock)
+            # The path may have been integrated with the wrong yaw.
+            for value in (scale, float(np.sign(scale))):
+                track = driven_again(motion.odometry, yaw_scale=value)
+                yield _cause(stream, 'scale', replace(motion, odometry=track), 1, value)
 
 
 def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Cause]:
@@ -335,45 +319,71 @@ def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Ca
         if motion.odometry is None and stream != JOINTS:
             continue
         hinted = list(hints.get(stream, ()))
-        for clock in _first_clocks(few, stream, hinted, drifts=False):
-            yield _refined(motion, stream, clock, drift=False)
-        for clock in _first_clocks(few, stream, hinted, drifts=True):
-            yield _refined(motion, stream, clock, drift=True)
+        for found in (
+            _offset(motion, stream, _first_offset(few, stream, hinted)),
+            _drift(motion, stream, _first_drift(few, stream, hinted)),
+        ):
+            # Implausible: the clock hardly runs, or other streams have no messages at these times.
+            streams = (JOINTS, ODOMETRY)
+            runs = all(found.motion.stream(name)[1].drift > _SLOWEST for name in streams)
+            if runs and min(map(found.motion.covered, streams)) > _LEAST_COVERED:
+                yield found
         yield _step(motion, stream)
 
 
-def _first_clocks(
-    motion: Motion, stream: str, hinted: list[Clock], *, drifts: bool
-) -> list[Clock]:
-    """Return the best clock of a coarse search around the hints and around no offset."""
-    begin, end = float(motion.before_s.min()), float(motion.after_s.max())
-    reach = min(end - begin, _FAR_S)
-    near = np.arange(-_NEAR_S, _NEAR_S, _NEAR_STEP_S)
-    if not drifts:
-        far = np.arange(-reach, reach, _FAR_STEP_S)
-        grids = [(Clock(h.offset_s), near) for h in hinted]
-        grids += [(Clock(), near), (Clock(), far)]
-        if hinted:
-            grids.append((Clock(hinted[0].offset_s, 0.0, 0.0), far))
-        found = [_best_offset(motion, stream, base, grid) for base, grid in grids]
-        return [min(found, key=lambda pair: pair[0])[1]]
-    found = []
-    few = near[:: max(1, len(near) // 40)]
-    for base in [*(h for h in hinted if h.drift), *(Clock(0.0, d, begin) for d in _DRIFTS)]:
-        for start in {base.offset_s, *(h.offset_s for h in hinted)}:
-            clock = Clock(start, base.drift, base.anchor_s)
-            found.append(_best_offset(motion, stream, clock, few))
-    return [min(found, key=lambda pair: pair[0])[1]]
+def _clock_cause(motion: Motion, stream: str, kind: str, clock: Clock) -> Cause:
+    """Return the cause that a stream has a clock; late images are the others that are early."""
+    clocks = {
+        JOINTS: {'pan_clock': clock},
+        ODOMETRY: {'odometry_clock': clock},
+        IMAGES: {'pan_clock': clock, 'odometry_clock': clock},
+    }[stream]
+    sign = -1.0 if stream == IMAGES else 1.0
+    value, offset_s = {
+        'clock': (clock.offset_s, sign * clock.offset_s),
+        'drift': (clock.drift, sign * clock.offset_s),
+        'step': (clock.step_s, clock.step_at_s),
+    }[kind]
+    changed = replace(motion, **clocks)  # type: ignore[arg-type]
+    parameters = 1 if kind == 'clock' else 2
+    return _cause(stream, kind, changed, parameters, sign * value, offset_s=offset_s)
 
 
-def _best_offset(
-    motion: Motion, stream: str, base: Clock, grid: FloatArray
-) -> tuple[float, Clock]:
-    """Misfit and clock of the best offset of a grid, on top of a clock."""
-    misfit = _misfit(_left(motion, stream, base, grid))
-    # Of equally good offsets, take the smallest.
-    best = int(np.argmin(misfit + 1e-6 * np.abs(grid)))
-    return float(misfit[best]), base.later(float(grid[best]))
+def _first_offset(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
+    """Return the best offset of a coarse search around the hints and around no offset."""
+    reach = min(float(motion.after_s.max() - motion.before_s.min()), _FAR_S)
+    far = np.arange(-reach, reach, _FAR_STEP_S)
+    grids = [(Clock(h.offset_s), _NEAR) for h in hinted] + [(Clock(), _NEAR), (Clock(), far)]
+    if hinted:
+        grids.append((Clock(hinted[0].offset_s), far))
+    return _best_offset(motion, stream, grids)
+
+
+def _first_drift(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
+    """Return the best of drifting clocks, those of the hints and a grid, with a near offset."""
+    begin, few = float(motion.before_s.min()), _NEAR[:: max(1, len(_NEAR) // 40)]
+    drifting = [h for h in hinted if h.drift] + [Clock(0.0, d, begin) for d in _DRIFTS.tolist()]
+    return _best_offset(
+        motion,
+        stream,
+        [
+            (replace(base, offset_s=start), few)
+            for base in drifting
+            for start in {base.offset_s, *(h.offset_s for h in hinted)}
+        ],
+    )
+
+
+def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArray]]) -> Clock:
+    """Clock with the least misfit, of clocks with grids of offsets on top of them."""
+    least, found = np.inf, Clock()
+    for base, grid in grids:
+        misfit = _misfit(_left(motion, stream, base, grid))
+        # Of equally good offsets, take the smallest.
+        best = int(np.argmin(misfit + 1e-6 * np.abs(grid)))
+        if misfit[best] < least:
+            least, found = float(misfit[best]), base.later(float(grid[best]))
+    return found
 
 
 def _left(motion: Motion, stream: str, base: Clock, grid: FloatArray) -> FloatArray:
@@ -391,12 +401,45 @@ def _left(motion: Motion, stream: str, base: Clock, grid: FloatArray) -> FloatAr
     return np.asarray(motion.turns_rad - pan - yaw)
 
 
+def _offset(motion: Motion, stream: str, first: Clock) -> Cause:
+    """Find the likeliest clock with another offset than `first`."""
+    return _likeliest(
+        lambda later: _clock_cause(motion, stream, 'clock', first.later(later)),
+        0.0,
+        2.0 * _FAR_STEP_S,
+    )
+
+
+def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
+    """Find the likeliest clock with another offset and drift than `first`."""
+    span = max(float(np.ptp(motion.before_s)), 1.0)
+
+    def make(change: FloatArray) -> Cause:
+        later, drift = change.tolist()
+        return _clock_cause(motion, stream, 'drift', replace(first.later(later), drift=drift))
+
+    start = np.array([0.0, first.drift])
+    best = minimize(
+        lambda change: -make(change).score,
+        start,
+        method='Nelder-Mead',
+        options={
+            'initial_simplex': start + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]]),
+            'xatol': 1e-4,
+            'maxfev': 120,
+        },
+    )
+    found = make(best.x)
+    if abs(found.value) * span < _LEAST_DRIFT_S:
+        return replace(found, kind='clock', value=found.offset_s)
+    return found
+
+
 def _step(motion: Motion, stream: str) -> Cause:
     """Find the likeliest clock that is off by a constant before, or after, some moment."""
-    grid = np.arange(-_NEAR_S, _NEAR_S, _NEAR_STEP_S)
     order = np.argsort(motion.before_s)
-    each = np.log1p((_left(motion, stream, Clock(), grid) / _FIRST_NOISE_RAD) ** 2)[:, order]
-    right = each[np.abs(grid).argmin()]
+    each = np.log1p((_left(motion, stream, Clock(), _NEAR) / _FIRST_NOISE_RAD) ** 2)[:, order]
+    right = each[np.abs(_NEAR).argmin()]
     # Sums over the pairs before each pair, and from each pair on.
     off_before = np.cumsum(each, axis=1) - each
     off_after = each.sum(1)[:, None] - off_before
@@ -407,77 +450,8 @@ def _step(motion: Motion, stream: str) -> Cause:
     offset, at = np.unravel_index(int((becomes if late else was).argmin()), becomes.shape)
     moment = float(motion.before_s[order][at])
 
-    def clock(step_s: float) -> Clock:
-        return Clock(0.0 if late else step_s, 0.0, 0.0, step_s if late else -step_s, moment)
+    def make(step_s: float) -> Cause:
+        clock = Clock(0.0 if late else step_s, 0.0, 0.0, step_s if late else -step_s, moment)
+        return _clock_cause(motion, stream, 'step', clock)
 
-    best = minimize_scalar(
-        lambda step_s: -explained(_with_clock(motion, stream, clock(step_s))).log_likelihood,
-        bounds=(grid[offset] - 2.0 * _NEAR_STEP_S, grid[offset] + 2.0 * _NEAR_STEP_S),
-        method='bounded',
-        options={'xatol': 1e-4},
-    )
-    sign = -1.0 if stream == IMAGES else 1.0
-    found = clock(float(best.x))
-    value = sign * found.step_s
-    return _cause(stream, 'step', _with_clock(motion, stream, found), 2, value, offset_s=moment)
-
-
-def _covered(motion: Motion) -> float:
-    """Share of the pairs at whose times there are both joints and odometry."""
-    inside = np.ones(len(motion), dtype=np.bool_)
-    for track, clock in (
-        (motion.pan, motion.pan_clock),
-        (motion.odometry, motion.odometry_clock),
-    ):
-        if track is not None:
-            inside &= clock.at(motion.before_s) > track.seconds[0] - _NEAR_STEP_S
-            inside &= clock.at(motion.after_s) < track.seconds[-1] + _NEAR_STEP_S
-    return float(np.mean(inside))
-
-
-def _refined(motion: Motion, stream: str, first: Clock, *, drift: bool) -> Cause:
-    """Find the likeliest clock near `first`."""
-
-    def badness(clock: Clock) -> float:
-        return -explained(_with_clock(motion, stream, clock)).log_likelihood
-
-    if not drift:
-        step = 2.0 * _FAR_STEP_S
-        best = minimize_scalar(
-            lambda later: badness(first.later(float(later))),
-            bounds=(-step, step),
-            method='bounded',
-            options={'xatol': 1e-4},
-        )
-        clock = first.later(float(best.x))
-        kind, value = 'clock', clock.offset_s
-    else:
-        span = max(float(np.ptp(motion.before_s)), 1.0)
-        best = minimize(
-            lambda p: badness(replace(first.later(float(p[0])), drift=float(p[1]))),
-            [0.0, first.drift],
-            method='Nelder-Mead',
-            options={
-                'initial_simplex': np.array([0.0, first.drift])
-                + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]]),
-                'xatol': 1e-4,
-                'maxfev': 120,
-            },
-        )
-        clock = replace(first.later(float(best.x[0])), drift=float(best.x[1]))
-        kind, value = 'drift', clock.drift
-        if abs(clock.drift) * span < _LEAST_DRIFT_S:
-            kind, value = 'clock', clock.offset_s
-    sign = -1.0 if stream == IMAGES else 1.0
-    mended = _with_clock(motion, stream, clock)
-    # Implausible: the clock hardly runs, or other streams have no messages at these times.
-    if clock.drift < _SLOWEST or _covered(mended) < _LEAST_COVERED:
-        return _cause(stream, 'none', motion, 2)
-    return _cause(
-        stream,
-        kind,
-        mended,
-        2 if drift else 1,
-        sign * value,
-        offset_s=sign * clock.offset_s,
-    )
+    return _likeliest(make, float(_NEAR[offset]), 2.0 * _NEAR_STEP_S)

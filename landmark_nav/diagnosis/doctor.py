@@ -8,7 +8,7 @@ from landmark_nav.diagnosis.drives import DriveChecks, THOROUGH
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.stamps import check_stamps
 from landmark_nav.diagnosis.streams import read_stream
-from landmark_nav.diagnosis.sweeps import SweepChecks
+from landmark_nav.diagnosis.sweeps import check_sweeps
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.bags import Bag
@@ -53,7 +53,7 @@ def diagnose(
             if topic:
                 found += check_stamps(read_stream(bag, name, topic))
     if sweeps:
-        found += SweepChecks(bag, sweeps, mount).findings(most_images)
+        found += check_sweeps(bag, sweeps, mount, most_images)
     if not found:
         bag.require(*IMAGES, *_SWEEP_IMAGES)
     for text in described:

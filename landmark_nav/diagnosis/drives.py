@@ -18,11 +18,20 @@ from landmark_nav.diagnosis.advice import (
     HEADING_ERROR_RAD,
     motion_findings,
 )
-from landmark_nav.diagnosis.camera_errors import CameraSetup
-from landmark_nav.diagnosis.causes import IMAGES, JOINTS, late_odometry, ODOMETRY, verdict
+from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
-from landmark_nav.diagnosis.looks import camera_error_of, look, Looks
-from landmark_nav.diagnosis.motion import Clock, Linear, linear, Motion, Track
+from landmark_nav.diagnosis.looks import look, look_corrected, Looks
+from landmark_nav.diagnosis.motion import (
+    Clock,
+    IMAGES,
+    JOINTS,
+    Linear,
+    linear,
+    Motion,
+    ODOMETRY,
+    Track,
+)
+from landmark_nav.diagnosis.odometry import check_jumps, check_path, check_speed, check_twist
 from landmark_nav.diagnosis.parts import (
     alternating_images,
     check_content,
@@ -35,7 +44,6 @@ from landmark_nav.diagnosis.parts import (
     staying_values,
     strange_images,
 )
-from landmark_nav.diagnosis.path import check_jumps, check_path
 from landmark_nav.diagnosis.sources import two_sources
 from landmark_nav.diagnosis.stamps import (
     by_arrival,
@@ -45,7 +53,6 @@ from landmark_nav.diagnosis.stamps import (
     longest_part,
 )
 from landmark_nav.diagnosis.streams import pan_stream, read_joints, read_stream, Stream, unwrapped
-from landmark_nav.diagnosis.units import check_speed, check_twist
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
@@ -62,14 +69,17 @@ _COVERED = 0.1
 _BY_LOG_S = 0.5
 # Least sigma of delays measured by the motion of images.
 _LEAST_SIGMA_S = 1e-3
-# Findings that follow from a constant pose.
+# Findings that follow from a constant pose, and from a wrong path or heading.
 _OF_POSE = 'odom twist'
-# Findings that follow from a mirrored path.
 _OF_PATH = ('odom twist, forward', 'camera heading', 'odom unit')
 # Least share of the images at whose times there is ground truth.
 _ENOUGH = 0.8
 # Greatest sigma of an offset by motion; above it, times of recording are used.
 _KNOWN_S = 0.1
+_INFOS = ('camera/camera_info',)
+
+# Findings, delays, and whether joints and odometry explain the motion of the images.
+_Judged = tuple[list[Finding], Delays, bool]
 
 
 class DriveChecks:
@@ -82,24 +92,20 @@ class DriveChecks:
 
     def diagnosis(self, most_images: int) -> Diagnosis:
         """Check with `most_images` decoded images; with more if these show a fault."""
-        infos = ('camera/camera_info',)
-        looks = look(self._bag, self._images, infos, self._mount, most_images)
-        setup: PanTiltMount | CameraSetup = self._mount
+        bag, images = self._bag, self._images
+        looks, error = look_corrected(bag, images, _INFOS, self._mount, most_images)
         of_camera = []
-        if error := camera_error_of(self._bag, looks, self._mount):
+        if error is not None:
             # All other checks use the corrected setup.
-            setup, of_camera = error.setup, [camera_finding(error)]
-            self._mount = error.setup.mount
-            looks = look(self._bag, self._images, infos, setup, most_images)
+            self._mount, of_camera = error.setup.mount, [camera_finding(error)]
         found, delays, healthy = self._judged(looks)
         if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
-            looks = look(self._bag, self._images, infos, setup, THOROUGH)
-            found, delays, _ = self._judged(looks)
+            setup = self._mount if error is None else error.setup
+            found, delays, _ = self._judged(look(bag, images, _INFOS, setup, THOROUGH))
         said = {finding.name for finding in of_camera}
         return Diagnosis((*of_camera, *(f for f in found if f.name not in said)), delays)
 
-    def _judged(self, looks: Looks) -> tuple[list[Finding], Delays, bool]:
-        """Findings, delays, and whether joints and odometry explain the motion of the images."""
+    def _judged(self, looks: Looks) -> _Judged:
         content = check_content(looks)
         found = [*check_stamps(looks.stream), *looks.findings, *content]
         pan, by_names = self._pan()
@@ -122,11 +128,11 @@ class DriveChecks:
             return found, Delays(), True
         if any(f.name == COVERED and f.level == 'error' for f in content):
             return found, Delays(), True  # the constant part prevents the measurement of turns
-        if _unstamped(looks.stream) or _unstamped(pan) or (odometry and _unstamped(odometry)):
+        streams = [pan] if odometry is None else [pan, odometry]
+        if any(not s.stamps_ns.any() for s in (looks.stream, *streams) if len(s)):
             return found, Delays(), True
         looks = replace(looks, stream=by_arrival(looks.stream))
-        odometry = None if odometry is None else by_arrival(odometry)
-        return self._against_images(looks, by_arrival(pan), odometry, found)
+        return self._against_images(looks, [by_arrival(stream) for stream in streams], found)
 
     @cached_property
     def _joints(self) -> dict[str, Stream]:
@@ -151,77 +157,77 @@ class DriveChecks:
         return pan, [Finding('joint names', 'ok', names or name)]
 
     def _against_images(
-        self, looks: Looks, pan: Stream, odometry: Stream | None, found: list[Finding]
-    ) -> tuple[list[Finding], Delays, bool]:
+        self, looks: Looks, streams: Sequence[Stream], found: list[Finding]
+    ) -> _Judged:
         first, last = longest_part(looks.stream)
-        streams = [
-            in_step(stream.only((stream.logged_ns >= first) & (stream.logged_ns <= last)))
-            for stream in (pan, odometry)
-            if stream is not None
-        ]
-        logged = looks.stream.logged_ns
-        images = looks.stream.only((logged >= first) & (logged <= last))
+        streams = [in_step(stream.logged_within(first, last)) for stream in streams]
+        images = looks.stream.logged_within(first, last)
         if any(len(stream) < 2 for stream in (images, *streams)):
             return found, Delays(), True
-        by_name = dict(zip((JOINTS, ODOMETRY), streams, strict=False))
-        hints = clock_hints(images, by_name)
-        inside = ((logged >= first) & (logged <= last))[looks.pairs].all(1)
+        hints = clock_hints(images, dict(zip((JOINTS, ODOMETRY), streams, strict=False)))
+        logged = looks.stream.logged_ns[looks.pairs]
+        inside = ((logged >= first) & (logged <= last)).all(1)
         pairs = self._motion(looks, looks.pairs[inside], streams)
         if (mixed := alternating_images(looks, pairs)) is not None:
             return [*found, mixed], Delays(), True
         motion = pairs.only(np.isfinite(pairs.turns_rad))
         if len(motion) < _LEAST_PAIRS:
-            described = (
-                f'{len(motion)} pairs of images show how the camera turned: too few to judge'
-            )
-            found.append(Finding('image motion', 'ok', described))
+            text = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
+            found.append(Finding('image motion', 'ok', text))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
         if (repeated := repeated_images(motion)) is not None:
             return [*found, repeated], Delays(), False
         # A pan that stops for each image repeats its values, too, but explains the images.
         for part in () if linear(motion).quiet else (held_values, limited_values):
             if (odd := part(motion)) is not None:
-                one, motion = odd
-                found.append(one)
+                found.append(odd[0])
+                motion = odd[1]
         if len(motion) < _LEAST_PAIRS:
             return found, Delays(), False
-        staying = staying_values(motion)
-        if staying is not None:
+        if (staying := staying_values(motion)) is not None:
             stays, motion = staying
             if stays.name.startswith(ODOMETRY):
-                found = [f for f in found if not f.name.startswith(_OF_POSE)]
+                found = _without(found, _OF_POSE)
             found.append(stays)
         slopes = linear(motion)
         path = check_path(streams[1]) if len(streams) > 1 else None
         if path is not None:
             mended = replace(motion, odometry=_odometry_track(streams[1], path.mended))
-            fitting = linear(mended)
-            if fitting.fits and not fitting.heading_rad.beyond(
-                HEADING_ERROR_RAD, HEADING_ERROR_RAD
-            ):
+            fitting, most = linear(mended), HEADING_ERROR_RAD
+            if fitting.fits and not fitting.heading_rad.beyond(most, most):
                 found, motion, slopes = [path.finding, *found], mended, fitting
             else:
                 path = None
         if slopes.fits:
             jumps = jumping_values(motion)
             if any(f.name == 'odom jumps' for f in found):
-                jumps = [f for f in jumps if not f.name.startswith(ODOMETRY)]
+                jumps = _without(jumps, ODOMETRY)
             found += motion_findings(motion, slopes, self._room) + jumps
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
-                found = [f for f in found if f.name not in _OF_PATH]
+                found = _without(found, _OF_PATH)
             elif looks.view is not None and staying is None:
                 strange = strange_images(pairs, looks.view.width_rad)
                 said = {finding.name for finding in found}
                 found += [] if strange is None or strange.name in said else [strange]
             return [*found, *self._truth(images, motion, Clock())], Delays(), True
+        return self._caused(images, streams, motion, hints, found)
+
+    def _caused(
+        self,
+        images: Stream,
+        streams: Sequence[Stream],
+        motion: Motion,
+        hints: Mapping[str, Sequence[Clock]],
+        found: list[Finding],
+    ) -> _Judged:
+        """Find the cause why joints and odometry do not explain the motion of the images."""
         others = {
             name: Track.of(stream.seconds, self._mount.pan_sense * _angles(stream))
             for name, stream in self._joints.items()
             if name != self._mount.pan_joint and len(stream) > 1
         }
-        twist = _by_twist(streams[1]) if len(streams) > 1 else None
-        judged = verdict(motion, others, twist, hints)
+        judged = verdict(motion, others, _by_twist(streams[1]) if streams[1:] else None, hints)
         cause = judged.cause
         found += cause_findings(judged)
         slopes = linear(cause.motion)
@@ -231,71 +237,63 @@ class DriveChecks:
             found += self._truth(images, cause.motion, right)
         if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
             # Consequences of a wrong heading are not separate faults.
-            follows: tuple[str, ...] = ('odom twist, forward', 'camera heading', 'odom unit')
-            if cause.kind == 'scale':
-                follows = ('odom twist', *follows)
-            found = [finding for finding in found if not finding.name.startswith(follows)]
-        if cause.kind == 'none' and not judged.fits:
-            coarse = [coarse_values(stream) for stream in streams]
-            found = [f for f in coarse if f is not None] or found
+            follows = (_OF_POSE, *_OF_PATH) if cause.kind == 'scale' else _OF_PATH
+            found = _without(found, follows)
         if cause.kind == 'none':
+            if not judged.fits:
+                found = [f for s in streams if (f := coarse_values(s)) is not None] or found
             found += _clocks_by_log(motion, hints, slopes)
-        late = cause.value if cause.kind == 'clock' and abs(cause.value) <= CORRECTED_S else 0.0
-        by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
-        sigma = max(slopes.pan_clock_s.sigma, _LEAST_SIGMA_S)
-        pan_sigma_s = sigma if cause.stream != ODOMETRY else 0.0
-        if not late:
+        if cause.kind != 'clock' or not 0.0 < abs(cause.value) <= CORRECTED_S:
             return found, Delays(), False
-        return found, Delays(**{by_stream[cause.stream]: late}, pan_sigma_s=pan_sigma_s), False
+        by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
+        delays = Delays(**{by_stream[cause.stream]: cause.value})
+        if cause.stream != ODOMETRY:
+            delays = replace(delays, pan_sigma_s=max(slopes.pan_clock_s.sigma, _LEAST_SIGMA_S))
+        return found, delays, False
 
     def _truth(self, images: Stream, motion: Motion, clock: Clock) -> list[Finding]:
         """Check the clock of the ground truth, used for metrics only, against a correct one."""
         topic = self._bag.find('ground_truth/odom')
-        truth = read_stream(self._bag, 'ground_truth', topic, _odometry_of) if topic else None
-        if truth is None or len(truth) < 2:
+        if not topic:
             return []
         # Only the part of the recording with images counts.
-        first, last = images.logged_ns[[0, -1]]
-        truth = truth.only((truth.logged_ns >= first) & (truth.logged_ns <= last))
+        truth = read_stream(self._bag, 'ground_truth', topic, _odometry_of)
+        truth = truth.logged_within(*images.logged_ns[[0, -1]].tolist())
         if len(truth) < 2:
             return []
-        values = truth.values[:, :3].copy()
-        values[:, 2] = np.unwrap(values[:, 2])
-        track = Track.of(truth.seconds, values)
+        track = _odometry_track(truth, truth.values)
         known = replace(motion, odometry=track, odometry_clock=clock, yaw_scale=1.0)
-        slopes = linear(known)
-        seconds = track.seconds - clock.offset_s
-        if _covered(
-            known, replace(track, seconds=seconds)
-        ) > _ENOUGH and not slopes.odometry_clock_s.beyond(0.05, _KNOWN_S):
+        off = linear(known).odometry_clock_s
+        if known.covered(ODOMETRY) > _ENOUGH and not off.beyond(0.05, _KNOWN_S):
             return []
         hints = clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
         late = hints[0].offset_s or hints[1].offset_s
-        if slopes.odometry_clock_s.sigma < np.inf or abs(late) > _BY_LOG_S:
+        if off.sigma < np.inf or abs(late) > _BY_LOG_S:
             late = late_odometry(known, hints) - clock.offset_s
-        described = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
+        text = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
         advice = 'errors are measured against it: stamp it by the clock of the robot'
-        return [Finding('ground_truth clock', 'warning', described, advice, {'late_s': late})]
+        return [Finding('ground_truth clock', 'warning', text, advice, {'late_s': late})]
 
     def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
-        seconds = looks.stream.seconds
-        turns = np.array([looks.turn(int(first), int(second)) for first, second in pairs])
-        before, after = seconds[pairs[:, 0]], seconds[pairs[:, 1]]
+        before, after = looks.stream.seconds[pairs.T]
         good = after > before
-        odometry = None
-        if len(streams) > 1:
-            odometry = _odometry_track(streams[1], streams[1].values)
+        turns = np.array([looks.compared(*pair)[0] for pair in pairs.tolist()])
         return Motion(
             before[good],
             after[good],
             turns[good],
             Track.of(streams[0].seconds, self._mount.pan_sense * _angles(streams[0])),
-            odometry,
+            _odometry_track(streams[1], streams[1].values) if streams[1:] else None,
             self._mount.axis_xyz[:2],
             self._mount.optical_center_offset[:2],
             float(self._mount.azimuth_base_rad(0.0)),
             self._mount.pan_sense * np.cos(self._mount.camera_roll_rad) < 0.0,
         )
+
+
+def _without(found: list[Finding], names: str | tuple[str, ...]) -> list[Finding]:
+    """Findings whose names do not start with any of `names`."""
+    return [finding for finding in found if not finding.name.startswith(names)]
 
 
 def _odometry_of(message: Any) -> FloatArray:
@@ -313,10 +311,6 @@ def _odometry_track(stream: Stream, values: FloatArray) -> Track:
 
 def _angles(stream: Stream) -> FloatArray:
     return unwrapped(stream.values[:, 0])[:, None]
-
-
-def _unstamped(stream: Stream) -> bool:
-    return not stream.stamps_ns.any()
 
 
 def _by_twist(stream: Stream) -> Track:
@@ -341,13 +335,10 @@ def _one_source(
     if main.stands and not second.stands:
         main, second = second, main
     does = 'stands still' if second.stands else 'moves otherwise'
-    found = Finding(
-        f'{stream.name} sources',
-        'error',
-        f'two sources in turns: {main.rate_hz:.0f} Hz, and {second.rate_hz:.0f} Hz that {does}',
-        f'two nodes publish {stream.topic}: stop one or remap it (ros2 topic info -v)',
-        {'rates_hz': [main.rate_hz, second.rate_hz], 'messages': int(second.keep.sum())},
-    )
+    text = f'two sources in turns: {main.rate_hz:.0f} Hz, and {second.rate_hz:.0f} Hz that {does}'
+    advice = f'two nodes publish {stream.topic}: stop one or remap it (ros2 topic info -v)'
+    values = {'rates_hz': [main.rate_hz, second.rate_hz], 'messages': int(second.keep.sum())}
+    found = Finding(f'{stream.name} sources', 'error', text, advice, values)
     return stream.only(main.keep), [found]
 
 
@@ -369,31 +360,18 @@ def _clocks_by_log(
     motion: Motion, hints: Mapping[str, Sequence[Clock]], slopes: Linear | None
 ) -> list[Finding]:
     """Find clock offsets by times of recording if motion does not show them."""
-    known = {
-        JOINTS: slopes is not None and slopes.quiet and slopes.pan_clock_s.sigma < _KNOWN_S,
-        ODOMETRY: slopes is not None and slopes.quiet and slopes.odometry_clock_s.sigma < _KNOWN_S,
-    }
-    off = {
-        name: clocks[0].offset_s if abs(clocks[0].offset_s) > _BY_LOG_S else clocks[1].offset_s
-        for name, clocks in hints.items()
-        if name != IMAGES and not known[name]
-    }
-    off = {
-        name: late
-        for name, late in off.items()
-        if abs(hints[name][0].offset_s) > _BY_LOG_S
-        or _covered(motion, motion.pan if name == JOINTS else motion.odometry) < _COVERED
-    }
+    off = {}
+    for name in (JOINTS, ODOMETRY):
+        if slopes is not None and slopes.quiet:
+            late = slopes.pan_clock_s if name == JOINTS else slopes.odometry_clock_s
+            if late.sigma < _KNOWN_S:
+                continue
+        by_log, by_start = (clock.offset_s for clock in hints.get(name, (Clock(), Clock()))[:2])
+        if abs(by_log) > _BY_LOG_S:
+            off[name] = by_log
+        elif motion.covered(name) < _COVERED:
+            off[name] = by_start
     how = ' by times of recording'
-    lates = list(off.values())
-    if len(off) == len(known) and np.ptp(lates) < _BY_LOG_S:
-        return [clock_finding(IMAGES, -float(np.mean(lates)), how, corrected=False)]
+    if len(off) == 2 and np.ptp([*off.values()]) < _BY_LOG_S:
+        return [clock_finding(IMAGES, -float(np.mean([*off.values()])), how, corrected=False)]
     return [clock_finding(name, late, how, corrected=False) for name, late in off.items()]
-
-
-def _covered(motion: Motion, track: Track | None) -> float:
-    """Share of the pairs of images within the time of a track."""
-    if track is None or not len(motion):
-        return 1.0
-    inside = (motion.before_s >= track.seconds[0]) & (motion.after_s <= track.seconds[-1])
-    return float(np.mean(inside))

@@ -90,36 +90,31 @@ class StripView:
         return fft.rfft(seen, 2 * _COLUMNS, axis=1), energy
 
     def turn(self, first: Strip, second: Strip) -> tuple[float, float]:
-        """Return `turn_between` two strips of this view."""
-        return turn_between(first, second, self.step_rad)
+        """
+        Turn of the camera from one strip to another, rad, counter-clockwise, and its score.
 
-
-def turn_between(first: Strip, second: Strip, step_rad: float) -> tuple[float, float]:
-    """
-    Turn of the camera from one strip to another, rad, counter-clockwise, and its score.
-
-    The turn is that of the largest likelihood ratio, the score the normalised cross-correlation of
-    its overlap. The turn is NaN if the overlap or the score is too small.
-    """
-    shifts = np.arange(-_COLUMNS, _COLUMNS)
-    product = fft.irfft((first[0] * np.conj(second[0])).sum(0), 2 * _COLUMNS)
-    product = np.roll(product, _COLUMNS)
-    low, high = np.maximum(shifts, 0), np.minimum(_COLUMNS + shifts, _COLUMNS)
-    shared = high - low >= _LEAST_OVERLAP * _COLUMNS
-    width = high - low
-    # On a wall without texture, the JPEG grid and dirt on the lens dominate; these do not turn.
-    blank = _BLANK * _ROWS * width
-    energy = (first[1][high] - first[1][low] + blank) * (
-        second[1][high - shifts] - second[1][low - shifts] + blank
-    )
-    score = np.where(shared, product / np.sqrt(np.maximum(energy, 1e-9)), -1.0)
-    # The likelihood ratio of a match: frames of a window resemble each other in a small overlap.
-    evidence = -width * np.log1p(-np.square(np.clip(score, 0.0, 1.0 - 1e-9)))
-    best = int(np.argmax(evidence))
-    peak = float(score[best])
-    if peak < _LEAST_SCORE or not (shared[best - 1] and shared[(best + 1) % len(shared)]):
-        return float('nan'), peak
-    before, after = score[best - 1], score[best + 1]
-    bend = before - 2.0 * peak + after
-    part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-    return float((shifts[best] + part) * step_rad), peak
+        The turn is that of the largest likelihood ratio, the score the normalised cross-correlation
+        of its overlap. The turn is NaN if the overlap or the score is too small.
+        """
+        shifts = np.arange(-_COLUMNS, _COLUMNS)
+        product = fft.irfft((first[0] * np.conj(second[0])).sum(0), 2 * _COLUMNS)
+        product = np.roll(product, _COLUMNS)
+        low, high = np.maximum(shifts, 0), np.minimum(_COLUMNS + shifts, _COLUMNS)
+        shared = high - low >= _LEAST_OVERLAP * _COLUMNS
+        width = high - low
+        # The JPEG grid and dirt on the lens, which do not turn, dominate on a bare wall.
+        blank = _BLANK * _ROWS * width
+        energy = (first[1][high] - first[1][low] + blank) * (
+            second[1][high - shifts] - second[1][low - shifts] + blank
+        )
+        score = np.where(shared, product / np.sqrt(np.maximum(energy, 1e-9)), -1.0)
+        # The likelihood ratio of a match: jambs of a window are alike in a small overlap.
+        evidence = -width * np.log1p(-np.square(np.clip(score, 0.0, 1.0 - 1e-9)))
+        best = int(np.argmax(evidence))
+        peak = float(score[best])
+        if peak < _LEAST_SCORE or not (shared[best - 1] and shared[(best + 1) % len(shared)]):
+            return float('nan'), peak
+        before, after = score[best - 1], score[best + 1]
+        bend = before - 2.0 * peak + after
+        part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+        return float((shifts[best] + part) * self.step_rad), peak

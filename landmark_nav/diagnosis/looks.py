@@ -18,9 +18,9 @@ from landmark_nav.diagnosis.camera_errors import (
     matched,
     Matches,
 )
-from landmark_nav.diagnosis.findings import Finding
+from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.image_motion import Strip, StripView
-from landmark_nav.diagnosis.streams import Stream
+from landmark_nav.diagnosis.streams import Row, Stream, stream_of
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
@@ -77,10 +77,6 @@ class Looks:
     camera: CameraModel | None
     points: dict[int, tuple[FloatArray, FloatArray]]
 
-    def turn(self, first: int, second: int) -> float:
-        """Turn of the camera between two images, rad; NaN if it is unknown."""
-        return self.compared(first, second)[0]
-
     def compared(self, first: int, second: int) -> tuple[float, float]:
         """Turn between two images, rad, and their correlation; NaN if unknown."""
         if self.view is None or first not in self.strips or second not in self.strips:
@@ -110,9 +106,7 @@ def look(
         Greatest number of decoded images.
     """
     chosen = _chosen(bag.counts[topic], most_images)
-    stamps: list[int] = []
-    logged: list[int] = []
-    frames: dict[str, None] = {}
+    rows: list[Row] = []
     failed: list[str] = []
     kinds: dict[str, None] = {}
     strips: dict[int, Strip] = {}
@@ -125,16 +119,13 @@ def look(
     tracked = set() if setup else _tracked(chosen)
     points: dict[int, tuple[FloatArray, FloatArray]] = {}
     before: Corners | None = None
-    unstamped = 0
     for index, entry in enumerate(bag.messages([topic])):
-        stamps.append(decode.stamp_ns(entry.message.header))
-        logged.append(entry.stamp_ns)
-        unstamped += entry.header_ns == 0
-        frames[str(entry.message.header.frame_id)] = None
+        stamp, frame = decode.stamp_ns(entry.message.header), str(entry.message.header.frame_id)
+        rows.append(Row(stamp, entry.stamp_ns, frame, np.empty(0), entry.header_ns == 0))
         if index not in chosen or cameras is None:
             continue
         try:
-            image, seen_by = decode.camera_image(entry.message, cameras.at(stamps[-1]), True)
+            image, seen_by = decode.camera_image(entry.message, cameras.at(stamp), True)
             if view is None:
                 camera = setup.camera if setup else seen_by
                 view = StripView(camera, *((setup.mount, setup.tilt_rad) if setup else (mounted,)))
@@ -151,20 +142,10 @@ def look(
                 before = now
         except LandmarkNavError as error:
             failed.append(str(error).removeprefix(f'{bag.path}: '))
-    pairs = [(k, k + 1) for k in strips if k + 1 in strips]
-    stream = Stream(
-        'images',
-        topic,
-        np.array(stamps, dtype=np.int64),
-        np.array(logged, dtype=np.int64),
-        np.empty((len(stamps), 0)),
-        tuple(frames),
-        origin_ns=bag.start_ns,
-        unstamped=unstamped,
-    )
+    pairs = np.array([(k, k + 1) for k in strips if k + 1 in strips], np.intp).reshape(-1, 2)
     findings = (*refused, *_encoding(failed, kinds, len(chosen)), *_lens(camera))
-    each = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return Looks(stream, each, findings, strips, small, sharpness, view, camera, points)
+    stream = stream_of(bag, 'images', topic, rows)
+    return Looks(stream, pairs, findings, strips, small, sharpness, view, camera, points)
 
 
 def _reduced(image: ImageArray, size: tuple[int, int]) -> ImageArray:
@@ -186,6 +167,15 @@ def _sharpness(image: ImageArray) -> float:
         for columns in (_WIDTH, _WIDTH // 4)
     )
     return float(fine / max(coarse, 1.0))
+
+
+def look_corrected(
+    bag: Bag, topic: str, infos: tuple[str, ...], mount: PanTiltMount, most_images: int
+) -> tuple[Looks, CameraError | None]:
+    """Examine images as `look` does; if lens or mount have an error, with the corrected setup."""
+    looks = look(bag, topic, infos, mount, most_images)
+    error = camera_error_of(bag, looks, mount)
+    return (look(bag, topic, infos, error.setup, most_images) if error else looks), error
 
 
 def camera_error_of(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError | None:
@@ -244,15 +234,10 @@ def _kind(entry: BagMessage) -> str:
 def _encoding(failed: list[str], kinds: Iterable[str], tried: int) -> Iterable[Finding]:
     named = ', '.join(list(kinds)[:3])
     if failed:
-        level = 'error' if len(failed) == tried else 'warning'
-        yield Finding(
-            'images encoding',
-            level,  # type: ignore[arg-type]
-            f'{len(failed)} of {tried} cannot be used',
-            failed[0][:110],
-            {'failed': len(failed), 'tried': tried},
-            when_read=True,
-        )
+        level: Level = 'error' if len(failed) == tried else 'warning'
+        text = f'{len(failed)} of {tried} cannot be used'
+        values = {'failed': len(failed), 'tried': tried}
+        yield Finding('images encoding', level, text, failed[0][:110], values, when_read=True)
     elif named:
         yield Finding('images encoding', 'ok', named)
 
@@ -260,33 +245,24 @@ def _encoding(failed: list[str], kinds: Iterable[str], tried: int) -> Iterable[F
 def _lens(camera: CameraModel | None) -> Iterable[Finding]:
     if camera is None:
         return
-    u = np.array([0.0, camera.width - 1.0])
-    edge = camera.unproject(np.stack([u, np.full(2, camera.cy)], -1))[:, 0]
-    field = float(np.degrees(np.ptp(np.arctan(edge))))
+    u = np.linspace(0.0, camera.width - 1.0, 21)
+    rays = camera.unproject(np.stack(np.meshgrid(u, [0.0, camera.cy]), -1))
+    field = float(np.degrees(np.ptp(np.arctan(rays[1, [0, -1], 0]))))
     text = f'{field:.0f} deg wide, f {camera.fx:.0f} px, {camera.model}'
-    values = {'field_of_view_deg': field, 'fx_px': camera.fx}
+    level: Level = 'error'
     if not np.isfinite(field) or not _LEAST_FOV_DEG < field < _MOST_FOV_DEG:
         advice = 'calibrate the camera: no lens that localization takes sees so much'
-        yield Finding('camera lens', 'error', text, advice, values)
-        return
-    rays = camera.unproject(
-        np.stack(np.meshgrid(np.linspace(0.0, camera.width - 1.0, 21), [0.0, camera.cy]), -1)
-    )
-    back = camera.project(rays)
-    folds = not np.isfinite(rays).all() or (np.diff(rays[..., 0], axis=1) <= 0.0).any()
-    off = float(np.nanmax(np.abs(back[..., 0] - np.linspace(0.0, camera.width - 1.0, 21))))
-    if folds or off > 1.0:
-        yield Finding(
-            'camera lens',
-            'error',
-            f'{text}: its distortion folds back inside the image',
-            'calibrate it again with points up to the corners of the image',
-            values,
-        )
-        return
-    if abs(camera.fy / camera.fx - 1.0) > _SQUARE:
-        text = f'fy is {camera.fy:.0f} px beside an fx of {camera.fx:.0f} px'
+    elif (
+        not np.isfinite(rays).all()
+        or (np.diff(rays[..., 0], axis=1) <= 0.0).any()
+        or np.nanmax(np.abs(camera.project(rays)[..., 0] - u)) > 1.0
+    ):
+        text = f'{text}: its distortion folds back inside the image'
+        advice = 'calibrate it again with points up to the corners of the image'
+    elif abs(camera.fy / camera.fx - 1.0) > _SQUARE:
+        level, text = 'warning', f'fy is {camera.fy:.0f} px beside an fx of {camera.fx:.0f} px'
         advice = 'calibrate again: pixels are square, if the driver does not stretch images'
-        yield Finding('camera lens', 'warning', text, advice, values)
-        return
-    yield Finding('camera lens', 'ok', text, '', values)
+    else:
+        level, advice = 'ok', ''
+    values = {'field_of_view_deg': field, 'fx_px': camera.fx}
+    yield Finding('camera lens', level, text, advice, values)

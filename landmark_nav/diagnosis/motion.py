@@ -25,16 +25,28 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import BoolArray, FloatArray
 
+# Streams that may be at fault.
+IMAGES, JOINTS, ODOMETRY, MOUNT = 'images', 'joint_states', 'odom', 'pan_axis'
 # Degrees of freedom of Student's t.
 FREEDOM = 3.0
 _ITERATIONS = 25
 # Bounds of the noise of images: greatest scale; greatest share of residuals beyond these sigmas.
 NOISE_RAD = 0.02
 _FAR_SIGMAS, _MOST_AWAY = 5.0, 0.15
-# Greatest errors that localization estimates.
-PAN_SCALE, YAW_SCALE, PAN_CLOCK_S, YAW_CLOCK_S = 0.03, 0.12, 0.01, 0.03
-# Twice the values that unequal distances cause in recordings without these errors.
-BIAS_RAD_S, CURVE_RAD_M, AXIS_M = 0.06, 0.2, 0.4
+# Greatest errors that localization estimates, and greatest sigmas with which they are judged.
+# Those of bias, curve and axis are twice what unequal distances cause without these errors.
+_ESTIMATED = {
+    'pan_scale': (0.03, 0.1),
+    'yaw_scale': (0.12, 0.2),
+    'pan_clock_s': (0.01, 0.1),
+    'odometry_clock_s': (0.03, 0.1),
+    'bias_rad_s': (0.06, 0.1),
+    'curve_rad_m': (0.2, 0.2),
+    'ahead_m': (0.4, 0.4),
+    'left_m': (0.4, 0.4),
+}
+# Tolerance of the first and last time of a stream.
+_LEEWAY_S = 0.02
 # Step of the numerical derivative by time.
 _STEP_S = 0.05
 # Least sigma of turns between images.
@@ -162,6 +174,29 @@ class Motion:
             turns_rad=self.turns_rad[chosen],
         )
 
+    def stream(self, name: str) -> tuple[Track | None, Clock]:
+        """Values and clock of a stream, `JOINTS` or `ODOMETRY`."""
+        if name == JOINTS:
+            return self.pan, self.pan_clock
+        return self.odometry, self.odometry_clock
+
+    def turned(self, name: str) -> FloatArray:
+        """Turns by a stream, (n,)."""
+        return self.panned() if name == JOINTS else self.yawed()
+
+    def unexplained(self) -> FloatArray:
+        """Turns less those by joints and odometry, (n,)."""
+        return self.turns_rad - self.panned() - self.yawed()
+
+    def covered(self, name: str) -> float:
+        """Share of the pairs of images within the time of a stream."""
+        track, clock = self.stream(name)
+        if track is None or not len(self):
+            return 1.0
+        inside = clock.at(self.before_s) > track.seconds[0] - _LEEWAY_S
+        inside &= clock.at(self.after_s) < track.seconds[-1] + _LEEWAY_S
+        return float(np.mean(inside))
+
     def panned(self) -> FloatArray:
         """Turns by the joints, (n,)."""
         times = self.pan_clock.at(np.stack([self.before_s, self.after_s]))
@@ -288,7 +323,7 @@ def fit(turns: FloatArray, columns: FloatArray) -> Fit:
 
 def explained(motion: Motion) -> Fit:
     """Fit the turns by joints and odometry as they are; only the parallax is free."""
-    return fit(motion.turns_rad - motion.panned() - motion.yawed(), motion.parallax())
+    return fit(motion.unexplained(), motion.parallax())
 
 
 class Estimate(NamedTuple):
@@ -330,24 +365,22 @@ class Linear:
     left_m: Estimate
 
     @property
+    def parallax(self) -> Estimate:
+        """Size of the parallax in any direction, 1/m."""
+        size = float(np.hypot(self.nearness.value, self.sideways.value))
+        return Estimate(size, max(self.nearness.sigma, self.sideways.sigma))
+
+    @property
     def heading_rad(self) -> Estimate:
         """Heading error of the camera relative to pan and mount, positive to the left."""
-        size = float(np.hypot(self.nearness.value, self.sideways.value))
-        sigma = max(self.nearness.sigma, self.sideways.sigma) / max(size, 1e-9)
-        return Estimate(float(np.arctan2(-self.sideways.value, self.nearness.value)), sigma)
+        turned = float(np.arctan2(-self.sideways.value, self.nearness.value))
+        return Estimate(turned, self.parallax.sigma / max(self.parallax.value, 1e-9))
 
     @property
     def fits(self) -> bool:
         """Whether joints and odometry explain the images without any fault."""
-        return self.quiet and not (
-            self.pan_scale.beyond(PAN_SCALE, 0.1)
-            or self.yaw_scale.beyond(YAW_SCALE, 0.2)
-            or self.pan_clock_s.beyond(PAN_CLOCK_S, 0.1)
-            or self.odometry_clock_s.beyond(YAW_CLOCK_S, 0.1)
-            or self.bias_rad_s.beyond(BIAS_RAD_S, 0.1)
-            or self.curve_rad_m.beyond(CURVE_RAD_M, 0.2)
-            or self.ahead_m.beyond(AXIS_M, AXIS_M)
-            or self.left_m.beyond(AXIS_M, AXIS_M)
+        return self.quiet and not any(
+            getattr(self, name).beyond(*bounds) for name, bounds in _ESTIMATED.items()
         )
 
 
@@ -355,18 +388,19 @@ def linear(motion: Motion) -> Linear:
     """Estimate small errors; the sigma of unobservable ones is infinite."""
     panned, yawed = motion.panned(), motion.yawed()
 
-    def rate(move: str) -> FloatArray:
-        moved = []
-        for step in (-_STEP_S, _STEP_S):
-            clock = getattr(motion, f'{move}_clock')
-            changed = replace(
-                motion, **{f'{move}_clock': replace(clock, offset_s=clock.offset_s + step)}
-            )
-            moved.append(changed.panned() if move == 'pan' else changed.yawed())
-        return np.asarray((moved[1] - moved[0]) / (2.0 * _STEP_S))
-
-    base = np.stack([panned, yawed, rate('pan'), rate('odometry'), *motion.parallax().T], -1)
-    left = motion.turns_rad - panned - yawed
+    early, late = (
+        replace(
+            motion,
+            pan_clock=motion.pan_clock.later(step),
+            odometry_clock=motion.odometry_clock.later(step),
+        )
+        for step in (-_STEP_S, _STEP_S)
+    )
+    pan_rate, yaw_rate = (
+        (late.turned(name) - early.turned(name)) / (2.0 * _STEP_S) for name in (JOINTS, ODOMETRY)
+    )
+    base = np.stack([panned, yawed, pan_rate, yaw_rate, *motion.parallax().T], -1)
+    left = motion.unexplained()
     found = fit(left, base)
     pairs = zip(found.values.tolist(), found.sigmas.tolist(), strict=True)
     small = [Estimate(*pair) for pair in pairs]

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Clock
 from landmark_nav.diagnosis.streams import Stream
@@ -58,69 +59,44 @@ class LogClock(NamedTuple):
 def check_stamps(stream: Stream) -> list[Finding]:
     """Check rate, gaps, order, duplicates and zeros of the stamps of one stream."""
     name, n = stream.name, len(stream)
-    need = _NEEDS.get(name)
-    if stream.refused:
+    need = _NEEDS.get(name, _Need(0.0, np.inf, 'the publisher'))
+    found = []
+    if refused := stream.refused:
         level: Level = 'warning' if n else 'error'
-        yielded = [
-            Finding(
-                f'{name} values',
-                level,
-                f'{stream.refused} of {n + stream.refused} messages cannot be used',
-                stream.why[:90],
-                {'refused': stream.refused, 'messages': n + stream.refused},
-                when_read=True,
-            )
-        ]
-    else:
-        yielded = []
+        text, values = f'{refused} of {n + refused} messages cannot be used', {'refused': refused}
+        values['messages'] = n + refused
+        why = stream.why[:90]
+        found.append(Finding(f'{name} values', level, text, why, values, when_read=True))
     if n < 2:
-        return [*yielded, Finding(f'{name} rate', 'warning', f'{n} messages', 'record more')]
+        return [*found, Finding(f'{name} rate', 'warning', f'{n} messages', 'record more')]
     if zeros := stream.unstamped:
-        everywhere = 'all' if zeros == n else f'{zeros} of {n}'
-        publisher = need.what if need else 'the publisher'
-        yielded.append(
-            Finding(
-                f'{name} stamps',
-                'warning',
-                f'{everywhere} stamps are 0: the time of recording is used',
-                f'{publisher} must stamp {name} (header.stamp)',
-                {'zeros': zeros, 'messages': n},
-            )
-        )
-    if (unit := _nanosec_unit(stream)) is not None:
-        yielded.append(unit)
+        text = f'{"all" if zeros == n else f"{zeros} of {n}"} stamps are 0: the time of recording '
+        advice = f'{need.what} must stamp {name} (header.stamp)'
+        values = {'zeros': zeros, 'messages': n}
+        found.append(Finding(f'{name} stamps', 'warning', f'{text}is used', advice, values))
+    found += _nanosec_unit(stream)
     steps = np.diff(stream.seconds)
     period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    rate = 1.0 / period if period else 0.0
-    yielded.append(_rate(name, need, rate, n))
-    longest = float(steps.max(initial=0.0))
-    if need and longest > max(need.gap_s, 5.0 * period):
-        at = float(stream.seconds[int(steps.argmax())] - stream.seconds[0])
-        yielded.append(
-            Finding(
-                f'{name} gaps',
-                'warning',
-                f'none for {longest:.2f} s at {at:.1f} s',
-                f'localization takes {need.gap_s:g} s: look at {need.what} and the recorder',
-                {'longest_s': longest, 'at_s': at},
-            )
+    rate_hz = 1.0 / period if period else 0.0
+    slow = rate_hz < 0.95 * need.rate_hz
+    text, advice = f'{rate_hz:.1f} Hz, {n} messages', f'publish {name} at {need.rate_hz:g} Hz'
+    found.append(
+        Finding(
+            f'{name} rate',
+            'warning' if slow else 'ok',
+            text,
+            f'{advice} at least' if slow else '',
+            {'rate_hz': rate_hz, 'messages': n},
         )
-    yielded += _jitter(stream, need.what if need else 'the publisher')
-    same, back = int((steps == 0.0).sum()), int((steps < 0.0).sum())
-    if same or back:
-        yielded.append(_order(name, stream, same, back, float(-steps.min())))
-    return yielded
-
-
-def _rate(name: str, need: _Need | None, rate_hz: float, messages: int) -> Finding:
-    slow = need is not None and rate_hz < 0.95 * need.rate_hz
-    return Finding(
-        f'{name} rate',
-        'warning' if slow else 'ok',
-        f'{rate_hz:.1f} Hz, {messages} messages',
-        f'publish {name} at {need.rate_hz:g} Hz at least' if slow and need else '',
-        {'rate_hz': rate_hz, 'messages': messages},
     )
+    longest_s = float(steps.max())
+    if longest_s > max(need.gap_s, 5.0 * period):
+        at_s = float(stream.seconds[int(steps.argmax())] - stream.seconds[0])
+        text = f'none for {longest_s:.2f} s at {at_s:.1f} s'
+        advice = f'localization takes {need.gap_s:g} s: look at {need.what} and the recorder'
+        gap = {'longest_s': longest_s, 'at_s': at_s}
+        found.append(Finding(f'{name} gaps', 'warning', text, advice, gap))
+    return [*found, *_jitter(stream, need.what), *_order(stream, steps)]
 
 
 def _jitter(stream: Stream, what: str) -> list[Finding]:
@@ -131,34 +107,40 @@ def _jitter(stream: Stream, what: str) -> list[Finding]:
     shaken, uneven = (np.quantile(away, 0.9, axis=1) / _NORMAL_90).tolist()
     if shaken < _SHAKEN_S or uneven > 0.5 * shaken:
         return []
-    return [
-        Finding(
-            f'{stream.name} jitter',
-            'warning',
-            f'stamps are shaken by {1e3 * shaken:.0f} ms, messages arrive within '
-            f'{1e3 * uneven:.0f} ms',
-            f'{what} must stamp {stream.name} at the time of measurement',
-            {'stamps_s': shaken, 'arrival_s': uneven},
-        )
-    ]
+    text = f'stamps are shaken by {1e3 * shaken:.0f} ms, messages arrive within '
+    text += f'{1e3 * uneven:.0f} ms'
+    advice = f'{what} must stamp {stream.name} at the time of measurement'
+    values = {'stamps_s': shaken, 'arrival_s': uneven}
+    return [Finding(f'{stream.name} jitter', 'warning', text, advice, values)]
 
 
-def _nanosec_unit(stream: Stream) -> Finding | None:
-    """Find stamps whose nanoseconds are in a larger unit; None if they are correct."""
-    parts = stream.stamps_ns % 1_000_000_000
-    most = int(parts.max())
+def _nanosec_unit(stream: Stream) -> list[Finding]:
+    """Find stamps whose nanoseconds are in a larger unit."""
+    most = int((stream.stamps_ns % 1_000_000_000).max())
     # With several messages per second, some have large nanoseconds; whole seconds are rounded.
     often = np.median(np.diff(stream.logged)) < 0.5 and len(stream) > _LEAST_MESSAGES
     if not (often and 0 < most < 1_000_000):
-        return None
+        return []
     unit = 'milliseconds' if most < 1_000 else 'microseconds'
-    return Finding(
-        f'{stream.name} stamps',
-        'error',
-        f'no stamp lies over {most} ns after a full second: nanosec counts {unit}',
-        'put nanoseconds into header.stamp.nanosec',
-        {'most_ns': most},
-    )
+    text = f'no stamp lies over {most} ns after a full second: nanosec counts {unit}'
+    advice = 'put nanoseconds into header.stamp.nanosec'
+    return [Finding(f'{stream.name} stamps', 'error', text, advice, {'most_ns': most})]
+
+
+def _order(stream: Stream, steps: FloatArray) -> list[Finding]:
+    """Find stamps that come twice or go back, by the steps (n - 1,) between them."""
+    same, back, furthest_s = int((steps == 0.0).sum()), int((steps < 0.0).sum()), -steps.min()
+    if not (same or back):
+        return []
+    many = same + back > _OFTEN * len(stream)
+    text, advice = f'{same} stamps come twice, {back} out of order', ''
+    if furthest_s > _SET_BACK_S:
+        many, text = True, f'stamps go back {back} times, by {furthest_s:.1f} s at most'
+        advice = 'its clock was set back, or two sources send: one clock, one source'
+    elif many:
+        advice = 'each message needs the time of its measurement'
+    values = {'duplicates': same, 'backward': back, 'backward_s': max(float(furthest_s), 0.0)}
+    return [Finding(f'{stream.name} order', 'warning' if many else 'ok', text, advice, values)]
 
 
 def by_arrival(stream: Stream) -> Stream:
@@ -175,26 +157,6 @@ def by_arrival(stream: Stream) -> Stream:
         drift, offset_s = 0.0, float(np.median(stream.seconds - stream.logged))
     late_ns = np.round(1e9 * (drift * stream.logged + offset_s)).astype(np.int64)
     return replace(stream, stamps_ns=stream.logged_ns + late_ns)
-
-
-def _order(name: str, stream: Stream, same: int, back: int, furthest_s: float) -> Finding:
-    values = {'duplicates': same, 'backward': back, 'backward_s': max(furthest_s, 0.0)}
-    if back and furthest_s > _SET_BACK_S:
-        return Finding(
-            f'{name} order',
-            'warning',
-            f'stamps go back {back} times, by {furthest_s:.1f} s at most',
-            'its clock was set back, or two sources send: one clock, one source',
-            values,
-        )
-    many = same + back > _OFTEN * len(stream)
-    return Finding(
-        f'{name} order',
-        'warning' if many else 'ok',
-        f'{same} stamps come twice, {back} out of order',
-        'each message needs the time of its measurement' if many else '',
-        values,
-    )
 
 
 def log_clock(stream: Stream) -> LogClock:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from landmark_nav.arrays import FloatArray, IntArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag, BagMessage
+from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.timelines import logged_joints
 
-# Function from a message to its values; None if it has no usable ones.
-Values = Callable[[Any], 'FloatArray | None']
+# Function from a message to its values (k,).
+Values = Callable[[Any], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,10 @@ class Stream:
         """Return the number of usable messages."""
         return len(self.stamps_ns)
 
+    def logged_within(self, first_ns: int, last_ns: int) -> Stream:
+        """Return the messages recorded from `first_ns` to `last_ns`."""
+        return self.only((self.logged_ns >= first_ns) & (self.logged_ns <= last_ns))
+
     def only(self, keep: Any) -> Stream:
         """Return the messages selected by an index or a mask (n,)."""
         return replace(
@@ -82,7 +86,55 @@ class Stream:
         )
 
 
-def read_stream(bag: Bag, name: str, topic: str, values: Values | None = None) -> Stream:
+class Row(NamedTuple):
+    """One usable message: stamp, time of recording, frame, values, whether the stamp was 0."""
+
+    stamp_ns: int
+    logged_ns: int
+    frame: str
+    values: FloatArray
+    unstamped: bool
+
+
+def _rows(bag: Bag, topic: str, values: Values) -> tuple[list[Row], list[str]]:
+    """Read the messages of a topic; return the usable ones, and why others are refused."""
+    rows, refused = [], []
+    for entry in bag.messages([topic]):
+        try:
+            message = entry.message
+            child = getattr(message, 'child_frame_id', '')
+            frame = f'{message.header.frame_id}{" -> " if child else ""}{child}'
+            stamp, measured = decode.stamp_ns(message.header), values(message)
+        except (AttributeError, TypeError, ValueError, IndexError, LandmarkNavError) as error:
+            text = str(error)
+            if not isinstance(error, LandmarkNavError):
+                text = f'{entry.topic}: not as its type should be: {error}'
+            refused.append(text)
+            continue
+        rows.append(Row(stamp, entry.stamp_ns, frame, measured, entry.header_ns == 0))
+    return rows, refused
+
+
+def stream_of(
+    bag: Bag, name: str, topic: str, rows: list[Row], refused: Sequence[str] = ()
+) -> Stream:
+    """Arrange the messages of one topic as a stream."""
+    width = len(rows[0].values) if rows else 0
+    return Stream(
+        name,
+        topic,
+        np.array([row.stamp_ns for row in rows], dtype=np.int64),
+        np.array([row.logged_ns for row in rows], dtype=np.int64),
+        np.array([row.values for row in rows], dtype=np.float64).reshape(len(rows), width),
+        tuple(dict.fromkeys(row.frame for row in rows)),
+        len(refused),
+        refused[0] if refused else '',
+        bag.start_ns,
+        sum(row.unstamped for row in rows),
+    )
+
+
+def read_stream(bag: Bag, name: str, topic: str, values: Values = lambda _: np.empty(0)) -> Stream:
     """
     Read one topic of a bag.
 
@@ -91,84 +143,31 @@ def read_stream(bag: Bag, name: str, topic: str, values: Values | None = None) -
     name, topic : str
         Names of the topic in the contract and in the bag.
     values : callable, optional
-        Function from a message to its values (k,); None if the message has none.
+        Function from a message to its values (k,).
     """
-    stamps, logged, numbers = [], [], []
-    frames: dict[str, None] = {}
-    refused, why, unstamped = 0, '', 0
-    for entry in bag.messages([topic]):
-        try:
-            stamp, frame, measured = _one(entry, values)
-        except LandmarkNavError as error:
-            refused, why = refused + 1, why or str(error)
-            continue
-        if measured is not None:
-            stamps.append(stamp)
-            logged.append(entry.stamp_ns)
-            unstamped += entry.header_ns == 0
-            numbers.append(measured)
-            frames[frame] = None
-    width = len(numbers[0]) if numbers else 0
-    return Stream(
-        name,
-        topic,
-        np.array(stamps, dtype=np.int64),
-        np.array(logged, dtype=np.int64),
-        np.array(numbers, dtype=np.float64).reshape(len(numbers), width),
-        tuple(frames),
-        refused,
-        why,
-        bag.start_ns,
-        unstamped,
-    )
-
-
-def _one(entry: BagMessage, values: Values | None) -> tuple[int, str, FloatArray | None]:
-    message = entry.message
-    try:
-        measured = np.empty(0) if values is None else values(message)
-        child = getattr(message, 'child_frame_id', '')
-        frame = f'{message.header.frame_id}{" -> " if child else ""}{child}'
-        return decode.stamp_ns(message.header), frame, measured
-    except (AttributeError, TypeError, ValueError, IndexError) as error:
-        raise LandmarkNavError(f'{entry.topic}: not as its type should be: {error}') from error
+    return stream_of(bag, name, topic, *_rows(bag, topic, values))
 
 
 def read_joints(bag: Bag, topic: str) -> dict[str, Stream]:
     """Read the streams of all joints on a topic, by name; each has positions (n, 1)."""
-    held: dict[str, list[tuple[int, int, float]]] = {}
-    refused, why = 0, ''
-    for entry in bag.messages([topic]):
-        try:
-            stamp, _, found = _one(entry, _positions)
-        except LandmarkNavError as error:
-            refused, why = refused + 1, why or str(error)
-            continue
-        for name, position in zip(
-            entry.message.name, [] if found is None else found, strict=False
-        ):
-            held.setdefault(str(name), []).append((stamp, entry.stamp_ns, float(position)))
-    joints = {}
-    for name, rows in held.items():
-        stamps, logged, angles = zip(*rows, strict=True)
-        joints[name] = Stream(
-            'joint_states',
-            topic,
-            np.array(stamps, dtype=np.int64),
-            np.array(logged, dtype=np.int64),
-            np.array(angles)[:, None],
-            refused=refused,
-            why=why,
-            origin_ns=bag.start_ns,
-        )
-    return joints
 
+    def positions(message: Any) -> FloatArray:
+        found = np.asarray(message.position, dtype=np.float64)
+        if len(found) < len(message.name) or not np.isfinite(found).all():
+            raise LandmarkNavError('positions are too few or not numbers')
+        names.append(list(map(str, message.name)))
+        return found
 
-def _positions(message: Any) -> FloatArray:
-    found = np.asarray(message.position, dtype=np.float64)
-    if len(found) < len(message.name) or not np.isfinite(found).all():
-        raise LandmarkNavError('positions are too few or not numbers')
-    return found
+    names: list[list[str]] = []
+    held: dict[str, list[Row]] = {}
+    rows, refused = _rows(bag, topic, positions)
+    for row, joints in zip(rows, names, strict=True):
+        for k, joint in enumerate(joints):
+            held.setdefault(joint, []).append(row._replace(values=row.values[k : k + 1]))
+    return {
+        joint: stream_of(bag, 'joint_states', topic, found, refused)
+        for joint, found in held.items()
+    }
 
 
 def unwrapped(angles: FloatArray) -> FloatArray:
@@ -187,11 +186,8 @@ def unwrapped(angles: FloatArray) -> FloatArray:
 def pan_stream(bag: Bag, mount: PanTiltMount) -> Stream:
     """Read the pan (n, 1) of a bag from any of the topics that may hold it."""
     logged, _ = logged_joints(bag, mount)
-    return Stream(
-        'joint_states',
-        bag.find('joint_states') or '',
-        np.array([sample.stamp_ns for _, sample in logged], dtype=np.int64),
-        np.array([log_ns for log_ns, _ in logged], dtype=np.int64),
-        np.array([sample.pan_rad for _, sample in logged])[:, None],
-        origin_ns=bag.start_ns,
-    )
+    rows = [
+        Row(sample.stamp_ns, log_ns, '', np.array([sample.pan_rad]), False)
+        for log_ns, sample in logged
+    ]
+    return stream_of(bag, 'joint_states', bag.find('joint_states') or '', rows)

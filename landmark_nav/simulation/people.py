@@ -75,32 +75,6 @@ class Person:
         return np.asarray(places[np.argmax(free)])
 
 
-class WalkingPeople:
-    """
-    Several people.
-
-    Parameters
-    ----------
-    robot_xy : ndarray, shape (2,)
-        Position of the robot, from which they start far away.
-    """
-
-    def __init__(
-        self, scene: Scene, count: int, robot_xy: FloatArray, rng: np.random.Generator
-    ) -> None:
-        """Create the people."""
-        self._people = [Person(scene, robot_xy, child) for child in rng.spawn(count)]
-
-    def step(self, dt_s: float, robot_xy: FloatArray) -> None:
-        """Advance the time; the robot is at `robot_xy` (2,)."""
-        for person in self._people:
-            person.step(dt_s, robot_xy)
-
-    def solids(self, viewer_xy: FloatArray) -> list[Solid]:
-        """Figures that face `viewer_xy` (2,)."""
-        return [person.solid(viewer_xy) for person in self._people]
-
-
 def _draw_figure(rng: np.random.Generator) -> ImageArray:
     """Standing figure with opacity, (rows, columns, 4)."""
     rows, columns = 700, 248

@@ -12,9 +12,14 @@ import numpy.typing as npt
 from landmark_nav.arrays import Float32Array, IndexArray
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.parameters import Config
-from landmark_nav.simulation.places import PainterOrder
 from landmark_nav.simulation.scene import Scene
-from landmark_nav.simulation.solids import background_surfaces, box_solid, Solid, wall_solids
+from landmark_nav.simulation.solids import (
+    back_to_front,
+    background_surfaces,
+    box_solid,
+    Solid,
+    wall_solids,
+)
 from landmark_nav.simulation.surfaces import light_of, Pyramid, Surface, values_of
 from landmark_nav.types import FloatArray, ImageArray
 
@@ -172,7 +177,6 @@ class Renderer:
         self.scene = scene
         self.camera = camera
         self._solids = wall_solids(scene) + [box_solid(box) for box in scene.boxes]
-        self._order = PainterOrder([solid.footprint for solid in self._solids])
         self._ground = background_surfaces(scene)
         self._pyramids: dict[int, tuple[ImageArray, Pyramid]] = {}
         self._tiles = RayTiles(camera)
@@ -207,11 +211,11 @@ class Renderer:
         forms = _ray_forms(surfaces, rotation, center)
         touched, _ = self._tiles.classify(forms, np.zeros((len(surfaces), 4)))
         seen = np.flatnonzero(touched.any(axis=1))
-        visible = sorted({int(g) for g in group[seen] if g >= 0})
-        painter = self._order.extended([p.footprint for p in people]) if people else self._order
+        visible = np.unique(group[seen][group[seen] >= 0])
         rank = np.full(len(solids) + 1, -1)
         heading = float(np.arctan2(rotation[1, 2], rotation[0, 2]))
-        rank[painter.back_to_front(center[:2], heading, visible)] = np.arange(len(visible))
+        farthest = back_to_front([solids[k].footprint for k in visible], center[:2], heading)
+        rank[visible[farthest]] = np.arange(len(visible))
         order = seen[np.lexsort((seen, rank[group[seen]]))]
         return self._paint(
             [surfaces[k] for k in order], forms[order], _overlaps([surfaces[k] for k in order])

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
-from landmark_nav.simulation.people import WalkingPeople
+from landmark_nav.simulation.people import Person
 from landmark_nav.simulation.renderer import CameraEffects, CameraEffectsConfig, Renderer
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.types import CameraFrame, FloatArray, JointSample, OdometrySample
@@ -65,7 +65,9 @@ class RobotWorld:
         self._owed_s = 0.0
         self._unit = PanTiltUnit(PanTiltConfig())
         self._drive = DifferentialDrive(DriveConfig(), pose_map_base, self._free, wheels)
-        self._people = WalkingPeople(scene, people, self.true_pose[:2], walking)
+        self._people = [
+            Person(scene, self.true_pose[:2], child) for child in walking.spawn(people)
+        ]
         self.renderer = renderer or Renderer(scene, camera)
         self._effects = CameraEffects(camera, CameraEffectsConfig(), noise)
 
@@ -108,7 +110,8 @@ class RobotWorld:
             self._steps += 1
             self._drive.step(dt)
             self._unit.step(dt)
-            self._people.step(dt, self._drive.pose_map_base[:2])
+            for person in self._people:
+                person.step(dt, self._drive.pose_map_base[:2])
 
     def command_pan(self, pan_rad: float, tilt_rad: float = 0.0) -> None:
         """Turn the camera to pan and tilt."""
@@ -151,7 +154,8 @@ class RobotWorld:
         """Capture an image now."""
         pan, tilt = self._unit.angles_rad
         turn, center = self.mount.camera_pose_map(self.true_pose, float(pan), float(tilt))
-        image = self.renderer.render(turn, center, self._people.solids(center[:2]))
+        people = [person.solid(center[:2]) for person in self._people]
+        image = self.renderer.render(turn, center, people)
         sample = self.joint_sample()
         return CameraFrame(
             sample.stamp_ns,

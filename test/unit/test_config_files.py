@@ -150,7 +150,7 @@ def test_learn_takes_parameters_of_all_its_stages(
         met.append(config)
         raise LandmarkNavError('enough')
 
-    monkeypatch.setattr('landmark_nav.diagnosis.sweeps.camera_error_of', lambda *_: None)
+    monkeypatch.setattr('landmark_nav.diagnosis.looks.camera_error_of', lambda *_: None)
     monkeypatch.setattr(learn, 'panorama_from_sweep', panorama_from_sweep)
     monkeypatch.setattr(learn, 'learn_from_panoramas', learn_from_panoramas)
     path = tmp_path / 'learn.yaml'

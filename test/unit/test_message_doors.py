@@ -195,8 +195,10 @@ def test_poses_without_a_covariance_are_refused(wrong):
 def test_joints_that_hold_no_angles_are_refused(positions):
     msg = encode.joint_state(FACTORY, JointSample(STAMP, 0.1), MOUNT)
     msg.position = positions
-    with pytest.raises(LandmarkNavError, match='joint_states position'):
-        decode.joint_sample(msg, MOUNT)
+    for read in (decode.joint_sample, decode.lone_tilt):
+        with pytest.raises(LandmarkNavError, match='joint_states position'):
+            read(msg, MOUNT)
+        msg.name = [MOUNT.tilt_joint, 'wheel_left']
 
 
 @pytest.mark.parametrize(('sec', 'nanosec'), [(-1, 0), (0, 2 * 10**9), ('now', 0), (np.nan, 0)])
@@ -219,6 +221,14 @@ def test_odometry_that_holds_no_numbers_is_refused(where, value):
         holder = getattr(holder, name)
     setattr(holder, last, value)
     with pytest.raises(LandmarkNavError, match='odometry'):
+        decode.odometry(msg)
+
+
+@pytest.mark.parametrize('turn', [{'w': 0.0}, {'x': 2.0}])
+def test_odometry_without_a_heading_is_refused(turn):
+    msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
+    vars(msg.pose.pose.orientation).update(turn)
+    with pytest.raises(LandmarkNavError, match=r'zero quaternion|fallen over'):
         decode.odometry(msg)
 
 

@@ -16,7 +16,7 @@ from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
-from landmark_nav.messages.layouts import DETECTIONS, GLOBAL_POSE, GlobalPose, Layout, TRIPLET
+from landmark_nav.messages.layouts import DETECTIONS, GLOBAL_POSE, GlobalPose, Layout
 from landmark_nav.types import (
     Detections,
     JointSample,
@@ -44,12 +44,6 @@ def test_a_tilt_comes_alone_where_its_joint_has_a_driver_of_its_own(deliver):
     assert decode.lone_tilt(deliver(msg), MOUNT) is None
     msg.name = ['wheel_left', MOUNT.tilt_joint]
     assert decode.lone_tilt(deliver(msg), MOUNT) == (STAMP, -0.5)
-    msg.position = np.array([0.0, np.nan])
-    with pytest.raises(LandmarkNavError, match='joint_states position'):
-        decode.lone_tilt(deliver(msg), MOUNT)
-    msg.position = msg.position[:1]
-    with pytest.raises(LandmarkNavError, match='1 values for 2 joints'):
-        decode.lone_tilt(deliver(msg), MOUNT)
 
 
 SCALARS = st.sampled_from(['<u4', '<i2', 'u1', '<f4', '<f8'])
@@ -77,16 +71,6 @@ def test_clouds_come_back(data, kinds, count):
         np.testing.assert_array_equal(again[name], points[name])
 
 
-def test_cloud_without_a_field_or_with_too_few_bytes_is_refused():
-    points = np.zeros(3, np.dtype([('id', '<u4'), ('x', '<f4')]))
-    msg = pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'map'), points)
-    with pytest.raises(LandmarkNavError, match='lacks the field bearing'):
-        unpack_cloud(msg, TRIPLET)
-    msg.data = msg.data[:-1]
-    with pytest.raises(LandmarkNavError, match='23 bytes'):
-        unpack_cloud(msg, Layout('points', points.dtype))
-
-
 def test_detections_of_older_recordings_know_of_no_delay():
     names = [name for name in DETECTIONS.fields.names if name not in DETECTIONS.optional]
     older = np.ones(3, dtype=[(name, DETECTIONS.fields[name]) for name in names])
@@ -108,16 +92,6 @@ def some_panorama():
         -2.0,
         np.diag([1.0, 2.0, 3.0, 4.0]) + 0.5,
     )
-
-
-def test_panorama_of_parts_that_do_not_belong_together_is_refused():
-    camera_image, info, pose = encode.panorama(FACTORY, some_panorama())
-    info.distortion_model = 'plumb_bob'
-    with pytest.raises(LandmarkNavError, match='plumb_bob'):
-        decode.panorama(camera_image, info, pose)
-    pose.header = encode.header(FACTORY, STAMP + 1, 'map')
-    with pytest.raises(LandmarkNavError, match='comes with'):
-        decode.panorama(camera_image, info, pose)
 
 
 def some_map(count, factors):
@@ -155,17 +129,6 @@ def some_map(count, factors):
             )
         )
     return LandmarkMap(tuple(landmarks), 'map', walls)
-
-
-def test_empty_map_travels_and_a_foreign_atlas_is_refused():
-    cloud, atlas, _ = encode.landmark_map(FACTORY, LandmarkMap(()), STAMP)
-    assert decode.landmark_map(over_the_wire(cloud), over_the_wire(atlas)).landmarks == ()
-    cloud, _, _ = encode.landmark_map(FACTORY, some_map(3, 2), STAMP)
-    with pytest.raises(LandmarkNavError, match='do not fit an atlas'):
-        decode.landmark_map(cloud, atlas)
-    atlas.header = encode.header(FACTORY, STAMP + 1, 'map')
-    with pytest.raises(LandmarkNavError, match='different maps'):
-        decode.landmark_map(cloud, atlas)
 
 
 RNG = np.random.default_rng(2)
@@ -230,32 +193,24 @@ def test_a_covariance_comes_with_odometry_and_a_pan_by_its_name():
         )
 
 
-def test_values_that_are_no_pose_are_refused_with_what_and_when():
-    message = encode.odometry(FACTORY, OdometrySample(STAMP, np.array([1.0, np.nan, 0.0])))
-    with pytest.raises(LandmarkNavError, match=r'odometry position at 5000\.000 s'):
-        decode.odometry(message)
-    with pytest.raises(LandmarkNavError, match='pose position'):
-        decode.pose_estimate(message)
-    message = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
-    for w, x, complaint in ((0.0, 0.0, 'zero quaternion'), (0.0, 1.0, 'fallen over')):
-        message.pose.pose.orientation.w, message.pose.pose.orientation.x = w, x
-        with pytest.raises(LandmarkNavError, match=complaint):
-            decode.odometry(message)
-    joints = encode.joint_state(FACTORY, JOINTS[0], MOUNT)
-    joints.position = joints.position[:1]
-    with pytest.raises(LandmarkNavError, match='1 values for 2 joints'):
-        decode.joint_sample(joints, MOUNT)
+def test_parts_that_do_not_belong_together_are_refused():
+    camera_image, info, pose = encode.panorama(FACTORY, some_panorama())
+    info.distortion_model = 'plumb_bob'
+    with pytest.raises(LandmarkNavError, match='plumb_bob'):
+        decode.panorama(camera_image, info, pose)
+    pose.header = encode.header(FACTORY, STAMP + 1, 'map')
+    with pytest.raises(LandmarkNavError, match='comes with'):
+        decode.panorama(camera_image, info, pose)
+    cloud, atlas, _ = encode.landmark_map(FACTORY, some_map(3, 2), STAMP)
+    atlas.header = pose.header
+    with pytest.raises(LandmarkNavError, match='different maps'):
+        decode.landmark_map(cloud, atlas)
 
 
 def test_a_found_place_names_landmarks():
-    head = encode.header(FACTORY, STAMP, 'map')
-    short = np.zeros(1, dtype=[(name, 'f8') for name in GLOBAL_POSE.fields.names])
-    for points, complaint in (
-        (np.zeros(0, dtype=GLOBAL_POSE.fields), 'names no landmark'),
-        (short, 'field id is 1 of type float64'),
-    ):
-        with pytest.raises(LandmarkNavError, match=complaint):
-            decode.global_pose(pack_cloud(FACTORY, head, points))
+    head, nothing = encode.header(FACTORY, STAMP, 'map'), np.zeros(0, dtype=GLOBAL_POSE.fields)
+    with pytest.raises(LandmarkNavError, match='names no landmark'):
+        decode.global_pose(pack_cloud(FACTORY, head, nothing))
 
 
 def test_factory_refuses_fields_that_do_not_exist():

@@ -79,12 +79,6 @@ class TestPaperPose:
             moved.T / sigma[:, None], -by_papers / sigma[:, None], atol=0.05
         )
 
-    def test_grows_with_the_distance(self) -> None:
-        eye = np.column_stack([np.full(4, 3.1), [1.5, 2.5, 3.5, 4.5], np.full(4, 1.1)])
-        sigma = np.sqrt(np.trace(errors_at(eye)[0][:, :2, :2], axis1=1, axis2=2))
-        assert np.all(np.diff(sigma) > 0.0)
-        assert 5e-4 < sigma[0] < 5e-3
-
     def test_papers_are_seen_from_before_them_and_not_too_near(self) -> None:
         eye = np.array([[3.1, 2.0, 1.1], [3.1, 0.6, 1.1], [0.2, 0.4, 1.1], [3.1, -2.0, 1.1]])
         seen = papers_seen(eye, ROOM, CONFIG)
@@ -229,16 +223,10 @@ class TestPredictor:
         assert np.isinf(nothing.sigma_m).all()
         assert nothing.cost_m == pytest.approx(0.05)
 
-    def test_order_does_not_matter(self) -> None:
-        poses = np.array([[2.0, 2.0, 0.1], [4.0, 2.2, 0.4], [3.0, 3.0, -1.0]])
-        predictor = self.predictor(poses)
-        one = predictor.predict(np.array([0, 1, 2]))
-        other = predictor.predict(np.array([2, 0, 1]))
-        np.testing.assert_allclose(one.sigma_m, other.sigma_m, rtol=1e-6)
-        np.testing.assert_allclose(one.landmarks, other.landmarks, rtol=1e-9)
-
     def test_no_more_landmarks_than_a_map_may_hold(self) -> None:
         poses = np.array([[2.0, 2.0, 0.0], [4.0, 2.2, 0.0], [3.0, 3.0, 0.0], [2.5, 2.8, 0.0]])
         prediction = self.predictor(poses).predict(np.arange(4))
         assert prediction.landmarks.sum() <= CONFIG.election.max_count + 1e-9
         assert prediction.landmarks.sum() > 0.5 * CONFIG.election.max_count
+        other = self.predictor(poses).predict(np.array([2, 0, 3, 1]))
+        np.testing.assert_allclose(prediction.sigma_m, other.sigma_m, rtol=1e-6)

@@ -162,14 +162,6 @@ class TestCameraEffects:
         assert camera_image[48, 64] == pytest.approx(100, abs=1)
         assert camera_image[0, 0] == pytest.approx(60, abs=1)
 
-    def test_leaves_clean_images_alone_if_reported_so(self):
-        config = CameraEffectsConfig(
-            vignetting=0.0, auto_exposure=0.0, blur_sigma_px=0.0, read_noise=0.0, shot_noise=0.0
-        )
-        effects = CameraEffects(CAMERA, config, np.random.default_rng(0))
-        camera_image = np.random.default_rng(1).integers(0, 256, (96, 128, 3)).astype(np.uint8)
-        assert np.array_equal(effects.apply(camera_image), camera_image)
-
 
 class TestDrivePath:
     scene = generate_scene(4)

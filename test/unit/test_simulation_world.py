@@ -32,16 +32,8 @@ MOUNT = PanTiltMount((0.08, 0.0, 1.1), (0.0, 0.0, 0.0), (0.04, 0.01, 0.02))
 
 
 def make_world(seed: int = 3, people: int = 0, renderer: Renderer | None = None) -> RobotWorld:
-    return RobotWorld(
-        SCENE,
-        POSE,
-        seed,
-        camera=CAMERA,
-        mount=MOUNT,
-        people=people,
-        start_ns=5_000_000_000_000,
-        renderer=renderer,
-    )
+    options = {'camera': CAMERA, 'mount': MOUNT, 'people': people, 'renderer': renderer}
+    return RobotWorld(SCENE, POSE, seed, start_ns=5_000_000_000_000, **options)
 
 
 @pytest.fixture(scope='module')
@@ -151,14 +143,8 @@ class TestCommand:
         assert learn[:3] == ['landmark-nav', 'learn', str(out / 'learn')]
         assert main(evaluate[1:]) == 1
         assert 'no map there' in capsys.readouterr().err
-        assert sorted(path.name for path in out.iterdir()) == [
-            'drive',
-            'learn',
-            'robot.yaml',
-            'room.yaml',
-            'scene.json',
-            'start.json',
-        ]
+        names = 'drive learn robot.yaml room.yaml scene.json start.json'
+        assert sorted(path.name for path in out.iterdir()) == names.split()
         given = load_room(out / 'room.yaml')
         assert (given == SCENE.room) == exact
         off = np.subtract(*[[wall.start for wall in room.walls] for room in (given, SCENE.room)])

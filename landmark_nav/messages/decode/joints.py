@@ -67,11 +67,6 @@ class JointNames:
         return f'{listed or "no joint"} arrive, not {pan}: set pan_joint in robot.yaml'
 
     @property
-    def pan_is_missing(self) -> bool:
-        """Whether joints arrive, but not the pan joint."""
-        return bool(self._seen) and not self.pan_arrives
-
-    @property
     def pan_arrives(self) -> bool:
         """Whether the pan joint is among the names that arrived."""
         return self.mount.pan_joint in self._seen
