@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from landmark_nav.learning.calibration.sweep_calibration import (
+    align_sweep,
     calibrate_sweep,
     CalibrationConfig,
-    fit_significant,
     moved_px,
     SweepCalibration,
 )
@@ -15,9 +15,9 @@ __all__ = [
     'CalibrationConfig',
     'SweepCalibration',
     'SweepTurn',
+    'align_sweep',
     'calibrate_sweep',
     'check_turn',
-    'fit_significant',
     'measure_turn',
     'moved_px',
 ]

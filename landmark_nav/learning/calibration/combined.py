@@ -15,7 +15,7 @@ from landmark_nav.learning.calibration.sweep_calibration import (
     SIGNIFICANT,
     USUAL_RANGE_M,
 )
-from landmark_nav.learning.least_squares import covariance_of
+from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray, Sweep
 
@@ -170,9 +170,9 @@ def levelled(
     ----------
     mount : PanTiltMount
         Assumed extrinsics.
-    score, information : ndarray, shape (2,), (2, 2)
-        Measured small rotations about x and y of the base, rad, in information form: the tilt is
-        ``information^-1 score``.
+    score, information : ndarray, shape (3,), (3, 3)
+        Height and small rotations about x and y of the base, in information form: their estimate
+        is ``information^-1 score``.
     config : CalibrationConfig
         Whether to use the result.
 
@@ -182,11 +182,12 @@ def levelled(
     terms : tuple of CalibrationTerm
         ``axis_roll`` and ``axis_pitch``; empty if nothing was measured.
     """
-    if np.linalg.eigvalsh(information)[0] < _LEAST_INFORMATION:
+    if np.linalg.eigvalsh(information[1:, 1:])[0] < _LEAST_INFORMATION:
         return mount, ()
     covariance = covariance_of(information)
-    axis_tilt = covariance @ score
-    significant = float(axis_tilt @ score) > SIGNIFICANT**2 and config.enabled
+    axis_tilt, covariance = (covariance @ score)[1:], covariance[1:, 1:]
+    size = float(axis_tilt @ solve_positive(covariance, axis_tilt))
+    significant = size > SIGNIFICANT**2 and config.enabled
     terms = tuple(
         CalibrationTerm(name, float(value), float(sigma), significant)
         for name, value, sigma in zip(

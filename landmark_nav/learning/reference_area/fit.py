@@ -112,7 +112,7 @@ class PaperFitter:
         self, sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
     ) -> None:
         self._frames, self._room, self._config = sweep.frames, room, config
-        self._pan_sigma_rad = mount.pan_sigma_rad
+        self._mount, self._pan_sigma_rad = mount, mount.pan_sigma_rad
         self._model = PaperModel(sweep, room, mount, _PARTS * PROFILES)
         self._hues = [hue_direction(paper.color) for paper in room.papers]
 
@@ -220,7 +220,8 @@ class PaperFitter:
         half = 0.5 * np.array([camera.width, camera.height])
         frames = np.arange(len(self._frames))
         pairs = []
-        for k in np.flatnonzero(papers_in_view(self._model.axis_xy(state), self._room)):
+        axis_xy = self._mount.axis_pose_map(state[:3])[:2]
+        for k in np.flatnonzero(papers_in_view(axis_xy, self._room)):
             center = np.tile(self._model.points[k].mean(axis=0), (len(frames), 1))
             pixels = self._model.project(state, frames, np.full(len(frames), k), center)
             off = np.abs(pixels - half)

@@ -64,17 +64,14 @@ class SweepPlace:
     Pose of a sweep.
 
     `pose_map_base` (3,) is that of the base, `height_m` that of the optical centre, `covariance`
-    (4, 4) that of x, y, z, heading. `axis_tilt_score` (2,) and `axis_tilt_information` (2, 2) are
-    the tilt of the pan axis about x and y of the base in information form, for `levelled`;
-    `mount_score` (3,) and `mount_information` (3, 3) those of height and tilt together.
-    `warning` is set if sizes and distances of papers contradict each other.
+    (4, 4) that of x, y, z, heading. `mount_score` (3,) and `mount_information` (3, 3) are errors
+    of height and of the tilt of the pan axis about x and y of the base in information form, by
+    papers alone. `warning` is set if sizes and distances of papers contradict each other.
     """
 
     pose_map_base: FloatArray
     height_m: float
     covariance: FloatArray
-    axis_tilt_score: FloatArray = field(default_factory=lambda: np.zeros(2))
-    axis_tilt_information: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     warning: str = ''
     mount_score: FloatArray = field(default_factory=lambda: np.zeros(3))
     mount_information: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
@@ -118,7 +115,6 @@ def locate_sweep(
     papers = _PaperSearch(sweep, view, room, mount, config)
     fit = papers.fit()
     check_prior(fit, room, config, most_sigmas)
-    inverse = covariance_of(fit.mount_covariance[1:, 1:])
     # The misfit inflates the whole covariance, including the part of the prior.
     scatter = max(1.0, fit.misfit)
     of_mount = covariance_of(fit.mount_covariance / scatter)
@@ -127,8 +123,6 @@ def locate_sweep(
         fit.pose_map_base,
         papers.height_m + fit.rise_m,
         fit.covariance,
-        inverse @ fit.tilt_rad,
-        inverse - np.eye(2) / config.horizon_sigma_rad**2,
         size_warning(fit, config),
         of_mount @ [fit.rise_m, *fit.tilt_rad] / scatter,
         (of_mount - np.diag(prior)) / scatter,
@@ -205,7 +199,7 @@ class _PaperSearch:
         config, frames = self._config, self._sweep.frames
         if all(is_grey(frame.image) for frame in frames):
             return LandmarkNavError(WITHOUT_COLOR)
-        if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b.misfit) for b in self._blobs):
+        if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b) for b in self._blobs):
             anywhere = replace(
                 config, height_sigma_m=_ANY_HEIGHT_M, horizon_sigma_rad=_ANY_TILT_RAD
             )
