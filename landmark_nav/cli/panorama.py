@@ -18,7 +18,6 @@ from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.calibration import (
     align_sweep,
     calibrate_sweep,
-    CalibrationConfig,
     check_turn,
 )
 from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
@@ -75,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--even-out',
         action=argparse.BooleanOptionalAction,
-        default=PanoramaConfig.even_out,
+        default=True,
         help='make up for exposures and vignetting (the default)',
     )
     parser.add_argument(
@@ -94,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     check_new(args.overwrite, args.out)
     check_writable(args.out)
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
-    config = PanoramaConfig(blend=args.blend, crop_px=args.crop, even_out=args.even_out)
+    config = PanoramaConfig(blend=args.blend, crop_px=args.crop)
     is_image_folder = (args.sweep / 'frames.csv').is_file()
     if not is_image_folder and any(args.sweep.glob('*.[jpJP][pnPN]*[gG]')):
         raise LandmarkNavError(
@@ -116,11 +115,11 @@ def run(args: argparse.Namespace) -> int:
         )
         sweep, quality = found.sweep, found.quality
     elif args.align:
-        found = calibrate_sweep(sweep, mount, CalibrationConfig())
+        found = calibrate_sweep(sweep, mount)
         sweep, mount = found.sweep, found.mount
         quality = found.quality
     photometry = Photometry.none(len(sweep.frames))
-    if config.even_out:
+    if args.even_out:
         photometry = measure_photometry(sweep, mount)
     view = synthesize_cylinder(even_out(sweep, photometry), mount, config)
     covered = view.mask.any(axis=0)

@@ -23,7 +23,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration import (
     calibrate_sweep,
-    CalibrationConfig,
     check_turn,
     moved_px,
     SweepCalibration,
@@ -41,12 +40,11 @@ from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.reference_area import (
-    check_agreement,
     locate_sweep,
     MountError,
     optical_height,
     PaperRecord,
-    papers_fit,
+    PaperSearch,
     ReferenceAreaConfig,
     SweepPlace,
     WRONG_PRIOR,
@@ -67,7 +65,7 @@ def why_seen_otherwise(
     """Advice for an error of the setup without which the papers fit; None if there is none."""
     for why, seen, mounted in _otherwise(sweep, mount):
         view = synthesize_cylinder(seen, mounted, PanoramaConfig(blend='feather'))
-        if papers_fit(seen, view, room, mounted, config):
+        if PaperSearch(seen, view, room, mounted, config).fits_somewhere():
             return f'{why}, as the papers show'
     return None
 
@@ -128,8 +126,6 @@ _SAME_PX = 0.2
 class PanoramaStages(Config):
     """Parameters of the stages from a sweep to its panorama."""
 
-    panorama: PanoramaConfig = field(default_factory=PanoramaConfig)
-    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
 
 
@@ -165,10 +161,11 @@ def panorama_from_sweep(
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
     prior = given if isinstance(given, Calibration) else Calibration.of_mount(given)
-    papers = PaperRecord(room, config.reference_area) if papers is None else papers
-    maker = _Maker(sweep, room, prior, config, log or StageLog(), papers)
+    area = config.reference_area
+    papers = PaperRecord(room, area) if papers is None else papers
+    maker = _Maker(sweep, room, prior, area, log or StageLog(), papers)
     try:
-        return maker.made(prior, config.reference_area, _WIDER_SIGMAS)
+        return maker.made(prior, area, _WIDER_SIGMAS)
     except WrongMountError as error:
         if not error.found.reasonable:
             raise
@@ -192,12 +189,12 @@ class _Maker:
         sweep: Sweep,
         room: Room,
         prior: Calibration,
-        config: PanoramaStages,
+        area: ReferenceAreaConfig,
         log: StageLog,
         papers: PaperRecord,
     ) -> None:
         self._sweep, self._room, self._prior = sweep, room, prior
-        self._config, self._log, self._papers = config, log, papers
+        self._area, self._log, self._papers = area, log, papers
         height = [NAMES.index(name) for name in HEIGHT]
         # Of height and tilt of the camera.
         self._sigmas = (
@@ -207,7 +204,7 @@ class _Maker:
 
     def not_exact(self, error: WrongMountError) -> MountError:
         """Return the error of a mount that may be corrected; refuse errors of exact values."""
-        area, found, (rise, tilt) = self._config.reference_area, error.found, self._sigmas
+        area, found, (rise, tilt) = self._area, error.found, self._sigmas
         high, leans = found.beyond(area.height_sigma_m, area.horizon_sigma_rad, WRONG_PRIOR)
         if (high and not rise) or (leans and not tilt):
             raise LandmarkNavError(f'{error}; robot.yaml gives it as exact (sigma 0)') from error
@@ -216,7 +213,7 @@ class _Maker:
     @property
     def wider_area(self) -> ReferenceAreaConfig:
         """Parameters with the uncertainty of height and tilt of the camera by the robot file."""
-        area, (rise, tilt) = self._config.reference_area, self._sigmas
+        area, (rise, tilt) = self._area, self._sigmas
         return replace(
             area,
             height_sigma_m=float(np.hypot(area.height_sigma_m, rise)),
@@ -225,27 +222,25 @@ class _Maker:
 
     def made(self, used: Calibration, area: ReferenceAreaConfig, most_sigmas: float) -> Panorama:
         """Panorama by a calibration; errors of height and tilt have a limit, in sigmas."""
-        config, log = self._config, self._log
+        log = self._log
         sweep, mount = as_calibrated(self._sweep, used), used.mount
         try:
             check_turn(sweep, mount)
         except LandmarkNavError as error:
             why = why_seen_otherwise(sweep, self._room, mount, area)
             raise LandmarkNavError(why or str(error)) from error
-        found, photometry, view = _first_view(sweep, mount, config, log)
+        found, photometry, view = _first_view(sweep, mount, log)
         with log.measure('reference_area'):
             self._papers.add(view, optical_height(found.sweep, found.mount))
             try:
                 place = self._place(view, found, area, most_sigmas)
             except LandmarkNavError as error:
                 raise self._explained(error, sweep, mount, area) from error
-        tilt_prior = np.diag([area.height_sigma_m**-2, 0.0, 0.0])
-        mount, axis_tilt = levelled(
-            mount, place.mount_score, place.mount_information + tilt_prior, config.calibration
-        )
+        information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
+        mount, axis_tilt = levelled(mount, place.mount_score, information)
         with log.measure('calibration'):
             range_m = _range_of_ray(place, found, self._room)
-            refined = calibrate_sweep(sweep, mount, config.calibration, range_m, found.overlaps)
+            refined = calibrate_sweep(sweep, mount, range_m, found.overlaps)
         mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
         off_axis = any(refined.mount.optical_center_offset[:2])
         if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
@@ -253,19 +248,17 @@ class _Maker:
                 place = self._place(view, refined, area, most_sigmas)
             with log.measure('panorama'):
                 reach_m = _range_of_azimuth(place, refined, self._room)
-                view = _view(refined, photometry, config, reach_m)
+                view = _view(refined, photometry, reach_m)
         found = refined
         for warning in filter(None, [place.warning, _wrong_focal(found.quality)]):
             _LOG.warning('%s', warning)
         by_calibration = _by_calibration(place, found)
         terms = found.quality.calibration
         made = as_corrected(used, terms, found.mount)
-        known = self._prior
-        if config.calibration.enabled:
-            known = with_papers(
-                with_terms(known, used, terms), made, place.mount_score, place.mount_information,
-                config.reference_area.horizon_sigma_rad,
-            )  # fmt: skip
+        known = with_papers(
+            with_terms(self._prior, used, terms), made, place.mount_score, place.mount_information,
+            self._area.horizon_sigma_rad,
+        )  # fmt: skip
         panorama = _panorama(sweep, view, found, place, photometry, axis_tilt)
         return replace(
             panorama,
@@ -292,7 +285,8 @@ class _Maker:
         place = SweepPlace(known.pose, optical_height(sweep, mount), covariance)
         mounted = _by_calibration(place, found)
         uncertain = covariance + mounted @ self._prior.covariance @ mounted.T
-        check_agreement(known.pose, uncertain[plane], sweep, view, self._room, mount, area)
+        papers = PaperSearch(sweep, view, self._room, mount, area)
+        papers.check_agreement(known.pose, uncertain[plane])
         covariance[2, 2] = area.height_sigma_m**2
         return place
 
@@ -315,9 +309,7 @@ class _Maker:
         return WrongMountError(cause, wrong) if wrong else LandmarkNavError(cause)
 
 
-def unplaced_panorama(
-    sweep: Sweep, mount: PanTiltMount, config: PanoramaStages, log: StageLog
-) -> Panorama:
+def unplaced_panorama(sweep: Sweep, mount: PanTiltMount, log: StageLog) -> Panorama:
     """
     Make the panorama of a sweep with unknown pose: it gets the pose of the axis in the base frame.
 
@@ -326,23 +318,21 @@ def unplaced_panorama(
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
     check_turn(sweep, mount)
-    found, photometry, view = _first_view(sweep, mount, config, log)
+    found, photometry, view = _first_view(sweep, mount, log)
     place = SweepPlace(np.zeros(3), optical_height(found.sweep, found.mount), np.eye(4))
     panorama = _panorama(sweep, view, found, place, photometry)
     return replace(panorama, covariance=place.covariance)
 
 
 def _first_view(
-    sweep: Sweep, mount: PanTiltMount, config: PanoramaStages, log: StageLog
+    sweep: Sweep, mount: PanTiltMount, log: StageLog
 ) -> tuple[SweepCalibration, Photometry, CylinderImage]:
     """Calibrate a sweep without its pose, measure its photometry, and join its frames."""
     with log.measure('calibration'):
-        found = calibrate_sweep(sweep, mount, config.calibration)
+        found = calibrate_sweep(sweep, mount)
     with log.measure('panorama'):
-        photometry = Photometry.none(len(sweep.frames))
-        if config.panorama.even_out:
-            photometry = measure_photometry(found.sweep, found.mount)
-        return found, photometry, _view(found, photometry, config)
+        photometry = measure_photometry(found.sweep, found.mount)
+        return found, photometry, _view(found, photometry)
 
 
 def _panorama(
@@ -399,12 +389,10 @@ def tenengrad(view: CylinderImage) -> float:
 def _view(
     found: SweepCalibration,
     photometry: Photometry,
-    config: PanoramaStages,
     range_m: Callable[[FloatArray], FloatArray] | None = None,
 ) -> CylinderImage:
-    return synthesize_cylinder(
-        even_out(found.sweep, photometry), found.mount, config.panorama, range_m
-    )
+    even = even_out(found.sweep, photometry)
+    return synthesize_cylinder(even, found.mount, PanoramaConfig(), range_m)
 
 
 def _range_of_azimuth(

@@ -14,7 +14,6 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.calibration import (
     align_sweep,
     calibrate_sweep,
-    CalibrationConfig,
     SweepCalibration,
 )
 from landmark_nav.learning.calibration.overlap_fit import COMMON, OverlapProblem, track_overlaps
@@ -55,7 +54,7 @@ def used(found: SweepCalibration) -> set[str]:
 
 
 def test_what_is_right_is_left_alone(turn: Sweep) -> None:
-    found = calibrate_sweep(turn, MOUNT, CalibrationConfig())
+    found = calibrate_sweep(turn, MOUNT)
     assert used(found) == set()
     assert found.sweep.frames[5].camera == TRUE
     assert found.sweep.frames[5].pan_rad == PANS[5]
@@ -88,7 +87,7 @@ def test_what_is_right_is_left_alone(turn: Sweep) -> None:
 def test_wrong_figures_are_found_and_corrected(
     turn: Sweep, wrong: dict[str, float], found_values: dict[str, tuple[float, float]]
 ) -> None:
-    found = calibrate_sweep(reported(turn, **wrong), MOUNT, CalibrationConfig())
+    found = calibrate_sweep(reported(turn, **wrong), MOUNT)
     terms = {term.name: term for term in found.quality.calibration if term.used}
     assert {*terms} == {*found_values}
     for name, (value, within) in found_values.items():
@@ -101,17 +100,9 @@ def test_wrong_figures_are_found_and_corrected(
     assert angles == pytest.approx((PANS[3], 0.0, 0.0), abs=3e-3)
 
 
-def test_nothing_is_used_unless_asked_for(turn: Sweep) -> None:
-    sweep = reported(turn, focal=1.015)
-    found = calibrate_sweep(sweep, MOUNT, CalibrationConfig(enabled=False))
-    assert used(found) == set()
-    assert found.sweep.frames[0].camera == sweep.frames[0].camera
-    assert next(t for t in found.quality.calibration if t.name == 'focal_length').value < -0.01
-
-
 def test_a_part_of_a_turn_does_not_close(turn: Sweep) -> None:
     part = reported(replace(turn, frames=turn.frames[5:20]), scale=1.005)
-    found = calibrate_sweep(part, MOUNT, CalibrationConfig())
+    found = calibrate_sweep(part, MOUNT)
     assert found.quality.closure_rad is None
     # Pan scale and focal length are one number there; the encoder is believed.
     assert 'pan_scale' not in {term.name for term in found.quality.calibration}
@@ -120,14 +111,14 @@ def test_a_part_of_a_turn_does_not_close(turn: Sweep) -> None:
 def test_a_blank_wall_leaves_the_closure_unknown_and_is_reported(turn: Sweep) -> None:
     blank = np.full_like(turn.frames[0].image, 128)
     frames = [replace(f, image=blank) if 15 <= k < 21 else f for k, f in enumerate(turn.frames)]
-    found = calibrate_sweep(replace(turn, frames=tuple(frames)), MOUNT, CalibrationConfig())
+    found = calibrate_sweep(replace(turn, frames=tuple(frames)), MOUNT)
     assert found.quality.calibration
     assert found.quality.closure_rad is None
     gaps_deg = np.degrees(found.quality.gaps_rad)
     assert len(gaps_deg)
     assert np.all((gaps_deg > -50.0) & (gaps_deg < 50.0))
     assert f'closure unknown: nothing to match near pan {gaps_deg[0]:.0f}' in str(found.quality)
-    whole = calibrate_sweep(turn, MOUNT, CalibrationConfig()).quality
+    whole = calibrate_sweep(turn, MOUNT).quality
     assert whole.gaps_rad == ()
     assert 'closure error' in str(whole)
 
@@ -136,7 +127,7 @@ def test_frames_that_share_nothing_gives_nothing(turn: Sweep) -> None:
     blank = np.full_like(turn.frames[0].image, 128)
     plain = replace(turn, frames=tuple(replace(f, image=blank) for f in turn.frames))
     for sweep in (plain, replace(turn, frames=turn.frames[:2])):
-        found = calibrate_sweep(sweep, MOUNT, CalibrationConfig())
+        found = calibrate_sweep(sweep, MOUNT)
         assert found.quality.calibration == ()
         assert found.sweep is sweep
 
@@ -153,10 +144,10 @@ def test_a_camera_off_its_axis_is_found_by_the_walls_distance() -> None:
         return room.raycast(pose[:2], azimuth + pose[2])[0]
 
     centred = replace(true, optical_center_offset=(0.0, 0.0, 0.0))
-    found = calibrate_sweep(sweep, centred, CalibrationConfig(), range_m)
+    found = calibrate_sweep(sweep, centred, range_m)
     assert used(found) == {'forward', 'left'}
     assert found.mount.optical_center_offset == pytest.approx((0.03, -0.02, 0.0), abs=4e-3)
-    assert used(calibrate_sweep(sweep, true, CalibrationConfig(), range_m)) == set()
+    assert used(calibrate_sweep(sweep, true, range_m)) == set()
 
 
 FOLDER = CameraModel(200, 240, 300.0, 300.0, 99.5, 119.5, 'plumb_bob', (-0.06, 0.0, 0.0, 0.0, 0.0))

@@ -111,16 +111,6 @@ def test_a_driver_that_reports_the_pan_within_half_a_turn(beyond_rad):
     np.testing.assert_allclose(taken, wanted, atol=2e-3)
 
 
-def test_a_slow_joint_gets_its_time():
-    class Slow(Robot):
-        def turn(self):
-            self.pan += float(np.clip(self.target - self.pan, -0.003, 0.003))
-
-    robot = Slow()
-    check_sweep(robot.run())
-    assert robot.now > 5 * SHORT.step_timeout_s * 1e9
-
-
 def test_a_robot_slower_than_the_clock_gets_its_time():
     class Behind(Robot):
         """Ten seconds of the clock are one of the robot's."""
@@ -333,17 +323,6 @@ def test_people_who_pass_do_not_keep_it_from_ending(seed):
     robot = Crowded(TURN)
     check_sweep(robot.run(), -np.pi + np.pi / 12 * np.arange(24))
     assert sum(robot.sweep.refused.values()) < 24
-
-
-def test_a_blurred_first_frame_is_found_out_by_its_neighbours():
-    class Shaky(Robot):
-        def camera_image(self):
-            return FakeImage(self.pan, self.k, 0.3 if not self.sweep.kept else 1.0), self.now - 7
-
-    config = replace(SHORT, start_rad=0.2, step_rad=0.1)
-    robot = Shaky(config)
-    check_sweep(robot.run(), 0.2 + 0.1 * np.arange(9))
-    assert robot.sweep.refused['blurred or covered'] == 1
 
 
 @pytest.mark.parametrize('shown', [-1.0, 0.5], ids=['outran its joints', 'pan never known'])

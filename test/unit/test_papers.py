@@ -185,17 +185,6 @@ def test_a_response_curve_moves_edges_and_its_inverse_moves_them_back() -> None:
     assert abs(back[1]) < 0.03
 
 
-def test_beside_a_shadow_the_colour_decides() -> None:
-    shadow = np.array([110.0, 110.0, 110.0])
-    image = wall_with(
-        [(shadow, 196.5, 36.0, 6.0, 46.0), (color_of('red'), 200.3, 40.0, 40.0, 40.0)]
-    )
-    offset, _ = edges_of(image, 200.3, 0.6, 0.5, 0)
-    assert np.isfinite(offset[0]).all()
-    assert np.abs(offset[0].mean()) < 0.15
-    assert np.isnan(offset[1]).all()
-
-
 def test_where_there_is_no_paper_there_is_no_edge() -> None:
     assert np.isnan(edges_of(wall_with([]), 200.0, 0.6, 0.0, 0)[0]).all()
     far = wall_with([(color_of('red'), 230.0, 40.0, 40.0, 40.0)])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 import re
-from typing import Any
 
 import numpy as np
 from paper_sweeps import (
@@ -24,8 +23,6 @@ import pytest
 from scenes import Board, flat_texture, rectangle_room
 
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.learning.reference_area.blobs import hue_direction
-from landmark_nav.learning.reference_area.edges import EdgeSamples, locate_edges
 from landmark_nav.simulation.setup_documents import moved_paper
 from landmark_nav.types import FloatArray
 
@@ -137,29 +134,6 @@ def test_a_shadow_beside_a_paper_does_not_move_the_place() -> None:
     error = error_of(place, pose)
     assert np.hypot(error[0], error[1]) < 0.01
     assert abs(error[2]) < np.radians(0.15)
-
-
-def test_turned_edges_of_one_paper_pass_for_no_height(monkeypatch: pytest.MonkeyPatch) -> None:
-    room = replace(rectangle_room(6.0, 5.0), papers=EAST)
-    sweep = sweep_at(scene_of(room), np.array([2.6, 2.9, 0.4]), np.random.default_rng(1))
-    red = hue_direction('red')
-
-    def height(turn_px: float) -> tuple[float, float]:
-        def turned(*args: Any) -> EdgeSamples:
-            found = locate_edges(*args)
-            if np.allclose(args[3], red):
-                # The right edge and the left one, both to the same side.
-                off = turn_px * np.linspace(-1.0, 1.0, 4)
-                found.offset_px[:, :8] += np.concatenate([off, -off])
-            return found
-
-        monkeypatch.setattr('landmark_nav.learning.reference_area.fit.locate_edges', turned)
-        place = locate(sweep, room)
-        return place.height_m, float(np.sqrt(place.covariance[2, 2]))
-
-    straight, sigma = height(0.0)
-    assert abs(height(0.04)[0] - straight) < 0.7 * sigma
-    assert abs(height(-0.04)[0] - straight) < 0.7 * sigma
 
 
 def response(image: FloatArray, gamma: float) -> FloatArray:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from landmark_nav.learning.calibration.sweep_calibration import (
     align_sweep,
     calibrate_sweep,
-    CalibrationConfig,
     moved_px,
     SweepCalibration,
 )
 from landmark_nav.learning.calibration.turn import check_turn, measure_turn, SweepTurn
 
 __all__ = [
-    'CalibrationConfig',
     'SweepCalibration',
     'SweepTurn',
     'align_sweep',

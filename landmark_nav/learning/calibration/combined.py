@@ -11,7 +11,6 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.learning.calibration.sweep_calibration import (
-    CalibrationConfig,
     SIGNIFICANT,
     USUAL_RANGE_M,
 )
@@ -161,7 +160,7 @@ _LEAST_INFORMATION = 1e-3
 
 
 def levelled(
-    mount: PanTiltMount, score: FloatArray, information: FloatArray, config: CalibrationConfig
+    mount: PanTiltMount, score: FloatArray, information: FloatArray
 ) -> tuple[PanTiltMount, tuple[CalibrationTerm, ...]]:
     """
     Correct the tilt of the pan axis if it is significant.
@@ -173,8 +172,6 @@ def levelled(
     score, information : ndarray, shape (3,), (3, 3)
         Height and small rotations about x and y of the base, in information form: their estimate
         is ``information^-1 score``.
-    config : CalibrationConfig
-        Whether to use the result.
 
     Returns
     -------
@@ -186,8 +183,7 @@ def levelled(
         return mount, ()
     covariance = covariance_of(information)
     axis_tilt, covariance = (covariance @ score)[1:], covariance[1:, 1:]
-    size = float(axis_tilt @ solve_positive(covariance, axis_tilt))
-    significant = size > SIGNIFICANT**2 and config.enabled
+    significant = float(axis_tilt @ solve_positive(covariance, axis_tilt)) > SIGNIFICANT**2
     terms = tuple(
         CalibrationTerm(name, float(value), float(sigma), significant)
         for name, value, sigma in zip(

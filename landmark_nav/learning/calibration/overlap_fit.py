@@ -309,16 +309,14 @@ class OverlapProblem:
         off = np.linalg.norm(self._misfit(self._unknowns(common, frames)), axis=1)
         return self._camera.fx * float(np.median(off))
 
-    def closure_rad(
-        self, common: FloatArray, frames: FloatArray, weight: FloatArray
-    ) -> float | None:
+    def closure_rad(self, fit: Fit) -> float | None:
         """Closure error: sum of the links of the chain, each by its matches, minus a full turn."""
         if not self._overlaps.closed:
             return None
         pair = self._overlaps.pair
-        off = self._misfit(self._unknowns(common, frames))[:, 0]
-        total = np.bincount(pair, weight * off)
-        return float(np.sum(total / np.maximum(np.bincount(pair, weight), 1e-9)))
+        off = self._misfit(self._unknowns(fit.common, fit.frames))[:, 0]
+        total = np.bincount(pair, fit.weight * off)
+        return float(np.sum(total / np.maximum(np.bincount(pair, fit.weight), 1e-9)))
 
     def _unknowns(self, common: FloatArray, frames: FloatArray | None) -> FloatArray:
         """Common terms (7,), then pan, tilt and roll of each frame with matches."""

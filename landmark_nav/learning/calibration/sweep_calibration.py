@@ -31,7 +31,6 @@ from landmark_nav.learning.calibration.overlap_fit import (
     RangeOfRay,
     track_overlaps,
 )
-from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import FloatArray, Sweep
 
@@ -58,14 +57,6 @@ _UNIT_SIGMA_RAD, _ROUGH_SIGMA_RAD = (5e-4, 2e-4, 2e-4), (0.03, 0.01, 0.01)
 _ROUNDS, _LEAST_PER_FRAME = 2, 6
 
 
-@dataclass(frozen=True)
-class CalibrationConfig(Config):
-    """How camera and mount are calibrated from a sweep."""
-
-    # Whether the result is used.
-    enabled: bool = True
-
-
 @dataclass(frozen=True, eq=False)
 class SweepCalibration:
     """
@@ -84,7 +75,6 @@ class SweepCalibration:
 def calibrate_sweep(
     sweep: Sweep,
     mount: PanTiltMount,
-    config: CalibrationConfig,
     range_m: RangeOfRay | None = None,
     overlaps: Overlaps | None = None,
 ) -> SweepCalibration:
@@ -95,8 +85,6 @@ def calibrate_sweep(
     ----------
     mount : PanTiltMount
         Extrinsics of ``robot.yaml``.
-    config : CalibrationConfig
-        Whether to use the result.
     range_m : callable, optional
         Horizontal range from the axis at azimuths and tangents (n,). With it the offset of the
         optical centre is calibrated; without it a usual range is assumed.
@@ -124,12 +112,8 @@ def calibrate_sweep(
     if range_m is not None:
         free += [_FORWARD, _LEFT]
     fit, terms = fit_significant(problem, free, _UNIT_SIGMA_RAD, camera)
-    common = fit.common
-    if not config.enabled:
-        common = np.zeros(len(COMMON))
-        terms = tuple(replace(term, used=False) for term in terms)
-    quality = _quality(problem, overlaps, common, fit, problem.misfit_px(common), terms)
-    return SweepCalibration(*corrected(sweep, mount, common), common, quality, overlaps)
+    quality = _quality(problem, overlaps, fit, problem.misfit_px(fit.common), terms)
+    return SweepCalibration(*corrected(sweep, mount, fit.common), fit.common, quality, overlaps)
 
 
 def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepCalibration:
@@ -160,20 +144,19 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepCalibration:
         fit, terms = fit_significant(problem, free, _ROUGH_SIGMA_RAD, camera)
         aligned, _ = corrected(given, mount, fit.common, fit.frames)
     residual_px = problem.misfit_px(fit.common, fit.frames)
-    quality = _quality(problem, overlaps, fit.common, fit, residual_px, terms)
+    quality = _quality(problem, overlaps, fit, residual_px, terms)
     return SweepCalibration(aligned, mount, fit.common, quality, overlaps)
 
 
 def _quality(
     problem: OverlapProblem,
     overlaps: Overlaps,
-    common: FloatArray,
     fit: Fit,
     residual_px: float,
     terms: tuple[CalibrationTerm, ...],
 ) -> PanoramaQuality:
     return PanoramaQuality(
-        closure_rad=problem.closure_rad(common, fit.frames, fit.weight),
+        closure_rad=problem.closure_rad(fit),
         gaps_rad=overlaps.gaps_rad,
         residual_px=residual_px,
         before_px=problem.misfit_px(np.zeros(len(COMMON))),

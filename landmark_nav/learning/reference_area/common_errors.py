@@ -16,10 +16,10 @@ from scipy.linalg import block_diag, eigh, solve_triangular
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, root_of
 from landmark_nav.learning.reference_area.model import (
+    linearized,
     OF_PAPER,
     PaperPlaces,
     ReferenceAreaConfig,
-    slopes,
 )
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Panorama
@@ -78,7 +78,7 @@ def pose_errors(
 
     states = np.zeros((len(eye), _PAPERS + 2 * papers))
     states[:, _X_Y_HEIGHT] = eye
-    jacobian = slopes(outlines, states)
+    _, jacobian = linearized(outlines, states)
     if seen is not None:
         jacobian *= np.repeat(seen, 4, axis=1)[:, None]
     sigma = np.hypot(_PROFILES_PX, config.edge_sigma_px) / focal_px

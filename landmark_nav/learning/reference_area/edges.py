@@ -286,26 +286,21 @@ def _lines(
     Edges are those by colour (row 0) or, if these are too few, by brightness; NaN without a clear
     line.
     """
-    along = np.tile(np.linspace(-1.0, 1.0, _PARTS), 4).reshape(4, _PARTS)
-    middle, sigma, slope = (np.full(4, np.nan) for _ in range(3))
-    for edge in range(4):
-        for offsets, own, slopes in zip(
-            *(v.reshape(2, 4, _PARTS)[:, edge] for v in (offset_px, sigma_px, by_gamma)),
-            strict=True,
-        ):
-            good = np.isfinite(offsets)
+    along = np.linspace(-1.0, 1.0, _PARTS)
+    middle, sigma, slope = np.full((3, 4), np.nan)
+    # Brightness first, which colour replaces.
+    parts = (v.reshape(2, 4, _PARTS)[::-1] for v in (offset_px, sigma_px, by_gamma))
+    for offsets, own, slopes in zip(*parts, strict=True):
+        for edge, good in enumerate(np.isfinite(offsets)):
             if good.mean() < _LEAST_FOUND:
                 continue
-            design = np.stack([np.ones(int(good.sum())), along[edge, good]], 1)
-            line, *_ = np.linalg.lstsq(design, offsets[good], rcond=None)
-            spread = float(np.sqrt(np.mean((offsets[good] - design @ line) ** 2)))
-            if spread > _MOST_SPREAD_PX:
-                continue
-            middle[edge] = line[0]
-            scatter = np.hypot(spread, np.mean(own[good])) / np.sqrt(good.sum())
-            sigma[edge] = np.hypot(_EDGE_SIGMA_PX, scatter)
-            slope[edge] = slopes[good].mean()
-            break
+            off = offsets[edge, good]
+            line = np.polyfit(along[good], off, 1)
+            spread = float(np.sqrt(np.mean((off - np.polyval(line, along[good])) ** 2)))
+            if spread <= _MOST_SPREAD_PX:
+                scatter = np.hypot(spread, np.mean(own[edge, good])) / np.sqrt(good.sum())
+                middle[edge], sigma[edge] = line[1], np.hypot(_EDGE_SIGMA_PX, scatter)
+                slope[edge] = slopes[edge, good].mean()
     return middle, sigma, slope
 
 

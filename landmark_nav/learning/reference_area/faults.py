@@ -25,10 +25,10 @@ from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutlines
 from landmark_nav.learning.reference_area.model import (
+    linearized,
     OF_PAPER,
     PaperPlaces,
     ReferenceAreaConfig,
-    slopes,
 )
 from landmark_nav.learning.reference_area.refusals import lean_text, MountError
 from landmark_nav.learning.reference_area.search import (
@@ -396,12 +396,12 @@ class _Trial:
         for v, place in enumerate(places):
             start[_VIEW * v : _VIEW * v + 3] = place.axis_pose
 
-        def linearized(state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def with_prior(state: FloatArray) -> tuple[FloatArray, FloatArray]:
             residuals, jacobian = model.linearized(state)
             residuals = np.append(residuals, (state - start) / prior)
             return residuals, np.vstack([jacobian, np.diag(1.0 / prior)])
 
-        state, cost, information = levenberg_marquardt(linearized, start)
+        state, cost, information = levenberg_marquardt(with_prior, start)
         unseen = 0
         for place in places:
             missing = papers_in_view(place.axis_pose[:2], room) & (place.blob < 0)
@@ -485,10 +485,11 @@ class _Model:
 
     def linearized(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals (4 m,) of the outlines at a state (n,) in sigmas, and their Jacobian."""
-        off = self._seen - self._predicted(state).reshape(-1, 4)
+        predicted, slopes = linearized(self._predicted, state)
+        off = self._seen - predicted.reshape(-1, 4)
         off[:, :2] = wrap_rad(off[:, :2])
         sigma = self._sigma.ravel()
-        return off.ravel() / sigma, -slopes(self._predicted, state).T / sigma[:, None]
+        return off.ravel() / sigma, -slopes.T / sigma[:, None]
 
     def _predicted(self, states: FloatArray) -> FloatArray:
         """Predicted outlines (..., 4 m) at states (..., n)."""

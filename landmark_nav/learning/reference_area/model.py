@@ -136,14 +136,17 @@ class PaperPlaces:
         return np.stack([right, right + wrap_rad(left - right), bottom, top], -1)
 
 
-def slopes(of: Callable[[FloatArray], FloatArray], states: FloatArray) -> FloatArray:
+def linearized(
+    of: Callable[[FloatArray], FloatArray], states: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """
-    Derivatives (..., n, m) of outlines by states (..., n), by differences.
+    Outlines (..., m) at states (..., n), and their derivatives (..., n, m), by differences.
 
     `of` computes azimuths and tangents (..., m) of states with any leading dimensions.
     """
-    moved = of(states[..., None, :] + _STEP * np.eye(states.shape[-1]))
-    return np.asarray(wrap_rad(moved - of(states)[..., None, :]) / _STEP)
+    count = states.shape[-1]
+    found = of(states[..., None, :] + _STEP * np.eye(count + 1, count, -1))
+    return found[..., 0, :], np.asarray(wrap_rad(found[..., 1:, :] - found[..., :1, :]) / _STEP)
 
 
 # Right, left, top and bottom as seen along the wall.
@@ -197,10 +200,6 @@ class PaperModel:
         """How far along the wall and up papers hang from where they should, (papers, 2)."""
         return state[_COMMON : self._edge].reshape(self.papers, 2)
 
-    def angles(self, state: FloatArray) -> FloatArray:
-        """Corrections of pan and tilt, (frames, 2)."""
-        return state[self._frame :].reshape(-1, 2)
-
     def edge_index(self, paper: IndexArray, edge: IndexArray, bright: IndexArray) -> IndexArray:
         """
         Indices (2, n) of what shifts an edge as a whole, and of what turns it.
@@ -215,7 +214,7 @@ class PaperModel:
     ) -> FloatArray:
         """Pixels (n, 2) of points (n, 3) of papers (n,) in frames (n,)."""
         used = np.unique(frame)
-        turn = self.angles(state)[used]
+        turn = state[self._frame :].reshape(-1, 2)[used]
         rotation, center = self._mount.camera_pose_base(
             self._angles[used, 0] + turn[:, 0],
             self._angles[used, 1] + turn[:, 1],
@@ -254,8 +253,8 @@ class PaperModel:
             jacobian[rows, column] = np.sum(change * normal, 1) / 1e-5
         return jacobian
 
-    def prior(self, config: ReferenceAreaConfig, angle_sigma_rad: FloatArray) -> FloatArray:
-        """Information (size,) of the unknowns; `angle_sigma_rad` (2,) of pan and tilt."""
+    def prior(self, config: ReferenceAreaConfig, angle_sigma_rad: float) -> FloatArray:
+        """Information (size,) of the unknowns; `angle_sigma_rad` of pan and tilt of a frame."""
         sigma = np.ones(self.size)
         sigma[RISE:_PLACE] = (
             config.height_sigma_m,
@@ -265,7 +264,7 @@ class PaperModel:
         )
         sigma[GAMMA:SHIFT], sigma[SHIFT:_COMMON] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
         sigma[_COMMON : self._edge] = max(config.paper_sigma_m, 1e-6)
-        sigma[self._frame :].reshape(-1, 2)[:] = angle_sigma_rad
+        sigma[self._frame :] = angle_sigma_rad
         information = sigma**-2.0
         information[:3] = 1e-4  # regularizes directions without measurements
         return np.asarray(information)
@@ -289,5 +288,5 @@ def _edge_points(places: PaperPlaces, per_edge: int) -> tuple[FloatArray, FloatA
             for outward in (side, -side):
                 points.append(center + 0.5 * across * outward + EDGE_SHARE * share * along)
                 outwards.append(np.tile(outward, (per_edge, 1)))
-    shape = (len(places.center), -1, 3)
+    shape = (len(places.center), EDGES * per_edge, 3)
     return np.reshape(points, shape), np.reshape(outwards, shape)

@@ -84,11 +84,11 @@ def check_prior(
     fit: PaperFit, room: Room, config: ReferenceAreaConfig, most_sigmas: float
 ) -> None:
     """Raise `LandmarkNavError` if a fit contradicts the priors of the mount or of the papers."""
-    found = MountError(fit.rise_m, fit.tilt_rad)
+    found = MountError(float(fit.mount[0]), fit.mount[1:])
     high, leans = found.beyond(config.height_sigma_m, config.horizon_sigma_rad, most_sigmas)
     if high or leans:
-        lean = f'{lean_text(fit.tilt_rad)}: level the robot, or set pan_axis rpy'
-        raise WrongMountError(wrong_height(fit.rise_m) if high else lean, found)
+        lean = f'{lean_text(found.tilt_roll_rad)}: level the robot, or set pan_axis rpy'
+        raise WrongMountError(wrong_height(found.rise_m) if high else lean, found)
     hang = np.abs(fit.hang_m).max(axis=1)
     worst = int(np.argmax(hang))
     if hang[worst] > WRONG_PRIOR * max(config.paper_sigma_m, 1e-4):
@@ -133,7 +133,7 @@ def wrong_height(rise_m: float) -> str:
     return (
         f'the camera is {100 * abs(rise_m):.1f} cm {"higher" if rise_m > 0.0 else "lower"} than '
         'robot.yaml says, as the papers show it: measure the height of camera and papers again; '
-        'if it is meant to stand higher or lower at times, set reference_area.height_sigma_m'
+        'if it is meant to stand higher or lower at times, give pan_axis a larger xyz_sigma'
     )
 
 

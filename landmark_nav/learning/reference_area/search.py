@@ -19,7 +19,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
-from landmark_nav.learning.reference_area.model import PaperPlaces, ReferenceAreaConfig, slopes
+from landmark_nav.learning.reference_area.model import linearized, PaperPlaces, ReferenceAreaConfig
 from landmark_nav.types import FloatArray
 
 # Fewest papers; with two, a misplaced one is not detected.
@@ -197,7 +197,8 @@ class _Problem:
         residual, cost, _ = self._compare(poses, scale)
         weight = (1.0 + cost / _TAIL_WIDTH) ** -2.0 * (cost < _MISSING)
         weight *= papers_in_view(poses[:, :2], self._room)
-        jacobian = slopes(self._predicted, poses).reshape(*poses.shape, -1, 3) / _OUTLINE_SIGMA
+        _, jacobian = linearized(self._predicted, poses)
+        jacobian = jacobian.reshape(*poses.shape, -1, 3) / _OUTLINE_SIGMA
         prior = np.concatenate([np.full(3, 1e-3), self._mount_sigma**-2.0])
         normal = np.einsum('np,nipk,njpk->nij', weight, jacobian, jacobian) + np.diag(prior)
         pull = np.einsum('np,nipk,npk->ni', weight, jacobian, residual)
