@@ -24,7 +24,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.attention import attend, AttentionConfig
-from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig
+from landmark_nav.learning.calibration import calibrate_sweep
 from landmark_nav.learning.capture.frames import look_at, relative_sharpness
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
@@ -259,9 +259,7 @@ def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
     works['exposures and vignetting evened out'] = lambda: even_out(
         sweep, measure_photometry(sweep, _MOUNT)
     )
-    works['calibration out of a sweep'] = lambda: calibrate_sweep(
-        sweep, _MOUNT, CalibrationConfig()
-    )
+    works['calibration out of a sweep'] = lambda: calibrate_sweep(sweep, _MOUNT)
     for stage, work in works.items():
         yield _Comparison(
             stage,

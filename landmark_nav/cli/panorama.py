@@ -15,8 +15,11 @@ from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import unseen_arcs
 from landmark_nav.image_codec import encode_image
-from landmark_nav.learning.calibration import calibrate_sweep, CalibrationConfig, check_turn
-from landmark_nav.learning.calibration.alignment import align_sweep
+from landmark_nav.learning.calibration import (
+    align_sweep,
+    calibrate_sweep,
+    check_turn,
+)
 from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.sweep_pipeline import tenengrad
@@ -71,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--even-out',
         action=argparse.BooleanOptionalAction,
-        default=PanoramaConfig.even_out,
+        default=True,
         help='make up for exposures and vignetting (the default)',
     )
     parser.add_argument(
@@ -90,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     check_new(args.overwrite, args.out)
     check_writable(args.out)
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
-    config = PanoramaConfig(blend=args.blend, crop_px=args.crop, even_out=args.even_out)
+    config = PanoramaConfig(blend=args.blend, crop_px=args.crop)
     is_image_folder = (args.sweep / 'frames.csv').is_file()
     if not is_image_folder and any(args.sweep.glob('*.[jpJP][pnPN]*[gG]')):
         raise LandmarkNavError(
@@ -102,19 +105,21 @@ def run(args: argparse.Namespace) -> int:
     check_turn(sweep, mount)
     quality = PanoramaQuality(0.0)
     if args.align and is_image_folder:
-        aligned = align_sweep(sweep, mount)
-        sweep = aligned.sweep
+        found = align_sweep(sweep, mount)
+        focal = next(t for t in found.quality.calibration if t.name == 'focal_length')
+        given_px, scale = np.median([f.camera.fx for f in sweep.frames]), 1.0 + focal.value
+        scale = scale if focal.used else 1.0
         print(
-            f'focal length {aligned.focal_px:.2f} +- {aligned.focal_sigma_px:.2f} px '
-            f'({aligned.focal_scale:.4f} times the given one), as of a lens without distortion'
+            f'focal length {given_px * scale:.2f} +- {given_px * focal.sigma:.2f} px '
+            f'({scale:.4f} times the given one), as of a lens without distortion'
         )
-        quality = aligned.quality
+        sweep, quality = found.sweep, found.quality
     elif args.align:
-        found = calibrate_sweep(sweep, mount, CalibrationConfig())
+        found = calibrate_sweep(sweep, mount)
         sweep, mount = found.sweep, found.mount
         quality = found.quality
     photometry = Photometry.none(len(sweep.frames))
-    if config.even_out:
+    if args.even_out:
         photometry = measure_photometry(sweep, mount)
     view = synthesize_cylinder(even_out(sweep, photometry), mount, config)
     covered = view.mask.any(axis=0)

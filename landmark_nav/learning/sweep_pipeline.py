@@ -23,7 +23,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration import (
     calibrate_sweep,
-    CalibrationConfig,
     check_turn,
     moved_px,
     SweepCalibration,
@@ -41,12 +40,11 @@ from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
 from landmark_nav.learning.reference_area import (
-    check_agreement,
     locate_sweep,
     MountError,
     optical_height,
     PaperRecord,
-    papers_fit,
+    PaperSearch,
     ReferenceAreaConfig,
     SweepPlace,
     WRONG_PRIOR,
@@ -54,7 +52,7 @@ from landmark_nav.learning.reference_area import (
 )
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
-from landmark_nav.quality import PanoramaQuality
+from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Panorama, PoseEstimate, Sweep
 
 # Angles below this are written as 0.
@@ -67,7 +65,7 @@ def why_seen_otherwise(
     """Advice for an error of the setup without which the papers fit; None if there is none."""
     for why, seen, mounted in _otherwise(sweep, mount):
         view = synthesize_cylinder(seen, mounted, PanoramaConfig(blend='feather'))
-        if papers_fit(seen, view, room, mounted, config):
+        if PaperSearch(seen, view, room, mounted, config).fits_somewhere():
             return f'{why}, as the papers show'
     return None
 
@@ -128,8 +126,6 @@ _SAME_PX = 0.2
 class PanoramaStages(Config):
     """Parameters of the stages from a sweep to its panorama."""
 
-    panorama: PanoramaConfig = field(default_factory=PanoramaConfig)
-    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
 
 
@@ -164,45 +160,18 @@ def panorama_from_sweep(
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
-    log = log or StageLog()
-    papers = PaperRecord(room, config.reference_area) if papers is None else papers
-    floor_rad = config.reference_area.horizon_sigma_rad
     prior = given if isinstance(given, Calibration) else Calibration.of_mount(given)
+    area = config.reference_area
+    papers = PaperRecord(room, area) if papers is None else papers
+    maker = _Maker(sweep, room, prior, area, log or StageLog(), papers)
     try:
-        return _made(sweep, room, prior, prior, config, floor_rad, log, papers)
+        return maker.made(prior, area, _WIDER_SIGMAS)
     except WrongMountError as error:
         if not error.found.reasonable:
             raise
-        allowed = _not_exact(error, prior, config.reference_area)
-        papers.clear()
-        other, wider = corrected(prior, allowed), _wider(config, prior)
-    return _made(sweep, room, other, prior, wider, floor_rad, log, papers)
-
-
-def _not_exact(
-    error: WrongMountError, prior: Calibration, area: ReferenceAreaConfig
-) -> MountError:
-    """Return the error of a mount that may be corrected; refuse errors of exact values."""
-    rise, axis_tilt = _mount_sigmas(prior)
-    found = error.found
-    high = abs(found.rise_m) > WRONG_PRIOR * area.height_sigma_m
-    leans = np.hypot(*found.tilt_roll_rad) > WRONG_PRIOR * area.horizon_sigma_rad
-    if (high and not rise) or (leans and not axis_tilt):
-        raise LandmarkNavError(f'{error}; robot.yaml gives it as exact (sigma 0)') from error
-    return MountError(found.rise_m if rise else 0.0, found.tilt_roll_rad * (axis_tilt > 0.0))
-
-
-def _within_prior(found: MountError, prior: Calibration) -> bool:
-    """Whether the prior allows an error of the mount, so that no fault of papers is searched."""
-    rise, axis_tilt = WRONG_PRIOR * np.array(_mount_sigmas(prior))
-    return bool(abs(found.rise_m) <= rise and np.hypot(*found.tilt_roll_rad) <= axis_tilt)
-
-
-def _mount_sigmas(prior: Calibration) -> tuple[float, float]:
-    """Sigmas of height and tilt of the camera."""
-    height = [NAMES.index(name) for name in HEIGHT]
-    rise = float(np.sqrt(prior.covariance[np.ix_(height, height)].sum()))
-    return rise, float(prior.sigma_of('axis_roll', 2).max())
+        allowed = maker.not_exact(error)
+    papers.clear()
+    return maker.made(corrected(prior, allowed), maker.wider_area, WRONG_PRIOR)
 
 
 def corrected(given: Calibration, found: MountError) -> Calibration:
@@ -212,106 +181,135 @@ def corrected(given: Calibration, found: MountError) -> Calibration:
     return given.with_values(axis_z=height, axis_roll=roll, axis_pitch=pitch)
 
 
-def _wider(config: PanoramaStages, prior: Calibration) -> PanoramaStages:
-    """Parameters with the uncertainty of height and tilt of the camera by the robot file."""
-    area = config.reference_area
-    rise, axis_tilt = _mount_sigmas(prior)
-    wider = replace(
-        area,
-        height_sigma_m=float(np.hypot(area.height_sigma_m, rise)),
-        horizon_sigma_rad=float(np.hypot(area.horizon_sigma_rad, axis_tilt)),
-    )
-    return replace(config, reference_area=wider)
+class _Maker:
+    """Makes the panorama of one sweep; arguments as for `panorama_from_sweep`."""
 
+    def __init__(
+        self,
+        sweep: Sweep,
+        room: Room,
+        prior: Calibration,
+        area: ReferenceAreaConfig,
+        log: StageLog,
+        papers: PaperRecord,
+    ) -> None:
+        self._sweep, self._room, self._prior = sweep, room, prior
+        self._area, self._log, self._papers = area, log, papers
+        height = [NAMES.index(name) for name in HEIGHT]
+        # Of height and tilt of the camera.
+        self._sigmas = (
+            float(np.sqrt(prior.covariance[np.ix_(height, height)].sum())),
+            float(prior.sigma_of('axis_roll', 2).max()),
+        )
 
-def _made(
-    taken: Sweep,
-    room: Room,
-    used: Calibration,
-    prior: Calibration,
-    config: PanoramaStages,
-    floor_rad: float,
-    log: StageLog,
-    papers: PaperRecord,
-) -> Panorama:
-    """Panorama of a sweep by the calibration `used`, with the prior of the calibration."""
-    sweep, mount = as_calibrated(taken, used), used.mount
-    with log.measure('calibration'):
+    def not_exact(self, error: WrongMountError) -> MountError:
+        """Return the error of a mount that may be corrected; refuse errors of exact values."""
+        area, found, (rise, tilt) = self._area, error.found, self._sigmas
+        high, leans = found.beyond(area.height_sigma_m, area.horizon_sigma_rad, WRONG_PRIOR)
+        if (high and not rise) or (leans and not tilt):
+            raise LandmarkNavError(f'{error}; robot.yaml gives it as exact (sigma 0)') from error
+        return MountError(found.rise_m if rise else 0.0, found.tilt_roll_rad * (tilt > 0.0))
+
+    @property
+    def wider_area(self) -> ReferenceAreaConfig:
+        """Parameters with the uncertainty of height and tilt of the camera by the robot file."""
+        area, (rise, tilt) = self._area, self._sigmas
+        return replace(
+            area,
+            height_sigma_m=float(np.hypot(area.height_sigma_m, rise)),
+            horizon_sigma_rad=float(np.hypot(area.horizon_sigma_rad, tilt)),
+        )
+
+    def made(self, used: Calibration, area: ReferenceAreaConfig, most_sigmas: float) -> Panorama:
+        """Panorama by a calibration; errors of height and tilt have a limit, in sigmas."""
+        log = self._log
+        sweep, mount = as_calibrated(self._sweep, used), used.mount
         try:
             check_turn(sweep, mount)
         except LandmarkNavError as error:
-            why = why_seen_otherwise(sweep, room, mount, config.reference_area)
+            why = why_seen_otherwise(sweep, self._room, mount, area)
             raise LandmarkNavError(why or str(error)) from error
-        found = calibrate_sweep(sweep, mount, config.calibration)
-    with log.measure('panorama'):
-        photometry = Photometry.none(len(sweep.frames))
-        if config.panorama.even_out:
-            photometry = measure_photometry(found.sweep, found.mount)
-        view = _view(found, photometry, config)
-    with log.measure('reference_area'):
-        papers.add(view, optical_height(found.sweep, found.mount))
-        try:
-            place = _place(view, found, room, config, prior, used is not prior)
-        except LandmarkNavError as error:
-            if isinstance(error, WrongMountError) and _within_prior(error.found, prior):
-                raise
-            why = why_seen_otherwise(sweep, room, mount, config.reference_area)
-            faults = papers.faults()
-            cause = why or faults.cause or str(error)
-            wrong = faults.mount
-            if wrong is None and isinstance(error, WrongMountError) and not faults.faults:
-                wrong = error.found
-            if why or wrong is None:
-                raise LandmarkNavError(cause) from error
-            raise WrongMountError(cause, wrong) from error
-    mount, axis_tilt = levelled(
-        mount, place.axis_tilt_score, place.axis_tilt_information, config.calibration
-    )
-    with log.measure('calibration'):
-        refined = calibrate_sweep(
-            sweep, mount, config.calibration, _range_of_ray(place, found, room), found.overlaps
-        )
-    mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
-    off_axis = any(refined.mount.optical_center_offset[:2])
-    if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
-        found = refined
+        found, photometry, view = _first_view(sweep, mount, log)
         with log.measure('reference_area'):
-            place = _place(view, found, room, config, prior, used is not prior)
-        with log.measure('panorama'):
-            view = _view(found, photometry, config, _range_of_azimuth(place, found, room))
-    found = refined
-    for warning in filter(None, [place.warning, _wrong_focal(found.quality)]):
-        _LOG.warning('%s', warning)
-    by_calibration = _by_calibration(place, found)
-    terms = found.quality.calibration
-    made = as_corrected(used, terms, found.mount)
-    known = prior
-    if config.calibration.enabled:
+            self._papers.add(view, optical_height(found.sweep, found.mount))
+            try:
+                place = self._place(view, found, area, most_sigmas)
+            except LandmarkNavError as error:
+                raise self._explained(error, sweep, mount, area) from error
+        information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
+        mount, axis_tilt = levelled(mount, place.mount_score, information)
+        with log.measure('calibration'):
+            range_m = _range_of_ray(place, found, self._room)
+            refined = calibrate_sweep(sweep, mount, range_m, found.overlaps)
+        mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
+        off_axis = any(refined.mount.optical_center_offset[:2])
+        if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
+            with log.measure('reference_area'):
+                place = self._place(view, refined, area, most_sigmas)
+            with log.measure('panorama'):
+                reach_m = _range_of_azimuth(place, refined, self._room)
+                view = _view(refined, photometry, reach_m)
+        found = refined
+        for warning in filter(None, [place.warning, _wrong_focal(found.quality)]):
+            _LOG.warning('%s', warning)
+        by_calibration = _by_calibration(place, found)
+        terms = found.quality.calibration
+        made = as_corrected(used, terms, found.mount)
         known = with_papers(
-            with_terms(prior, used, terms), made, place.mount_score, place.mount_information,
-            floor_rad,
+            with_terms(self._prior, used, terms), made, place.mount_score, place.mount_information,
+            self._area.horizon_sigma_rad,
         )  # fmt: skip
-    return Panorama(
-        sweep.stamp_ns,
-        view.image,
-        view.mask,
-        view.cylinder,
-        _axis(place, found.mount),
-        float(place.pose_map_base[2]),
-        _axis_covariance(place, found.mount)
-        + by_calibration @ known.covariance @ by_calibration.T,
-        replace(found.quality, calibration=(*found.quality.calibration, *axis_tilt)).of(
-            tenengrad(view), photometry.vignetting, photometry.gain_spread
-        ),
-        known,
-        made.values,
-        by_calibration,
-    )
+        panorama = _panorama(sweep, view, found, place, photometry, axis_tilt)
+        return replace(
+            panorama,
+            covariance=panorama.covariance + by_calibration @ known.covariance @ by_calibration.T,
+            calibration=known,
+            made_with=made.values,
+            by_calibration=by_calibration,
+        )
+
+    def _place(
+        self,
+        view: CylinderImage,
+        found: SweepCalibration,
+        area: ReferenceAreaConfig,
+        most_sigmas: float,
+    ) -> SweepPlace:
+        """Pose of a sweep by papers, or the given one if they agree."""
+        sweep, mount, known = found.sweep, found.mount, found.sweep.pose_map_base
+        if known is None:
+            return locate_sweep(sweep, view, self._room, mount, area, most_sigmas)
+        plane = np.ix_([0, 1, 3], [0, 1, 3])
+        covariance = np.zeros((4, 4))
+        covariance[plane] = _given_covariance(known)
+        place = SweepPlace(known.pose, optical_height(sweep, mount), covariance)
+        mounted = _by_calibration(place, found)
+        uncertain = covariance + mounted @ self._prior.covariance @ mounted.T
+        papers = PaperSearch(sweep, view, self._room, mount, area)
+        papers.check_agreement(known.pose, uncertain[plane])
+        covariance[2, 2] = area.height_sigma_m**2
+        return place
+
+    def _explained(
+        self, error: LandmarkNavError, sweep: Sweep, mount: PanTiltMount, area: ReferenceAreaConfig
+    ) -> LandmarkNavError:
+        """Return the error with its cause, and with the error of the mount if that is it."""
+        # An error that the prior allows is corrected without a search for faults of papers.
+        if isinstance(error, WrongMountError) and not any(
+            error.found.beyond(*self._sigmas, WRONG_PRIOR)
+        ):
+            return error
+        if why := why_seen_otherwise(sweep, self._room, mount, area):
+            return LandmarkNavError(why)
+        faults = self._papers.faults()
+        wrong = faults.mount
+        if isinstance(error, WrongMountError) and not faults.faults:
+            wrong = error.found
+        cause = faults.cause or str(error)
+        return WrongMountError(cause, wrong) if wrong else LandmarkNavError(cause)
 
 
-def unplaced_panorama(
-    sweep: Sweep, mount: PanTiltMount, config: PanoramaStages, log: StageLog
-) -> Panorama:
+def unplaced_panorama(sweep: Sweep, mount: PanTiltMount, log: StageLog) -> Panorama:
     """
     Make the panorama of a sweep with unknown pose: it gets the pose of the axis in the base frame.
 
@@ -319,24 +317,43 @@ def unplaced_panorama(
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
-    with log.measure('calibration'):
-        check_turn(sweep, mount)
-        found = calibrate_sweep(sweep, mount, config.calibration)
-    with log.measure('panorama'):
-        photometry = Photometry.none(len(sweep.frames))
-        if config.panorama.even_out:
-            photometry = measure_photometry(found.sweep, found.mount)
-        view = _view(found, photometry, config)
+    check_turn(sweep, mount)
+    found, photometry, view = _first_view(sweep, mount, log)
     place = SweepPlace(np.zeros(3), optical_height(found.sweep, found.mount), np.eye(4))
+    panorama = _panorama(sweep, view, found, place, photometry)
+    return replace(panorama, covariance=place.covariance)
+
+
+def _first_view(
+    sweep: Sweep, mount: PanTiltMount, log: StageLog
+) -> tuple[SweepCalibration, Photometry, CylinderImage]:
+    """Calibrate a sweep without its pose, measure its photometry, and join its frames."""
+    with log.measure('calibration'):
+        found = calibrate_sweep(sweep, mount)
+    with log.measure('panorama'):
+        photometry = measure_photometry(found.sweep, found.mount)
+        return found, photometry, _view(found, photometry)
+
+
+def _panorama(
+    sweep: Sweep,
+    view: CylinderImage,
+    found: SweepCalibration,
+    place: SweepPlace,
+    photometry: Photometry,
+    axis_tilt: tuple[CalibrationTerm, ...] = (),
+) -> Panorama:
+    """Panorama whose viewpoint is the pan axis at the height of the optical centre."""
+    quality = replace(found.quality, calibration=(*found.quality.calibration, *axis_tilt))
     return Panorama(
         sweep.stamp_ns,
         view.image,
         view.mask,
         view.cylinder,
         _axis(place, found.mount),
-        0.0,
-        place.covariance,
-        found.quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread),
+        float(place.pose_map_base[2]),
+        _axis_covariance(place, found.mount),
+        quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread),
     )
 
 
@@ -372,12 +389,10 @@ def tenengrad(view: CylinderImage) -> float:
 def _view(
     found: SweepCalibration,
     photometry: Photometry,
-    config: PanoramaStages,
     range_m: Callable[[FloatArray], FloatArray] | None = None,
 ) -> CylinderImage:
-    return synthesize_cylinder(
-        even_out(found.sweep, photometry), found.mount, config.panorama, range_m
-    )
+    even = even_out(found.sweep, photometry)
+    return synthesize_cylinder(even, found.mount, PanoramaConfig(), range_m)
 
 
 def _range_of_azimuth(
@@ -413,37 +428,6 @@ def _by_calibration(place: SweepPlace, found: SweepCalibration) -> FloatArray:
         jacobian[3, NAMES.index('axis_yaw')] = 1.0
         jacobian[2, [NAMES.index(name) for name in HEIGHT]] = 1.0
     return jacobian
-
-
-def _place(
-    view: CylinderImage,
-    found: SweepCalibration,
-    room: Room,
-    config: PanoramaStages,
-    prior: Calibration,
-    wide: bool,
-) -> SweepPlace:
-    known = found.sweep.pose_map_base
-    if known is None:
-        most = WRONG_PRIOR if wide else _WIDER_SIGMAS
-        return locate_sweep(found.sweep, view, room, found.mount, config.reference_area, most)
-    covariance = np.zeros((4, 4))
-    plane = np.ix_([0, 1, 3], [0, 1, 3])
-    covariance[plane] = _given_covariance(known)
-    place = SweepPlace(known.pose, optical_height(found.sweep, found.mount), covariance)
-    mounted = _by_calibration(place, found)
-    uncertain = covariance + mounted @ prior.covariance @ mounted.T
-    check_agreement(
-        known.pose,
-        uncertain[plane],
-        found.sweep,
-        view,
-        room,
-        found.mount,
-        config.reference_area,
-    )
-    covariance[2, 2] = config.reference_area.height_sigma_m**2
-    return place
 
 
 def _given_covariance(known: PoseEstimate) -> FloatArray:

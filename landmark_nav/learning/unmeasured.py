@@ -203,13 +203,13 @@ def locate_sweeps(
     """
     panoramas, stamped = [], []
     for sweep in sweeps():
-        panoramas.append(unplaced_panorama(sweep, mount, stages, log))
+        panoramas.append(unplaced_panorama(sweep, mount, log))
         stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
     places = known(stamped)
     lever = np.array([*mount.axis_xyz[:2], panoramas[0].center_map[2]])
     located = locate(panoramas, places, lever, config, log)
     tilts = located.poses.states[:, 4:]
-    if not stages.calibration.enabled or np.abs(tilts).max() < _UPRIGHT_RAD:
+    if np.abs(tilts).max() < _UPRIGHT_RAD:
         tilts = np.zeros(tilts.shape)
     again = [
         panorama_from_sweep(

@@ -79,7 +79,7 @@ class SweepRunner:
         self._output = output
         self._camera_roll_rad = camera_roll_rad
         self._progress = Condition()
-        self._sweep: SweepCapture[_Frame] | None = None
+        self._sweep: SweepCapture | None = None
         self._running = False
         self._claimed = False
         self._stopped = ''
@@ -106,7 +106,7 @@ class SweepRunner:
         with self._progress:
             self._claimed = False
 
-    def run(self, may_go_on: Callable[[], bool]) -> tuple[SweepCapture[_Frame], str]:
+    def run(self, may_go_on: Callable[[], bool]) -> tuple[SweepCapture, str]:
         """
         Take a sweep or resume one; return it and a note on frames kept from before.
 
@@ -197,7 +197,7 @@ class SweepRunner:
         view = decode.camera_image(image, decode.camera_info(info), grey=True)
         return look_at(*view, self._camera_roll_rad)
 
-    def _command(self, sweep: SweepCapture[_Frame]) -> None:
+    def _command(self, sweep: SweepCapture) -> None:
         pan_rad = sweep.command(self._now_ns())
         if pan_rad is not None:
             self._commander.command(pan_rad, self.pan_rad)

@@ -23,6 +23,7 @@ from typing import Any
 from as_a_user import command
 import numpy as np
 
+from landmark_nav.learning.panorama.photometry import Photometry
 from landmark_nav.types import Refusal
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,12 +49,10 @@ LEARNING: dict[str, dict[str, Any]] = {
     'one peak (stereo)': {f'{_LEARN}stereo.config:StereoConfig.max_second_ratio': 1.0},
     'search off the walls': {f'{_LEARN}stereo.found_again:match_freely': lambda *_: Refusal('')},
     'exposures, vignetting': {
-        f'{_LEARN}panorama.synthesis:PanoramaConfig.even_out': False,
+        f'{_LEARN}sweep_pipeline:measure_photometry': lambda s, _: Photometry.none(len(s.frames)),
     },
     'median': {f'{_LEARN}panorama.synthesis:PanoramaConfig.blend': 'feather'},
-    'calibration by overlaps': {
-        f'{_LEARN}calibration.sweep_calibration:CalibrationConfig.enabled': False
-    },
+    'calibration by overlaps': {f'{_LEARN}calibration.sweep_calibration:_WORTH_PX': BEST},
     'refusal of what is ambiguous': {f'{_LEARN}attention.attend:refusal': _nothing},
     'contrast along the row': {
         f'{_LEARN}attention.selection:_MAX_BEARING_SIGMA_PX': BEST,
@@ -96,7 +95,6 @@ LEARNING: dict[str, dict[str, Any]] = {
     'brightness of edges': {f'{_LEARN}reference_area.edges:_SAME_PX': 0.0},
     'gamma of edges': {f'{_LEARN}reference_area.edges:_GAMMA_STEP': 1e-9},
     'corners of papers': {f'{_LEARN}reference_area.fit:_CORNER_PX': 0.0},
-    'joint angles by frame': {f'{_LEARN}reference_area.fit:_TRUSTED_FRAMES': BEST},
 }
 DRIVING: dict[str, dict[str, Any]] = {
     'virtual views': {f'{_FIND}detection.config:DetectionConfig.appearance': 'patch'},

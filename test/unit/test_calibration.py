@@ -9,13 +9,15 @@ import pytest
 from scenes import draw_sweep, rectangle_room, textured_room
 from turning_camera import turn_sweep
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.calibration import (
+    align_sweep,
     calibrate_sweep,
-    CalibrationConfig,
     SweepCalibration,
 )
-from landmark_nav.types import FloatArray, Sweep
+from landmark_nav.learning.calibration.overlap_fit import COMMON, OverlapProblem, track_overlaps
+from landmark_nav.types import CameraFrame, FloatArray, Sweep
 
 MOUNT = PanTiltMount((0.1, 0.0, 1.0))
 TRUE = CameraModel(240, 200, 230.0, 230.0, 119.5, 99.5, 'plumb_bob', (-0.06, 0.0, 0.0, 0.0, 0.0))
@@ -52,7 +54,7 @@ def used(found: SweepCalibration) -> set[str]:
 
 
 def test_what_is_right_is_left_alone(turn: Sweep) -> None:
-    found = calibrate_sweep(turn, MOUNT, CalibrationConfig())
+    found = calibrate_sweep(turn, MOUNT)
     assert used(found) == set()
     assert found.sweep.frames[5].camera == TRUE
     assert found.sweep.frames[5].pan_rad == PANS[5]
@@ -64,51 +66,43 @@ def test_what_is_right_is_left_alone(turn: Sweep) -> None:
 
 
 @pytest.mark.parametrize(
-    ('name', 'wrong', 'value', 'within'),
+    ('wrong', 'found_values'),
     [
-        ('focal_length', {'focal': 1.015}, -0.0148, 5e-4),
-        ('pan_scale', {'scale': 1.005}, -0.00498, 3e-4),
-        ('tilt', {'tilt': 0.0175}, -0.0175, 2e-3),
-        ('roll', {'roll': -0.0122}, 0.0122, 5e-4),
+        ({'focal': 1.015}, {'focal_length': (-0.0148, 5e-4)}),
+        ({'scale': 1.005}, {'pan_scale': (-0.00498, 3e-4)}),
+        ({'tilt': 0.0175}, {'tilt': (-0.0175, 2e-3)}),
+        ({'roll': -0.0122}, {'roll': (0.0122, 5e-4)}),
+        (
+            {'focal': 0.985, 'scale': 0.995, 'tilt': -0.02, 'roll': 0.015},
+            {
+                'focal_length': (0.0152, 1e-3),
+                'pan_scale': (0.00503, 1e-3),
+                'tilt': (0.02, 3e-3),
+                'roll': (-0.015, 1e-3),
+            },
+        ),
     ],
+    ids=lambda values: ' '.join(values),
 )
-def test_a_wrong_figure_is_found_and_mended(
-    turn: Sweep, name: str, wrong: dict[str, float], value: float, within: float
+def test_wrong_figures_are_found_and_corrected(
+    turn: Sweep, wrong: dict[str, float], found_values: dict[str, tuple[float, float]]
 ) -> None:
-    found = calibrate_sweep(reported(turn, **wrong), MOUNT, CalibrationConfig())
-    assert used(found) == {name}
-    term = next(term for term in found.quality.calibration if term.name == name)
-    assert term.value == pytest.approx(value, abs=within)
-    assert abs(term.value - value) < 4.0 * term.sigma < 0.25 * abs(value)
+    found = calibrate_sweep(reported(turn, **wrong), MOUNT)
+    terms = {term.name: term for term in found.quality.calibration if term.used}
+    assert {*terms} == {*found_values}
+    for name, (value, within) in found_values.items():
+        assert terms[name].value == pytest.approx(value, abs=within)
+        assert abs(terms[name].value - value) < 4.0 * terms[name].sigma < 0.25 * abs(value)
     assert found.quality.residual_px < 0.15 < found.quality.before_px
     frame = found.sweep.frames[3]
-    assert frame.camera.fx == pytest.approx(TRUE.fx, rel=5e-4)
-    assert (frame.pan_rad, frame.tilt_rad, frame.roll_rad) == pytest.approx(
-        (PANS[3], 0.0, 0.0), abs=2e-3
-    )
-
-
-def test_all_at_once_are_distinguished(turn: Sweep) -> None:
-    sweep = reported(turn, 0.985, 0.995, -0.02, 0.015)
-    found = calibrate_sweep(sweep, MOUNT, CalibrationConfig())
-    assert used(found) == {'focal_length', 'pan_scale', 'tilt', 'roll'}
-    frame = found.sweep.frames[30]
     assert frame.camera.fx == pytest.approx(TRUE.fx, rel=1e-3)
-    assert (frame.pan_rad, frame.roll_rad) == pytest.approx((PANS[30], 0.0), abs=1e-3)
-    assert frame.tilt_rad == pytest.approx(0.0, abs=3e-3)
-
-
-def test_nothing_is_used_unless_asked_for(turn: Sweep) -> None:
-    sweep = reported(turn, focal=1.015)
-    found = calibrate_sweep(sweep, MOUNT, CalibrationConfig(enabled=False))
-    assert used(found) == set()
-    assert found.sweep.frames[0].camera == sweep.frames[0].camera
-    assert next(t for t in found.quality.calibration if t.name == 'focal_length').value < -0.01
+    angles = (frame.pan_rad, frame.tilt_rad, frame.roll_rad)
+    assert angles == pytest.approx((PANS[3], 0.0, 0.0), abs=3e-3)
 
 
 def test_a_part_of_a_turn_does_not_close(turn: Sweep) -> None:
     part = reported(replace(turn, frames=turn.frames[5:20]), scale=1.005)
-    found = calibrate_sweep(part, MOUNT, CalibrationConfig())
+    found = calibrate_sweep(part, MOUNT)
     assert found.quality.closure_rad is None
     # Pan scale and focal length are one number there; the encoder is believed.
     assert 'pan_scale' not in {term.name for term in found.quality.calibration}
@@ -117,14 +111,14 @@ def test_a_part_of_a_turn_does_not_close(turn: Sweep) -> None:
 def test_a_blank_wall_leaves_the_closure_unknown_and_is_reported(turn: Sweep) -> None:
     blank = np.full_like(turn.frames[0].image, 128)
     frames = [replace(f, image=blank) if 15 <= k < 21 else f for k, f in enumerate(turn.frames)]
-    found = calibrate_sweep(replace(turn, frames=tuple(frames)), MOUNT, CalibrationConfig())
+    found = calibrate_sweep(replace(turn, frames=tuple(frames)), MOUNT)
     assert found.quality.calibration
     assert found.quality.closure_rad is None
     gaps_deg = np.degrees(found.quality.gaps_rad)
     assert len(gaps_deg)
     assert np.all((gaps_deg > -50.0) & (gaps_deg < 50.0))
     assert f'closure unknown: nothing to match near pan {gaps_deg[0]:.0f}' in str(found.quality)
-    whole = calibrate_sweep(turn, MOUNT, CalibrationConfig()).quality
+    whole = calibrate_sweep(turn, MOUNT).quality
     assert whole.gaps_rad == ()
     assert 'closure error' in str(whole)
 
@@ -133,7 +127,7 @@ def test_frames_that_share_nothing_gives_nothing(turn: Sweep) -> None:
     blank = np.full_like(turn.frames[0].image, 128)
     plain = replace(turn, frames=tuple(replace(f, image=blank) for f in turn.frames))
     for sweep in (plain, replace(turn, frames=turn.frames[:2])):
-        found = calibrate_sweep(sweep, MOUNT, CalibrationConfig())
+        found = calibrate_sweep(sweep, MOUNT)
         assert found.quality.calibration == ()
         assert found.sweep is sweep
 
@@ -150,7 +144,72 @@ def test_a_camera_off_its_axis_is_found_by_the_walls_distance() -> None:
         return room.raycast(pose[:2], azimuth + pose[2])[0]
 
     centred = replace(true, optical_center_offset=(0.0, 0.0, 0.0))
-    found = calibrate_sweep(sweep, centred, CalibrationConfig(), range_m)
+    found = calibrate_sweep(sweep, centred, range_m)
     assert used(found) == {'forward', 'left'}
     assert found.mount.optical_center_offset == pytest.approx((0.03, -0.02, 0.0), abs=4e-3)
-    assert used(calibrate_sweep(sweep, true, CalibrationConfig(), range_m)) == set()
+    assert used(calibrate_sweep(sweep, true, range_m)) == set()
+
+
+FOLDER = CameraModel(200, 240, 300.0, 300.0, 99.5, 119.5, 'plumb_bob', (-0.06, 0.0, 0.0, 0.0, 0.0))
+FEW = -np.pi + np.radians(20.0) * np.arange(18)
+
+
+def focal_of(found: SweepCalibration) -> float:
+    """Relative correction of the focal length of a lens without distortion."""
+    return next(t.value for t in found.quality.calibration if t.name == 'focal_length')
+
+
+def test_rough_angles_of_frames_and_the_focal_length_are_aligned() -> None:
+    rng = np.random.default_rng(1)
+    true = turn_sweep(FOLDER, MOUNT, FEW, 0.01, -0.015)
+    given = replace(FOLDER, fx=FOLDER.fx * 1.01, fy=FOLDER.fy * 1.01, distortion=())
+    rough = (
+        replace(f, camera=given, pan_rad=f.pan_rad + rng.normal(0.0, 0.003), tilt_rad=0.0)
+        for f in true.frames
+    )
+    wrong = Sweep(0, tuple(replace(frame, roll_rad=0.0) for frame in rough))
+    aligned = align_sweep(wrong, MOUNT)
+    assert aligned.quality.residual_px < 0.1 < 1.0 < aligned.quality.before_px
+    # The turn closes, so the focal length is absolute; where pan 0 points is not.
+    camera = aligned.sweep.frames[0].camera
+    assert camera.fx == pytest.approx(FOLDER.fx, rel=2e-3)
+    assert camera.distortion[0] == pytest.approx(-0.06, abs=0.01)
+    assert abs(np.degrees(aligned.quality.closure_rad)) < 0.05
+    angles = np.array([(frame.pan_rad, frame.roll_rad) for frame in aligned.sweep.frames])
+    assert np.std(angles[:, 0] - FEW) < 2e-4
+    assert np.abs(angles[:, 1] + 0.015).max() < 2e-3
+
+
+@pytest.mark.parametrize('k1', [0.0, -0.14])
+def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
+    given = replace(FOLDER, fx=1.02 * FOLDER.fx, fy=1.02 * FOLDER.fx, distortion=())
+    frames = turn_sweep(replace(FOLDER, distortion=(k1,)), MOUNT, FEW).frames
+    sweep = Sweep(0, tuple(replace(frame, camera=given) for frame in frames))
+    aligned = align_sweep(sweep, MOUNT)
+    lens = aligned.sweep.frames[0].camera
+    assert lens.fx == pytest.approx(FOLDER.fx, rel=2e-3)
+    found = lens.distortion[0] if lens.distortion else 0.0
+    assert found == pytest.approx(k1, abs=0.01) if k1 else found == 0.0
+    # What is given is what a lens without distortion would need for the turn to close.
+    problem = OverlapProblem(track_overlaps(aligned.sweep, MOUNT, True), sweep, MOUNT)
+    plain = problem.fit([COMMON.index('focal_length')], (0.03, 0.01, 0.01))
+    assert 1.0 + focal_of(aligned) == pytest.approx(np.exp(plain.common[0]), rel=4e-3)
+
+
+def test_right_angles_stay() -> None:
+    sweep = turn_sweep(FOLDER, MOUNT, FEW)
+    aligned = align_sweep(sweep, MOUNT)
+    assert aligned.quality.residual_px < 0.05
+    assert abs(focal_of(aligned)) < 1e-3
+    for before, after in zip(sweep.frames, aligned.sweep.frames, strict=True):
+        assert abs(after.pan_rad - before.pan_rad) < 3e-4
+        assert abs(after.roll_rad) < 3e-4
+
+
+def test_too_few_frames_or_no_texture_is_reported() -> None:
+    with pytest.raises(LandmarkNavError, match='2 frames are too few to align'):
+        align_sweep(turn_sweep(FOLDER, MOUNT, FEW[:2]), MOUNT)
+    blank = np.full((FOLDER.height, FOLDER.width, 3), 128, np.uint8)
+    plain = Sweep(0, tuple(CameraFrame(k, blank, FOLDER, pan) for k, pan in enumerate(FEW)))
+    with pytest.raises(LandmarkNavError, match='0 matches between neighbouring frames'):
+        align_sweep(plain, MOUNT)

@@ -28,7 +28,6 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.attention import AttentionConfig
-from landmark_nav.learning.calibration import CalibrationConfig
 from landmark_nav.learning.calibration.combined import levelled
 from landmark_nav.learning.election import ElectionConfig
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
@@ -295,16 +294,16 @@ def test_a_mount_beyond_reason_or_against_a_predict_is_refused(off: dict[str, fl
 @pytest.mark.parametrize('yaw', [0.0, 2.0])
 def test_a_tilt_turns_the_axis_in_the_base(yaw: float) -> None:
     mount = replace(MOUNT, axis_rpy=(0.01, -0.02, yaw))
-    camera_tilt, information = np.array([0.006, -0.004]), np.diag([1e6, 4e6])
-    turned, terms = levelled(mount, information @ camera_tilt, information, CalibrationConfig())
-    expected = Rotation.from_rotvec([*camera_tilt, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
+    found, information = np.array([0.01, 0.006, -0.004]), np.diag([1e4, 1e6, 4e6])
+    turned, terms = levelled(mount, information @ found, information)
+    expected = Rotation.from_rotvec([*found[1:], 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
     np.testing.assert_allclose(rotation_rpy(turned.axis_rpy), expected, atol=1e-12)
     assert [t.sigma for t in terms] == pytest.approx([1e-3, 5e-4])
-    noise = np.array([0.002, -0.001])
-    same, terms = levelled(mount, information @ noise, information, CalibrationConfig())
+    noise = np.array([0.05, 0.002, -0.001])
+    same, terms = levelled(mount, information @ noise, information)
     assert same == mount
     assert not any(t.used for t in terms)
-    unknown, none = levelled(mount, np.zeros(2), np.zeros((2, 2)), CalibrationConfig())
+    unknown, none = levelled(mount, np.zeros(3), np.zeros((3, 3)))
     assert (unknown, none) == (mount, ())
 
 

@@ -27,6 +27,7 @@ ROOM = rectangle_room(papers=EAST)
 # Along the east wall, as seen from inside, left is +y.
 LEFT = np.array([0.0, 1.0, 0.0])
 SIGMA_RAD = 5e-4
+NONE = PaperOutlines(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4)))
 
 
 def outlines_of(paper: Paper, pose: FloatArray, rng: np.random.Generator) -> PaperOutlines:
@@ -39,8 +40,7 @@ def outlines_of(paper: Paper, pose: FloatArray, rng: np.random.Generator) -> Pap
     distance = (center[0] - pose[0]) / np.cos(middle)
     tangent = [(center[2] + up * 0.5 * paper.height - EYE_M) / distance for up in (-1.0, 1.0)]
     seen = np.array([[*azimuth, *tangent]]) + SIGMA_RAD * rng.standard_normal((1, 4))
-    sigma, none = np.full((1, 4), SIGMA_RAD), np.zeros((1, 4))
-    return PaperOutlines(seen[:, :2], seen[:, 2:], sigma, none, np.zeros(1))
+    return PaperOutlines(seen, np.zeros(1), np.full((1, 4), SIGMA_RAD), np.zeros((1, 4)))
 
 
 def views_of(papers: tuple[Paper, ...], seed: int = 0) -> list[PaperView]:
@@ -126,8 +126,7 @@ def test_a_room_in_feet_is_named() -> None:
 def test_a_paper_that_nobody_sees_is_not_laid_to_others_colours() -> None:
     # Two faults: green is covered, blue and red hang on each other's places.
     papers = (replace(EAST[0], color='blue'), replace(EAST[2], color='red'))
-    none = PaperOutlines(*(np.zeros((0, n)) for n in (2, 2, 4, 4)), np.zeros(0))
-    views = [PaperView({'green': none, **view.outlines}, EYE_M) for view in views_of(papers)]
+    views = [PaperView({'green': NONE, **view.outlines}, EYE_M) for view in views_of(papers)]
     found = paper_faults(views, ROOM, CONFIG)
     assert not found.fits
     assert 'swapped' not in [fault.kind for fault in found.faults]
@@ -145,8 +144,7 @@ def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished() -> N
 
 def test_two_papers_or_nothing_seen_give_no_fault() -> None:
     assert judged(EAST, replace(ROOM, papers=EAST[:2])).fits
-    none = PaperOutlines(*(np.zeros((0, n)) for n in (2, 2, 4, 4)), np.zeros(0))
-    assert paper_faults([PaperView({p.color: none for p in EAST}, EYE_M)], ROOM, CONFIG).fits
+    assert paper_faults([PaperView({p.color: NONE for p in EAST}, EYE_M)], ROOM, CONFIG).fits
 
 
 def test_papers_are_outlined_in_drawn_sweeps_wherever_they_hang() -> None:

@@ -10,7 +10,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
-from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
+from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction, PaperBlobs
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
 from landmark_nav.types import FloatArray, ImageArray
 
@@ -54,6 +54,10 @@ def search_in(image: FloatArray, noise: float = 0.0) -> ColorSearch:
     return ColorSearch(CylinderImage(camera_image(image, noise), np.ones(SHAPE, bool), CYLINDER))
 
 
+def azimuths(blobs: PaperBlobs) -> FloatArray:
+    return np.asarray(blobs.edges[:, :2].mean(axis=1))
+
+
 def test_a_paper_is_found_among_books_that_have_rather_its_hue() -> None:
     books: list[Rectangle] = [
         (color_of('green'), 40.0 + 16.0 * (k % 30), 10.0 + 45.0 * (k // 30), 8.0, 20.0)
@@ -62,7 +66,7 @@ def test_a_paper_is_found_among_books_that_have_rather_its_hue() -> None:
     yellowish = 0.85 * color_of('green') + 0.15 * color_of('yellow')
     blobs = search_in(wall_with([*books, (yellowish, 700.0, 30.0, 22.0, 31.0)])).blobs('green')
     azimuth = CYLINDER.azimuth_rad(700.0 + 10.5)
-    assert np.abs(blobs.azimuth_rad - azimuth).min() < 0.01
+    assert np.abs(azimuths(blobs) - azimuth).min() < 0.01
 
 
 @pytest.mark.parametrize('light', [(1.0, 1.0, 1.0), (0.5, 0.75, 1.0), (0.25, 0.24, 0.2)], ids=str)
@@ -78,9 +82,9 @@ def test_each_colour_is_found_among_the_others_in_any_light(
     for color, x in zip(names, left, strict=True):
         blobs = search.blobs(color)
         azimuth = float(CYLINDER.azimuth_rad(x + 10.0))
-        assert blobs.azimuth_rad[0] == pytest.approx(azimuth, abs=0.006), color
+        assert azimuths(blobs)[0] == pytest.approx(azimuth, abs=0.006), color
         np.testing.assert_allclose(
-            blobs.tangent[0], CYLINDER.tangent(np.array([40.0, 68.0])), atol=0.009
+            blobs.edges[0, 2:], CYLINDER.tangent(np.array([68.0, 40.0])), atol=0.009
         )
         # Neighbours in hue are there too, and fit worse.
         assert (blobs.misfit[1:] > blobs.misfit[0] + 1.0).all()
@@ -91,7 +95,7 @@ def test_a_blob_is_found_once_across_the_seam() -> None:
     image = wall_with([(red, 300.0, 30.0, 14.0, 20.0), (red, SHAPE[1] - 12.0, 30.0, 24.0, 30.0)])
     blobs = search_in(image).blobs('red')
     expected = CYLINDER.azimuth_rad(np.array([307.0, SHAPE[1]]))
-    off = np.angle(np.exp(1j * (blobs.azimuth_rad[:, None] - expected)))
+    off = np.angle(np.exp(1j * (azimuths(blobs)[:, None] - expected)))
     assert (np.abs(off) < 0.006).sum(axis=0).tolist() == [1, 1]
 
 
@@ -110,11 +114,12 @@ def test_pale_dark_thin_and_ragged_things_are_no_papers() -> None:
     assert len(search_in(image).blobs('red').misfit) == 0
 
 
-def test_colours_by_name_and_number() -> None:
-    assert hue_deg('#ff8000') == pytest.approx(30.1, abs=0.1)
-    assert hue_deg('hsv(210, 80%, 70%)') == pytest.approx(210.0)
-    assert paper_bgr('hsv(120, 100, 100)') == pytest.approx((0.0, 255.0, 0.0))
-    assert hue_deg(' Green ') == pytest.approx(NAMED_HUES_DEG['green'])
+@pytest.mark.parametrize(
+    ('color', 'hue'),
+    [('#ff8000', 30.1), ('hsv(210, 80%, 70%)', 210.0), (' Green ', NAMED_HUES_DEG['green'])],
+)
+def test_colours_by_name_and_number(color: str, hue: float) -> None:
+    assert hue_deg(color) == pytest.approx(hue, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +127,6 @@ def test_colours_by_name_and_number() -> None:
     [
         ('beige', "'beige' is not known: take one of red"),
         ('#12', 'is not known'),
-        ('#808080', 'too grey'),
         ('hsv(20, 10, 90)', 'too grey'),
         ('#0a0000', 'too dark'),
     ],
@@ -130,15 +134,6 @@ def test_colours_by_name_and_number() -> None:
 def test_what_is_no_colour_is_refused(color: str, message: str) -> None:
     with pytest.raises(LandmarkNavError, match=message):
         paper_bgr(color)
-
-
-@pytest.mark.parametrize('color', sorted(NAMED_HUES_DEG))
-def test_only_the_hue_counts(color: str) -> None:
-    direction = hue_direction(color)
-    assert direction.sum() == pytest.approx(0.0, abs=1e-12)
-    pure = np.array(paper_bgr(color))
-    pure -= pure.min()
-    assert pure / pure.max() @ direction == pytest.approx(1.0)
 
 
 def edges_of(
@@ -188,17 +183,6 @@ def test_a_response_curve_moves_edges_and_its_inverse_moves_them_back() -> None:
     back = edges_of(coded, 200.3, 0.0, 0.0, 0, gamma=2.0)[0].mean(axis=1)
     assert (away < [-0.04, -0.12]).all()
     assert abs(back[1]) < 0.03
-
-
-def test_beside_a_shadow_the_colour_decides() -> None:
-    shadow = np.array([110.0, 110.0, 110.0])
-    image = wall_with(
-        [(shadow, 196.5, 36.0, 6.0, 46.0), (color_of('red'), 200.3, 40.0, 40.0, 40.0)]
-    )
-    offset, _ = edges_of(image, 200.3, 0.6, 0.5, 0)
-    assert np.isfinite(offset[0]).all()
-    assert np.abs(offset[0].mean()) < 0.15
-    assert np.isnan(offset[1]).all()
 
 
 def test_where_there_is_no_paper_there_is_no_edge() -> None:

@@ -50,12 +50,13 @@ class TestPaperPose:
             for k, paper in enumerate(PAPERS):
                 x, y, z = np.add(paper.center, (p[7 + 2 * k], 0.0, p[8 + 2 * k])) - eye
                 x, y, z = x - p[0], y - p[1], z - p[3]
+                x, y, z = np.array([x, y, z]) - np.cross([p[4], p[5], 0.0], [x, y, z])
                 half = (1.0 + p[6]) * paper.width / 2
                 left, right = x - half, x + half
                 measured += [np.arctan2(y, left) - p[2], np.arctan2(y, right) - p[2]]
                 for side in (-1.0, 1.0):
                     reach, up = np.hypot(x, y), side * (1.0 + p[6]) * paper.height / 2
-                    measured.append((z + up) / reach + (p[4] * x + p[5] * y) / reach)
+                    measured.append((z + up) / reach)
             return np.array(measured)
 
         zero, step = np.zeros(13), 1e-6

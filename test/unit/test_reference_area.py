@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 import re
-import time
-from typing import Any
 
 import numpy as np
 from paper_sweeps import (
@@ -24,23 +23,48 @@ import pytest
 from scenes import Board, flat_texture, rectangle_room
 
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.learning.reference_area.blobs import hue_direction
-from landmark_nav.learning.reference_area.edges import EdgeSamples, locate_edges
 from landmark_nav.simulation.setup_documents import moved_paper
+from landmark_nav.types import FloatArray
+
+OFF_AXIS = replace(MOUNT, optical_center_offset=(0.07, 0.01, 0.03))
+UPSIDE_DOWN = replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0))
+# Papers, pose, mount, tilt of the joint.
+PLACES = {
+    'one wall': (EAST, (3.5, 2.0, 0.3), MOUNT, 0.0),
+    'one wall, turned away': (EAST, (4.2, 3.2, -2.6), MOUNT, 0.0),
+    'two walls': (CORNER, (3.5, 2.0, 0.3), MOUNT, 0.0),
+    'papers across the seam of the panorama': (EAST, (3.6, 2.3, np.pi), MOUNT, 0.0),
+    'tilted up, off the axis': (EAST, (3.4, 2.2, -0.6), OFF_AXIS, 0.15),
+    'upside down': (EAST, (3.4, 2.2, -0.6), UPSIDE_DOWN, 0.0),
+    'upside down, off the axis': (
+        EAST,
+        (3.4, 2.2, -0.6),
+        replace(UPSIDE_DOWN, optical_center_offset=(0.05, 0.0, 0.04)),
+        -0.1,
+    ),
+    'camera alone upside down': (
+        EAST,
+        (3.5, 2.0, 0.3),
+        replace(MOUNT, camera_roll_rad=np.pi),
+        0.0,
+    ),
+    'tilted, as given': (EAST, (3.4, 2.2, -0.6), replace(MOUNT, axis_rpy=(0.04, -0.05, 0.0)), 0.0),
+}
 
 
-@pytest.mark.parametrize('papers', [EAST, CORNER], ids=['one wall', 'two walls'])
-@pytest.mark.parametrize('pose', [(3.5, 2.0, 0.3), (4.2, 3.2, -2.6)], ids=str)
-def test_the_place_is_recovered_without_noise(
-    papers: tuple[Paper, ...], pose: tuple[float, float, float]
-) -> None:
+@pytest.mark.parametrize('name', PLACES)
+def test_the_place_is_recovered_without_noise(name: str) -> None:
+    papers, pose, mount, tilt = PLACES[name]
     room = rectangle_room(papers=papers)
-    place = locate(sweep_at(scene_of(room), np.array(pose), towards=papers), room)
+    sweep = sweep_at(scene_of(room), np.array(pose), mount=mount, tilt_rad=tilt, towards=papers)
+    place = locate(sweep, room, mount)
     error = error_of(place, np.array(pose))
     assert np.hypot(error[0], error[1]) < 0.006
     assert abs(error[2]) < np.radians(0.12)
-    assert place.height_m == pytest.approx(MOUNT.axis_xyz[2], abs=0.004)
     assert deviations(place, pose).max() < 3.0
+    pans = np.array([frame.pan_rad for frame in sweep.frames])
+    height = mount.camera_pose_base(pans, tilt)[1][:, 2].mean()
+    assert place.height_m == pytest.approx(height, abs=0.004)
 
 
 def test_noise_and_papers_that_hang_askew_stay_within_the_covariance() -> None:
@@ -112,58 +136,36 @@ def test_a_shadow_beside_a_paper_does_not_move_the_place() -> None:
     assert abs(error[2]) < np.radians(0.15)
 
 
-def test_turned_edges_of_one_paper_pass_for_no_height(monkeypatch: pytest.MonkeyPatch) -> None:
-    room = replace(rectangle_room(6.0, 5.0), papers=EAST)
-    sweep = sweep_at(scene_of(room), np.array([2.6, 2.9, 0.4]), np.random.default_rng(1))
-    red = hue_direction('red')
-
-    def height(turn_px: float) -> tuple[float, float]:
-        def turned(*args: Any) -> EdgeSamples:
-            found = locate_edges(*args)
-            if np.allclose(args[3], red):
-                # The right edge and the left one, both to the same side.
-                off = turn_px * np.linspace(-1.0, 1.0, 4)
-                found.offset_px[:, :8] += np.concatenate([off, -off])
-            return found
-
-        monkeypatch.setattr('landmark_nav.learning.reference_area.fit.locate_edges', turned)
-        place = locate(sweep, room)
-        return place.height_m, float(np.sqrt(place.covariance[2, 2]))
-
-    straight, sigma = height(0.0)
-    assert abs(height(0.04)[0] - straight) < 0.7 * sigma
-    assert abs(height(-0.04)[0] - straight) < 0.7 * sigma
+def response(image: FloatArray, gamma: float) -> FloatArray:
+    return np.asarray(255.0 * (image / 255.0) ** (1.0 / gamma))
 
 
-def test_papers_in_linear_and_in_gamma_coded_images_give_the_same_place() -> None:
-    # What blurs edges blurs light; most cameras write its root: dark papers seem to shrink.
-    room = rectangle_room(papers=EAST)
-    pose = np.array([3.4, 2.4, 0.2])
-    linear = sweep_at(scene_of(room), pose)
-    table = np.rint(255.0 * (np.arange(256) / 255.0) ** (1.0 / 1.8)).astype(np.uint8)
-    coded = replace(
-        linear, frames=tuple(replace(f, image=np.asarray(table[f.image])) for f in linear.frames)
-    )
-    for sweep in (linear, coded):
-        place = locate(sweep, room)
-        assert deviations(place, pose).max() < 3.0
-        assert np.hypot(*error_of(place, pose)[:2]) < 0.008
+def lit(image: FloatArray, *light: float) -> FloatArray:
+    """Brighter on one side."""
+    return np.asarray(image * np.linspace(0.8, 1.2, CAMERA.width)[None, :, None] * light)
 
 
-@pytest.mark.parametrize('light', [(0.35, 0.33, 0.3), (0.6, 0.85, 1.15)], ids=str)
-def test_other_light_changes_nothing(light: tuple[float, float, float]) -> None:
-    """Dim, warm and cold light, brighter on one side."""
+@pytest.mark.parametrize(
+    'change',
+    [
+        # What blurs edges blurs light; most cameras write its root: dark papers seem to shrink.
+        lambda image: response(image, 1.0),
+        lambda image: response(image, 1.8),
+        # Dim, warm and cold.
+        lambda image: lit(image, 0.35, 0.33, 0.3),
+        lambda image: lit(image, 0.6, 0.85, 1.15),
+    ],
+    ids=['linear', 'gamma', 'dim', 'warm'],
+)
+def test_other_light_and_response_change_nothing(
+    change: Callable[[FloatArray], FloatArray],
+) -> None:
     room = rectangle_room(papers=EAST)
     pose = np.array([3.4, 2.4, 0.2])
     sweep = sweep_at(scene_of(room), pose)
-    slope = np.linspace(0.8, 1.2, CAMERA.width)[None, :, None]
-    lit = tuple(
-        replace(
-            f, image=np.clip(np.rint(f.image * slope * np.array(light)), 0, 255).astype(np.uint8)
-        )
-        for f in sweep.frames
-    )
-    place = locate(replace(sweep, frames=lit), room)
+    images = [np.clip(np.rint(change(f.image)), 0, 255).astype(np.uint8) for f in sweep.frames]
+    frames = tuple(replace(f, image=i) for f, i in zip(sweep.frames, images, strict=True))
+    place = locate(replace(sweep, frames=frames), room)
     assert np.hypot(*error_of(place, pose)[:2]) < 0.012
     assert deviations(place, pose).max() < 3.0
 
@@ -188,13 +190,6 @@ def test_other_things_in_the_papers_colours_do_not_mislead() -> None:
     assert deviations(place, pose).max() < 3.5
 
 
-def test_a_paper_across_the_seam_of_the_panorama_is_found() -> None:
-    room = rectangle_room(papers=EAST)
-    behind = np.array([3.6, 2.3, np.pi])  # the papers hang at azimuth 180 deg
-    place = locate(sweep_at(scene_of(room), behind), room)
-    assert np.hypot(*error_of(place, behind)[:2]) < 0.006
-
-
 SIX = (
     *EAST,
     Paper('#d07010', (3.0, 5.0, 1.3), 0.21, 0.297),
@@ -207,36 +202,9 @@ def test_six_papers_on_three_walls_two_of_a_colour() -> None:
     room = rectangle_room(papers=SIX)
     pose = np.array([3.3, 2.6, 0.4])
     sweep = sweep_at(scene_of(room), pose, towards=SIX)
-    begin = time.process_time()
     place = locate(sweep, room)
-    assert time.process_time() - begin < 6.0
     assert np.hypot(*error_of(place, pose)[:2]) < 0.006
     assert deviations(place, pose).max() < 3.0
     # One of six may be gone.
     fewer = sweep_at(scene_of(room, SIX[1:]), pose, towards=SIX)
     assert np.hypot(*error_of(locate(fewer, room), pose)[:2]) < 0.008
-
-
-MOUNTS = {
-    'tilted up, off the axis': (replace(MOUNT, optical_center_offset=(0.07, 0.01, 0.03)), 0.15),
-    'upside down': (replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0)), 0.0),
-    'upside down, off the axis': (
-        replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0), optical_center_offset=(0.05, 0.0, 0.04)),
-        -0.1,
-    ),
-    'tilted, as given': (replace(MOUNT, axis_rpy=(0.04, -0.05, 0.0)), 0.0),
-}
-
-
-@pytest.mark.parametrize('name', MOUNTS)
-def test_however_the_camera_is_mounted(name: str) -> None:
-    mount, tilt = MOUNTS[name]
-    room = rectangle_room(papers=EAST)
-    pose = np.array([3.4, 2.2, -0.6])
-    sweep = sweep_at(scene_of(room), pose, mount=mount, tilt_rad=tilt)
-    place = locate(sweep, room, mount)
-    assert np.hypot(*error_of(place, pose)[:2]) < 0.006
-    assert deviations(place, pose).max() < 3.0
-    pans = np.array([frame.pan_rad for frame in sweep.frames])
-    height = mount.camera_pose_base(pans, tilt)[1][:, 2].mean()
-    assert place.height_m == pytest.approx(height, abs=0.004)

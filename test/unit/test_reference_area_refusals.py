@@ -16,23 +16,45 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
-from landmark_nav.learning.reference_area.fit import PaperFit
-from landmark_nav.learning.reference_area.refusals import size_warning
 from landmark_nav.learning.sweep_pipeline import why_seen_otherwise
 from landmark_nav.types import FloatArray, Sweep
 
+POSE = np.array([3.5, 2.0, 0.3])
+# The same three papers on the opposite wall.
+TWINS = tuple(replace(p, center=(0.0, 5.0 - p.center[1], p.center[2])) for p in EAST)
 
-def test_a_missing_paper_is_named() -> None:
-    room = rectangle_room(papers=EAST)
-    sweep = sweep_at(scene_of(room, EAST[:2]), np.array([3.5, 2.0, 0.3]))
-    with pytest.raises(LandmarkNavError, match='not found: blue of red, green, blue') as caught:
+
+@pytest.mark.parametrize(
+    ('hung', 'given', 'message'),
+    [
+        (EAST[:2], EAST, 'not found: blue of red, green, blue'),
+        # Something else of its colour.
+        (
+            (*EAST[:2], Paper('blue', (6.0, 4.3, 1.1), 0.21, 0.297)),
+            EAST,
+            'red fits, green fits, blue shows 0 %',
+        ),
+        # That they are swapped says `paper_faults`, of all sweeps together.
+        ((EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green')), EAST, ''),
+        (EAST + TWINS, EAST, 'ambiguous.*fit alike'),
+        (EAST, (), 'names 0 reference papers.*sweep/pose'),
+        (EAST, EAST[:2], 'names 2 reference papers.*sweep/pose'),
+    ],
+    ids=['missing', 'hidden', 'swapped', 'ambiguous', 'none', 'two'],
+)
+def test_papers_that_give_no_place_are_named(
+    hung: tuple[Paper, ...], given: tuple[Paper, ...], message: str
+) -> None:
+    room = rectangle_room(papers=given)
+    sweep = sweep_at(scene_of(rectangle_room(papers=EAST), hung), POSE, towards=hung)
+    with pytest.raises(LandmarkNavError, match=message) as caught:
         locate(sweep, room)
     assert '\n' not in str(caught.value)
 
 
 def test_images_without_colour_are_reported() -> None:
     room = rectangle_room(papers=EAST)
-    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
+    sweep = sweep_at(scene_of(room), POSE)
     locate(sweep, room)
     frames = []
     for frame in sweep.frames:
@@ -43,14 +65,6 @@ def test_images_without_colour_are_reported() -> None:
         frames.append(replace(frame, image=image))
     with pytest.raises(LandmarkNavError, match='by their colour, and the images have none'):
         locate(replace(sweep, frames=tuple(frames)), room)
-
-
-def test_a_hidden_paper_is_not_mistaken_for_something_of_its_colour() -> None:
-    room = rectangle_room(papers=EAST)
-    other = Paper('blue', (6.0, 4.3, 1.1), 0.21, 0.297)
-    sweep = sweep_at(scene_of(room, (*EAST[:2], other)), np.array([3.5, 2.0, 0.3]))
-    with pytest.raises(LandmarkNavError, match=r'red fits, green fits, blue shows 0 %'):
-        locate(sweep, room)
 
 
 def covered(share: float, pose: FloatArray, tall: bool = False) -> tuple[Sweep, Room]:
@@ -73,20 +87,11 @@ def covered(share: float, pose: FloatArray, tall: bool = False) -> tuple[Sweep, 
 @pytest.mark.parametrize('tall', [True, False], ids=['from the left', 'from below'])
 @pytest.mark.parametrize('share', [0.15, 0.5])
 def test_a_paper_that_is_partly_covered_gives_no_wrong_place(share: float, tall: bool) -> None:
-    pose = np.array([3.5, 2.0, 0.3])
+    pose = POSE
     sweep, room = covered(share, pose, tall)
     place = locate(sweep, room)
     assert deviations(place, pose).max() < 3.5
     assert np.hypot(*error_of(place, pose)[:2]) < 0.02
-
-
-def test_papers_that_changed_places_give_no_place() -> None:
-    """That they are swapped says `paper_faults`, of all sweeps together."""
-    given = rectangle_room(papers=EAST)
-    hung = (EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green'))
-    sweep = sweep_at(scene_of(given, hung), np.array([3.5, 2.0, 0.3]))
-    with pytest.raises(LandmarkNavError):
-        locate(sweep, given)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +105,7 @@ def test_papers_that_hang_elsewhere_than_the_room_states(
     """A refusal, or, where what is seen of the paper can't be its, the place by the others."""
     given = rectangle_room(papers=EAST)
     hung = (EAST[0], replace(EAST[1], center=center), EAST[2])
-    pose = np.array([3.5, 2.0, 0.3])
+    pose = POSE
     sweep = sweep_at(scene_of(given, hung), pose)
     try:
         place = locate(sweep, given)
@@ -112,20 +117,9 @@ def test_papers_that_hang_elsewhere_than_the_room_states(
     assert re.search('not found: green|do not fit together|no place .* green', message)
 
 
-def test_a_camera_that_hangs_otherwise_than_given_is_refused() -> None:
-    room = rectangle_room(papers=EAST)
-    pose = np.array([3.5, 2.0, 0.3])
-    upside_down = replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0))
-    tilted = replace(MOUNT, axis_rpy=(0.03, 0.04, 0.0))
-    for mount in (upside_down, tilted):
-        with pytest.raises(LandmarkNavError) as caught:
-            locate(sweep_at(scene_of(room), pose, mount=mount), room)
-        assert '\n' not in str(caught.value)
-
-
 @pytest.mark.parametrize('rise_m', [0.1, 0.3, -0.15])
 def test_a_camera_at_another_height_is_refused_unless_it_may_stand_there(rise_m: float) -> None:
-    room, pose = rectangle_room(papers=EAST), np.array([3.5, 2.0, 0.3])
+    room, pose = rectangle_room(papers=EAST), POSE
     sweep = sweep_at(scene_of(room), pose, rise_m=rise_m)
     with pytest.raises(LandmarkNavError) as refused:
         locate(sweep, room)
@@ -140,88 +134,36 @@ def test_a_camera_at_another_height_is_refused_unless_it_may_stand_there(rise_m:
     assert sigma < 0.01
 
 
-def test_a_camera_that_is_given_as_hung_upside_down_and_does_not_is_reported() -> None:
-    room, given = rectangle_room(papers=EAST), replace(MOUNT, camera_roll_rad=np.pi)
-    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
-    reported = str(why_seen_otherwise(sweep, room, given, ReferenceAreaConfig()))
-    assert 'set camera_roll: 0,' in reported
+ROLLED = replace(MOUNT, camera_roll_rad=np.pi)
 
 
 @pytest.mark.parametrize(
-    ('mount', 'remedy'),
+    ('true', 'given', 'remedy'),
     [
-        (replace(MOUNT, camera_roll_rad=np.pi), 'the camera is .* set camera_roll: 3.1416'),
-        (replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0)), r'pan unit is .* pan_axis rpy: \[3.1416, 0'),
-        (MOUNT, None),
+        (ROLLED, MOUNT, 'the camera is .* set camera_roll: 3.1416'),
+        (MOUNT, ROLLED, 'set camera_roll: 0,'),
+        (
+            replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0)),
+            MOUNT,
+            r'pan unit is .* pan_axis rpy: \[3.1416, 0',
+        ),
+        (MOUNT, MOUNT, None),
     ],
 )
-def test_what_hangs_upside_down_is_reported(mount: PanTiltMount, remedy: str | None) -> None:
+def test_what_hangs_upside_down_is_reported(
+    true: PanTiltMount, given: PanTiltMount, remedy: str | None
+) -> None:
     room = rectangle_room(papers=EAST)
-    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]), mount=mount)
-    given = why_seen_otherwise(sweep, room, MOUNT, ReferenceAreaConfig())
-    assert given is None if remedy is None else re.search(remedy, str(given))
-
-
-def test_a_camera_upside_down_is_as_good_as_another_if_it_is_reported() -> None:
-    room = rectangle_room(papers=EAST)
-    pose, rolled = np.array([3.5, 2.0, 0.3]), replace(MOUNT, camera_roll_rad=np.pi)
-    place = locate(sweep_at(scene_of(room), pose, mount=rolled), room, rolled)
-    assert deviations(place, pose).max() < 3.0
+    sweep = sweep_at(scene_of(room), POSE, mount=true)
+    found = why_seen_otherwise(sweep, room, given, ReferenceAreaConfig())
+    assert found is None if remedy is None else re.search(remedy, str(found))
 
 
 def test_papers_beside_what_a_partial_sweep_saw_are_not_blamed() -> None:
     room = rectangle_room(papers=EAST)
-    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
+    sweep = sweep_at(scene_of(room), POSE)
     ahead = [wrap_rad(frame.pan_rad) for frame in sweep.frames]
     part = tuple(f for f, pan in zip(sweep.frames, ahead, strict=True) if pan > np.median(ahead))
     assert 0 < len(part) < len(sweep.frames)
     with pytest.raises(LandmarkNavError, match=r'out of what the sweep saw .nothing is seen'):
         locate(replace(sweep, frames=part), room)
-
-
-def test_two_places_that_fit_alike_are_named() -> None:
-    # The same three papers twice, on opposite walls: which ones does the room mean?
-    room = rectangle_room(papers=EAST)
-    twins = tuple(replace(p, center=(0.0, 5.0 - p.center[1], p.center[2])) for p in EAST)
-    pose = np.array([3.3, 2.4, 0.2])
-    sweep = sweep_at(scene_of(room, EAST + twins), pose, towards=EAST + twins)
-    with pytest.raises(LandmarkNavError, match=r'ambiguous.*fit alike'):
-        locate(sweep, room)
-
-
-@pytest.mark.parametrize('count', [0, 2])
-def test_fewer_than_three_papers_are_no_reference_area(count: int) -> None:
-    room = rectangle_room(papers=EAST[:count])
-    sweep = sweep_at(scene_of(room), np.array([3.5, 2.0, 0.3]))
-    with pytest.raises(LandmarkNavError, match=f'names {count} reference papers.*sweep/pose'):
-        locate(sweep, room)
-
-
-def fit_of_size(size: float, sigma: float, misfit: float) -> PaperFit:
-    """A fit of which its size alone matters; `sigma` before edges that scatter widen it."""
-    nothing = np.zeros((3, 2))
-    claimed = sigma * np.sqrt(max(1.0, misfit))
-    return PaperFit(
-        np.zeros(3), 0.0, np.eye(4), np.ones(3), np.ones(3), nothing, np.zeros(2), np.eye(2), size,
-        float(claimed), misfit,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize('misfit', [0.8, 3.0])
-def test_papers_that_state_nothing_of_their_size_are_not_flagged(misfit: float) -> None:
-    config = ReferenceAreaConfig()
-    # As the estimate scatters where papers show a tenth of a percent of what is known before.
-    given = 0.001 * config.paper_size_sigma**2
-    sigma = float(np.sqrt(config.paper_size_sigma**2 - given))
-    assert size_warning(fit_of_size(2.0 * float(np.sqrt(given)), sigma, misfit), config) == ''
-
-
-def test_papers_that_are_surely_larger_are_reported_with_how_much() -> None:
-    config = ReferenceAreaConfig()
-    measured = 0.002
-    sigma = (config.paper_size_sigma**-2 + measured**-2) ** -0.5
-    drawn = 0.015 * config.paper_size_sigma**2 / (config.paper_size_sigma**2 + measured**2)
-    given = size_warning(fit_of_size(drawn, sigma, 1.0), config)
-    assert '1.5 % larger' in given
-    # Edges that scatter by ten times as much as they should could look so by chance.
-    assert size_warning(fit_of_size(drawn, sigma, 100.0), config) == ''

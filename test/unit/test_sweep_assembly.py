@@ -30,17 +30,18 @@ def test_missing_frames_are_named_by_their_angles(caplog: pytest.LogCaptureFixtu
     assert '2 frames are missing, at pan 11, 29 deg; nothing is seen from pan 51' in caplog.text
 
 
-def test_not_one_image() -> None:
-    with pytest.raises(LandmarkNavError, match='lacks all of its 5 frames'):
-        assemble_sweep(TRAJECTORY, {})
-
-
-def test_no_angles() -> None:
-    with pytest.raises(LandmarkNavError, match='no frames'):
-        assemble_sweep([], IMAGES)
-
-
-def test_angles_in_degrees_are_reported() -> None:
-    degrees = [JointSample(10**9 * k, 5.0 * k, 0.01) for k in range(1, 6)]
-    with pytest.raises(LandmarkNavError, match='the pan goes over 20 rad: are these degrees'):
-        assemble_sweep(degrees, IMAGES)
+@pytest.mark.parametrize(
+    ('trajectory', 'images', 'message'),
+    [
+        (TRAJECTORY, {}, 'lacks all of its 5 frames'),
+        ([], IMAGES, 'no frames'),
+        (
+            [JointSample(10**9 * k, 5.0 * k, 0.01) for k in range(1, 6)],
+            IMAGES,
+            'the pan goes over 20 rad: are these degrees',
+        ),
+    ],
+)
+def test_what_is_no_sweep_is_refused(trajectory, images, message) -> None:
+    with pytest.raises(LandmarkNavError, match=message):
+        assemble_sweep(trajectory, images)

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from landmark_nav.learning.calibration.sweep_calibration import (
+    align_sweep,
     calibrate_sweep,
-    CalibrationConfig,
-    fit_significant,
     moved_px,
     SweepCalibration,
 )
 from landmark_nav.learning.calibration.turn import check_turn, measure_turn, SweepTurn
 
 __all__ = [
-    'CalibrationConfig',
     'SweepCalibration',
     'SweepTurn',
+    'align_sweep',
     'calibrate_sweep',
     'check_turn',
-    'fit_significant',
     'measure_turn',
     'moved_px',
 ]

@@ -11,11 +11,10 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.learning.calibration.sweep_calibration import (
-    CalibrationConfig,
     SIGNIFICANT,
     USUAL_RANGE_M,
 )
-from landmark_nav.learning.least_squares import covariance_of
+from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray, Sweep
 
@@ -161,7 +160,7 @@ _LEAST_INFORMATION = 1e-3
 
 
 def levelled(
-    mount: PanTiltMount, score: FloatArray, information: FloatArray, config: CalibrationConfig
+    mount: PanTiltMount, score: FloatArray, information: FloatArray
 ) -> tuple[PanTiltMount, tuple[CalibrationTerm, ...]]:
     """
     Correct the tilt of the pan axis if it is significant.
@@ -170,11 +169,9 @@ def levelled(
     ----------
     mount : PanTiltMount
         Assumed extrinsics.
-    score, information : ndarray, shape (2,), (2, 2)
-        Measured small rotations about x and y of the base, rad, in information form: the tilt is
-        ``information^-1 score``.
-    config : CalibrationConfig
-        Whether to use the result.
+    score, information : ndarray, shape (3,), (3, 3)
+        Height and small rotations about x and y of the base, in information form: their estimate
+        is ``information^-1 score``.
 
     Returns
     -------
@@ -182,11 +179,11 @@ def levelled(
     terms : tuple of CalibrationTerm
         ``axis_roll`` and ``axis_pitch``; empty if nothing was measured.
     """
-    if np.linalg.eigvalsh(information)[0] < _LEAST_INFORMATION:
+    if np.linalg.eigvalsh(information[1:, 1:])[0] < _LEAST_INFORMATION:
         return mount, ()
     covariance = covariance_of(information)
-    axis_tilt = covariance @ score
-    significant = float(axis_tilt @ score) > SIGNIFICANT**2 and config.enabled
+    axis_tilt, covariance = (covariance @ score)[1:], covariance[1:, 1:]
+    significant = float(axis_tilt @ solve_positive(covariance, axis_tilt)) > SIGNIFICANT**2
     terms = tuple(
         CalibrationTerm(name, float(value), float(sigma), significant)
         for name, value, sigma in zip(

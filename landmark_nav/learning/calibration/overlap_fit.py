@@ -20,7 +20,12 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.least_squares import covariance_of, Damping, solve_positive
-from landmark_nav.learning.panorama.projection import frame_slab, FrameSlab, sweep_cylinder
+from landmark_nav.learning.panorama.projection import (
+    frame_slab,
+    FrameSlab,
+    grey_frame,
+    sweep_cylinder,
+)
 from landmark_nav.types import FloatArray, ImageArray, Sweep
 
 _POINTS_PER_PAIR = 60
@@ -71,7 +76,7 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
     """
     chain, closed = _chain(sweep, every_frame)
     cylinder = sweep_cylinder(sweep, mount)
-    grey = {k: _grey_slab(sweep, k, mount, cylinder) for k in set(chain)}
+    grey = {k: frame_slab(grey_frame(sweep.frames[k]), mount, cylinder) for k in set(chain)}
     frames, pixels, pairs, gaps = [], [], [], []
     for link, (a, b) in enumerate(pairwise(chain)):
         columns = _track(grey[a], grey[b], cylinder)
@@ -129,14 +134,6 @@ def _chain(sweep: Sweep, every_frame: bool) -> tuple[list[int], bool]:
 def _rotation(sweep: Sweep, k: int, mount: PanTiltMount) -> FloatArray:
     frame = sweep.frames[k]
     return mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)[0]
-
-
-def _grey_slab(sweep: Sweep, k: int, mount: PanTiltMount, cylinder: Cylinder) -> FrameSlab:
-    frame = sweep.frames[k]
-    if frame.image.ndim == 3:
-        grey = cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
-        frame = replace(frame, image=np.asarray(grey, dtype=np.uint8))
-    return frame_slab(frame, mount, cylinder)
 
 
 def _track(first: FrameSlab, second: FrameSlab, cylinder: Cylinder) -> FloatArray | None:
@@ -230,21 +227,12 @@ class OverlapProblem:
         chosen = [sweep.frames[k] for k in self._used]
         self._angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in chosen])
         self._rays: dict[tuple[float, float], FloatArray] = {}
-        self._last = np.zeros(0)
+        self._last = np.zeros(len(COMMON) + 3 * len(chosen))
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
         if range_m is not None:
-            azimuth, tangent = self._seen(np.zeros(len(COMMON)), self._angles * 0.0)
+            azimuth, tangent = self._seen(self._last)
             self._range = range_m(azimuth[:, 0], tangent[:, 0])
-
-    def misfit(self, common: FloatArray, frames: FloatArray | None = None) -> FloatArray:
-        """Differences (m, 2) in azimuth and tangent between the two rays of each match."""
-        turns = self._angles * 0.0 if frames is None else frames[self._used]
-        return self._misfit(common, turns)
-
-    def _misfit(self, common: FloatArray, turns: FloatArray) -> FloatArray:
-        azimuth, tangent = self._seen(common, turns)
-        return np.stack([wrap_rad(azimuth[:, 0] - azimuth[:, 1]), tangent @ [1.0, -1.0]], 1)
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
@@ -257,32 +245,28 @@ class OverlapProblem:
         frame_sigma : sequence of float, shape (3,)
             Sigmas of pan, tilt and roll of a single frame, rad.
         """
-        count, focal = len(self._angles), self._camera.fx
-        size = len(COMMON) + 3 * count
-        index = np.concatenate([np.asarray(free, np.intp), np.arange(len(COMMON), size)])
-        precision = np.zeros(size)
-        precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), count)
-        x = self._last if self._last.size else np.zeros(size)
-        x[np.setdiff1d(np.arange(size), index)] = 0.0
+        focal, x = self._camera.fx, self._last.copy()
+        index = np.concatenate([np.asarray(free, np.intp), np.arange(len(COMMON), len(x))])
+        precision = np.zeros(len(x))
+        precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), len(self._angles))
+        x[np.setdiff1d(np.arange(len(x)), index)] = 0.0
         damping = Damping()
         for _ in range(_ITERATIONS):
-            common, frames = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
-            off = self._misfit(common, frames)
+            off = self._misfit(x)
             distance = focal * np.linalg.norm(off, axis=1)
             # Median of a Rayleigh distribution.
             sigma_px = max(float(np.median(distance)) / 1.1774, 1e-3)
             weight = 1.0 / (1.0 + (distance / (2.0 * sigma_px)) ** 2)
             slopes = self._slopes_at(x, off)[..., index]
-            scaled = slopes * (np.sqrt(weight) * focal / sigma_px)[:, None, None]
-            flat = scaled.reshape(-1, len(index))
-            normal = flat.T @ flat + np.diag(precision[index])
             scale = np.sqrt(weight) * focal / sigma_px
+            flat = (slopes * scale[:, None, None]).reshape(-1, len(index))
+            normal = flat.T @ flat + np.diag(precision[index])
             right = flat.T @ (off * scale[:, None]).ravel() + precision[index] * x[index]
             before = x
             x = self._stepped(before, index, normal, right, scale, precision, damping)
             if focal * np.abs(x - before).max() < _CONVERGED_PX:
                 break
-        self._last = x.copy()
+        self._last = x
         chosen = len(free)
         slope = focal * np.sqrt(np.mean(np.sum(slopes[..., :chosen] ** 2, 1), 0))
         covariance = np.zeros((len(COMMON), len(COMMON)))
@@ -291,10 +275,9 @@ class OverlapProblem:
         bias = np.zeros(len(COMMON))
         bias[own] = _BIAS_PX / np.maximum(slope, 1e-9)
         sigma = np.sqrt(np.diag(covariance) + bias**2)
-        common, frames = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
         every = np.zeros((self._count, 3))
-        every[self._used] = frames
-        return Fit(common, covariance, sigma, every, weight)
+        every[self._used] = x[len(COMMON) :].reshape(-1, 3)
+        return Fit(x[: len(COMMON)], covariance, sigma, every, weight)
 
     def _stepped(
         self,
@@ -310,7 +293,7 @@ class OverlapProblem:
         there = x
 
         def cost(at: FloatArray) -> float:
-            off = self._misfit(at[: len(COMMON)], at[len(COMMON) :].reshape(-1, 3))
+            off = self._misfit(at)
             return float(np.sum((off * scale[:, None]) ** 2) + precision @ at**2)
 
         def cost_with(by: float) -> float:
@@ -323,22 +306,31 @@ class OverlapProblem:
 
     def misfit_px(self, common: FloatArray, frames: FloatArray | None = None) -> float:
         """Median distance of the two rays of a match, pixels."""
-        off = np.linalg.norm(self.misfit(common, frames), axis=1)
+        off = np.linalg.norm(self._misfit(self._unknowns(common, frames)), axis=1)
         return self._camera.fx * float(np.median(off))
 
-    def closure_rad(
-        self, common: FloatArray, frames: FloatArray, weight: FloatArray
-    ) -> float | None:
+    def closure_rad(self, fit: Fit) -> float | None:
         """Closure error: sum of the links of the chain, each by its matches, minus a full turn."""
         if not self._overlaps.closed:
             return None
         pair = self._overlaps.pair
-        off = self.misfit(common, frames)[:, 0]
-        total = np.bincount(pair, weight * off)
-        return float(np.sum(total / np.maximum(np.bincount(pair, weight), 1e-9)))
+        off = self._misfit(self._unknowns(fit.common, fit.frames))[:, 0]
+        total = np.bincount(pair, fit.weight * off)
+        return float(np.sum(total / np.maximum(np.bincount(pair, fit.weight), 1e-9)))
 
-    def _seen(self, common: FloatArray, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _unknowns(self, common: FloatArray, frames: FloatArray | None) -> FloatArray:
+        """Common terms (7,), then pan, tilt and roll of each frame with matches."""
+        turns = np.zeros_like(self._angles) if frames is None else frames[self._used]
+        return np.append(common, turns)
+
+    def _misfit(self, x: FloatArray) -> FloatArray:
+        """Differences (m, 2) in azimuth and tangent between the two rays of each match."""
+        azimuth, tangent = self._seen(x)
+        return np.stack([wrap_rad(azimuth[:, 0] - azimuth[:, 1]), tangent @ [1.0, -1.0]], 1)
+
+    def _seen(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Azimuths and tangents (m, 2) of both rays of each match, at the axis."""
+        common, turns = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
         camera, mount = _camera(self._camera, common), _mount(self._mount, common)
         pan, tilt, roll = (_angles(self._angles, common) + turns)[self._links].T
         rotation, center = mount.camera_pose_base(pan.T, tilt.T, roll.T)
@@ -361,31 +353,27 @@ class OverlapProblem:
     def _slopes_at(self, x: FloatArray, here: FloatArray) -> FloatArray:
         """Jacobian at `x`, or at a nearby point, where it is as good."""
         if self._slopes is None or self._camera.fx * np.abs(x - self._slopes[0]).max() > _NEAR_PX:
-            common, frames = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
-            self._slopes = x.copy(), self._jacobian(common, frames, here)
+            self._slopes = x, self._jacobian(x, here)
         return self._slopes[1]
 
-    def _jacobian(self, common: FloatArray, frames: FloatArray, here: FloatArray) -> FloatArray:
+    def _jacobian(self, x: FloatArray, here: FloatArray) -> FloatArray:
         """Jacobian (m, 2, 7 + 3n): a match depends on the common terms and its two frames."""
-        matches = len(here)
-        out = np.zeros((matches, 2, len(COMMON) + frames.size))
+        out = np.zeros((*here.shape, len(x)))
         for k, step in enumerate(_STEPS):
-            moved = common.copy()
+            moved = x.copy()
             moved[k] += step
-            off = self._misfit(moved, frames)
-            out[:, :, k] = (off - here) / step
-        azimuth, tangent = self._seen(common, frames)
-        row = np.arange(matches)
+            out[..., k] = (self._misfit(moved) - here) / step
+        azimuth, tangent = self._seen(x)
+        row, step = np.arange(len(here)), 1e-6
         for axis in range(3):
-            step = 1e-6
-            turned = frames.copy()
-            turned[:, axis] += step
             # All frames turn at once; each side of a match depends on its own frame only.
-            there = self._seen(common, turned)
+            turned = x.copy()
+            turned[len(COMMON) + axis :: 3] += step
+            there = self._seen(turned)
+            change = np.stack([wrap_rad(there[0] - azimuth), there[1] - tangent], 1) / step
             for side, sign in ((0, 1.0), (1, -1.0)):
                 column = len(COMMON) + 3 * self._links[:, side] + axis
-                out[row, 0, column] += sign * wrap_rad(there[0] - azimuth)[:, side] / step
-                out[row, 1, column] += sign * (there[1] - tangent)[:, side] / step
+                out[row, :, column] += sign * change[..., side]
         return out
 
 

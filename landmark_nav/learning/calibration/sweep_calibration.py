@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.calibration.overlap_fit import (
     COMMON,
@@ -30,7 +31,6 @@ from landmark_nav.learning.calibration.overlap_fit import (
     RangeOfRay,
     track_overlaps,
 )
-from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import FloatArray, Sweep
 
@@ -51,16 +51,10 @@ SIGNIFICANT = 4.0
 # Least effect of a term in the panorama, pixels.
 _WORTH_PX = 0.3
 
-# Sigmas of pan, tilt and roll of a single frame of a pan-tilt unit: encoder steps, elasticity.
-_UNIT_SIGMA_RAD = (5e-4, 2e-4, 2e-4)
-
-
-@dataclass(frozen=True)
-class CalibrationConfig(Config):
-    """How camera and mount are calibrated from a sweep."""
-
-    # Whether the result is used.
-    enabled: bool = True
+# Sigmas of pan, tilt and roll of a single frame: of a pan-tilt unit, by encoder steps and
+# elasticity, and of rough angles; rounds in which these are aligned, and matches that this needs.
+_UNIT_SIGMA_RAD, _ROUGH_SIGMA_RAD = (5e-4, 2e-4, 2e-4), (0.03, 0.01, 0.01)
+_ROUNDS, _LEAST_PER_FRAME = 2, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +75,6 @@ class SweepCalibration:
 def calibrate_sweep(
     sweep: Sweep,
     mount: PanTiltMount,
-    config: CalibrationConfig,
     range_m: RangeOfRay | None = None,
     overlaps: Overlaps | None = None,
 ) -> SweepCalibration:
@@ -92,8 +85,6 @@ def calibrate_sweep(
     ----------
     mount : PanTiltMount
         Extrinsics of ``robot.yaml``.
-    config : CalibrationConfig
-        Whether to use the result.
     range_m : callable, optional
         Horizontal range from the axis at azimuths and tangents (n,). With it the offset of the
         optical centre is calibrated; without it a usual range is assumed.
@@ -121,21 +112,55 @@ def calibrate_sweep(
     if range_m is not None:
         free += [_FORWARD, _LEFT]
     fit, terms = fit_significant(problem, free, _UNIT_SIGMA_RAD, camera)
-    common = fit.common
-    if not config.enabled:
-        common = np.zeros(len(COMMON))
-        terms = tuple(replace(term, used=False) for term in terms)
-    return SweepCalibration(
-        *corrected(sweep, mount, common),
-        common,
-        PanoramaQuality(
-            closure_rad=problem.closure_rad(common, fit.frames, fit.weight),
-            gaps_rad=overlaps.gaps_rad,
-            residual_px=problem.misfit_px(common),
-            before_px=problem.misfit_px(np.zeros(len(COMMON))),
-            calibration=terms,
-        ),
-        overlaps,
+    quality = _quality(problem, overlaps, fit, problem.misfit_px(fit.common), terms)
+    return SweepCalibration(*corrected(sweep, mount, fit.common), fit.common, quality, overlaps)
+
+
+def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepCalibration:
+    """
+    Correct pan, tilt and roll of each frame, and the common camera, of images at rough angles.
+
+    The given focal length is the median over the frames; the one of `quality` is that of the lens
+    without distortion that gives the same rotations.
+
+    Raises `LandmarkNavError`: fewer than three frames, or too little texture in the overlaps.
+    """
+    if len(sweep.frames) < 3:
+        raise LandmarkNavError(f'{len(sweep.frames)} frames are too few to align: take a sweep')
+    fx, fy = np.median([(f.camera.fx, f.camera.fy) for f in sweep.frames], axis=0).tolist()
+    camera = replace(sweep.frames[0].camera, fx=fx, fy=fy)
+    given = aligned = replace(
+        sweep, frames=tuple(replace(frame, camera=camera) for frame in sweep.frames)
+    )
+    free = [_FOCAL] if camera.model == 'equidistant' else [_FOCAL, _DISTORTION]
+    for _ in range(_ROUNDS):
+        overlaps = track_overlaps(aligned, mount, every_frame=True)
+        if len(overlaps) < _LEAST_PER_FRAME * len(sweep.frames):
+            raise LandmarkNavError(
+                f'{len(overlaps)} matches between neighbouring frames are too few to '
+                'align them: they need to overlap and to show texture'
+            )
+        problem = OverlapProblem(overlaps, given, mount)
+        fit, terms = fit_significant(problem, free, _ROUGH_SIGMA_RAD, camera)
+        aligned, _ = corrected(given, mount, fit.common, fit.frames)
+    residual_px = problem.misfit_px(fit.common, fit.frames)
+    quality = _quality(problem, overlaps, fit, residual_px, terms)
+    return SweepCalibration(aligned, mount, fit.common, quality, overlaps)
+
+
+def _quality(
+    problem: OverlapProblem,
+    overlaps: Overlaps,
+    fit: Fit,
+    residual_px: float,
+    terms: tuple[CalibrationTerm, ...],
+) -> PanoramaQuality:
+    return PanoramaQuality(
+        closure_rad=problem.closure_rad(fit),
+        gaps_rad=overlaps.gaps_rad,
+        residual_px=residual_px,
+        before_px=problem.misfit_px(np.zeros(len(COMMON))),
+        calibration=terms,
     )
 
 

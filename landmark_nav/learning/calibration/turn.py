@@ -18,7 +18,7 @@ from landmark_nav.arrays import Float32Array
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.learning.panorama.projection import frame_slab, sweep_cylinder
+from landmark_nav.learning.panorama.projection import frame_slab, grey_frame, sweep_cylinder
 from landmark_nav.types import FloatArray, Sweep
 
 # Resolution of the comparison.
@@ -162,11 +162,8 @@ class _Looks:
     def _strip(self, k: int) -> tuple[Float32Array, float]:
         """Horizontal gradients of a frame at pan 0, and the column of its optical axis."""
         if k not in self._strips:
-            frame = self._sweep.frames[k]
-            if frame.image.ndim == 3:
-                grey = cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
-                frame = replace(frame, image=np.asarray(grey, dtype=np.uint8))
-            slab = frame_slab(replace(frame, pan_rad=0.0), self._mount, self._cylinder)
+            frame = replace(grey_frame(self._sweep.frames[k]), pan_rad=0.0)
+            slab = frame_slab(frame, self._mount, self._cylinder)
             covered = slab.inside.all(axis=0)
             rows = slab.inside[:, covered].all(axis=1) if covered.any() else slab.inside.any(1)
             # Ceiling and floor look alike in all directions: horizontal gradients show the turn.

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from landmark_nav.learning.capture.config import CaptureConfig
 from landmark_nav.learning.capture.frames import KeptFrame, Shot
-from landmark_nav.learning.capture.resume import begin_or_resume, describe_progress, describe_sweep
-from landmark_nav.learning.capture.sweep import SweepCapture
+from landmark_nav.learning.capture.sweep import (
+    begin_or_resume,
+    describe_progress,
+    describe_sweep,
+    SweepCapture,
+)
 
 __all__ = [
     'CaptureConfig',

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Generic, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -114,8 +114,6 @@ def _weighted_median(values: FloatArray, weights: npt.NDArray[np.float64]) -> fl
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-FrameT = TypeVar('FrameT')
-
 # Number of frames whose digest is kept.
 _REMEMBERED = 5000
 # Number of nearest frames with which the sharpness is compared.
@@ -125,19 +123,19 @@ _MIN_SHARPNESS = 0.75
 
 
 @dataclass(frozen=True)
-class Shot(Generic[FrameT]):
+class Shot:
     """A frame that arrived; `digest` identifies the content of its image."""
 
-    frame: FrameT
+    frame: Any
     stamp_ns: int
     digest: bytes
 
 
 @dataclass(frozen=True, eq=False)
-class KeptFrame(Generic[FrameT]):
+class KeptFrame:
     """A frame of the sweep with the angles measured at its stamp."""
 
-    frame: FrameT
+    frame: Any
     joints: JointSample
     look: Look
     digest: bytes
@@ -210,7 +208,7 @@ class FrameLog:
         return apart > self._config.arrival_tolerance_rad
 
 
-class Album(Generic[FrameT]):
+class Album:
     """
     The frames kept so far, by step.
 
@@ -218,10 +216,10 @@ class Album(Generic[FrameT]):
     """
 
     def __init__(self) -> None:
-        self.frames: dict[int, KeptFrame[FrameT]] = {}
+        self.frames: dict[int, KeptFrame] = {}
         self.suspect: set[int] = set()
 
-    def keep(self, step: int, frame: KeptFrame[FrameT]) -> bool:
+    def keep(self, step: int, frame: KeptFrame) -> bool:
         """Keep a frame; return False if it was kept before."""
         is_new = self.frames.get(step) is not frame
         self.frames[step] = frame
@@ -234,14 +232,14 @@ class Album(Generic[FrameT]):
             del self.frames[step]
             self.suspect.discard(step)
 
-    def blurred(self, step: int, frame: KeptFrame[FrameT]) -> str | None:
+    def blurred(self, step: int, frame: KeptFrame) -> str | None:
         """Why a frame counts as blurred or covered, '' if it is sharp, None if that is unknown."""
         ratio = self._sharpness(step, frame)
         if ratio is None or ratio >= _MIN_SHARPNESS:
             return None if ratio is None else ''
         return f'blurred or covered: {ratio:.2f} of the texture that its neighbours show'
 
-    def review(self) -> list[tuple[KeptFrame[FrameT], str]]:
+    def review(self) -> list[tuple[KeptFrame, str]]:
         """Mark frames that are less sharp than their neighbours, when all steps have a frame."""
         found = []
         for step, kept in self.frames.items():
@@ -250,7 +248,7 @@ class Album(Generic[FrameT]):
                 found.append((kept, reason))
         return found
 
-    def _sharpness(self, step: int, frame: KeptFrame[FrameT]) -> float | None:
+    def _sharpness(self, step: int, frame: KeptFrame) -> float | None:
         """Median sharpness relative to the nearest frames that overlap; None if none does."""
         pan_rad = frame.joints.pan_rad
         others = [kept for k, kept in self.frames.items() if k != step]
@@ -262,7 +260,7 @@ class Album(Generic[FrameT]):
         return float(np.median(known)) if known else None
 
 
-def sharpest(shots: list[KeptFrame[FrameT]]) -> tuple[KeptFrame[FrameT], float]:
+def sharpest(shots: list[KeptFrame]) -> tuple[KeptFrame, float]:
     """Sharpest of frames at one pan, and the relative range of sharpness of the last three."""
     ratios = [relative_sharpness(shot.look, shots[0].look, 0.0) or 0.0 for shot in shots]
     last = ratios[-3:]
@@ -278,7 +276,7 @@ class Phase(Enum):
 
 
 @dataclass
-class Step(Generic[FrameT]):
+class Step:
     """
     The current step. Stamps are those of messages; other times are by the caller's clock.
 
@@ -287,12 +285,12 @@ class Step(Generic[FrameT]):
 
     number: int | None
     target_rad: float
-    shots: list[KeptFrame[FrameT]]
+    shots: list[KeptFrame]
     progress_ns: int
     begin_stamp_ns: int | None
     progress_stamp_ns: int
     phase: Phase = Phase.SETTLING
-    pending: Shot[FrameT] | None = None
+    pending: Shot | None = None
     refusals: int = 0
     commanded_ns: int | None = None
     settled_stamp_ns: int = 0

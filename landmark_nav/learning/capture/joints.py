@@ -104,24 +104,19 @@ class PanReach:
     """
     Steps that the pan joint can reach, by its configured limits and by observed stops.
 
-    A stop before the target counts as a limit. It is unconfirmed until the joint moves again: it
-    might be stuck. A joint that has not moved at all counts as stuck.
+    A stop before the target counts as a limit. Its pan is `unconfirmed_limit_rad` until the joint
+    moves again, as it might be stuck. A joint that has not moved at all counts as stuck.
     """
 
     def __init__(self, config: CaptureConfig) -> None:
         self._config = config
         self._first_rad: float | None = None
         self._has_moved = False
-        self._unconfirmed_limit_rad: float | None = None
+        self.unconfirmed_limit_rad: float | None = None
         self.stops_rad: list[float] = []
         self.targets: FloatArray
         self._low, self._high = config.pan_min_rad, config.pan_max_rad
         self._renew()
-
-    @property
-    def unconfirmed_limit_rad(self) -> float | None:
-        """Pan of the last stop if the joint has not moved since; else None."""
-        return self._unconfirmed_limit_rad
 
     def nearest(self, pan_rad: float) -> float:
         """Return the pan clipped to the limits."""
@@ -133,18 +128,15 @@ class PanReach:
         if self._first_rad is None:
             self._first_rad = pan_rad
         self._has_moved |= abs(wrap_one_rad(pan_rad - self._first_rad)) > tolerance
-        unconfirmed_limit_rad = self._unconfirmed_limit_rad
-        if (
-            unconfirmed_limit_rad is not None
-            and abs(wrap_one_rad(pan_rad - unconfirmed_limit_rad)) > tolerance
-        ):
-            self._unconfirmed_limit_rad = None
+        limit_rad = self.unconfirmed_limit_rad
+        if limit_rad is not None and abs(wrap_one_rad(pan_rad - limit_rad)) > tolerance:
+            self.unconfirmed_limit_rad = None
 
     def stop(self, pan_rad: float, target_rad: float) -> bool:
         """Record a stop on the way to a target as a limit; return False if the joint is stuck."""
-        if self._unconfirmed_limit_rad is not None or not self._has_moved:
+        if self.unconfirmed_limit_rad is not None or not self._has_moved:
             return False
-        self._unconfirmed_limit_rad = pan_rad
+        self.unconfirmed_limit_rad = pan_rad
         self.stops_rad.append(pan_rad)
         margin = self._config.arrival_tolerance_rad
         if target_rad > pan_rad:

@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 import logging
-from typing import Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.learning.capture.config import CaptureConfig
 from landmark_nav.learning.capture.frames import (
     Album,
@@ -30,8 +31,6 @@ from landmark_nav.learning.capture.frames import (
 from landmark_nav.learning.capture.joints import BaseMotion, JointTrack, PanReach
 from landmark_nav.types import JointSample, OdometrySample
 
-FrameT = TypeVar('FrameT')
-
 _LOG = logging.getLogger(__name__)
 
 # If this number of frames at one pan agree in sharpness (relative range), they are kept although
@@ -44,7 +43,7 @@ _TO_COMPARE = 2
 _RESUME_S = 600.0
 
 
-class SweepCapture(Generic[FrameT]):
+class SweepCapture:
     """
     A sweep, from its first command to its last frame, over any number of interruptions.
 
@@ -65,12 +64,10 @@ class SweepCapture(Generic[FrameT]):
         Motion of the base since the first frame.
     """
 
-    def __init__(
-        self, config: CaptureConfig, inspect: Callable[[FrameT], Look], now_ns: int
-    ) -> None:
+    def __init__(self, config: CaptureConfig, inspect: Callable[[Any], Look], now_ns: int) -> None:
         self._config = config
         self._inspect = inspect
-        self._album: Album[FrameT] = Album()
+        self._album: Album = Album()
         self._reviewed = False
         self.base_motion = BaseMotion()
         self.refused: Counter[str] = Counter()
@@ -90,7 +87,7 @@ class SweepCapture(Generic[FrameT]):
         self._begin_step(now_ns)
 
     @property
-    def kept(self) -> tuple[KeptFrame[FrameT], ...]:
+    def kept(self) -> tuple[KeptFrame, ...]:
         """Frames so far, by stamp."""
         return tuple(sorted(self._album.frames.values(), key=lambda kept: kept.joints.stamp_ns))
 
@@ -136,7 +133,7 @@ class SweepCapture(Generic[FrameT]):
         if not self.done and (moved := self.base_motion.moved):
             self.stop(f'the robot moved {moved}')
 
-    def add_frame(self, shot: Shot[FrameT], now_ns: int) -> None:
+    def add_frame(self, shot: Shot, now_ns: int) -> None:
         """Add a frame; it is a candidate if the camera stood still before its stamp."""
         newest, step = self._track.last, self._step
         if self._fault or newest is None or step is None:
@@ -158,7 +155,7 @@ class SweepCapture(Generic[FrameT]):
             else:
                 step.pending, step.phase = shot, Phase.CONFIRMING
 
-    def add_joints(self, sample: JointSample, now_ns: int) -> KeptFrame[FrameT] | None:
+    def add_joints(self, sample: JointSample, now_ns: int) -> KeptFrame | None:
         """Add a joint sample; return the frame that it confirms, if any."""
         step = self._step
         if self._fault or step is None or not self._track.add(sample):
@@ -231,7 +228,7 @@ class SweepCapture(Generic[FrameT]):
                 self._count_refusal(reason, kept.joints.pan_rad)
         again = [k for k in sorted(self._album.suspect) if not np.isnan(self.reach.targets[k])]
         number = next(iter([*missing, *again]), None)
-        self._step: Step[FrameT] | None = None
+        self._step: Step | None = None
         if number is not None:
             target = float(self.reach.targets[number])
         elif unconfirmed_rad is not None and self._album.frames:
@@ -252,19 +249,17 @@ class SweepCapture(Generic[FrameT]):
             last.stamp_ns if last else 0,
         )
 
-    def _progressed(self, step: Step[FrameT], now_ns: int) -> None:
+    def _progressed(self, step: Step, now_ns: int) -> None:
         step.progress_ns = now_ns
         step.progress_stamp_ns = self._track.last.stamp_ns if self._track.last else 0
 
-    def _stands_still(
-        self, step: Step[FrameT], since_ns: int, target_rad: float | None = None
-    ) -> bool:
+    def _stands_still(self, step: Step, since_ns: int, target_rad: float | None = None) -> bool:
         return self._track.stands_still(step.begin_stamp_ns or 0, since_ns, target_rad)
 
-    def _waited(self, step: Step[FrameT]) -> str:
+    def _waited(self, step: Step) -> str:
         return f'waited {self._config.step_timeout_s:g} s for {step.phase.value}'
 
-    def _time_out(self, step: Step[FrameT], last: JointSample, now_ns: int) -> None:
+    def _time_out(self, step: Step, last: JointSample, now_ns: int) -> None:
         seen = f'{self._waited(step)}; the pan is {np.degrees(last.pan_rad):.2f} deg'
         if step.phase is not Phase.SETTLING:
             self.stop(f'{seen}, {self._log.no_image_reason(now_ns)}')
@@ -285,9 +280,7 @@ class SweepCapture(Generic[FrameT]):
             if not self.total:
                 self.stop(f'{seen}, and no frame of the sweep lies on this side: change start_rad')
 
-    def _confirm(
-        self, step: Step[FrameT], number: int, shot: Shot[FrameT], now_ns: int
-    ) -> KeptFrame[FrameT] | None:
+    def _confirm(self, step: Step, number: int, shot: Shot, now_ns: int) -> KeptFrame | None:
         """Keep the pending frame if the joint stood still until after it, and it is good."""
         if not self._stands_still(step, shot.stamp_ns, step.target_rad):
             # The joint had not settled: this was the turning point of an oscillation.
@@ -306,7 +299,7 @@ class SweepCapture(Generic[FrameT]):
         step.shots.append(KeptFrame(shot.frame, joints, look, shot.digest))
         return self._judge(step, number, now_ns)
 
-    def _judge(self, step: Step[FrameT], number: int, now_ns: int) -> KeptFrame[FrameT] | None:
+    def _judge(self, step: Step, number: int, now_ns: int) -> KeptFrame | None:
         """Keep the frame unless it is less sharp than its neighbours and another may be better."""
         blurred = self._album.blurred(number, step.shots[-1])
         best, spread = sharpest(step.shots)
@@ -329,14 +322,14 @@ class SweepCapture(Generic[FrameT]):
         self._begin_step(now_ns)
         return best if is_new else None
 
-    def _is_flat(self, shot: Shot[FrameT]) -> bool:
+    def _is_flat(self, shot: Shot) -> bool:
         """Whether a frame has no contrast, so that equal images at different pans are normal."""
         try:
             return self._inspect(shot.frame).flat
         except LandmarkNavError:
             return False
 
-    def _refuse(self, step: Step[FrameT], reason: str, now_ns: int) -> None:
+    def _refuse(self, step: Step, reason: str, now_ns: int) -> None:
         self._count_refusal(reason, step.target_rad)
         step.refusals += 1
         step.pending, step.phase = None, Phase.EXPOSING
@@ -348,3 +341,54 @@ class SweepCapture(Generic[FrameT]):
     def _count_refusal(self, reason: str, pan_rad: float) -> None:
         self.refused[reason.partition(':')[0]] += 1
         _LOG.warning('frame at %.1f deg refused, %s', np.degrees(pan_rad), reason)
+
+
+def begin_or_resume(
+    before: SweepCapture | None,
+    config: CaptureConfig,
+    inspect: Callable[[Any], Look],
+    now_ns: int,
+) -> tuple[SweepCapture, str]:
+    """
+    Continue an incomplete sweep if the base has not moved since; else begin a new one.
+
+    Returns
+    -------
+    sweep : SweepCapture
+    note : str
+        Text: whether earlier frames are used, or why not; '' if there are none.
+    """
+    note = ''
+    if before is not None and not before.done and before.kept:
+        frames, why = len(before.kept), before.why_not_resumed(now_ns)
+        if not why:
+            before.resume(now_ns)
+            no_odometry = (
+                '' if before.base_motion.known else ' (no odom: did the robot stand still?)'
+            )
+            return before, f'continued after {frames} earlier frames{no_odometry}'
+        note = f'begun anew without {frames} earlier frames: {why}'
+    return SweepCapture(config, inspect, now_ns), note
+
+
+def describe_progress(sweep: SweepCapture, now_ns: int) -> str:
+    """Text of the progress: "frame 12 of 72, at 35.0 deg, 62 s to go"."""
+    kept = sweep.kept
+    words = f'frame {len(kept)} of {sweep.total}'
+    if kept:
+        words += f', at {np.degrees(kept[-1].joints.pan_rad):.1f} deg'
+    seconds = sweep.seconds_to_go(now_ns)
+    return words if seconds is None else f'{words}, {seconds:.0f} s to go'
+
+
+def describe_sweep(sweep: SweepCapture, half_fov_rad: float) -> str:
+    """Text: the covered part of the turn, stops of the joint, and refused frames."""
+    lacks = describe_coverage([kept.joints.pan_rad for kept in sweep.kept], half_fov_rad)
+    words = [f'a partial sweep, {lacks}' if lacks else 'the full turn']
+    if stops := sweep.reach.stops_rad:
+        angles = ' and '.join(f'{np.degrees(pan):.1f}' for pan in sorted(stops))
+        words.append(f'the pan joint stops at {angles} deg')
+    if sweep.refused:
+        counts = ', '.join(f'{count} {reason}' for reason, count in sweep.refused.most_common())
+        words.append(f'frames refused and taken again: {counts}')
+    return '; '.join(words)

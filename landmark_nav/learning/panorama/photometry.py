@@ -81,35 +81,25 @@ def measure_photometry(sweep: Sweep, mount: PanTiltMount) -> Photometry:
     exposure = bright / _BRIGHT if _DARKEST < bright < _BRIGHT else 1.0
     nothing = Photometry.none(count, exposure)
     usable = (level > _LEVELS[0]) & (level < _LEVELS[1])
-    direction, frame, square, level = (
-        direction[usable],
-        frame[usable],
-        square[usable],
-        level[usable],
-    )
+    direction, frame = direction[usable], frame[usable]
+    square, level = square[usable], level[usable]
     if len(level) < _MIN_SAMPLES:
         return nothing
-    for powers in (2, 1, 0):
+    for powers in (2, 0):
         terms = np.stack([square, square**2], 1)[:, :powers]
         found = _fit(direction, frame, terms, np.log(level), count)
         if found is None:
             return nothing
         values, covariance = found
-        falloff, falloff_covariance = values[count:], covariance[count:, count:]
-        # Both the last coefficient and the falloff in the corners must be significant.
-        last = np.eye(powers)[-1:] if powers else np.zeros((0, 0))
-        significant = all(
-            abs(row @ falloff) > _SIGNIFICANCE * np.sqrt(row @ falloff_covariance @ row)
-            for row in (*last, *np.ones((1, powers))[:powers])
-        )
-        if significant and abs(falloff.sum()) >= (_MIN_CORRECTION if powers else 0.0):
+        # In the corners.
+        falloff, variance = values[count:].sum(), covariance[count:, count:].sum()
+        if abs(falloff) > max(_SIGNIFICANCE * np.sqrt(variance), _MIN_CORRECTION):
             break
     sigma = np.sqrt(np.diag(covariance)[:count])
     gain = values[:count]
     used = (np.abs(gain) > _SIGNIFICANCE * sigma) & (np.abs(gain) > _MIN_CORRECTION)
-    padded = np.zeros(2)
-    padded[: len(falloff)] = falloff
-    return Photometry(np.where(used, np.exp(gain), 1.0), padded, exposure)
+    falloffs = np.append(values[count:], np.zeros(2))[:2]
+    return Photometry(np.where(used, np.exp(gain), 1.0), falloffs, exposure)
 
 
 def even_out(sweep: Sweep, photometry: Photometry) -> Sweep:
@@ -204,9 +194,8 @@ def _fit(
         for k in range(terms.shape[1]):
             by_direction[:, count + k] = np.bincount(direction, weight * terms[:, k], directions)
         weighted = weight[:, None] * terms
-        cross = np.stack(
-            [np.bincount(frame, weighted[:, k], count) for k in range(terms.shape[1])], 1
-        ) if terms.shape[1] else np.zeros((count, 0))  # fmt: skip
+        cross = np.zeros((count, terms.shape[1]))
+        np.add.at(cross, frame, weighted)
         full = np.block(
             [[np.diag(np.bincount(frame, weight, count)), cross], [cross.T, terms.T @ weighted]]
         )

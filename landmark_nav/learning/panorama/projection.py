@@ -8,7 +8,7 @@ central part of frames, as in the paper, is an option.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 import math
 
@@ -108,6 +108,14 @@ def frame_window(frame: CameraFrame, crop_px: int) -> tuple[float, float, float,
         min(camera.cx + half, camera.width - 1.0),
         min(camera.cy + half, camera.height - 1.0),
     )
+
+
+def grey_frame(frame: CameraFrame) -> CameraFrame:
+    """Return a frame without its colours."""
+    if frame.image.ndim == 2:
+        return frame
+    grey = cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+    return replace(frame, image=np.asarray(grey, dtype=np.uint8))
 
 
 def frame_slab(

@@ -43,10 +43,6 @@ class PanoramaConfig(Config):
     blend: str = 'median'
     # Side of the central square used of each frame (350 of 512 in the paper); 0 uses all.
     crop_px: int = 0
-    # Whether exposures and vignetting are measured and corrected.
-    even_out: bool = True
-    # Columns per radian; 0 means the camera's focal length.
-    px_per_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +73,7 @@ def synthesize_cylinder(
         Horizontal distance of the scene at azimuths (n,) in the base frame. It corrects the
         parallax between frames if the optical centre does not lie on the axis.
     """
-    cylinder = sweep_cylinder(sweep, mount, config.crop_px, config.px_per_rad)
+    cylinder = sweep_cylinder(sweep, mount, config.crop_px)
     reach = _reach_rad(sweep, _NEIGHBOURS[config.blend])
     slabs = [
         frame_slab(frame, mount, cylinder, config.crop_px, range_m, float(far))

@@ -16,10 +16,9 @@ from landmark_nav.learning.reference_area.faults import (
     view_papers,
 )
 from landmark_nav.learning.reference_area.location import (
-    check_agreement,
     locate_sweep,
     optical_height,
-    papers_fit,
+    PaperSearch,
     SweepPlace,
 )
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
@@ -33,17 +32,16 @@ __all__ = [
     'PaperFault',
     'PaperFaults',
     'PaperRecord',
+    'PaperSearch',
     'PaperView',
     'ReferenceAreaConfig',
     'SweepPlace',
     'WrongMountError',
-    'check_agreement',
     'joined',
     'joint_covariance',
     'locate_sweep',
     'optical_height',
     'paper_faults',
-    'papers_fit',
     'pose_errors',
     'view_papers',
 ]

@@ -43,24 +43,21 @@ class PaperBlobs:
     """
     Candidates for papers of one colour, arrays over n blobs.
 
-    `azimuth_rad` (n,) are those of their middles in the base frame, `width_rad` (n,) their widths,
-    `tangent` (n, 2) those of the elevation of top and bottom, `misfit` (n,) the squared deviations
-    of their hues, in sigmas.
+    `edges` (n, 4) are the azimuths of their right and left edges in the base frame, unwrapped, and
+    the tangents of the elevation of bottom and top; `misfit` (n,) are the squared deviations of
+    their hues, in sigmas.
     """
 
-    azimuth_rad: FloatArray
-    width_rad: FloatArray
-    tangent: FloatArray
+    edges: FloatArray
     misfit: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of blobs."""
+        return len(self.misfit)
 
     def only(self, chosen: npt.NDArray[np.bool_]) -> PaperBlobs:
         """Return the blobs selected by a mask (n,)."""
-        return PaperBlobs(
-            self.azimuth_rad[chosen],
-            self.width_rad[chosen],
-            self.tangent[chosen],
-            self.misfit[chosen],
-        )
+        return PaperBlobs(self.edges[chosen], self.misfit[chosen])
 
 
 # Blobs of panoramas that are still in use.
@@ -132,12 +129,9 @@ class ColorSearch:
         misfit = np.array([self._misfit(box, along, across) for box in boxes[:, :4].astype(int)])
         order = np.argsort(misfit)[:_MOST_BLOBS]
         left, top, width, height = boxes[order, :4].T * self._step
-        return PaperBlobs(
-            self._cylinder.azimuth_rad(left + 0.5 * width - 0.5),
-            width / self._cylinder.fx,
-            self._cylinder.tangent(np.stack([top - 0.5, top + height - 0.5], 1)),
-            misfit[order],
-        )
+        right_left = self._cylinder.azimuth_rad(np.stack([left + width, left], 1) - 0.5)
+        bottom_top = self._cylinder.tangent(np.stack([top + height, top], 1) - 0.5)
+        return PaperBlobs(np.hstack([right_left, bottom_top]), misfit[order])
 
     def _boxes(self, mask: npt.NDArray[np.bool_]) -> FloatArray:
         """Left, top, width, height and filled share of compact components, (n, 5)."""

@@ -1,8 +1,8 @@
 """
 Errors that the poses of sweeps share, as all of them are measured from the same papers.
 
-First-order model without images: the measurements are the four edges of each paper, as in `fit`,
-with the same uncertain values (height, tilt, size of papers, position of each).
+The measurements are the four edges of each paper, as in `fit`, with the same uncertain values
+(height, tilt, size of papers, position of each), to first order.
 """
 
 from __future__ import annotations
@@ -15,7 +15,12 @@ from scipy.linalg import block_diag, eigh, solve_triangular
 
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, root_of
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.model import (
+    linearized,
+    OF_PAPER,
+    PaperPlaces,
+    ReferenceAreaConfig,
+)
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Panorama
 
@@ -28,7 +33,8 @@ _SIZE, _PAPERS = 6, 7
 # Share of the variance in height that sweeps have in common; largest share of any other variance.
 _COMMON, _MOST = 0.9, 0.99
 
-_X_Y_HEADING = np.array([0, 1, 3])
+_X_Y_HEIGHT = [0, 1, 3]  # of these states
+_X_Y_HEADING = [0, 1, 3]  # of x, y, z, heading
 _PLAN = np.ix_(_X_Y_HEADING, _X_Y_HEADING)
 
 
@@ -59,36 +65,28 @@ def pose_errors(
         Loadings of factors with unit variance that all viewpoints share: the size of the papers,
         and the errors of each along its wall and upwards.
     """
-    center, along, size = _papers(room)
-    papers = len(center)
-    jacobian = np.zeros((len(eye), papers, 4, _PAPERS + 2 * papers))
-    for edge, (right, up) in enumerate(((-0.5, 0), (0.5, 0), (0, -0.5), (0, 0.5))):
-        off = np.column_stack([right * size[:, :1] * along, up * size[:, 1]])
-        d = center + off - eye[:, None]
-        reach_sq = np.sum(d[..., :2] ** 2, -1)
-        reach = np.sqrt(reach_sq)
-        row = jacobian[:, :, edge]
-        by_point = np.zeros_like(d)
-        if right:
-            by_point[..., :2] = np.stack([-d[..., 1], d[..., 0]], -1) / reach_sq[..., None]
-            row[..., 2] = -1.0
-        else:
-            by_point[..., :2] = -(d[..., 2] / reach**3)[..., None] * d[..., :2]
-            by_point[..., 2] = 1.0 / reach
-            row[..., 4:6] = d[..., :2] / reach[..., None]
-        row[..., [0, 1, 3]] = -by_point
-        row[..., _SIZE] = np.sum(by_point * off, -1)
-        each = np.arange(papers)
-        row[:, each, _PAPERS + 2 * each] = np.sum(by_point[..., :2] * along, -1)
-        row[:, each, _PAPERS + 1 + 2 * each] = by_point[..., 2]
+    places = PaperPlaces.of(room)
+    papers = len(places.center)
+
+    def outlines(states: FloatArray) -> FloatArray:
+        errors = np.zeros((*states.shape[:-1], papers, len(OF_PAPER)))
+        errors[..., :2] = states[..., _PAPERS:].reshape(*errors.shape[:-1], 2)
+        outlines = places.outlines(
+            states[..., None, :3], states[..., None, 3:_SIZE], errors, states[..., _SIZE, None]
+        )
+        return outlines.reshape(*states.shape[:-1], -1)
+
+    states = np.zeros((len(eye), _PAPERS + 2 * papers))
+    states[:, _X_Y_HEIGHT] = eye
+    _, jacobian = linearized(outlines, states)
     if seen is not None:
-        jacobian *= seen[:, :, None, None]
+        jacobian *= np.repeat(seen, 4, axis=1)[:, None]
     sigma = np.hypot(_PROFILES_PX, config.edge_sigma_px) / focal_px
-    rows = jacobian.reshape(len(eye), 4 * papers, _PAPERS + 2 * papers) / sigma
+    jacobian /= sigma
     given = [config.height_sigma_m, *[config.horizon_sigma_rad] * 2, config.paper_size_sigma]
     given += [max(config.paper_sigma_m, 1e-6)] * (2 * papers)
     prior = np.array([np.inf] * 3 + given)
-    information = np.swapaxes(rows, -1, -2) @ rows + np.diag(prior**-2.0)
+    information = jacobian @ np.swapaxes(jacobian, -1, -2) + np.diag(prior**-2.0)
     covariance = np.linalg.inv(information)
     # The error of an estimate is its gain times the error of the prior.
     by_papers = covariance[:, :3, _SIZE:] / prior[_SIZE:]
@@ -167,11 +165,3 @@ def _by_papers(
         ratio = eigh(covariance[_PLAN], given[0], eigvals_only=True)[-1]
         loading[_X_Y_HEADING] = min(1.0, ratio) * by_papers[0]
     return loading
-
-
-def _papers(room: Room) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centres (k, 3), directions along their walls (k, 2), sizes (k, 2)."""
-    center = np.array([paper.center for paper in room.papers]).reshape(-1, 3)
-    normal = room.normals[room.nearest_wall(center[:, :2]), :2]
-    along = np.column_stack([normal[:, 1], -normal[:, 0]])
-    return center, along, np.array([(p.width, p.height) for p in room.papers]).reshape(-1, 2)

@@ -206,26 +206,16 @@ _GAMMA, _GAMMA_SIGMA = 1.4, 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class PaperOutlines:
+class PaperOutlines(PaperBlobs):
     """
-    Sheets of one colour in a panorama, arrays over n sheets.
+    Measured outlines of sheets of one colour.
 
-    `azimuth_rad` (n, 2) are those of the right and left edges in the base frame, unwrapped;
-    `tangent` (n, 2) those of the elevation of bottom and top at the middle azimuth; `sigma` (n, 4)
-    is that of right, left, bottom, top; `by_response` (n, 4) is the outward shift of the edges by
-    one sigma of the camera's response; `misfit` (n,) is the squared deviation of the hue, in
-    sigmas.
+    `sigma` (n, 4) is that of the edges, `by_response` (n, 4) their outward shift by one sigma of
+    the camera's response.
     """
 
-    azimuth_rad: FloatArray
-    tangent: FloatArray
     sigma: FloatArray
     by_response: FloatArray
-    misfit: FloatArray
-
-    def __len__(self) -> int:
-        """Return the number of sheets."""
-        return len(self.misfit)
 
 
 def outline_blobs(view: CylinderImage, color: str, blobs: PaperBlobs) -> PaperOutlines:
@@ -239,20 +229,19 @@ def outline_blobs(view: CylinderImage, color: str, blobs: PaperBlobs) -> PaperOu
     """
     hue = hue_direction(color)
     rows = []
-    for azimuth, tangent, width, misfit in zip(
-        blobs.azimuth_rad, blobs.tangent, blobs.width_rad, blobs.misfit, strict=True
-    ):
-        box = np.array([azimuth - 0.5 * width, azimuth + 0.5 * width, *sorted(tangent)])
-        outline = _outline(view, hue, box)
+    for edges, misfit in zip(blobs.edges, blobs.misfit, strict=True):
+        outline = _outline(view, hue, edges)
         if outline is not None:
-            rows.append((*outline, float(misfit)))
-    table = np.array(rows).reshape(-1, 13)
-    table = table[_distinct(table)]
-    return PaperOutlines(table[:, :2], table[:, 2:4], table[:, 4:8], table[:, 8:12], table[:, 12])
+            rows.append(np.array([*outline, np.full(4, misfit)]))
+    table = np.reshape(rows, (-1, 4, 4))
+    edges, sigma, by_response, misfit = np.moveaxis(table[_distinct(table)], 1, 0)
+    return PaperOutlines(edges, misfit[:, 0], sigma, by_response)
 
 
-def _outline(view: CylinderImage, hue: FloatArray, box: FloatArray) -> tuple[float, ...] | None:
-    """Right, left, bottom, top (azimuths, tangents), sigmas, response; None without four edges."""
+def _outline(
+    view: CylinderImage, hue: FloatArray, box: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Edges (4,) as of blobs, sigmas and shifts by response (4,); None without four edges."""
     cylinder = view.cylinder
     sigma = by_gamma = np.zeros(4)
     for reach in _REACH_PX:
@@ -285,8 +274,7 @@ def _outline(view: CylinderImage, hue: FloatArray, box: FloatArray) -> tuple[flo
         box = box + np.array([-1.0, 1.0, -1.0, 1.0]) * shift / [
             cylinder.fx, cylinder.fx, cylinder.fy, cylinder.fy
         ]  # fmt: skip
-    by_response = _GAMMA_SIGMA * by_gamma
-    return (*box.tolist(), *(np.concatenate([sigma, by_response]) / cylinder.fx).tolist())
+    return box, sigma / cylinder.fx, _GAMMA_SIGMA * by_gamma / cylinder.fx
 
 
 def _lines(
@@ -298,26 +286,21 @@ def _lines(
     Edges are those by colour (row 0) or, if these are too few, by brightness; NaN without a clear
     line.
     """
-    along = np.tile(np.linspace(-1.0, 1.0, _PARTS), 4).reshape(4, _PARTS)
-    middle, sigma, slope = (np.full(4, np.nan) for _ in range(3))
-    for edge in range(4):
-        for offsets, own, slopes in zip(
-            *(v.reshape(2, 4, _PARTS)[:, edge] for v in (offset_px, sigma_px, by_gamma)),
-            strict=True,
-        ):
-            good = np.isfinite(offsets)
+    along = np.linspace(-1.0, 1.0, _PARTS)
+    middle, sigma, slope = np.full((3, 4), np.nan)
+    # Brightness first, which colour replaces.
+    parts = (v.reshape(2, 4, _PARTS)[::-1] for v in (offset_px, sigma_px, by_gamma))
+    for offsets, own, slopes in zip(*parts, strict=True):
+        for edge, good in enumerate(np.isfinite(offsets)):
             if good.mean() < _LEAST_FOUND:
                 continue
-            design = np.stack([np.ones(int(good.sum())), along[edge, good]], 1)
-            line, *_ = np.linalg.lstsq(design, offsets[good], rcond=None)
-            spread = float(np.sqrt(np.mean((offsets[good] - design @ line) ** 2)))
-            if spread > _MOST_SPREAD_PX:
-                continue
-            middle[edge] = line[0]
-            scatter = np.hypot(spread, np.mean(own[good])) / np.sqrt(good.sum())
-            sigma[edge] = np.hypot(_EDGE_SIGMA_PX, scatter)
-            slope[edge] = slopes[good].mean()
-            break
+            off = offsets[edge, good]
+            line = np.polyfit(along[good], off, 1)
+            spread = float(np.sqrt(np.mean((off - np.polyval(line, along[good])) ** 2)))
+            if spread <= _MOST_SPREAD_PX:
+                scatter = np.hypot(spread, np.mean(own[edge, good])) / np.sqrt(good.sum())
+                middle[edge], sigma[edge] = line[1], np.hypot(_EDGE_SIGMA_PX, scatter)
+                slope[edge] = slopes[edge, good].mean()
     return middle, sigma, slope
 
 
@@ -335,9 +318,9 @@ def _part(view: CylinderImage, box: FloatArray, margin_px: float) -> tuple[Image
 
 
 def _distinct(table: FloatArray) -> list[int]:
-    """Rows of outlines (n, 13), one for each sheet."""
+    """Of outlines (n, 4, 4): edges, sigmas, shifts, misfit; indices of one for each sheet."""
     kept: list[int] = []
-    for k in np.argsort(table[:, 12], kind='stable').tolist():
-        if all(np.abs(table[k, :4] - table[j, :4]).max() > 0.01 for j in kept):
+    for k in np.argsort(table[:, 3, 0], kind='stable').tolist():
+        if all(np.abs(table[k, 0] - table[j, 0]).max() > 0.01 for j in kept):
             kept.append(k)
     return kept

@@ -24,20 +24,25 @@ from landmark_nav.learning.least_squares import covariance_of, levenberg_marquar
 from landmark_nav.learning.panorama import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutlines
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
-from landmark_nav.learning.reference_area.refusals import MountError
+from landmark_nav.learning.reference_area.model import (
+    linearized,
+    OF_PAPER,
+    PaperPlaces,
+    ReferenceAreaConfig,
+)
+from landmark_nav.learning.reference_area.refusals import lean_text, MountError
 from landmark_nav.learning.reference_area.search import (
     find_places,
     LEAST_PAPERS,
+    PaperPlace,
     papers_in_view,
 )
 from landmark_nav.types import FloatArray
 
-# State: x, y, heading, roll and pitch of the pan axis of each view; then the values common to all:
-# height of the camera, size of all papers, focal length; then those of each paper, `_OF_PAPER`.
+# State: x, y, heading, roll and pitch of the pan axis of each view; then the values common to all;
+# then those of each paper, `OF_PAPER`.
 _VIEW, _OF_ALL = 5, ('camera_height', 'sizes', 'focal')
-_OF_PAPER = ('along', 'height', 'depth', 'width', 'tallness', 'size')
-_COMMON, _PAPER = len(_OF_ALL), len(_OF_PAPER)
+_COMMON, _PAPER = len(_OF_ALL), len(OF_PAPER)
 # Sigmas of a free value: m, rad, relative.
 _FREE_M, _FREE_RAD, _FREE_SHARE = 0.5, 0.2, 0.5
 _IN_METRES = ('camera_height', 'along', 'height', 'depth')
@@ -68,8 +73,6 @@ _ANY_SIZE, _BELOW_M = 1.6, -0.5
 _MOST_PLACES, _MOST_SWAPPED, _MOST_VIEWS = 4, 4, 4
 # Lengths of rooms in feet are plausible in metres too.
 _FOOT_M = 0.3048
-# Step of numerical differentiation.
-_STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +97,13 @@ class PaperFault:
     `paper` -1: 'swapped' (colours), 'mirrored', 'feet' (the unit), 'camera_height', 'lean'
     (of the pan axis), 'focal' or 'sizes'.
     `value` and `sigma` are true minus given in m, rad or relative, 0 if `kind` is sufficient.
-    `gain` is the decrease of chi-square without the fault, `text` its description, `mount` the
-    error of the mount.
+    `text` is its description, `mount` the error of the mount.
     """
 
     kind: str
     paper: int
     value: float
     sigma: float
-    gain: float
     text: str
     mount: MountError | None = None
 
@@ -112,15 +113,12 @@ class PaperFaults:
     """
     Whether papers fit, and the single faults that explain it if not.
 
-    `chi_square` and `redundancy` are those without a fault. `faults`, the likeliest first, explain
-    the data equally well; if there are none though `fits` is false, no single fault does. `text`
-    is a message of one line, empty if all fits.
+    `faults`, the likeliest first, explain the data equally well; if there are none though `fits`
+    is false, no single fault does.
     """
 
     fits: bool
-    chi_square: float
-    redundancy: int
-    faults: tuple[PaperFault, ...]
+    faults: tuple[PaperFault, ...] = ()
 
     @property
     def text(self) -> str:
@@ -147,95 +145,6 @@ class PaperFaults:
         if len(self.faults) == 1:
             return f'{text}: measure again and fix it'
         return f'{text}; the sweeps fit both: measure both again'
-
-
-def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperView:
-    """
-    Measure the sheets of the papers' colours in the panorama of a sweep.
-
-    Parameters
-    ----------
-    view : CylinderImage
-        Cylinder image in the base frame.
-    room : Room
-        Room whose papers' colours are used, not their locations.
-    eye_height_m : float
-        Height of the optical centre, see `optical_height`.
-    """
-    colors = {paper.color for paper in room.papers}
-    found = color_blobs(view, colors)
-    outlines = {}
-    for color in colors:
-        blobs = found[color]
-        papers = [paper for paper in room.papers if paper.color == color]
-        near = np.any([_may_be(blobs, paper, room, eye_height_m) for paper in papers], axis=0)
-        outlines[color] = outline_blobs(view, color, blobs.only(near))
-    return PaperView(outlines, eye_height_m)
-
-
-def _may_be(
-    blobs: PaperBlobs, paper: Paper, room: Room, eye_height_m: float
-) -> npt.NDArray[np.bool_]:
-    """Whether blobs (n,) would be inside the room if they were a paper of about this height."""
-    low, high = room.bounds
-    far = _ANY_SIZE * float(np.hypot(*(high - low)))
-    top = _ANY_SIZE * max(wall.height for wall in room.walls)
-    tall = np.maximum(np.abs(np.diff(blobs.tangent, axis=1)[:, 0]), 1e-6)
-    reach = paper.height / tall
-    above = eye_height_m + reach * blobs.tangent.mean(1)
-    return np.asarray((reach < far) & (above > _BELOW_M) & (above < top))
-
-
-def paper_faults(
-    views: Sequence[PaperView], room: Room, config: ReferenceAreaConfig
-) -> PaperFaults:
-    """
-    Compare papers in one panorama or more with ``room.yaml``.
-
-    Parameters
-    ----------
-    views : sequence of PaperView
-        Views of panoramas of one room, each at an unknown pose. The last four are used.
-    room : Room
-        Walls and papers. Fewer than three papers cannot be tested.
-
-    Returns
-    -------
-    PaperFaults
-        `fits` is true if too little is visible for a test.
-    """
-    if len(room.papers) < LEAST_PAPERS:
-        return _NOTHING
-    trial = _Trial(views[-_MOST_VIEWS:], room, config)
-    as_given = trial.solve(_Hypothesis(''))
-    if as_given is None:
-        # Without two papers that fit, another order of colours may still explain the data.
-        nothing = np.zeros(0)
-        as_given = _Solution(_MISSING * len(views) * len(room.papers), nothing, nothing, 0)
-    redundancy = max(as_given.redundancy, 1)
-    bound = float(chdtri(redundancy, _FALSE_ALARM))
-    if as_given.cost <= float(chdtri(redundancy, _SUSPECT)):
-        return PaperFaults(True, as_given.cost, redundancy, ())
-    found = []
-    for hypothesis in _hypotheses(room):
-        solution = trial.solve(hypothesis)
-        if solution is not None:
-            gain = as_given.cost - solution.cost
-            found.append((solution, _fault(hypothesis, solution, gain, room)))
-    found.sort(key=lambda pair: pair[0].cost)
-    if not found or found[0][1].gain < _REAL_GAIN:
-        fits = not found or as_given.cost <= bound
-        return PaperFaults(fits, as_given.cost, redundancy, ())
-    best = found[0][0]
-    if best.missing or best.cost > _EXPLAINED * float(
-        chdtri(max(best.redundancy, 1), _FALSE_ALARM)
-    ):
-        return PaperFaults(False, as_given.cost, redundancy, ())
-    alike = tuple(fault for solution, fault in found if solution.cost < best.cost + _LEAD)
-    return PaperFaults(False, as_given.cost, redundancy, alike)
-
-
-_NOTHING = PaperFaults(True, 0.0, 0, ())
 
 
 class PaperRecord:
@@ -268,12 +177,81 @@ class PaperRecord:
         return alone if alone.faults else faults
 
 
-@dataclass(frozen=True, eq=False)
-class _Pick:
-    """An approximate pose (3,) of the pan axis, and the outline of each paper, -1 for none."""
+def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperView:
+    """
+    Measure the sheets of the papers' colours in the panorama of a sweep.
 
-    axis_pose: FloatArray
-    outline: tuple[int, ...]
+    Parameters
+    ----------
+    view : CylinderImage
+        Cylinder image in the base frame.
+    room : Room
+        Room whose papers' colours are used, not their locations.
+    eye_height_m : float
+        Height of the optical centre, see `optical_height`.
+    """
+    colors = {paper.color for paper in room.papers}
+    found = color_blobs(view, colors)
+    outlines = {}
+    for color in colors:
+        blobs = found[color]
+        papers = [paper for paper in room.papers if paper.color == color]
+        near = np.any([_may_be(blobs, paper, room, eye_height_m) for paper in papers], axis=0)
+        outlines[color] = outline_blobs(view, color, blobs.only(near))
+    return PaperView(outlines, eye_height_m)
+
+
+def _may_be(
+    blobs: PaperBlobs, paper: Paper, room: Room, eye_height_m: float
+) -> npt.NDArray[np.bool_]:
+    """Whether blobs (n,) would be inside the room if they were a paper of about this height."""
+    low, high = room.bounds
+    far = _ANY_SIZE * float(np.hypot(*(high - low)))
+    highest = _ANY_SIZE * max(wall.height for wall in room.walls)
+    bottom, top = blobs.edges[:, 2:].T
+    reach = paper.height / np.maximum(top - bottom, 1e-6)
+    above = eye_height_m + reach * 0.5 * (bottom + top)
+    return np.asarray((reach < far) & (above > _BELOW_M) & (above < highest))
+
+
+def paper_faults(
+    views: Sequence[PaperView], room: Room, config: ReferenceAreaConfig
+) -> PaperFaults:
+    """
+    Compare papers in one panorama or more with ``room.yaml``.
+
+    Parameters
+    ----------
+    views : sequence of PaperView
+        Views of panoramas of one room, each at an unknown pose. The last four are used.
+    room : Room
+        Walls and papers. Fewer than three papers cannot be tested.
+
+    Returns
+    -------
+    PaperFaults
+        `fits` is true if too little is visible for a test.
+    """
+    if len(room.papers) < LEAST_PAPERS:
+        return PaperFaults(True)
+    views = views[-_MOST_VIEWS:]
+    trial = _Trial(views, room, config)
+    as_given = trial.solve(_Hypothesis(''))
+    # Without two papers that fit, another order of colours may still explain the data.
+    cost = as_given.cost if as_given else _MISSING * len(views) * len(room.papers)
+    redundancy = as_given.redundancy if as_given else 1
+    if cost <= chdtri(redundancy, _SUSPECT):
+        return PaperFaults(True)
+    tried = [(hypothesis, trial.solve(hypothesis)) for hypothesis in _hypotheses(room)]
+    found = [(hypothesis, solution) for hypothesis, solution in tried if solution]
+    found.sort(key=lambda pair: pair[1].cost)
+    if not found or cost - found[0][1].cost < _REAL_GAIN:
+        return PaperFaults(not found or bool(cost <= chdtri(redundancy, _FALSE_ALARM)))
+    best = found[0][1]
+    if best.missing or best.cost > _EXPLAINED * chdtri(best.redundancy, _FALSE_ALARM):
+        return PaperFaults(False)
+    alike = [pair for pair in found if pair[1].cost < best.cost + _LEAD]
+    return PaperFaults(False, tuple(_fault(*pair, room) for pair in alike))
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +266,7 @@ class _Solution:
     values: FloatArray
     sigmas: FloatArray
     redundancy: int
-    missing: int = 0
+    missing: int
 
 
 @dataclass(frozen=True)
@@ -305,14 +283,9 @@ class _Hypothesis:
             return [_VIEW * v + n for v in range(views) for n in (3, 4)]
         if self.kind in _OF_ALL:
             return [_VIEW * views + _OF_ALL.index(self.kind)]
-        if self.kind in _OF_PAPER:
-            return [_VIEW * views + _COMMON + _PAPER * self.paper + _OF_PAPER.index(self.kind)]
+        if self.kind in OF_PAPER:
+            return [_VIEW * views + _COMMON + _PAPER * self.paper + OF_PAPER.index(self.kind)]
         return []
-
-    @property
-    def width(self) -> int:
-        """Number of free values."""
-        return 2 if self.kind == 'lean' else 1
 
     @property
     def sigma(self) -> float:
@@ -328,7 +301,7 @@ def _hypotheses(room: Room) -> Iterator[_Hypothesis]:
     for kind in (*_OF_ALL, 'lean'):
         yield _Hypothesis(kind)
     for k, paper in enumerate(papers):
-        for kind in (*_OF_PAPER, 'hidden'):
+        for kind in (*OF_PAPER, 'hidden'):
             yield _Hypothesis(kind, k)
         other = (*papers[:k], replace(paper, width=paper.height, height=paper.width))
         yield _Hypothesis('turned', k, replace(room, papers=(*other, *papers[k + 1 :])))
@@ -374,36 +347,33 @@ class _Trial:
         self, views: Sequence[PaperView], room: Room, config: ReferenceAreaConfig
     ) -> None:
         self._views, self._room, self._config = views, room, config
-        self._picks = [list(_picks(view, room, config)) for view in views]
+        self._places = [list(_places(view, room, config)) for view in views]
 
     def solve(self, hypothesis: _Hypothesis) -> _Solution | None:
         """Fit all views, each at its best pose; None if no view shows enough papers."""
-        room, picks = hypothesis.room or self._room, self._picks
-        if hypothesis.kind in ('swapped', 'mirrored', 'feet'):
-            picks = [list(_picks(view, room, self._config)) for view in self._views]
+        room, places, k = hypothesis.room or self._room, self._places, hypothesis.paper
+        if hypothesis.room and k < 0:
+            places = [list(_places(view, room, self._config)) for view in self._views]
         elif hypothesis.kind in _OF_MOUNT:
             wide = replace(self._config, **{_OF_MOUNT[hypothesis.kind]: hypothesis.sigma})
-            picks = [
-                [*each, *_picks(view, room, wide)]
-                for view, each in zip(self._views, picks, strict=True)
+            places = [
+                [*each, *_places(view, room, wide)]
+                for view, each in zip(self._views, places, strict=True)
             ]
         elif hypothesis.kind == 'hidden':
-            k = hypothesis.paper
-            picks = [
-                [replace(p, outline=(*p.outline[:k], -1, *p.outline[k + 1 :])) for p in each]
-                for each in picks
-            ]
+            others = np.arange(len(room.papers)) != k
+            places = [[replace(p, blob=np.where(others, p.blob, -1)) for p in ps] for ps in places]
         views, chosen = [], []
-        for view, each in zip(self._views, picks, strict=True):
-            each = [pick for pick in each if sum(n >= 0 for n in pick.outline) >= _LEAST_SEEN]
+        for view, each in zip(self._views, places, strict=True):
+            each = [place for place in each if np.sum(place.blob >= 0) >= _LEAST_SEEN]
             if each:
-                costs = [self._fit(hypothesis, [view], [pick], room).cost for pick in each]
+                costs = [self._fit(hypothesis, [view], [place], room).cost for place in each]
                 views.append(view)
                 chosen.append(each[int(np.argmin(costs))])
         if not views:
             return None
         solution = self._fit(hypothesis, views, chosen, room)
-        unlocated = len(room.papers) * (len(picks) - len(views))
+        unlocated = len(room.papers) * (len(places) - len(views))
         return replace(
             solution,
             cost=solution.cost + _MISSING * unlocated,
@@ -414,60 +384,58 @@ class _Trial:
         self,
         hypothesis: _Hypothesis,
         views: Sequence[PaperView],
-        picks: Sequence[_Pick],
+        places: Sequence[PaperPlace],
         room: Room,
     ) -> _Solution:
         """Least squares with priors."""
-        model = _Model(views, picks, room)
+        model = _Model(views, places, room)
         prior = model.prior_sigma(self._config)
         free = hypothesis.free(len(views))
         prior[free] = hypothesis.sigma
-        start = np.zeros(model.size)
-        for v, pick in enumerate(picks):
-            start[_VIEW * v : _VIEW * v + 3] = pick.axis_pose
+        start = np.zeros(len(prior))
+        for v, place in enumerate(places):
+            start[_VIEW * v : _VIEW * v + 3] = place.axis_pose
 
-        def residuals(states: FloatArray) -> FloatArray:
-            return np.concatenate([model.residuals(states), (states - start) / prior], axis=1)
+        def with_prior(state: FloatArray) -> tuple[FloatArray, FloatArray]:
+            residuals, jacobian = model.linearized(state)
+            residuals = np.append(residuals, (state - start) / prior)
+            return residuals, np.vstack([jacobian, np.diag(1.0 / prior)])
 
-        def linearized(state: FloatArray) -> tuple[FloatArray, FloatArray]:
-            here, *moved = residuals(np.vstack([state, state + _STEP * np.eye(model.size)]))
-            return here, (np.array(moved) - here).T / _STEP
-
-        state, cost, information = levenberg_marquardt(linearized, start)
-        covariance = covariance_of(information)
-        unseen, views_without = 0, 0
-        for pick in picks:
-            missing = papers_in_view(pick.axis_pose[:2], room) & (np.array(pick.outline) < 0)
+        state, cost, information = levenberg_marquardt(with_prior, start)
+        unseen = 0
+        for place in places:
+            missing = papers_in_view(place.axis_pose[:2], room) & (place.blob < 0)
             if hypothesis.kind == 'hidden':
-                views_without += 1
+                cost += _HIDDEN
                 missing[hypothesis.paper] = False
             unseen += int(np.sum(missing))
-        cost += _MISSING * unseen + _HIDDEN * views_without + _BY_FREEDOM * len(free)
-        values = state[free]
-        if free:
-            values = values.reshape(-1, hypothesis.width).mean(axis=0)
-        sigmas = np.sqrt(np.diag(covariance)[free[: hypothesis.width]])
-        redundancy = model.measured - 3 * len(views) - len(free)
-        return _Solution(cost, values, sigmas, redundancy, unseen)
+        cost += _MISSING * unseen + _BY_FREEDOM * len(free)
+        # Those of each view have a common mean.
+        width = 2 if hypothesis.kind == 'lean' else 1
+        values = state[free].reshape(-1, width)
+        sigmas = np.sqrt(np.diag(covariance_of(information))[free]).reshape(-1, width)
+        redundancy = max(1, model.measured - 3 * len(views) - len(free))
+        return _Solution(
+            cost, values.sum(0) / max(1, len(values)), sigmas[:1].sum(0), redundancy, unseen
+        )
 
 
-def _picks(view: PaperView, room: Room, config: ReferenceAreaConfig) -> Iterator[_Pick]:
+def _places(view: PaperView, room: Room, config: ReferenceAreaConfig) -> Iterator[PaperPlace]:
     """Yield possible poses of a panorama, by all papers and by all but one."""
     seen: set[tuple[int, ...]] = set()
     papers = room.papers
-    blobs = [_blobs(view.outlines[paper.color]) for paper in papers]
     for left_out in (-1, *range(len(papers))):
         kept = [k for k in range(len(papers)) if k != left_out]
         fewer = replace(room, papers=tuple(papers[k] for k in kept))
-        places = find_places([blobs[k] for k in kept], fewer, view.eye_height_m, config)
-        for place in places[:_MOST_PLACES]:
+        blobs = [view.outlines[paper.color] for paper in fewer.papers]
+        for place in find_places(blobs, fewer, view.eye_height_m, config)[:_MOST_PLACES]:
             outline = np.full(len(papers), -1)
             outline[kept] = place.blob
             for k in np.flatnonzero(outline < 0):
                 outline[k] = _elsewhere(view, room, place.axis_pose, int(k))
             if (key := tuple(outline.tolist())) not in seen:
                 seen.add(key)
-                yield _Pick(place.axis_pose, key)
+                yield replace(place, blob=outline)
 
 
 def _elsewhere(view: PaperView, room: Room, axis_pose: FloatArray, k: int) -> int:
@@ -475,49 +443,37 @@ def _elsewhere(view: PaperView, room: Room, axis_pose: FloatArray, k: int) -> in
     found = view.outlines[room.papers[k].color]
     if not len(found) or not papers_in_view(axis_pose[:2], room)[k]:
         return -1
-    alone = tuple(0 if n == k else -1 for n in range(len(room.papers)))
-    model = _Model([view], [_Pick(axis_pose, alone)], room)
-    state = np.zeros(model.size)
-    state[:3] = axis_pose
-    right, left, bottom, top = model.predicted(state[None])[0, 0]
+    mount = np.array([view.eye_height_m, 0.0, 0.0])
+    given = PaperPlaces.of(room).outlines(axis_pose[None], mount[None])[k]
     reach = float(np.hypot(*(np.asarray(room.papers[k].center[:2]) - axis_pose[:2])))
-    aside = reach * wrap_rad(found.azimuth_rad.mean(1) - 0.5 * (right + left))
-    above = reach * (found.tangent.mean(1) - 0.5 * (bottom + top))
-    wider = np.diff(found.azimuth_rad)[:, 0] / (left - right) - 1.0
-    taller = np.diff(found.tangent)[:, 0] / (top - bottom) - 1.0
-    cost = (aside**2 + above**2) / _SEARCH_M**2 + (wider**2 + taller**2) / _SEARCH_SHARE**2
-    best = int(np.argmin(cost + found.misfit))
-    return best if cost[best] + found.misfit[best] < _MOST_COST else -1
+    # Azimuth, tangent.
+    off, seen = found.edges - given, found.edges.reshape(-1, 2, 2)
+    moved = reach * wrap_rad(off.reshape(-1, 2, 2).mean(-1))
+    larger = np.ptp(seen, axis=-1) / np.ptp(given.reshape(2, 2), axis=-1) - 1.0
+    cost = np.sum((moved / _SEARCH_M) ** 2 + (larger / _SEARCH_SHARE) ** 2, 1) + found.misfit
+    best = int(np.argmin(cost))
+    return best if cost[best] < _MOST_COST else -1
 
 
 class _Model:
     """
-    Model of the picked outlines as functions of the state.
+    Model of the outlines at chosen places as functions of the state.
 
-    States come in batches (b, n). `measured` is the number of measured values.
+    `measured` is the number of measured values.
     """
 
-    def __init__(self, views: Sequence[PaperView], picks: Sequence[_Pick], room: Room) -> None:
+    def __init__(
+        self, views: Sequence[PaperView], places: Sequence[PaperPlace], room: Room
+    ) -> None:
         self._views, self._papers = len(views), len(room.papers)
-        self.size = _VIEW * len(views) + _COMMON + _PAPER * len(room.papers)
-        chosen = [
-            (v, k, n) for v, pick in enumerate(picks) for k, n in enumerate(pick.outline) if n >= 0
-        ]
-        self._view = np.array([v for v, _, _ in chosen], np.intp)
-        self._paper = np.array([k for _, k, _ in chosen], np.intp)
-        papers = [room.papers[k] for k in self._paper]
-        seen = [
-            (views[v].outlines[p.color], n) for (v, _, n), p in zip(chosen, papers, strict=True)
-        ]
-        self._seen = np.array([[*found.azimuth_rad[n], *found.tangent[n]] for found, n in seen])
-        self._sigma = _SCATTER * np.array([found.sigma[n] for found, n in seen])
+        self._view, self._paper = np.nonzero(np.array([place.blob for place in places]) >= 0)
+        self._given = PaperPlaces.of(room).chosen(self._paper)
+        pairs = zip(self._view.tolist(), self._paper.tolist(), strict=True)
+        found = [(views[v].outlines[room.papers[k].color], places[v].blob[k]) for v, k in pairs]
+        self._seen = np.array([outlines.edges[n] for outlines, n in found])
+        self._sigma = _SCATTER * np.array([outlines.sigma[n] for outlines, n in found])
         self.measured = self._seen.size
-        self._center = np.array([paper.center for paper in papers])
-        self._size = np.array([(paper.width, paper.height) for paper in papers])
-        wall = room.nearest_wall(self._center[:, :2])
-        self._normal = room.normals[wall, :2]
-        self._along = np.array([room.walls[int(w)].along for w in wall])
-        self._eye = np.array([views[v].eye_height_m for v in self._view])
+        self._eye = np.array([view.eye_height_m for view in views])[self._view]
 
     def prior_sigma(self, config: ReferenceAreaConfig) -> FloatArray:
         """Prior sigmas (n,) of the state about its start."""
@@ -527,115 +483,37 @@ class _Model:
         own = [*[paper] * 3, *[_OWN_SIZE_SIGMA] * 3]
         return np.concatenate([views, common, np.tile(own, self._papers)])
 
-    def residuals(self, states: FloatArray) -> FloatArray:
-        """Residuals (b, 4 m) of the outlines in sigmas."""
-        off = self._seen - self.predicted(states)
-        off[..., :2] = wrap_rad(off[..., :2])
-        return np.asarray(off / self._sigma).reshape(len(states), -1)
+    def linearized(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (4 m,) of the outlines at a state (n,) in sigmas, and their Jacobian."""
+        predicted, slopes = linearized(self._predicted, state)
+        off = self._seen - predicted.reshape(-1, 4)
+        off[:, :2] = wrap_rad(off[:, :2])
+        sigma = self._sigma.ravel()
+        return off.ravel() / sigma, -slopes.T / sigma[:, None]
 
-    def predicted(self, states: FloatArray) -> FloatArray:
-        """Predicted right and left azimuths, bottom and top tangents (b, m, 4)."""
-        split = _VIEW * self._views
-        x, y, heading, roll, pitch = np.moveaxis(
-            states[:, :split].reshape(len(states), -1, _VIEW)[:, self._view], -1, 0
-        )
-        rise, size, focal = (states[:, split + n, None] for n in range(_COMMON))
-        own = states[:, split + _COMMON :].reshape(len(states), -1, _PAPER)[:, self._paper]
-        along, up, off, wider, taller, larger = np.moveaxis(own, -1, 0)
-        middle = (
-            self._center[:, :2] + along[..., None] * self._along + off[..., None] * self._normal
-        )
-        half = 0.5 * self._size[:, 0] * (1.0 + size + wider + larger)
-        level = self._center[:, 2] + up - self._eye - rise
-        cos, sin = np.cos(heading), np.sin(heading)
-        # The direction along the wall is to the left, as seen from inside the room.
-        forward, left, azimuth = [], [], []
-        for sign in (-1.0, 1.0):
-            end = middle + sign * half[..., None] * self._along
-            dx, dy = end[..., 0] - x, end[..., 1] - y
-            forward.append(cos * dx + sin * dy)
-            left.append(cos * dy - sin * dx)
-            # Small rotations of the axis about x and y.
-            azimuth.append(np.arctan2(left[-1] + roll * level, forward[-1] - pitch * level))
-        # The bisector divides the paper in the ratio of the distances of its ends.
-        reach = np.hypot(forward, left)
-        share = reach[0] / reach.sum(0)
-        ahead = (1.0 - share) * forward[0] + share * forward[1]
-        aside = (1.0 - share) * left[0] + share * left[1]
-        tilted = level + pitch * ahead - roll * aside
-        tall = 0.5 * self._size[:, 1] * (1.0 + size + taller + larger)
-        scale = 1.0 + focal
-        half_span = 0.5 * scale * wrap_rad(azimuth[1] - azimuth[0])
-        center = azimuth[0] + half_span / scale
-        tangents = [
-            scale * (tilted + sign * tall) / np.hypot(ahead, aside) for sign in (-1.0, 1.0)
-        ]
-        return np.stack([center - half_span, center + half_span, *tangents], -1)
+    def _predicted(self, states: FloatArray) -> FloatArray:
+        """Predicted outlines (..., 4 m) at states (..., n)."""
+        lead, split = states.shape[:-1], _VIEW * self._views
+        view = states[..., :split].reshape(*lead, -1, _VIEW)[..., self._view, :]
+        rise, size, focal = np.moveaxis(states[..., split : split + _COMMON, None], -2, 0)
+        errors = states[..., split + _COMMON :].reshape(*lead, -1, _PAPER)[..., self._paper, :]
+        mount = np.concatenate([(self._eye + rise)[..., None], view[..., 3:]], -1)
+        seen = self._given.outlines(view[..., :3], mount, errors, size)
+        # The focal length scales angles about the middles of frames.
+        azimuth, scale = seen[..., :2].mean(-1, keepdims=True), 1.0 + focal[..., None]
+        seen[..., :2] = azimuth + scale * (seen[..., :2] - azimuth)
+        seen[..., 2:] *= scale
+        return seen.reshape(*lead, -1)
 
 
-def _blobs(found: PaperOutlines) -> PaperBlobs:
-    """Outlines as blobs, for the search of poses."""
-    return PaperBlobs(
-        found.azimuth_rad.mean(1),
-        np.diff(found.azimuth_rad)[:, 0],
-        found.tangent[:, ::-1],
-        found.misfit,
-    )
-
-
-def _fault(hypothesis: _Hypothesis, solution: _Solution, gain: float, room: Room) -> PaperFault:
-    """Fault of a hypothesis, with its size and its description."""
-    kind, k = hypothesis.kind, hypothesis.paper
-    value, sigma = (
-        float(array[np.argmax(np.abs(solution.values))]) if len(array) else 0.0
-        for array in (solution.values, solution.sigmas)
-    )
-    color = room.papers[k].color
-    if sum(paper.color == color for paper in room.papers) > 1:
-        x, y, _ = room.papers[k].center
-        color = f'{color} ({x:.2f}, {y:.2f})'
-    if kind == 'lean':
-        roll, pitch = np.degrees(solution.values)
-        text = (
-            f'the pan axis tilts by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
-            'base from what robot.yaml gives'
-        )
-    elif kind == 'swapped' and hypothesis.room is not None:
-        pairs = zip(hypothesis.room.papers, room.papers, strict=True)
-        other = [f'{h.color} where {p.color} should hang' for h, p in pairs if h.color != p.color]
-        text = f'the papers seem swapped, {", ".join(other)}'
-    elif kind == 'mirrored':
-        text = (
-            'the papers hang in mirrored order: on the opposite wall of where room.yaml has them, '
-            'or its plan is mirrored'
-        )
-    elif kind == 'feet':
-        text = 'room.yaml seems to be in feet: its lengths are metres'
-    elif kind == 'turned':
-        text = f'width and height of the {color} paper seem exchanged in room.yaml'
-    elif kind == 'hidden':
-        text = (
-            f'the {color} paper is hidden, of another colour, or far from where room.yaml has it'
-        )
-    else:
-        amount = f'{100.0 * abs(value):.1f} +- {100.0 * sigma:.1f}'
-        amount += ' cm' if kind in _IN_METRES else ' %'
-        text = _WORDS[kind][int(value < 0.0)].format(amount)
-        if k >= 0:
-            text = f'the {color} paper {text} than room.yaml gives'
-    return PaperFault(kind, k, value, sigma, gain, text, _mount_error(kind, solution))
-
-
-def _mount_error(kind: str, solution: _Solution) -> MountError | None:
-    """Error of the mount by a fault; None if the fault is not one of the mount."""
-    if kind == 'lean':
-        return MountError(tilt_roll_rad=solution.values)
-    if kind == 'camera_height':
-        return MountError(float(solution.values[0]))
-    return None
-
-
-# Descriptions of faults with a positive value, and with a negative one.
+# Descriptions of faults without a value; of faults with a positive value, and with a negative one.
+_ALONE = {
+    'mirrored': 'the papers hang in mirrored order: on the opposite wall of where room.yaml has '
+    'them, or its plan is mirrored',
+    'feet': 'room.yaml seems to be in feet: its lengths are metres',
+    'turned': 'width and height of the {} paper seem exchanged in room.yaml',
+    'hidden': 'the {} paper is hidden, of another colour, or far from where room.yaml has it',
+}
 _WORDS = {
     'along': ('hangs {} further left', 'hangs {} further right'),
     'height': ('hangs {} higher', 'hangs {} lower'),
@@ -656,3 +534,31 @@ _WORDS = {
         'the focal length of camera_info is {} too large',
     ),
 }
+
+
+def _fault(hypothesis: _Hypothesis, solution: _Solution, room: Room) -> PaperFault:
+    """Fault of a hypothesis, with its size and its description."""
+    kind, k, mount = hypothesis.kind, hypothesis.paper, None
+    largest = int(np.argmax(np.abs(solution.values)))
+    value, sigma = float(solution.values[largest]), float(solution.sigmas[largest])
+    color = room.papers[k].color
+    if sum(paper.color == color for paper in room.papers) > 1:
+        x, y, _ = room.papers[k].center
+        color = f'{color} ({x:.2f}, {y:.2f})'
+    if kind == 'lean':
+        text, mount = lean_text(solution.values), MountError(tilt_roll_rad=solution.values)
+    elif kind == 'swapped' and hypothesis.room is not None:
+        pairs = zip(hypothesis.room.papers, room.papers, strict=True)
+        other = [f'{h.color} where {p.color} should hang' for h, p in pairs if h.color != p.color]
+        text = f'the papers seem swapped, {", ".join(other)}'
+    elif kind in _ALONE:
+        text = _ALONE[kind].format(color)
+    else:
+        unit = 'cm' if kind in _IN_METRES else '%'
+        amount = f'{100.0 * abs(value):.1f} +- {100.0 * sigma:.1f} {unit}'
+        text = _WORDS[kind][int(value < 0.0)].format(amount)
+        if k >= 0:
+            text = f'the {color} paper {text} than room.yaml gives'
+        if kind == 'camera_height':
+            mount = MountError(value)
+    return PaperFault(kind, k, value, sigma, text, mount)

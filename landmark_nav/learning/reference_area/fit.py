@@ -47,32 +47,28 @@ _NARROW_COLOR_SIGMA_PX = 1.0
 _CORNER_PX, _LEAST_KEPT = 2.5, 0.2
 _GAMMA_RANGE = (0.8, 2.4)
 
-# Weight of the given sigma of joint angles, as a number of frames, against that of the sweep.
-_TRUSTED_FRAMES = 4.0
-
 
 @dataclass(frozen=True, eq=False)
 class PaperFit:
     """
     Pose of the base by the papers, and how well they fit.
 
-    `pose_map_base` (3,) is the pose of the base in map, `rise_m` the height of the camera above
-    the given one, `covariance` (4, 4) that of x, y, height and heading. `seen` (papers,) is the
-    share of the edges of each paper that was found, `agreed` (papers,) the share of inliers among
-    these. `hang_m` (papers, 2) is the displacement of each paper from its given location, along
-    the wall and up. `tilt_rad` (2,) is the rotation of the pan axis from the given one, about x
-    and y of the base, `mount_covariance` (3, 3) the covariance of height and tilt, including the
-    prior. `size` is the relative excess of the sizes of all papers over the given ones,
-    `size_sigma` its sigma, including the prior. `misfit` is the mean squared residual, in sigmas.
+    `pose_map_base` (3,) is the pose of the base in map, `covariance` (4, 4) that of x, y, height
+    and heading. `seen` (papers,) is the share of the edges of each paper that was found, `agreed`
+    (papers,) the share of inliers among these. `hang_m` (papers, 2) is the displacement of each
+    paper from its given location, along the wall and up. `mount` (3,) are height of the camera (m)
+    and rotations of the pan axis about x and y of the base (rad) relative to the given ones,
+    `mount_covariance` (3, 3) is their covariance, including the prior. `size` is the relative
+    excess of the sizes of all papers over the given ones, `size_sigma` its sigma, including the
+    prior. `misfit` is the mean squared residual, in sigmas.
     """
 
     pose_map_base: FloatArray
-    rise_m: float
     covariance: FloatArray
     seen: FloatArray
     agreed: FloatArray
     hang_m: FloatArray
-    tilt_rad: FloatArray
+    mount: FloatArray
     mount_covariance: FloatArray
     size: float
     size_sigma: float
@@ -91,6 +87,9 @@ class _Measured:
     attempts by colour. All were measured with the same `gamma`.
     """
 
+    tried: IndexArray
+    gamma: float
+    by_gamma: FloatArray
     paper: IndexArray
     frame: IndexArray
     edge: IndexArray
@@ -100,9 +99,6 @@ class _Measured:
     normal: FloatArray
     offset_px: FloatArray
     sigma_px: FloatArray
-    by_gamma: FloatArray
-    tried: IndexArray
-    gamma: float
 
 
 class PaperFitter:
@@ -112,7 +108,7 @@ class PaperFitter:
         self, sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
     ) -> None:
         self._frames, self._room, self._config = sweep.frames, room, config
-        self._pan_sigma_rad = mount.pan_sigma_rad
+        self._mount = mount
         self._model = PaperModel(sweep, room, mount, _PARTS * PROFILES)
         self._hues = [hue_direction(paper.color) for paper in room.papers]
 
@@ -132,7 +128,6 @@ class PaperFitter:
         state = self._model.start(pose_map_base)
         if mount is not None:
             state[RISE:SIZE] = mount
-        angle_sigma = np.full(2, self._pan_sigma_rad)
         fit = None
         for reach, tail_widths in zip(_SEARCH_PX, _TAIL_WIDTHS, strict=True):
             measured = self._measure(state, frames_per_paper, reach)
@@ -141,9 +136,7 @@ class PaperFitter:
             base = state
             for tail_width in tail_widths:
                 try:
-                    state, angle_sigma, fit = self._solve(
-                        measured, base, state, tail_width, angle_sigma
-                    )
+                    state, fit = self._solve(measured, base, state, tail_width)
                 except LandmarkNavError:
                     return None  # the fit diverges
         return fit
@@ -177,7 +170,7 @@ class PaperFitter:
             for kind in (0, 1):
                 good = np.isfinite(found.offset_px[kind])
                 columns.append(
-                    (
+                    [
                         paper[middle][good],
                         frame[middle][good],
                         side[good],
@@ -188,31 +181,17 @@ class PaperFitter:
                         found.offset_px[kind, good],
                         found.sigma_px[kind, good],
                         found.by_gamma[kind, good],
-                    )
+                    ]
                 )
-        if not tried.any():
+        if not columns:
             return None
-        paper, frame, edge, along, bright, points, normal, offset, sigma, by_gamma = (
-            np.concatenate(column) for column in zip(*columns, strict=True)
-        )
+        *others, by_gamma = map(np.concatenate, zip(*columns, strict=True))
+        paper, _, edge, _, bright, *_ = others
         # The noise of an edge and that of its slope are correlated, which would bias gamma: slopes
         # are averaged.
         _, group = np.unique(paper * 8 + edge * 2 + bright, return_inverse=True)
         by_gamma = (np.bincount(group, by_gamma) / np.bincount(group))[group]
-        return _Measured(
-            paper,
-            frame,
-            edge,
-            along,
-            bright,
-            points,
-            normal,
-            offset,
-            sigma,
-            by_gamma,
-            tried,
-            gamma,
-        )
+        return _Measured(tried, gamma, by_gamma, *others)
 
     def _views(self, state: FloatArray, most: int) -> list[tuple[int, int]]:
         """Pairs of paper and frame, for the frames that show the paper nearest to the middle."""
@@ -220,7 +199,8 @@ class PaperFitter:
         half = 0.5 * np.array([camera.width, camera.height])
         frames = np.arange(len(self._frames))
         pairs = []
-        for k in np.flatnonzero(papers_in_view(self._model.axis_xy(state), self._room)):
+        axis_xy = self._mount.axis_pose_map(state[:3])[:2]
+        for k in np.flatnonzero(papers_in_view(axis_xy, self._room)):
             center = np.tile(self._model.points[k].mean(axis=0), (len(frames), 1))
             pixels = self._model.project(state, frames, np.full(len(frames), k), center)
             off = np.abs(pixels - half)
@@ -230,13 +210,8 @@ class PaperFitter:
         return pairs
 
     def _solve(
-        self,
-        m: _Measured,
-        base: FloatArray,
-        state: FloatArray,
-        tail_width: float,
-        angle_sigma: FloatArray,
-    ) -> tuple[FloatArray, FloatArray, PaperFit]:
+        self, m: _Measured, base: FloatArray, state: FloatArray, tail_width: float
+    ) -> tuple[FloatArray, PaperFit]:
         """One step of reweighted Gauss-Newton from `state`; edges were measured at `base`."""
         model = self._model
         shift, turn = edge_sigma_px(self._config, m.bright)
@@ -259,7 +234,7 @@ class PaperFitter:
         by_edge = np.stack([shift, turn * m.along])
         jacobian[rows, edge] = by_edge
 
-        prior = model.prior(self._config, angle_sigma)
+        prior = model.prior(self._config, self._mount.pan_sigma_rad)
         usual = model.start(state[:3])
         information = (jacobian * weight[:, None]).T @ jacobian + np.diag(prior)
         left = innovation - np.sum(by_edge * state[edge], 0)
@@ -272,13 +247,9 @@ class PaperFitter:
         usual[:3] = state[:3]
         chi = np.sum(weight * left**2) + np.sum(prior * (state - usual) ** 2)
         misfit = float(chi / max(1.0, np.sum(weight * m.sigma_px**2) - 3.0))
-        fit = self._agreement(m, squared_misfit, state, covariance * max(1.0, misfit), misfit)
-        # The sigma of joint angles is estimated from the sweep (expectation maximization).
-        used = np.unique(m.frame)
-        left_over = model.angles(state)[used] ** 2 + model.angles(np.diag(covariance))[used]
-        trusted = _TRUSTED_FRAMES * self._pan_sigma_rad**2
-        spread = (trusted + left_over.sum(axis=0)) / (_TRUSTED_FRAMES + len(used))
-        return state, np.sqrt(spread), fit
+        return state, self._agreement(
+            m, squared_misfit, state, covariance * max(1.0, misfit), misfit
+        )
 
     def _agreement(
         self,
@@ -292,15 +263,14 @@ class PaperFitter:
         model, by_color = self._model, m.bright == 0
         found = np.bincount(m.paper[by_color], minlength=model.papers)
         agreed = by_color & (squared_misfit < _SURELY_WRONG)
-        order, tilt, mount = [0, 1, 3, 2], slice(4, 6), slice(RISE, 6)
+        order, mount = [0, 1, 3, 2], slice(RISE, SIZE)
         return PaperFit(
             state[:3].copy(),
-            float(state[RISE]),
             covariance[np.ix_(order, order)],
             found / np.maximum(m.tried, 1),
             np.bincount(m.paper[agreed], minlength=model.papers) / np.maximum(found, 1),
             model.hang(state).copy(),
-            state[tilt].copy(),
+            state[mount].copy(),
             covariance[mount, mount],
             float(state[SIZE]),
             float(np.sqrt(covariance[SIZE, SIZE])),

@@ -64,17 +64,14 @@ class SweepPlace:
     Pose of a sweep.
 
     `pose_map_base` (3,) is that of the base, `height_m` that of the optical centre, `covariance`
-    (4, 4) that of x, y, z, heading. `axis_tilt_score` (2,) and `axis_tilt_information` (2, 2) are
-    the tilt of the pan axis about x and y of the base in information form, for `levelled`;
-    `mount_score` (3,) and `mount_information` (3, 3) those of height and tilt together.
-    `warning` is set if sizes and distances of papers contradict each other.
+    (4, 4) that of x, y, z, heading. `mount_score` (3,) and `mount_information` (3, 3) are errors
+    of height and of the tilt of the pan axis about x and y of the base in information form, by
+    papers alone. `warning` is set if sizes and distances of papers contradict each other.
     """
 
     pose_map_base: FloatArray
     height_m: float
     covariance: FloatArray
-    axis_tilt_score: FloatArray = field(default_factory=lambda: np.zeros(2))
-    axis_tilt_information: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     warning: str = ''
     mount_score: FloatArray = field(default_factory=lambda: np.zeros(3))
     mount_information: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
@@ -110,45 +107,10 @@ def locate_sweep(
         Fewer than three papers are in the room or in view, papers do not fit the room, or more
         than one pose fits.
     """
-    if len(room.papers) < LEAST_PAPERS:
-        raise LandmarkNavError(
-            f'the room names {len(room.papers)} reference papers: hang three and list them in '
-            'room.yaml, or give the pose of each sweep (sweep/pose)'
-        )
-    papers = _PaperSearch(sweep, view, room, mount, config)
-    fit = papers.fit()
-    check_prior(fit, room, config, most_sigmas)
-    inverse = covariance_of(fit.mount_covariance[1:, 1:])
-    # The misfit inflates the whole covariance, including the part of the prior.
-    scatter = max(1.0, fit.misfit)
-    of_mount = covariance_of(fit.mount_covariance / scatter)
-    prior = np.array([config.height_sigma_m, *[config.horizon_sigma_rad] * 2]) ** -2.0
-    return SweepPlace(
-        fit.pose_map_base,
-        papers.height_m + fit.rise_m,
-        fit.covariance,
-        inverse @ fit.tilt_rad,
-        inverse - np.eye(2) / config.horizon_sigma_rad**2,
-        size_warning(fit, config),
-        of_mount @ [fit.rise_m, *fit.tilt_rad] / scatter,
-        (of_mount - np.diag(prior)) / scatter,
-    )
+    return PaperSearch(sweep, view, room, mount, config).located(most_sigmas)
 
 
-def papers_fit(
-    sweep: Sweep,
-    view: CylinderImage,
-    room: Room,
-    mount: PanTiltMount,
-    config: ReferenceAreaConfig,
-) -> bool:
-    """Whether papers fit at any pose; arguments as for `locate_sweep`."""
-    if not room.papers:
-        return False
-    return _PaperSearch(sweep, view, room, mount, config).fits_somewhere()
-
-
-class _PaperSearch:
+class PaperSearch:
     """Search for the pose at which all papers fit a sweep; arguments as for `locate_sweep`."""
 
     def __init__(
@@ -161,10 +123,66 @@ class _PaperSearch:
     ) -> None:
         self._sweep, self._view, self._room = sweep, view, room
         self._mount, self._config = mount, config
-        self.height_m = optical_height(sweep, mount)
+        self._height_m = optical_height(sweep, mount)
         colors = color_blobs(view, {paper.color for paper in room.papers})
         self._blobs = [colors[paper.color] for paper in room.papers]
         self._fitter = PaperFitter(sweep, room, mount, config)
+
+    def located(self, most_sigmas: float = WRONG_PRIOR) -> SweepPlace:
+        """Pose of the sweep, see `locate_sweep`."""
+        config = self._config
+        if len(self._room.papers) < LEAST_PAPERS:
+            raise LandmarkNavError(
+                f'the room names {len(self._room.papers)} reference papers: hang three and list '
+                'them in room.yaml, or give the pose of each sweep (sweep/pose)'
+            )
+        fit = self.fit()
+        check_prior(fit, self._room, config, most_sigmas)
+        # The misfit inflates the whole covariance, including the part of the prior.
+        scatter = max(1.0, fit.misfit)
+        of_mount = covariance_of(fit.mount_covariance / scatter)
+        prior = np.array([config.height_sigma_m, *[config.horizon_sigma_rad] * 2]) ** -2.0
+        return SweepPlace(
+            fit.pose_map_base,
+            self._height_m + float(fit.mount[0]),
+            fit.covariance,
+            size_warning(fit, config),
+            of_mount @ fit.mount / scatter,
+            (of_mount - np.diag(prior)) / scatter,
+        )
+
+    def check_agreement(self, pose_map_base: FloatArray, covariance: FloatArray) -> None:
+        """
+        Compare a given pose, (3,) and (3, 3), with that by papers, if they are in view.
+
+        Raises `LandmarkNavError`: they disagree.
+        """
+        try:
+            seen = self.located()
+        except LandmarkNavError:
+            return
+        plane = np.ix_([0, 1, 3], [0, 1, 3])
+        total = covariance + seen.covariance[plane]
+        off = seen.pose_map_base - pose_map_base
+        off[2] = wrap_rad(off[2])
+        if off @ solve_positive(total, off) <= _DISAGREEMENT:
+            return
+        # Papers locate the pan axis: if only the heading differs, the mount is wrong.
+        mount = self._mount
+        axis = mount.axis_pose_map(seen.pose_map_base) - mount.axis_pose_map(pose_map_base)
+        if axis[:2] @ solve_positive(total[:2, :2], axis[:2]) <= _DISAGREEMENT:
+            yaw = mount.axis_rpy[2]
+            degrees = abs(wrap_rad(off[2] + yaw - np.radians(yaw))) < _SAME_YAW_RAD < abs(yaw)
+            raise LandmarkNavError(
+                'the heading of sweep/pose and the papers disagree by '
+                f'{np.degrees(off[2]):+.1f} deg: fix the yaw of pan_axis rpy in robot.yaml, '
+                f'now {yaw:g} rad{", which looks like degrees" if degrees else ", or the pose"}'
+            )
+        raise LandmarkNavError(
+            f'sweep/pose and the papers disagree by {100 * np.hypot(off[0], off[1]):.1f} cm and '
+            f'{np.degrees(abs(off[2])):.2f} deg, more than their covariances allow: fix the '
+            'pose or its covariance, or the papers in room.yaml'
+        )
 
     def fit(self) -> PaperFit:
         """Fit of all edges at the pose; `LandmarkNavError` with the reason if there is none."""
@@ -174,20 +192,20 @@ class _PaperSearch:
             raise self._refusal(fits)
         _check_unique(good)
         best = good[0]
-        fit = self._fitter.fit(best.pose_map_base, mount=np.array([best.rise_m, *best.tilt_rad]))
+        fit = self._fitter.fit(best.pose_map_base, mount=best.mount)
         if fit is None or not _fits(fit, self._room):
             raise self._refusal([fit] if fit else [])
         return fit
 
     def fits_somewhere(self) -> bool:
         """Whether a few frames fit at some pose."""
-        return any(_fits(fit, self._room) for fit in self._tried())
+        return bool(self._room.papers) and any(_fits(fit, self._room) for fit in self._tried())
 
     def _tried(self) -> list[PaperFit]:
         """Fits of few frames at poses, in the order of cost, until the rest is hopeless."""
         fits: list[PaperFit] = []
         enough = np.inf
-        for place in find_places(self._blobs, self._room, self.height_m, self._config):
+        for place in find_places(self._blobs, self._room, self._height_m, self._config):
             if place.cost > enough:
                 break
             fit = self._fitter.fit(self._base(place), _QUICK_FRAMES, place.mount)
@@ -205,11 +223,11 @@ class _PaperSearch:
         config, frames = self._config, self._sweep.frames
         if all(is_grey(frame.image) for frame in frames):
             return LandmarkNavError(WITHOUT_COLOR)
-        if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b.misfit) for b in self._blobs):
+        if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b) for b in self._blobs):
             anywhere = replace(
                 config, height_sigma_m=_ANY_HEIGHT_M, horizon_sigma_rad=_ANY_TILT_RAD
             )
-            search = _PaperSearch(self._sweep, self._view, self._room, self._mount, anywhere)
+            search = PaperSearch(self._sweep, self._view, self._room, self._mount, anywhere)
             try:
                 check_prior(search.fit(), self._room, config, WRONG_PRIOR)
             except WrongMountError as error:
@@ -233,47 +251,6 @@ def _check_unique(good: list[PaperFit]) -> None:
                 f'({place_text(good[0])}) and ({place_text(other)}) fit alike; '
                 'hang them at unequal distances'
             )
-
-
-def check_agreement(
-    pose_map_base: FloatArray,
-    covariance: FloatArray,
-    sweep: Sweep,
-    view: CylinderImage,
-    room: Room,
-    mount: PanTiltMount,
-    config: ReferenceAreaConfig,
-) -> None:
-    """
-    Compare a given pose, (3,) and (3, 3), with that by papers, if they are in view.
-
-    Raises `LandmarkNavError`: they disagree.
-    """
-    try:
-        seen = locate_sweep(sweep, view, room, mount, config)
-    except LandmarkNavError:
-        return
-    plane = np.ix_([0, 1, 3], [0, 1, 3])
-    total = covariance + seen.covariance[plane]
-    off = seen.pose_map_base - pose_map_base
-    off[2] = wrap_rad(off[2])
-    if off @ solve_positive(total, off) <= _DISAGREEMENT:
-        return
-    # Papers locate the pan axis: if only the heading differs, the mount is wrong.
-    axis = mount.axis_pose_map(seen.pose_map_base) - mount.axis_pose_map(pose_map_base)
-    if axis[:2] @ solve_positive(total[:2, :2], axis[:2]) <= _DISAGREEMENT:
-        yaw = mount.axis_rpy[2]
-        degrees = abs(wrap_rad(off[2] + yaw - np.radians(yaw))) < _SAME_YAW_RAD < abs(yaw)
-        raise LandmarkNavError(
-            f'the heading of sweep/pose and the papers disagree by {np.degrees(off[2]):+.1f} deg: '
-            f'fix the yaw of pan_axis rpy in robot.yaml, now {yaw:g} rad'
-            + (', which looks like degrees' if degrees else ', or the pose')
-        )
-    raise LandmarkNavError(
-        f'sweep/pose and the papers disagree by {100 * np.hypot(off[0], off[1]):.1f} cm and '
-        f'{np.degrees(abs(off[2])):.2f} deg, more than their covariances allow: fix the '
-        'pose or its covariance, or the papers in room.yaml'
-    )
 
 
 def optical_height(sweep: Sweep, mount: PanTiltMount) -> float:

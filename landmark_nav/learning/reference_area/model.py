@@ -1,21 +1,24 @@
 """
-Projection of points of papers into the frames of a sweep, with all uncertain values.
+Where papers are seen, with all uncertain values: in a panorama, and in the frames of a sweep.
 
-Besides the pose these are height and tilt of the pan axis, the camera's response to light, the
-shift between colour and brightness, the position of each paper, shift and rotation of each edge,
-and the joint angles of each frame. All have priors, so that the covariance of a pose contains
-their errors.
+All parts of the reference area use `in_base`, which depends on the pose and on height and tilt of
+the pan axis, and `PaperPlaces.outlines`, which adds errors of the papers. In frames there are also
+the camera's response to light, the shift between colour and brightness, shift and rotation of each
+edge, and the joint angles of each frame. All have priors, so that the covariance of a pose
+contains their errors.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from landmark_nav.arrays import IndexArray
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Room
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, Sweep
 
@@ -38,6 +41,112 @@ class ReferenceAreaConfig(Config):
     edge_sigma_px: float = 0.05
     # Relative sigma of the size of papers.
     paper_size_sigma: float = 0.002
+
+
+# Errors of each paper in `PaperPlaces.outlines`: of its place, m, and of its sizes, relative.
+OF_PAPER = ('along', 'height', 'depth', 'width', 'tallness', 'size')
+_NO_ERRORS = np.zeros(len(OF_PAPER))
+_UP, _RISES = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+# Least distance of a paper, for candidates of poses.
+_NEAREST_M = 0.1
+# Step of numerical differentiation.
+_STEP = 1e-6
+
+
+def in_base(points: FloatArray, axis_pose: FloatArray, mount: FloatArray) -> FloatArray:
+    """
+    Vectors (..., 3) from the camera to points (..., 3) in map, along the axes of the base, m.
+
+    `axis_pose` (..., 3) are x, y (m) and heading (rad) of the pan axis in map; `mount` (..., 3)
+    are the height of the camera (m) and small rotations of the axis about x and y of the base.
+    """
+    dx, dy, level = np.moveaxis(points, -1, 0)
+    cos, sin = np.cos(axis_pose[..., 2]), np.sin(axis_pose[..., 2])
+    dx, dy, level = dx - axis_pose[..., 0], dy - axis_pose[..., 1], level - mount[..., 0]
+    ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
+    roll, pitch = mount[..., 1], mount[..., 2]
+    return np.stack(
+        [ahead - pitch * level, aside + roll * level, level + pitch * ahead - roll * aside], -1
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PaperPlaces:
+    """
+    Papers as given, arrays over k papers.
+
+    `center` (k, 3) in map and `size` (k, 2), width and height, m; unit vectors (k, 3) `along` the
+    wall, to the left as seen from inside, and `normal`, into the room.
+    """
+
+    center: FloatArray
+    size: FloatArray
+    along: FloatArray
+    normal: FloatArray
+
+    @classmethod
+    def of(cls, room: Room) -> PaperPlaces:
+        """Return the papers of a room."""
+        center = np.array([paper.center for paper in room.papers]).reshape(-1, 3)
+        size = np.array([(paper.width, paper.height) for paper in room.papers]).reshape(-1, 2)
+        normal = room.normals[room.nearest_wall(center[:, :2])]
+        along = np.stack([normal[:, 1], -normal[:, 0], normal[:, 2]], 1)
+        return cls(center, size, along, normal)
+
+    def chosen(self, index: IndexArray) -> PaperPlaces:
+        """Return the papers of indices (n,), which may repeat."""
+        parts = (self.center, self.size, self.along, self.normal)
+        return PaperPlaces(*(part[index] for part in parts))
+
+    def outlines(
+        self,
+        axis_pose: FloatArray,
+        mount: FloatArray,
+        errors: FloatArray = _NO_ERRORS,
+        size: FloatArray = _NO_ERRORS[:1],
+    ) -> FloatArray:
+        """
+        Azimuths of right and left edges, tangents of bottom and top, (..., k, 4).
+
+        Tangents are those of the elevation at the middle azimuth.
+
+        Parameters
+        ----------
+        axis_pose, mount : ndarray, shape (..., k or 1, 3)
+            See `in_base`.
+        errors : ndarray, shape (..., k, 6)
+            Errors of each paper, in the order of `OF_PAPER`: to the left, up and off the wall,
+            m; of width, height and both, relative.
+        size : ndarray, shape (..., k or 1)
+            Relative error of the sizes of all papers.
+        """
+        center = self.center + errors[..., :1] * self.along + errors[..., 1:2] * _UP
+        center = center + errors[..., 2:3] * self.normal
+        half = 0.5 * self.size * (1.0 + size[..., None] + errors[..., 3:5] + errors[..., 5:])
+        side = half[..., :1] * self.along
+        ends = np.stack([center - side, center + side], -2)
+        ends = in_base(ends, axis_pose[..., None, :], mount[..., None, :])
+        right, left = np.moveaxis(np.arctan2(ends[..., 1], ends[..., 0]), -1, 0)
+        # The bisector divides the paper in the ratio of the distances of its ends.
+        reach = np.hypot(ends[..., 0], ends[..., 1])
+        share = (reach / reach.sum(-1, keepdims=True))[..., ::-1, None]
+        middle = np.sum(share * ends, -2)
+        distance = np.maximum(np.hypot(middle[..., 0], middle[..., 1]), _NEAREST_M)
+        bottom, top = ((middle[..., 2] + up * half[..., 1]) / distance for up in (-1.0, 1.0))
+        return np.stack([right, right + wrap_rad(left - right), bottom, top], -1)
+
+
+def linearized(
+    of: Callable[[FloatArray], FloatArray], states: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """
+    Outlines (..., m) at states (..., n), and their derivatives (..., n, m), by differences.
+
+    `of` computes azimuths and tangents (..., m) of states with any leading dimensions.
+    """
+    count = states.shape[-1]
+    found = of(states[..., None, :] + _STEP * np.eye(count + 1, count, -1))
+    return found[..., 0, :], np.asarray(wrap_rad(found[..., 1:, :] - found[..., :1, :]) / _STEP)
 
 
 # Right, left, top and bottom as seen along the wall.
@@ -72,11 +181,8 @@ class PaperModel:
         self._mount = mount
         self._camera = sweep.frames[0].camera
         self._angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in sweep.frames])
-        outlines = [_outline(paper, room, per_edge) for paper in room.papers]
-        self.points = np.array([points for points, _, _ in outlines])
-        self.outwards = np.array([outwards for _, outwards, _ in outlines])
-        self._along = np.array([along for _, _, along in outlines])
-        self._center = np.array([paper.center for paper in room.papers])
+        self._places = PaperPlaces.of(room)
+        self.points, self.outwards = _edge_points(self._places, per_edge)
         self.papers = len(room.papers)
         self._edge = _COMMON + 2 * self.papers
         self._turn = self._edge + 2 * EDGES * self.papers
@@ -94,10 +200,6 @@ class PaperModel:
         """How far along the wall and up papers hang from where they should, (papers, 2)."""
         return state[_COMMON : self._edge].reshape(self.papers, 2)
 
-    def angles(self, state: FloatArray) -> FloatArray:
-        """Corrections of pan and tilt, (frames, 2)."""
-        return state[self._frame :].reshape(-1, 2)
-
     def edge_index(self, paper: IndexArray, edge: IndexArray, bright: IndexArray) -> IndexArray:
         """
         Indices (2, n) of what shifts an edge as a whole, and of what turns it.
@@ -107,35 +209,25 @@ class PaperModel:
         index = EDGES * (2 * paper + bright) + edge
         return np.stack([self._edge + index, self._turn + index])
 
-    def axis_xy(self, state: FloatArray) -> FloatArray:
-        """Place (2,) of the pan axis in map."""
-        cos, sin = np.cos(state[2]), np.sin(state[2])
-        x, y = self._mount.axis_xyz[:2]
-        return np.array([state[0] + cos * x - sin * y, state[1] + sin * x + cos * y])
-
     def project(
         self, state: FloatArray, frame: IndexArray, paper: IndexArray, points: FloatArray
     ) -> FloatArray:
         """Pixels (n, 2) of points (n, 3) of papers (n,) in frames (n,)."""
         used = np.unique(frame)
-        turn = self.angles(state)[used]
+        turn = state[self._frame :].reshape(-1, 2)[used]
         rotation, center = self._mount.camera_pose_base(
             self._angles[used, 0] + turn[:, 0],
             self._angles[used, 1] + turn[:, 1],
             self._angles[used, 2],
         )
-        hang = self.hang(state)[paper]
-        offset = points + state[SIZE] * (points - self._center[paper])
-        offset += hang[:, :1] * self._along[paper]
-        offset[:, 2] += hang[:, 1] - state[RISE]
-        offset[:, :2] -= state[:2]
-        cos, sin = np.cos(state[2]), np.sin(state[2])
+        hang, places = self.hang(state)[paper], self._places
+        hung = points + state[SIZE] * (points - places.center[paper])
+        hung += hang[:, :1] * places.along[paper] + hang[:, 1:] * _UP
         axis = np.asarray(self._mount.axis_xyz)
-        base = offset @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) - axis
-        # Small tilts of the axis, about the base's x and y.
-        base = base - np.cross([state[4], state[5], 0.0], base) + axis
+        axis_pose = self._mount.axis_pose_map(state[:3])
+        base = in_base(hung, axis_pose, state[RISE:SIZE] + axis[2] * _RISES)
         place = np.searchsorted(used, frame)
-        seen = np.einsum('nji,nj->ni', rotation[place], base - center[place])
+        seen = np.einsum('nji,nj->ni', rotation[place], base + axis - center[place])
         return self._camera.project(seen)
 
     def jacobian(
@@ -161,8 +253,8 @@ class PaperModel:
             jacobian[rows, column] = np.sum(change * normal, 1) / 1e-5
         return jacobian
 
-    def prior(self, config: ReferenceAreaConfig, angle_sigma_rad: FloatArray) -> FloatArray:
-        """Information (size,) of the unknowns; `angle_sigma_rad` (2,) of pan and tilt."""
+    def prior(self, config: ReferenceAreaConfig, angle_sigma_rad: float) -> FloatArray:
+        """Information (size,) of the unknowns; `angle_sigma_rad` of pan and tilt of a frame."""
         sigma = np.ones(self.size)
         sigma[RISE:_PLACE] = (
             config.height_sigma_m,
@@ -172,7 +264,7 @@ class PaperModel:
         )
         sigma[GAMMA:SHIFT], sigma[SHIFT:_COMMON] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
         sigma[_COMMON : self._edge] = max(config.paper_sigma_m, 1e-6)
-        sigma[self._frame :].reshape(-1, 2)[:] = angle_sigma_rad
+        sigma[self._frame :] = angle_sigma_rad
         information = sigma**-2.0
         information[:3] = 1e-4  # regularizes directions without measurements
         return np.asarray(information)
@@ -184,20 +276,17 @@ def edge_sigma_px(config: ReferenceAreaConfig, bright: IndexArray) -> FloatArray
     return np.stack([shift, np.full(len(bright), _TURN_SHARE * config.edge_sigma_px)])
 
 
-def _outline(paper: Paper, room: Room, per_edge: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points on the four edges (n, 3) in map, their outward directions, and that of the wall."""
-    wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
-    along = np.append(wall.along, 0.0)
-    up = np.array([0.0, 0.0, 1.0])
+def _edge_points(places: PaperPlaces, per_edge: int) -> tuple[FloatArray, FloatArray]:
+    """Points (papers, n, 3) on the four edges in turn, and their directions outwards."""
     share = np.linspace(-0.5, 0.5, per_edge)[:, None]
-    center = np.asarray(paper.center)
     points, outwards = [], []
-    for side, other, half, length in (
-        (along, up, paper.width / 2, paper.height),
-        (-along, up, paper.width / 2, paper.height),
-        (up, along, paper.height / 2, paper.width),
-        (-up, along, paper.height / 2, paper.width),
+    for center, (width, height), left in zip(
+        places.center, places.size, places.along, strict=True
     ):
-        points.append(center + half * side + EDGE_SHARE * share * length * other)
-        outwards.append(np.tile(side, (per_edge, 1)))
-    return np.concatenate(points), np.concatenate(outwards), along
+        edges = ((left, width, height * _UP), (_UP, height, width * left))
+        for side, across, along in edges:
+            for outward in (side, -side):
+                points.append(center + 0.5 * across * outward + EDGE_SHARE * share * along)
+                outwards.append(np.tile(outward, (per_edge, 1)))
+    shape = (len(places.center), EDGES * per_edge, 3)
+    return np.reshape(points, shape), np.reshape(outwards, shape)

@@ -31,10 +31,15 @@ class MountError:
     rise_m: float = 0.0
     tilt_roll_rad: FloatArray = field(default_factory=lambda: np.zeros(2))
 
+    def beyond(self, rise_m: float, tilt_rad: float, times: float = 1.0) -> tuple[bool, bool]:
+        """Whether height and tilt exceed limits, or some times these."""
+        leans = float(np.hypot(*self.tilt_roll_rad)) > times * tilt_rad
+        return abs(self.rise_m) > times * rise_m, leans
+
     @property
     def reasonable(self) -> bool:
         """Whether the error is plausible for a measurement with tape and spirit level."""
-        return abs(self.rise_m) < _MOST_M and float(np.hypot(*self.tilt_roll_rad)) < _MOST_RAD
+        return not any(self.beyond(_MOST_M, _MOST_RAD))
 
 
 class WrongMountError(LandmarkNavError):
@@ -79,11 +84,11 @@ def check_prior(
     fit: PaperFit, room: Room, config: ReferenceAreaConfig, most_sigmas: float
 ) -> None:
     """Raise `LandmarkNavError` if a fit contradicts the priors of the mount or of the papers."""
-    high = abs(fit.rise_m) > most_sigmas * config.height_sigma_m
-    leans = np.hypot(*fit.tilt_rad) > most_sigmas * config.horizon_sigma_rad
+    found = MountError(float(fit.mount[0]), fit.mount[1:])
+    high, leans = found.beyond(config.height_sigma_m, config.horizon_sigma_rad, most_sigmas)
     if high or leans:
-        found = MountError(fit.rise_m, fit.tilt_rad)
-        raise WrongMountError(wrong_height(fit.rise_m) if high else wrong_lean(fit), found)
+        lean = f'{lean_text(found.tilt_roll_rad)}: level the robot, or set pan_axis rpy'
+        raise WrongMountError(wrong_height(found.rise_m) if high else lean, found)
     hang = np.abs(fit.hang_m).max(axis=1)
     worst = int(np.argmax(hang))
     if hang[worst] > WRONG_PRIOR * max(config.paper_sigma_m, 1e-4):
@@ -94,13 +99,12 @@ def check_prior(
         )
 
 
-def wrong_lean(fit: PaperFit) -> str:
-    """Message for a tilt of the pan axis that differs from the given one."""
-    roll, pitch = np.degrees(fit.tilt_rad)
+def lean_text(tilt_roll_rad: FloatArray) -> str:
+    """Text of a tilt (2,) of the pan axis that differs from the given one."""
+    roll, pitch = np.degrees(tilt_roll_rad)
     return (
-        f'the pan axis tilts by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the '
-        'base from what robot.yaml says, as the papers show it: level the robot, or set '
-        'pan_axis rpy'
+        f'the pan axis tilts by {roll:+.1f} deg about x and {pitch:+.1f} deg about y of the base '
+        'from what robot.yaml gives'
     )
 
 
@@ -129,13 +133,13 @@ def wrong_height(rise_m: float) -> str:
     return (
         f'the camera is {100 * abs(rise_m):.1f} cm {"higher" if rise_m > 0.0 else "lower"} than '
         'robot.yaml says, as the papers show it: measure the height of camera and papers again; '
-        'if it is meant to stand higher or lower at times, set reference_area.height_sigma_m'
+        'if it is meant to stand higher or lower at times, give pan_axis a larger xyz_sigma'
     )
 
 
 def why_not(blobs: list[PaperBlobs], fits: list[PaperFit], room: Room) -> str:
     """Message if no pose was found: expected papers, found blobs or edges, and advice."""
-    missing = [p.color for p, b in zip(room.papers, blobs, strict=True) if not len(b.misfit)]
+    missing = [p.color for p, b in zip(room.papers, blobs, strict=True) if not len(b)]
     expected = ', '.join(p.color for p in room.papers)
     if missing:
         return (
@@ -169,9 +173,7 @@ def why_not(blobs: list[PaperBlobs], fits: list[PaperFit], room: Room) -> str:
             f'no place in the room fits the papers; at the nearest, ({place_text(best)}), {each}: '
             f'{remedy}'
         )
-    counted = ', '.join(
-        f'{len(b.misfit)} {p.color}' for p, b in zip(room.papers, blobs, strict=True)
-    )
+    counted = ', '.join(f'{len(b)} {p.color}' for p, b in zip(room.papers, blobs, strict=True))
     return (
         f'no place in the room fits the blobs found ({counted}): '
         'see that nobody hides the papers, or check their colours, sizes and places in room.yaml, '

@@ -8,6 +8,7 @@ then select the right pose.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -18,14 +19,13 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area.blobs import PaperBlobs
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.model import linearized, PaperPlaces, ReferenceAreaConfig
 from landmark_nav.types import FloatArray
 
 # Fewest papers; with two, a misplaced one is not detected.
 LEAST_PAPERS = 3
 
-# Sigmas of a blob, whose outline is a pixel or two off.
-_DIRECTION_SIGMA = 0.008
+# Sigma of a blob, whose outline is a pixel or two off.
 _OUTLINE_SIGMA = 0.008
 
 # Cost of a paper that should be in view and is not found, squared sigmas.
@@ -70,14 +70,14 @@ def papers_in_view(axis_xy: FloatArray, room: Room) -> npt.NDArray[np.bool_]:
 
 
 def find_places(
-    blobs: list[PaperBlobs], room: Room, eye_height_m: float, config: ReferenceAreaConfig
+    blobs: Sequence[PaperBlobs], room: Room, eye_height_m: float, config: ReferenceAreaConfig
 ) -> list[PaperPlace]:
     """
     Poses in the room at which two or more papers fit some blobs.
 
     Parameters
     ----------
-    blobs : list of PaperBlobs
+    blobs : sequence of PaperBlobs
         Candidates for each paper of the room.
     config : ReferenceAreaConfig
         Sigmas of height and tilt of the camera.
@@ -119,29 +119,29 @@ class _Problem:
 
     def __init__(
         self,
-        blobs: list[PaperBlobs],
+        blobs: Sequence[PaperBlobs],
         room: Room,
         eye_height_m: float,
         config: ReferenceAreaConfig,
     ) -> None:
-        self._room = room
+        self._room, self._places = room, PaperPlaces.of(room)
         self._mount_sigma = np.array([config.height_sigma_m, *[config.horizon_sigma_rad] * 2])
-        self._center = np.array([p.center for p in room.papers]) - [0.0, 0.0, eye_height_m]
-        self._height = np.array([p.height for p in room.papers])
-        most = max(1, max(len(b.misfit) for b in blobs))
-
-        def table(values: list[FloatArray], fill: float) -> FloatArray:
-            return np.array([np.pad(v, (0, most - len(v)), constant_values=fill) for v in values])
-
-        self._azimuth = table([b.azimuth_rad for b in blobs], 0.0)
-        self._top = table([b.tangent[:, 0] for b in blobs], 1.0)
-        self._bottom = table([b.tangent[:, 1] for b in blobs], 0.0)
-        self._misfit = table([b.misfit for b in blobs], np.inf)
+        self._eye = np.array([eye_height_m, 0.0, 0.0])
+        self._center, self._height = self._places.center, self._places.size[:, 1]
+        most = max(1, *map(len, blobs))
+        # Middle azimuth, tangents of top and bottom.
+        self._blobs = np.tile([0.0, 1.0, 0.0], (len(blobs), most, 1))
+        self._misfit = np.full((len(blobs), most), np.inf)
+        for k, found in enumerate(blobs):
+            self._blobs[k, : len(found)] = _middle(found.edges)
+            self._misfit[k, : len(found)] = found.misfit
 
     def pair_places(self) -> FloatArray:
         """Poses (n, 6) of all pairs of papers and their blobs."""
-        reach = self._height[:, None] / np.maximum(self._top - self._bottom, 1e-6)
-        rise = reach * 0.5 * (self._top + self._bottom) - self._center[:, 2:]
+        azimuth, top, bottom = np.moveaxis(self._blobs, -1, 0)
+        reach = self._height[:, None] / np.maximum(top - bottom, 1e-6)
+        rise = reach * 0.5 * (top + bottom) - (self._center[:, 2:] - self._eye[0])
+        ray = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
         good = np.isfinite(self._misfit)
         poses, costs = [], []
         for i, j in combinations(range(len(self._height)), 2):
@@ -149,19 +149,21 @@ class _Problem:
             b = np.tile(np.flatnonzero(good[j]), good[i].sum())
             apart = self._center[j, :2] - self._center[i, :2]
             distance = float(np.hypot(*apart))
-            turn = self._azimuth[j, b] - self._azimuth[i, a]
+            turn = azimuth[j, b] - azimuth[i, a]
             first, second = reach[i, a], reach[j, b]
             # The height of a cut blob is wrong, so its range is computed from the other one.
             half = np.sqrt(np.maximum(distance**2 - (first * np.sin(turn)) ** 2, 0.0))
-            other = np.sqrt(np.maximum(distance**2 - (second * np.sin(turn)) ** 2, 0.0))
+            rest = np.sqrt(np.maximum(distance**2 - (second * np.sin(turn)) ** 2, 0.0))
             for near, far in (
                 (first, second),
                 (first, first * np.cos(turn) + half),
                 (first, first * np.cos(turn) - half),
-                (second * np.cos(turn) + other, second),
-                (second * np.cos(turn) - other, second),
+                (second * np.cos(turn) + rest, second),
+                (second * np.cos(turn) - rest, second),
             ):
-                pose, cost = self._place(i, j, a, b, near, far)
+                one, other = near[:, None] * ray[i, a], far[:, None] * ray[j, b]
+                pose, cost = self._place(i, j, one, other)
+                cost[(near < 0.2) | (far < 0.2)] = np.inf
                 cost += np.minimum((rise[i, a] / self._rise_sigma_m(first)) ** 2, _MISSING)
                 cost += np.minimum((rise[j, b] / self._rise_sigma_m(second)) ** 2, _MISSING)
                 poses.append(pose)
@@ -179,48 +181,27 @@ class _Problem:
         return np.asarray(np.hypot(0.05 + 0.05 * reach, by_mount))
 
     def _place(
-        self,
-        i: int,
-        j: int,
-        a: npt.NDArray[np.intp],
-        b: npt.NDArray[np.intp],
-        near: FloatArray,
-        far: FloatArray,
+        self, i: int, j: int, first: FloatArray, second: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Rigid alignment of two observed points with the places of the papers."""
-        first = near[:, None] * _unit(self._azimuth[i, a])
-        second = far[:, None] * _unit(self._azimuth[j, b])
+        """Rigid alignment of two observed points (n, 2) with the places of papers; its cost."""
         seen, hung = second - first, self._center[j, :2] - self._center[i, :2]
         heading = np.arctan2(hung[1], hung[0]) - np.arctan2(seen[:, 1], seen[:, 0])
         turned = np.einsum('nij,nj->ni', se2.rotation(heading), 0.5 * (first + second))
         axis = 0.5 * (self._center[i, :2] + self._center[j, :2]) - turned
         miss = np.linalg.norm(seen, axis=1) - np.hypot(*hung)
-        cost = (miss / (0.05 + 0.05 * np.hypot(near, far))) ** 2
-        cost[(near < 0.2) | (far < 0.2)] = np.inf
-        return np.column_stack([axis, wrap_rad(heading)]), cost
+        reach = np.linalg.norm([*first.T, *second.T], axis=0)
+        return np.column_stack([axis, wrap_rad(heading)]), (miss / (0.05 + 0.05 * reach)) ** 2
 
     def refine(self, poses: FloatArray, scale: float) -> FloatArray:
         """One least-squares step of all poses (n, 6) to the best blobs of each."""
         residual, cost, _ = self._compare(poses, scale)
         weight = (1.0 + cost / _TAIL_WIDTH) ** -2.0 * (cost < _MISSING)
         weight *= papers_in_view(poses[:, :2], self._room)
-        offset, ahead, level = self._seen_from(poses)
-        reach = np.maximum(np.linalg.norm(offset, axis=-1), 0.1)
-        jacobian = np.zeros((*reach.shape, 3, poses.shape[1]))
-        jacobian[..., 0, 0] = offset[..., 1] / reach**2
-        jacobian[..., 0, 1] = -offset[..., 0] / reach**2
-        jacobian[..., 0, 2] = -1.0
-        jacobian[..., 0, 4:] = (level / reach**2)[..., None] * ahead
-        for row, up in ((1, 0.5), (2, -0.5)):
-            rise = level + up * self._height
-            jacobian[..., row, :2] = (rise / reach**3)[..., None] * offset
-            jacobian[..., row, 3] = -1.0 / reach
-            jacobian[..., row, 4] = -ahead[..., 1] / reach
-            jacobian[..., row, 5] = ahead[..., 0] / reach
-        jacobian /= np.array([_DIRECTION_SIGMA, _OUTLINE_SIGMA, _OUTLINE_SIGMA])[:, None]
+        _, jacobian = linearized(self._predicted, poses)
+        jacobian = jacobian.reshape(*poses.shape, -1, 3) / _OUTLINE_SIGMA
         prior = np.concatenate([np.full(3, 1e-3), self._mount_sigma**-2.0])
-        normal = np.einsum('np,npki,npkj->nij', weight, jacobian, jacobian) + np.diag(prior)
-        pull = np.einsum('np,npki,npk->ni', weight, jacobian, residual)
+        normal = np.einsum('np,nipk,njpk->nij', weight, jacobian, jacobian) + np.diag(prior)
+        pull = np.einsum('np,nipk,npk->ni', weight, jacobian, residual)
         pull[:, 3:] -= prior[3:] * poses[:, 3:]
         step = np.linalg.solve(normal, pull[..., None])[..., 0]
         return np.asarray(poses + np.clip(step, -0.5, 0.5))
@@ -235,35 +216,27 @@ class _Problem:
         by_mount = np.sum((poses[:, 3:] / self._mount_sigma) ** 2, 1)
         return each.sum(1) + by_mount, np.where(seen & (cost < _MISSING), blob, -1)
 
-    def _seen_from(self, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Vectors to papers in map and base (n, papers, 2), and their heights above the camera."""
-        offset = self._center[:, :2] - poses[:, None, :2]
-        ahead = offset @ se2.rotation(poses[:, 2])
-        return offset, ahead, self._center[:, 2] - poses[:, 3, None]
+    def _predicted(self, poses: FloatArray) -> FloatArray:
+        """Middle azimuths and tangents of top and bottom at poses (..., 6), (..., 3 papers)."""
+        mount = self._eye + poses[..., None, 3:]
+        seen = _middle(self._places.outlines(poses[..., None, :3], mount))
+        return seen.reshape(*poses.shape[:-1], -1)
 
     def _compare(
         self, poses: FloatArray, scale: float
     ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
         """Residuals (n, papers, 3) to the best blob, their cost and its index."""
-        _, ahead, level = self._seen_from(poses)
-        reach = np.maximum(np.linalg.norm(ahead, axis=-1), 0.1)
-        roll, pitch = poses[:, 4, None], poses[:, 5, None]
-        azimuth = np.arctan2(ahead[..., 1] + roll * level, ahead[..., 0] - pitch * level)
-        tilted = level + pitch * ahead[..., 0] - roll * ahead[..., 1]
-        rows = [(tilted + up * self._height) / reach for up in (0.5, -0.5)]
-        residual = np.stack(
-            [
-                wrap_rad(self._azimuth - azimuth[..., None]) / _DIRECTION_SIGMA,
-                (self._top - rows[0][..., None]) / _OUTLINE_SIGMA,
-                (self._bottom - rows[1][..., None]) / _OUTLINE_SIGMA,
-            ],
-            -1,
-        )
+        predicted = self._predicted(poses).reshape(len(poses), -1, 1, 3)
+        residual = self._blobs - predicted
+        residual[..., 0] = wrap_rad(residual[..., 0])
+        residual /= _OUTLINE_SIGMA
         cost = np.sum(residual**2, -1) / scale**2 + self._misfit
         blob = np.argmin(cost, axis=-1)
         best = np.take_along_axis(residual, blob[..., None, None], -2)[..., 0, :]
         return best, np.take_along_axis(cost, blob[..., None], -1)[..., 0], blob
 
 
-def _unit(azimuth_rad: FloatArray) -> FloatArray:
-    return np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], -1)
+def _middle(edges: FloatArray) -> FloatArray:
+    """Middle azimuth, tangents of top and bottom (..., 3) of edges (..., 4)."""
+    right, left, bottom, top = np.moveaxis(edges, -1, 0)
+    return np.stack([0.5 * (right + left), top, bottom], -1)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.panorama import CylinderImage
@@ -47,29 +48,18 @@ _NEAREST_M, _FARTHEST_M = 0.3, 12.0
 def find_papers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
     """Find candidates for papers: blobs of their colour and shape with four clear edges."""
     view = CylinderImage(panorama.image, panorama.mask, panorama.cylinder)
-    shape = config.paper_width_m / config.paper_height_m
     colors = config.paper_colors.split()
     found = []
     for color, blobs in color_blobs(view, colors).items():
         if color not in colors:
             continue
-        height = np.abs(np.ptp(blobs.tangent, axis=1))
-        share = blobs.width_rad / np.maximum(height, 1e-9) / shape
-        reach = config.paper_height_m / np.maximum(height, 1e-9)
-        near = (reach > _NEAREST_M / _ROUGHLY) & (reach < _FARTHEST_M * _ROUGHLY)
-        likely = (share > _NARROWEST / _ROUGHLY) & (share < _WIDEST * _ROUGHLY) & near
+        likely = _may_be(blobs.edges, config, _ROUGHLY)
         outlines = outline_blobs(view, color, blobs.only(likely))
-        for azimuth, tangent, sigma, by_response in zip(
-            outlines.azimuth_rad,
-            outlines.tangent,
-            outlines.sigma,
-            outlines.by_response,
-            strict=True,
+        for edges, sigma, by_response in zip(
+            outlines.edges, outlines.sigma, outlines.by_response, strict=True
         ):
-            seen = np.ptp(azimuth) / np.ptp(tangent) / shape
-            reach_m = config.paper_height_m / np.ptp(tangent)
-            if _NARROWEST < seen < _WIDEST and _NEAREST_M < reach_m < _FARTHEST_M:
-                position, by_edge = _located(azimuth, tangent, config.paper_height_m)
+            if _may_be(edges, config):
+                position, by_edge = _located(edges, config.paper_height_m)
                 own = by_edge * sigma
                 # Outwards is right (smaller azimuth), left, down and up.
                 response = by_edge @ (by_response * [-1.0, 1.0, -1.0, 1.0])
@@ -78,16 +68,24 @@ def find_papers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
     return found
 
 
-def _located(
-    azimuth: FloatArray, tangent: FloatArray, height_m: float
-) -> tuple[FloatArray, FloatArray]:
-    """
-    Centre (3,) of an upright sheet and its derivative (3, 4) by right, left, bottom and top.
+def _may_be(edges: FloatArray, config: SheetsConfig, margin: float = 1.0) -> npt.NDArray[np.bool_]:
+    """Whether shape and range of edges (..., 4) are those of a paper, within a factor."""
+    right, left, bottom, top = np.moveaxis(edges, -1, 0)
+    height = np.maximum(top - bottom, 1e-9)
+    share = (left - right) / height * config.paper_height_m / config.paper_width_m
+    reach = config.paper_height_m / height
+    return np.asarray(
+        (share > _NARROWEST / margin)
+        & (share < _WIDEST * margin)
+        & (reach > _NEAREST_M / margin)
+        & (reach < _FARTHEST_M * margin)
+    )
 
-    `azimuth` (2,) are its right and left edges, `tangent` (2,) its bottom and top at the middle
-    azimuth.
-    """
-    middle, (bottom, top) = azimuth.mean(), tangent
+
+def _located(edges: FloatArray, height_m: float) -> tuple[FloatArray, FloatArray]:
+    """Centre (3,) of an upright sheet and its derivative (3, 4) by its edges."""
+    right, left, bottom, top = edges
+    middle = 0.5 * (right + left)
     reach = height_m / (top - bottom)
     ray = np.array([np.cos(middle), np.sin(middle), 0.5 * (bottom + top)])
     by_azimuth = 0.5 * reach * np.array([-ray[1], ray[0], 0.0])
