@@ -156,8 +156,20 @@ def learn_from_panoramas(
             'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        adjustment, free, residuals, hidden = _adjusted(
-            found, panoramas, places, room, config, ties
+        free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
+        hidden = ''
+        if ties is None:  # with ties, walls are estimated, so that there are none to check
+            behind = [patch.wall for patch in found.patches]
+            hidden = check_walls(free, behind, room, config.adjustment, config.wall_fit)
+        adjustment = _adjust(found, panoramas, places, room, config.adjustment, ties)
+        residuals = wall_residuals(adjustment, found.walls, room, config.adjustment)
+        adjustment, free = depth_from_scale(
+            adjustment,
+            free,
+            found.measurements,
+            found.normals,
+            config.adjustment,
+            config.election.max_depth_sigma_m,
         )
     uneven = wall_warnings(
         residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
@@ -244,36 +256,6 @@ def _adjust(
         found.normals,
         ties,
     )
-
-
-def _adjusted(
-    found: Found,
-    panoramas: Sequence[Panorama],
-    places: FloatArray,
-    room: Room,
-    config: LearningConfig,
-    ties: Ties | None,
-) -> tuple[Adjustment, Adjustment, tuple[WallResidual, ...], str]:
-    """Adjustment with walls, that without walls, distances from the walls, and a warning."""
-    without_walls = _without_walls(config)
-    hidden = ''
-    if ties is None:  # with ties, walls are estimated, so that there are none to check
-        behind = found.before_walls
-        placed = _adjust(behind, panoramas, places, room, without_walls, ties)
-        hidden = check_walls(placed, behind.walls, room, config.adjustment, config.wall_fit)
-    walls = found.walls
-    free = _adjust(found, panoramas, places, room, without_walls, ties)
-    adjustment = _adjust(found, panoramas, places, room, config.adjustment, ties)
-    residuals = wall_residuals(adjustment, walls, room, config.adjustment)
-    adjustment, free = depth_from_scale(
-        adjustment,
-        free,
-        found.measurements,
-        found.normals,
-        config.adjustment,
-        config.election.max_depth_sigma_m,
-    )
-    return adjustment, free, residuals, hidden
 
 
 def _calibration(

@@ -18,6 +18,7 @@ ROOM = rectangle_room(6.0, 5.0)
 
 
 CONFIG = AdjustmentConfig()
+COMMON = CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma
 
 
 # Sigmas are what they are said to be: nothing of them is estimated.
@@ -75,7 +76,7 @@ def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Pano
 def measurements_of(
     world: World,
     rng: np.random.Generator | None,
-    common: tuple[float, float] = (CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma),
+    common: tuple[float, float] = COMMON,
 ) -> list[list[PatchMeasurement]]:
     """The first view proposed each landmark; the other found it with its own noise as well."""
     groups = []

@@ -68,7 +68,6 @@ def test_what_stands_before_a_wall_is_found_at_its_depth(
     assert patch.position == pytest.approx(np.array(center), abs=0.03)
     assert patch.normal @ normal > np.cos(0.25)
     assert [s.panorama for s in found.measurements[0]] == [0, 1]
-    assert found.before_walls.walls == [1]
 
 
 @pytest.mark.parametrize('east_m', [5.3, 6.9])

@@ -68,7 +68,7 @@ def check_walls(
     free : Adjustment
         Adjustment without the walls.
     walls : sequence of int
-        Wall of each patch.
+        Wall behind each patch, -1 for none.
     room : Room
         The plan.
     expected : AdjustmentConfig
@@ -82,6 +82,11 @@ def check_walls(
     """
     complaints: list[str] = []
     warnings: list[str] = []
+    # Also of patches on planes of their own.
+    index = np.asarray(walls, dtype=np.intp)
+    starts = np.array([wall.start for wall in room.walls])[index]
+    off_m = np.sum((free.positions[:, :2] - starts) * room.normals[index, :2], 1)
+    free = replace(free, off_wall_m=off_m)
     for k, on in _judged(free, walls, room, _MIN_PATCHES, elsewhere=True):
         things = _things(free, room, k, on, expected.hanging_length_m)
         shared = np.linalg.norm(_shared(free, room, k, on))

@@ -41,16 +41,6 @@ class Found:
         """Normals (n, 3) of the patches."""
         return np.array([patch.normal for patch in self.patches])
 
-    @property
-    def before_walls(self) -> Found:
-        """Patches with a wall behind them, with that wall as their plane."""
-        which = [k for k, patch in enumerate(self.patches) if patch.wall >= 0]
-        return replace(
-            self,
-            patches=[replace(self.patches[k], on_wall=True) for k in which],
-            measurements=[self.measurements[k] for k in which],
-        )
-
 
 def find_again(
     panoramas: Sequence[Panorama],
