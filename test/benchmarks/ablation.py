@@ -58,13 +58,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     'contrast along the row': {
         f'{_LEARN}attention.selection:_MAX_BEARING_SIGMA_PX': BEST,
     },
-    'point symmetry': {f'{_ATTENTION}weight_symmetry': 0.0},
-    'radial symmetry': {f'{_ATTENTION}weight_radial_symmetry': 0.0},
-    'line symmetry': {f'{_ATTENTION}weight_line_symmetry': 0.0},
-    'all symmetries': {
-        f'{_ATTENTION}weight_{name}': 0.0
-        for name in ('symmetry', 'radial_symmetry', 'line_symmetry')
-    },
+    'symmetry': {f'{_ATTENTION}weight_symmetry': 0.0},
     'corners': {f'{_ATTENTION}weight_corners': 0.0},
     'edges': {f'{_ATTENTION}weight_edges': 0.0},
     'sizes of patches': {f'{_ATTENTION}size_max_px': 28},
