@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
-from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.arrays import Float32Array, IndexArray
 from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
-from landmark_nav.types import FloatArray, ImageArray
+from landmark_nav.types import FloatArray, Panorama
 
 # Overlap at the seam, and margin to uncovered parts, pixels: the support of a descriptor.
 _SEAM_PX, _MARGIN_PX = 48, 9
@@ -36,17 +35,9 @@ class Features:
         return len(self.rays)
 
 
-def find_features(grey: ImageArray, mask: BoolArray, cylinder: Cylinder, most: int) -> Features:
-    """
-    Find the strongest features of a panorama.
-
-    Parameters
-    ----------
-    grey : ndarray of uint8, shape (height, width)
-        Panorama of a full turn: the last column borders on the first.
-    mask : ndarray of bool, shape (height, width)
-        Covered pixels.
-    """
+def find_features(panorama: Panorama, most: int) -> Features:
+    """Find the strongest features of a panorama of a full turn."""
+    grey, mask = cv2.cvtColor(panorama.image, cv2.COLOR_BGR2GRAY), panorama.mask
     width = grey.shape[1]
     columns = np.arange(-_SEAM_PX, width + _SEAM_PX) % width
     kernel = np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)
@@ -59,7 +50,7 @@ def find_features(grey: ImageArray, mask: BoolArray, cylinder: Cylinder, most: i
     kept = (pixels[:, 0] >= -0.5) & (pixels[:, 0] < width - 0.5)
     histograms = descriptors[kept]
     root = np.sqrt(histograms / np.maximum(histograms.sum(1, keepdims=True), 1e-9))
-    return Features(cylinder.rays(pixels[kept]), np.asarray(root, dtype=np.float32))
+    return Features(panorama.cylinder.rays(pixels[kept]), np.asarray(root, dtype=np.float32))
 
 
 def alike(one: Features, other: Features, max_ratio: float) -> IndexArray:
