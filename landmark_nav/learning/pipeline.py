@@ -23,7 +23,6 @@ from landmark_nav.learning.adjustment import (
     AdjustmentConfig,
     CALIBRATED,
     depth_from_scale,
-    WallFitConfig,
 )
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
@@ -39,7 +38,7 @@ from landmark_nav.learning.reference_area import joint_covariance, ReferenceArea
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again, Found
-from landmark_nav.learning.stereo.ties import Ties
+from landmark_nav.learning.stereo.wall_patch import Ties
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
     Candidate,
@@ -70,7 +69,6 @@ class LearningConfig(Config):
     attention: AttentionConfig = field(default_factory=AttentionConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
-    wall_fit: WallFitConfig = field(default_factory=WallFitConfig)
     election: ElectionConfig = field(default_factory=ElectionConfig)
     reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
 
@@ -160,7 +158,7 @@ def learn_from_panoramas(
         hidden = ''
         if ties is None:  # with ties, walls are estimated, so that there are none to check
             behind = [patch.wall for patch in found.patches]
-            hidden = check_walls(free, behind, room, config.adjustment, config.wall_fit)
+            hidden = check_walls(free, behind, room, config.adjustment)
         adjustment = _adjust(found, panoramas, places, room, config.adjustment, ties)
         residuals = wall_residuals(adjustment, found.walls, room, config.adjustment)
         adjustment, free = depth_from_scale(
@@ -171,9 +169,7 @@ def learn_from_panoramas(
             config.adjustment,
             config.election.max_depth_sigma_m,
         )
-    uneven = wall_warnings(
-        residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
-    )
+    uneven = wall_warnings(residuals, adjustment.hanging_sigma_m, config.adjustment)
     warning = '; '.join(filter(None, [hidden, uneven]))
     if warning:
         _LOG.warning('%s', warning)

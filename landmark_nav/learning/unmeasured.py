@@ -40,8 +40,7 @@ from landmark_nav.learning.relative_pose import (
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.stereo.ties import Ties
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
 from landmark_nav.learning.sweep_pipeline import (
     panorama_from_sweep,
     PanoramaStages,

@@ -33,7 +33,7 @@ BEST = 1e9
 _LEARN, _FIND = 'landmark_nav.learning.', 'landmark_nav.localization.'
 _ATTENTION, _ELECT = f'{_LEARN}attention.maps:AttentionConfig.', f'{_LEARN}election:'
 _WALL = f'{_LEARN}stereo.wall_stereo:'
-_ADJUST = f'{_LEARN}adjustment.config:AdjustmentConfig.'
+_ADJUST = f'{_LEARN}adjustment.problem:AdjustmentConfig.'
 
 
 def _nothing(*_: object, **__: object) -> None:
@@ -45,7 +45,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     'depth from sizes': {f'{_WALL}log_nearer': lambda *_: (0.0, np.inf)},
     'quarters of a patch': {f'{_WALL}displaced_quarter': lambda *_: 0.0},
     'way back': {f'{_WALL}_MAX_RETURN_PX': BEST},
-    'one peak (stereo)': {f'{_LEARN}stereo.config:StereoConfig.max_second_ratio': 1.0},
+    'one peak (stereo)': {f'{_LEARN}stereo.wall_patch:StereoConfig.max_second_ratio': 1.0},
     'search off the walls': {f'{_LEARN}stereo.found_again:match_freely': lambda *_: Refusal('')},
     'exposures, vignetting': {
         f'{_LEARN}panorama.synthesis:PanoramaConfig.even_out': False,

@@ -47,8 +47,7 @@ from landmark_nav.learning.least_squares import (
     root_of,
     solve_positive,
 )
-from landmark_nav.learning.stereo.ties import Ties
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
 from landmark_nav.types import FloatArray
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig, WallFitConfig
+from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
     wall_residuals,
@@ -46,7 +46,7 @@ def placed(south: np.ndarray, along: np.ndarray, shared_m: float = 0.001) -> Adj
 def check(south: np.ndarray, along: np.ndarray, **options: float) -> str:
     free = placed(south, along, **options)
     walls = [0] * len(along) + [2] * 8
-    return check_walls(free, walls, ROOM, AdjustmentConfig(), WallFitConfig())
+    return check_walls(free, walls, ROOM, AdjustmentConfig())
 
 
 ALONG = np.linspace(0.5, 5.5, 12)
@@ -129,7 +129,7 @@ def warning(off_cm: list[float], shared_m: float = 0.002, hanging_m: float = 0.0
         WallResidual(name, 20, 5, off / 100.0, shared_m * np.eye(4)[k])
         for k, (name, off) in enumerate(zip('abcd', off_cm, strict=True))
     ]
-    return wall_warnings(walls, hanging_m, AdjustmentConfig(), WallFitConfig())
+    return wall_warnings(walls, hanging_m, AdjustmentConfig())
 
 
 def test_walls_measured_with_a_tape_are_not_flagged() -> None:
@@ -158,7 +158,7 @@ def test_things_that_hang_differently_far_flag_no_wall() -> None:
     assert warning([3.0, 0.2, 1.0, 0.4])
     assert not warning([3.0, 0.2, 1.0, 0.4], hanging_m=0.03)
     assert not warning([3.0, 0.2, 1.0, 0.4], shared_m=0.02)
-    assert not wall_warnings([], 0.001, AdjustmentConfig(), WallFitConfig())
+    assert not wall_warnings([], 0.001, AdjustmentConfig())
 
 
 # Frames of unequal depth: two patches on each of seven images.
@@ -181,8 +181,8 @@ def test_two_images_are_too_few_to_state_that_a_wall_is_turned() -> None:
 def test_walls_with_few_patches_are_reported_too() -> None:
     few = placed(np.array([0.14, 0.15, 0.145]), np.array([0.6, 3.0, 5.0]))
     walls = [0, 0, 0, *[2] * 8]
-    check_walls(few, walls, ROOM, AdjustmentConfig(), WallFitConfig())
+    check_walls(few, walls, ROOM, AdjustmentConfig())
     residuals = wall_residuals(few, walls, ROOM, AdjustmentConfig())
     assert {r.wall_id: r.patches for r in residuals} == {'south': 3, 'north': 8}
-    reported = wall_warnings(residuals, 0.01, AdjustmentConfig(), WallFitConfig())
+    reported = wall_warnings(residuals, 0.01, AdjustmentConfig())
     assert '14.5 cm before south' in reported

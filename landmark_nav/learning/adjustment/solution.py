@@ -16,16 +16,15 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment.config import AdjustmentConfig
 from landmark_nav.learning.adjustment.problem import (
+    AdjustmentConfig,
     Linearized,
     Problem,
     wall_stretches,
     Weights,
 )
 from landmark_nav.learning.least_squares import Damping, root_of
-from landmark_nav.learning.stereo.ties import Ties
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
 from landmark_nav.types import FloatArray, Panorama
 
 _MAX_ITERATIONS = 15

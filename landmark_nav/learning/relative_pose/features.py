@@ -14,8 +14,12 @@ import cv2
 import numpy as np
 
 from landmark_nav.arrays import Float32Array, IndexArray
-from landmark_nav.learning.relative_pose.config import RelativePoseConfig
-from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
+from landmark_nav.learning.relative_pose.epipolar import (
+    center,
+    RayPairs,
+    RelativePoseConfig,
+    turned,
+)
 from landmark_nav.types import FloatArray, Panorama
 
 # Overlap at the seam, and margin to uncovered parts, pixels: the support of a descriptor.

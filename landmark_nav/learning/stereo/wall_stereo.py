@@ -22,11 +22,11 @@ import numpy as np
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.stereo.config import StereoConfig
 from landmark_nav.learning.stereo.magnification import log_nearer
 from landmark_nav.learning.stereo.wall_patch import (
     covered_rows,
     PatchMeasurement,
+    StereoConfig,
     texels_per_pixel,
     wall_texture,
     WallPatch,
