@@ -127,13 +127,7 @@ def learn_from_panoramas(
         np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for p in panoramas
     ]
     with log.measure('attention'):
-        matched = [
-            ties.pixels(k, p.cylinder) if ties is not None else None
-            for k, p in enumerate(panoramas)
-        ]
-        attended = [
-            attend(p, config.attention, at) for p, at in zip(panoramas, matched, strict=True)
-        ]
+        attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
 
     if places is None:

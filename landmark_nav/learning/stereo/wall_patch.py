@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from landmark_nav.arrays import Float32Array
-from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import Candidate, FloatArray, Panorama
@@ -107,14 +106,6 @@ class Ties:
         """Points (m, 3) that a panorama shows."""
         shown = [panorama in {s.panorama for s in group} for group in self.measurements]
         return np.asarray(self.positions[np.array(shown, dtype=bool)])
-
-    def pixels(self, panorama: int, cylinder: Cylinder) -> FloatArray:
-        """Pixels (m, 2) of the points that a panorama shows."""
-        shown = [s for group in self.measurements for s in group if s.panorama == panorama]
-        azimuth, tangent = np.array([(s.azimuth_rad, s.tangent) for s in shown]).reshape(-1, 2).T
-        return np.stack(
-            [cylinder.column_of(azimuth) % cylinder.width, cylinder.row_of(tangent)], 1
-        )
 
 
 def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:
