@@ -15,7 +15,7 @@ from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import patch_axes
-from landmark_nav.geometry.se2 import compose, rotation, transform_points
+from landmark_nav.geometry.se2 import compose, rot_z, rotation
 from landmark_nav.matching import match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate, Refusal
 from landmark_nav.upkeep.comparison import resampled
@@ -129,8 +129,7 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
     The error of the alignment adds five factors that all its landmarks share.
     """
     scale, pose = alignment.scale, alignment.pose
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(pose[2])
+    turn = rot_z(pose[2])
     origin = np.array([*pose[:2], alignment.rise_m])
     root = np.linalg.cholesky(alignment.covariance)
 
@@ -161,7 +160,7 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
         return replace(place, pose=compose(pose, way), covariance=covariance)
 
     def ends(end: tuple[float, float]) -> tuple[float, float]:
-        x, y = transform_points(pose, scale * np.array(end)).tolist()
+        x, y, _ = placed(np.array([*end, 0.0])).tolist()
         return x, y
 
     known = b.calibration
@@ -298,16 +297,13 @@ def _fitted(
 ) -> FrameAlignment:
     """Pose and scale by Gauss-Newton from the inliers `agree`; inliers are updated each round."""
     chosen = matches.chosen(agree)
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(turn_rad)
-    state = np.array([*(chosen.in_a - chosen.in_b @ turn.T).mean(0), turn_rad, 0.0])
+    state = np.array([*(chosen.in_a - chosen.in_b @ rot_z(turn_rad).T).mean(0), turn_rad, 0.0])
     # Both frames are on the floor, except for the effect of the scale at a given camera height.
     height_sigma = np.hypot(_HEIGHT_SIGMA_M, scale_sigma * np.abs(matches.in_a[:, 2]).max())
     prior = np.diag([0.0, 0.0, height_sigma**-2, 0.0, scale_sigma**-2])
     spread = _FIRST_SPREAD
     for _ in range(_ROUNDS):
-        turn[:2, :2] = rotation(state[3])
-        scaled = np.exp(state[4]) * turn
+        scaled = np.exp(state[4]) * rot_z(state[3])
         ways = matches.in_b @ scaled.T
         off = matches.in_a - ways - state[:3]
         noise = a.covariances[matches.a] + scaled @ b.covariances[matches.b] @ scaled.T
