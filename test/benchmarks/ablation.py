@@ -55,9 +55,6 @@ LEARNING: dict[str, dict[str, Any]] = {
         f'{_LEARN}calibration.sweep_calibration:CalibrationConfig.enabled': False
     },
     'refusal of what is ambiguous': {f'{_LEARN}attention.attend:refusal': _nothing},
-    'contrast along the row': {
-        f'{_LEARN}attention.selection:_MAX_BEARING_SIGMA_PX': BEST,
-    },
     'symmetry': {f'{_ATTENTION}weight_symmetry': 0.0},
     'corners': {f'{_ATTENTION}weight_corners': 0.0},
     'edges': {f'{_ATTENTION}weight_edges': 0.0},

@@ -99,7 +99,7 @@ def test_concentric_target_is_always_selected(diameter, slant_deg, rings):
     assert rank < 12
 
 
-@pytest.mark.parametrize('noise', [0.0, 2.0, 6.0])
+@pytest.mark.parametrize('noise', [0.0, 2.0])
 def test_bare_wall_yields_nothing(noise):
     gray = plaster(np.random.default_rng(1), noise)
     assert attend(panorama(gray), AttentionConfig()).candidates == ()

@@ -11,7 +11,6 @@ from landmark_nav.learning.attention.selection import refusal
 from landmark_nav.types import Candidate
 
 WIDTH, HEIGHT = 600, 200
-LOW_CONTRAST = 'too little contrast along the row'
 AMBIGUOUS = 'looks like a place near by'
 
 
@@ -37,10 +36,6 @@ def test_unique_texture_is_accepted_anywhere():
 
 def pattern(kind):
     row, column = grid()
-    if kind == 'blank':
-        return np.full((HEIGHT, WIDTH), 150.0)
-    if kind == 'noise':
-        return 150.0 + np.random.default_rng(2).normal(0.0, 8.0, (HEIGHT, WIDTH))
     if kind == 'horizontal edge':
         return np.where(row < 100, 60.0, 200.0)
     if kind == 'horizontal bars':
@@ -55,22 +50,20 @@ def pattern(kind):
 
 
 @pytest.mark.parametrize(
-    ('kind', 'reason'),
+    'kind',
     [
-        ('blank', LOW_CONTRAST),
-        ('noise', LOW_CONTRAST),
-        ('horizontal edge', LOW_CONTRAST),
-        ('horizontal bars', LOW_CONTRAST),
-        ('slanted edge', LOW_CONTRAST),
-        ('vertical edge', AMBIGUOUS),
-        ('vertical bars', AMBIGUOUS),
-        ('checkerboard', AMBIGUOUS),
+        'horizontal edge',
+        'horizontal bars',
+        'slanted edge',
+        'vertical edge',
+        'vertical bars',
+        'checkerboard',
     ],
 )
-def test_what_could_be_mistaken_is_refused(kind, reason):
+def test_what_could_be_mistaken_is_refused(kind):
     found = judge(pattern(kind))
     assert found is not None
-    assert found.reason == reason
+    assert found.reason == AMBIGUOUS
 
 
 def test_a_copy_is_found_near_by_round_the_seam_but_not_far_away():

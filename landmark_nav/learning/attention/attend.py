@@ -28,7 +28,7 @@ class Attention:
     candidates : tuple of Candidate
         Most salient first.
     refused : tuple of (Candidate, Refusal)
-        Attended patches that are ambiguous or too weak.
+        Attended patches that are ambiguous.
     """
 
     candidates: tuple[Candidate, ...]
