@@ -66,6 +66,12 @@ def test_what_could_be_mistaken_is_refused(kind):
     assert found.reason == AMBIGUOUS
 
 
+def test_a_blank_patch_is_refused():
+    found = judge(np.full((HEIGHT, WIDTH), 150.0))
+    assert found is not None
+    assert found.reason == 'too little contrast'
+
+
 def test_a_copy_is_found_near_by_round_the_seam_but_not_far_away():
     gray = texture()
     patch = gray[84:116, 0:32].copy()

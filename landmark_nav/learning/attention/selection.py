@@ -197,6 +197,8 @@ def _sums(band: FloatArray, columns: IndexArray, width: int) -> FloatArray:
 _SAME_PLACE = 0.25
 # Largest correlation with a neighbouring position (docs/decisions.md, attention).
 _MAX_SIMILARITY = 0.75
+# Least standard deviation of a patch, grey levels: a match needs 4.
+_MIN_CONTRAST = 5.0
 
 
 def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> Refusal | None:
@@ -210,6 +212,9 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     """
     window, column, row = _neighborhood(candidate, gray, config)
     patch = window[row : row + candidate.height_px, column : column + candidate.width_px]
+    contrast = float(np.std(patch))
+    if contrast < _MIN_CONTRAST:
+        return Refusal('too little contrast', f'{contrast:.1f} grey levels')
     score = cv2.matchTemplate(window, np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)
     columns_away = np.abs(np.arange(score.shape[1]) - column)
     rows_away = np.abs(np.arange(score.shape[0]) - row)

@@ -42,8 +42,6 @@ class RelativePoseConfig(Config):
     min_matches: int = 20
     # Greatest support of another relative pose, relative to that of the best.
     max_rival: float = 0.8
-    # Least distance between two sweeps that give the scale.
-    min_baseline_m: float = 0.2
 
 
 # State of a sweep: x, y, heading of the base, height above the others, tilt about x and y.
