@@ -93,8 +93,8 @@ class StripView:
         """
         Turn of the camera from one strip to another, rad, counter-clockwise, and its score.
 
-        The turn is that of the largest likelihood ratio, the score the normalised cross-correlation
-        of its overlap. The turn is NaN if the overlap or the score is too small.
+        The turn has the largest likelihood ratio. The score is the normalised cross-correlation of
+        the overlap. The turn is NaN if the overlap or the score is too small.
         """
         shifts = np.arange(-_COLUMNS, _COLUMNS)
         product = fft.irfft((first[0] * np.conj(second[0])).sum(0), 2 * _COLUMNS)

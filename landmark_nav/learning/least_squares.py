@@ -142,35 +142,21 @@ def levenberg_marquardt(
     information : ndarray, shape (n, n)
     """
     damping = Damping()
-    state, here = start, linearize(start)
+    state, (residuals, jacobian) = start, linearize(start)
     for _ in range(_ITERATIONS):
-        cost = float(here[0] @ here[0])
-        tried, there = _next_state(linearize, state, here, damping)
-        if there is None:
+        cost = float(residuals @ residuals)
+        normal, slope = jacobian.T @ jacobian, jacobian.T @ residuals
+        tried, there = state, (residuals, jacobian)
+
+        def cost_with(by: float) -> float:
+            nonlocal tried, there
+            tried = state - solve_positive(normal + by * np.diag(np.diag(normal)), slope)  # noqa: B023
+            there = linearize(tried)
+            return float(there[0] @ there[0])
+
+        if not damping.lowers(cost_with, cost):
             break
-        state, here = tried, there
-        if cost - here[0] @ here[0] < _MIN_DECREASE:
+        state, (residuals, jacobian) = tried, there
+        if cost - residuals @ residuals < _MIN_DECREASE:
             break
-    residuals, jacobian = here
     return state, float(residuals @ residuals), jacobian.T @ jacobian
-
-
-def _next_state(
-    linearize: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
-    state: FloatArray,
-    here: tuple[FloatArray, FloatArray],
-    damping: Damping,
-) -> tuple[FloatArray, tuple[FloatArray, FloatArray] | None]:
-    """The next state and its linearization, or None if no step lowers the cost."""
-    residuals, jacobian = here
-    normal, slope = jacobian.T @ jacobian, jacobian.T @ residuals
-    tried, there = state, here
-
-    def cost_with(by: float) -> float:
-        nonlocal tried, there
-        tried = state - solve_positive(normal + by * np.diag(np.diag(normal)), slope)
-        there = linearize(tried)
-        return float(there[0] @ there[0])
-
-    lower = damping.lowers(cost_with, float(residuals @ residuals))
-    return tried, there if lower else None

@@ -23,7 +23,6 @@ from landmark_nav.learning.adjustment import (
     AdjustmentConfig,
     CALIBRATED,
     depth_from_scale,
-    WallFitConfig,
 )
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
@@ -39,7 +38,7 @@ from landmark_nav.learning.reference_area import joint_covariance, ReferenceArea
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again, Found
-from landmark_nav.learning.stereo.ties import Ties
+from landmark_nav.learning.stereo.wall_patch import Ties
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
     Candidate,
@@ -70,7 +69,6 @@ class LearningConfig(Config):
     attention: AttentionConfig = field(default_factory=AttentionConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
-    wall_fit: WallFitConfig = field(default_factory=WallFitConfig)
     election: ElectionConfig = field(default_factory=ElectionConfig)
     reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
 
@@ -129,13 +127,7 @@ def learn_from_panoramas(
         np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for p in panoramas
     ]
     with log.measure('attention'):
-        matched = [
-            ties.pixels(k, p.cylinder) if ties is not None else None
-            for k, p in enumerate(panoramas)
-        ]
-        attended = [
-            attend(p, config.attention, at) for p, at in zip(panoramas, matched, strict=True)
-        ]
+        attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
 
     if places is None:
@@ -156,12 +148,22 @@ def learn_from_panoramas(
             'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        adjustment, free, residuals, hidden = _adjusted(
-            found, panoramas, places, room, config, ties
+        free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
+        hidden = ''
+        if ties is None:  # with ties, walls are estimated, so that there are none to check
+            behind = [patch.wall for patch in found.patches]
+            hidden = check_walls(free, behind, room, config.adjustment)
+        adjustment = _adjust(found, panoramas, places, room, config.adjustment, ties)
+        residuals = wall_residuals(adjustment, found.walls, room, config.adjustment)
+        adjustment, free = depth_from_scale(
+            adjustment,
+            free,
+            found.measurements,
+            found.normals,
+            config.adjustment,
+            config.election.max_depth_sigma_m,
         )
-    uneven = wall_warnings(
-        residuals, adjustment.hanging_sigma_m, config.adjustment, config.wall_fit
-    )
+    uneven = wall_warnings(residuals, adjustment.hanging_sigma_m, config.adjustment)
     warning = '; '.join(filter(None, [hidden, uneven]))
     if warning:
         _LOG.warning('%s', warning)
@@ -244,36 +246,6 @@ def _adjust(
         found.normals,
         ties,
     )
-
-
-def _adjusted(
-    found: Found,
-    panoramas: Sequence[Panorama],
-    places: FloatArray,
-    room: Room,
-    config: LearningConfig,
-    ties: Ties | None,
-) -> tuple[Adjustment, Adjustment, tuple[WallResidual, ...], str]:
-    """Adjustment with walls, that without walls, distances from the walls, and a warning."""
-    without_walls = _without_walls(config)
-    hidden = ''
-    if ties is None:  # with ties, walls are estimated, so that there are none to check
-        behind = found.before_walls
-        placed = _adjust(behind, panoramas, places, room, without_walls, ties)
-        hidden = check_walls(placed, behind.walls, room, config.adjustment, config.wall_fit)
-    walls = found.walls
-    free = _adjust(found, panoramas, places, room, without_walls, ties)
-    adjustment = _adjust(found, panoramas, places, room, config.adjustment, ties)
-    residuals = wall_residuals(adjustment, walls, room, config.adjustment)
-    adjustment, free = depth_from_scale(
-        adjustment,
-        free,
-        found.measurements,
-        found.normals,
-        config.adjustment,
-        config.election.max_depth_sigma_m,
-    )
-    return adjustment, free, residuals, hidden
 
 
 def _calibration(

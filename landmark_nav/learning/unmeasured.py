@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 import logging
 
-import cv2
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
@@ -41,8 +40,7 @@ from landmark_nav.learning.relative_pose import (
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.stereo.ties import Ties
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
 from landmark_nav.learning.sweep_pipeline import (
     panorama_from_sweep,
     PanoramaStages,
@@ -139,15 +137,7 @@ def locate(
         )
     log = log or StageLog()
     with log.measure('relative_poses'):
-        features = [
-            find_features(
-                np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY)),
-                p.mask,
-                p.cylinder,
-                config.relative_pose.features,
-            )
-            for p in panoramas
-        ]
+        features = [find_features(p, config.relative_pose.features) for p in panoramas]
         sheets = [find_sheets(p, config.sheets) for p in panoramas]
         poses = relative_poses(features, known, lever, config.relative_pose, sheets, before)
     with log.measure('facades'):

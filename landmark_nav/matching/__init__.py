@@ -7,16 +7,14 @@ localizer matches camera images.
 
 from __future__ import annotations
 
-from landmark_nav.matching.alignment import blur_by, blur_sigmas, blur_to, sigmas_of
-from landmark_nav.matching.correlation import Match, match_template, match_templates, Query
+from landmark_nav.matching.alignment import blur_by, blur_sigmas, blur_to, Match, sigmas_of
+from landmark_nav.matching.correlation import match_template
 
 __all__ = [
     'Match',
-    'Query',
     'blur_by',
     'blur_sigmas',
     'blur_to',
     'match_template',
-    'match_templates',
     'sigmas_of',
 ]

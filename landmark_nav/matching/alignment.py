@@ -17,10 +17,9 @@ Econometrica 48(4), 1980; Liang and Zeger, Biometrika 73(1), 1986).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 import math
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -90,62 +89,124 @@ _FLOOR_PX2 = np.diag([0.02**2, 0.02**2])
 _PARTS, _USED_FREEDOM = 4, 4 + 2
 # Relative excess over the variance by white noise that chance causes in one of ten cases.
 _CHANCE_EXCESS = 0.5
+_ITERATIONS = 12
+_CONVERGED_PX = 2e-3
+# Largest shift from the start, along each axis.
+_MAX_SHIFT_PX = 2.0
+_TINY = 1e-12
+# Kernels over a pixel and its neighbours: the gradients, the pixel itself, and the second
+# differences, which are the effect of a small blur.
+_STENCILS = np.array(
+    [
+        [[0, 0, 0], [-0.5, 0, 0.5], [0, 0, 0]],
+        [[0, -0.5, 0], [0, 0, 0], [0, 0.5, 0]],
+        [[0, 0, 0], [0, 1, 0], [0, 0, 0]],
+        [[0, 0, 0], [1, -2, 1], [0, 0, 0]],
+        [[0, 1, 0], [0, -2, 0], [0, 1, 0]],
+    ],
+    dtype=np.float32,
+).reshape(5, 9)
 
 
-class _Fits(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Match:
     """
-    Results of n alignments, from which their covariances follow.
+    A template found in a search image.
 
-    `sizes` are width and height; `rows` (5, pixels) those of `_rows`; `seen` (pixels,) the aligned
-    part of the image without its mean; `xy` (n, 2) the centres; `gain` (n,); `squared_residuals`
-    (n,) their sums; `gradient_gain` (n, 2) the regression coefficients of the gradients on the
-    template; `inverse` (n, 2, 2) the inverse normal matrices; `blurs` the earlier blurs of the
-    search images.
+    `xy` (2,) is the centre of the template in the search image, pixels (fractional); `covariance`
+    (2, 2) its covariance; `score` the normalized cross-correlation there. `blur_px2` (2,) is the
+    variance of the blur of the search image relative to the template, across and down; negative
+    if the template is more blurred. It includes the blur by interpolation, f (1 - f) at a fraction
+    f of a pixel.
     """
 
-    sizes: list[tuple[int, int]]
-    rows: list[Float32Array]
-    seen: list[Float32Array]
     xy: FloatArray
-    gain: FloatArray
-    squared_residuals: FloatArray
-    gradient_gain: FloatArray
-    inverse: FloatArray
-    blurs: list[Pair]
+    covariance: FloatArray
+    score: float
+    blur_px2: FloatArray
 
 
-def covariances(fits: _Fits) -> FloatArray:
-    """Covariances (n, 2, 2) of the centres."""
-    n = len(fits.rows)
-    without_gain = np.zeros((n, 2, 3), np.float32)
-    without_gain[:, :, :2], without_gain[:, :, 2] = np.eye(2), -fits.gradient_gain
-    gradients = [each @ rows[:3] for each, rows in zip(without_gain, fits.rows, strict=True)]
-    corners = fits.xy - 0.5 * (np.array(fits.sizes) - 1)
-    fractions = np.round(corners % 1.0, 1).tolist()
-    noise_passed = np.array(
-        [
-            _noise_passed(*each)
-            for each in zip(gradients, fits.sizes, fractions, fits.blurs, strict=True)
-        ]
+def align(
+    search: Float32Array, template: Float32Array, start: tuple[float, float], search_blur: Pair
+) -> Match | None:
+    """
+    Align a template with an image; None if it does not converge, or to a negative correlation.
+
+    Parameters
+    ----------
+    search, template : ndarray
+        Float32 images, blurred by `for_matching`.
+    start : tuple of float
+        Column and row of the template's upper left corner.
+    search_blur : tuple of float
+        Gaussian sigmas of the earlier blur of the search image, pixels.
+    """
+    size = template.shape[1] - 2, template.shape[0] - 2
+    rows = _rows(template)
+    normal = np.asarray(rows @ rows.T, dtype=np.float64)
+    power = max(float(normal[2, 2]), _TINY)
+    # Regression of the gradients on the template.
+    gradient_gain = normal[:2, 2] / power
+    hessian = normal[:2, :2] - gradient_gain[:, None] * normal[2, :2]
+    inverse = _inverse(hessian)
+    (xx, xy), (_, yy) = inverse.tolist()
+    xr, yr = normal[2, :2].tolist()
+    x0, y0 = start[0] + 0.5 * (size[0] + 1), start[1] + 0.5 * (size[1] + 1)
+    x, y = x0, y0
+    for _ in range(_ITERATIONS):
+        seen = np.asarray(cv2.getRectSubPix(search, size, (x, y)), dtype=np.float32).ravel()
+        by_x, by_y, by_reference = (rows[:3] @ seen).tolist()
+        if not by_reference > 0.0:
+            return None
+        # value(x) ~ gain * reference(x - d) + offset
+        gain = by_reference / power
+        right, down = by_x / gain - xr, by_y / gain - yr
+        step_x, step_y = -xx * right - xy * down, -xy * right - yy * down
+        x, y = x + step_x, y + step_y
+        if not (abs(x - x0) < _MAX_SHIFT_PX and abs(y - y0) < _MAX_SHIFT_PX):
+            return None
+        if abs(step_x) + abs(step_y) < _CONVERGED_PX:
+            break
+    seen -= seen.sum() / seen.size
+    total = max(float(seen @ seen), _TINY)
+    # The last step explains a part of the residuals.
+    explained = power - step_x * right - step_y * down
+    variance = max(total / gain**2 - explained, 0.0) / max(seen.size - 4, 1)
+    gradients = rows[:2] - gradient_gain.astype(np.float32)[:, None] * rows[2]
+    contributions = gradients * (seen / np.float32(gain) - rows[2])
+    fraction = (x - 0.5 * (size[0] - 1)) % 1.0, (y - 0.5 * (size[1] - 1)) % 1.0
+    passed = _noise_passed(gradients, size, fraction, search_blur)
+    by_noise = variance * (inverse @ passed @ inverse)
+    by_parts = inverse @ _cluster_sum(contributions, size) @ inverse
+    ratio = by_parts.diagonal() / np.maximum(by_noise.diagonal(), _TINY)
+    inflation = np.sqrt(np.maximum(ratio - _CHANCE_EXCESS, 1.0))
+    return Match(
+        np.array([x, y]),
+        by_noise * inflation[:, None] * inflation + _FLOOR_PX2,
+        gain * math.sqrt(power / total),
+        _relative_blur(normal, np.asarray(rows @ seen, dtype=np.float64)),
     )
-    contributions = [
-        gradient * (seen / gain - rows[2])
-        for gradient, seen, gain, rows in zip(
-            gradients, fits.seen, fits.gain.astype(np.float32), fits.rows, strict=True
-        )
-    ]
-    cluster_sums = np.array(
-        [_cluster_sum(*each) for each in zip(contributions, fits.sizes, strict=True)]
-    )
-    freedom = np.array([max(seen.size - 4, 1) for seen in fits.seen])
-    variance = fits.squared_residuals / freedom / fits.gain**2
-    # The rows hold twice the gradients.
-    covariance = 0.25 * variance[:, None, None] * (fits.inverse @ noise_passed @ fits.inverse)
-    cluster_covariance = 0.25 * (fits.inverse @ cluster_sums @ fits.inverse)
-    noise = np.maximum(np.diagonal(covariance, axis1=1, axis2=2), _TINY)
-    excess = np.diagonal(cluster_covariance, axis1=1, axis2=2) / noise - _CHANCE_EXCESS
-    inflation = np.sqrt(np.maximum(excess, 1.0))
-    return np.asarray(covariance * inflation[:, :, None] * inflation[:, None] + _FLOOR_PX2)
+
+
+def _rows(template: Float32Array) -> Float32Array:
+    """
+    Products of `_STENCILS` with the inner pixels of a template, without their means, (5, pixels).
+
+    Without the means, the offset drops out, and each step is one product with the image.
+    """
+    height, width = template.shape[0] - 2, template.shape[1] - 2
+    shifted = as_strided(template, (3, 3, height, width), 2 * template.strides)
+    rows = _STENCILS @ shifted.reshape(9, -1)
+    rows -= rows.sum(axis=1, keepdims=True) / rows.shape[1]
+    return np.asarray(rows, dtype=np.float32)
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Inverse of a symmetric matrix (2, 2); NaN where it is near singular."""
+    (xx, xy), (_, yy) = matrix.tolist()
+    determinant = xx * yy - xy * xy
+    scale = 1.0 / determinant if determinant > 1e-6 * (xx + yy) ** 2 else math.nan
+    return np.array([[yy * scale, -xy * scale], [-xy * scale, xx * scale]])
 
 
 def _noise_passed(
@@ -156,16 +217,17 @@ def _noise_passed(
 ) -> FloatArray:
     """``G B B^T G^T`` (2, 2) over the sum of the squares of B's kernel; gradients (2, pixels)."""
     width, height = size
-    across = _noise_correlation(round(search_blur[0], 1), fraction[0], width)
-    down = _noise_correlation(round(search_blur[1], 1), fraction[1], height)
+    across = _noise_correlation(search_blur[0], fraction[0], width)
+    down = _noise_correlation(search_blur[1], fraction[1], height)
     noise_passed = down @ gradients.reshape(2, height, width) @ across
     return np.asarray(gradients @ noise_passed.reshape(2, -1).T, dtype=np.float64)
 
 
 def _noise_correlation(blur_px: float, fraction: float, count: int) -> Float32Array:
     """Correlation (count, count) of the noise of pixels in a row after blur and interpolation."""
-    # Sizes are rounded to powers of two, so that most of them are in the cache.
-    return _correlations(blur_px, fraction, 1 << (count - 1).bit_length())[:count, :count]
+    # Rounded, and sizes to powers of two, so that most of them are in the cache.
+    size = 1 << (count - 1).bit_length()
+    return _correlations(round(blur_px, 1), round(fraction, 1), size)[:count, :count]
 
 
 @lru_cache(maxsize=256)
@@ -193,186 +255,17 @@ def _cluster_sum(contributions: Float32Array, size: tuple[int, int]) -> FloatArr
     return np.asarray(free * (means @ means.T), dtype=np.float64)
 
 
-_ITERATIONS = 12
-_CONVERGED_PX = 2e-3
-# Largest shift from the start, along each axis.
-_MAX_SHIFT_PX = 2.0
-_TINY = 1e-12
-# Kernels over a pixel and its neighbours: twice the gradients, the pixel itself, and the second
-# differences, which are the effect of a small blur.
-_STENCILS = np.array(
-    [
-        [[0, 0, 0], [-1, 0, 1], [0, 0, 0]],
-        [[0, -1, 0], [0, 0, 0], [0, 1, 0]],
-        [[0, 0, 0], [0, 1, 0], [0, 0, 0]],
-        [[0, 0, 0], [1, -2, 1], [0, 0, 0]],
-        [[0, 1, 0], [0, -2, 0], [0, 1, 0]],
-    ],
-    dtype=np.float32,
-).reshape(5, 9)
-
-
-class Alignment(NamedTuple):
-    """
-    Centres of m templates in their images, `xy` (m, 2).
-
-    `indices` (m,) are the indices of the aligned templates: alignment of the others failed.
-    `covariance` (m, 2, 2) is that of `xy`; `score` (m,) is the normalized cross-correlation there;
-    `blur_px2` (m, 2) is the variance of the blur of the image relative to the template.
-    """
-
-    indices: list[int]
-    xy: FloatArray
-    covariance: FloatArray
-    score: FloatArray
-    blur_px2: FloatArray
-
-
-def align(
-    searches: Sequence[Float32Array],
-    templates: Sequence[Float32Array],
-    starts: Sequence[tuple[float, float]],
-    search_blurs: Sequence[Pair],
-) -> Alignment:
-    """
-    Align n templates with their images.
-
-    Parameters
-    ----------
-    searches, templates : sequence of ndarray
-        Float32 images, blurred by `for_matching`.
-    starts : sequence of tuple of float
-        Column and row of each template's upper left corner.
-    search_blurs : sequence of tuple of float
-        Gaussian sigmas of the earlier blur of each search image, pixels.
-    """
-    n = len(templates)
-    sizes = [(template.shape[1] - 2, template.shape[0] - 2) for template in templates]
-    rows = [_rows(template) for template in templates]
-    normal = np.array([each @ each.T for each in rows], dtype=np.float64).reshape(n, 5, 5)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        # Regression of the gradients (half of the first two rows) on the template.
-        gradient_gain = normal[:, :2, 2] / normal[:, 2, 2, None]
-        hessian = 0.25 * (normal[:, :2, :2] - gradient_gain[:, :, None] * normal[:, None, 2, :2])
-        inverse = _inverse(hessian)
-    terms = np.concatenate([normal[:, 2, :3], inverse.reshape(n, 4)], axis=1).tolist()
-    shifted = [_shifted(*each) for each in zip(searches, sizes, rows, starts, terms, strict=True)]
-    good = [k for k, shift in enumerate(shifted) if shift is not None]
-    if not good:
-        return Alignment([], np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty((0, 2)))
-
-    shifts = [shift for shift in shifted if shift is not None]
-    xy, step = np.array([shift.xy for shift in shifts]), np.array([shift.step for shift in shifts])
-    gain = np.array([shift.gain for shift in shifts])
-    seen = [_without_mean(shift.seen) for shift in shifts]
-    rows = [rows[k] for k in good]
-    normal, hessian, inverse, gradient_gain = (
-        a[good] for a in (normal, hessian, inverse, gradient_gain)
-    )
-    total = np.array([float(each @ each) for each in seen])
-    power = normal[:, 2, 2]
-    step_power = ((step[:, None] @ hessian)[:, 0] * step).sum(axis=-1)
-    fits = _Fits(
-        [sizes[k] for k in good],
-        rows,
-        seen,
-        xy,
-        gain,
-        np.maximum(total - gain**2 * (power + step_power), 0.0),
-        gradient_gain,
-        inverse,
-        [search_blurs[k] for k in good],
-    )
-    image_products = np.array([its_rows @ each for its_rows, each in zip(rows, seen, strict=True)])
-    return Alignment(
-        good,
-        xy,
-        covariances(fits),
-        gain * np.sqrt(power / np.maximum(total, _TINY)),
-        _relative_blur(normal, image_products.astype(np.float64)),
-    )
-
-
-def _rows(template: Float32Array) -> Float32Array:
-    """
-    Products of `_STENCILS` with the inner pixels of a template, without their means, (5, pixels).
-
-    Without the means, the offset drops out, and each step is one product with the image.
-    """
-    height, width = template.shape[0] - 2, template.shape[1] - 2
-    shifted = as_strided(template, (3, 3, height, width), 2 * template.strides)
-    rows = _STENCILS @ shifted.reshape(9, -1)
-    rows -= rows.sum(axis=1, keepdims=True) / rows.shape[1]
-    return np.asarray(rows, dtype=np.float32)
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of symmetric matrices (n, 2, 2); NaN where they are near singular."""
-    xx, xy, yy = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
-    determinant = xx * yy - xy * xy
-    determinant[~(determinant > 1e-6 * (xx + yy) ** 2)] = np.nan
-    adjugate = np.array([[yy, -xy], [-xy, xx]]).transpose(2, 0, 1)
-    return np.asarray(adjugate / determinant[:, None, None])
-
-
-class _Shift(NamedTuple):
-    """Centre of a template, the last step, and the image at the position before that step."""
-
-    xy: tuple[float, float]
-    step: tuple[float, float]
-    gain: float
-    seen: Float32Array
-
-
-def _shifted(
-    search: Float32Array,
-    size: tuple[int, int],
-    rows: Float32Array,
-    start: tuple[float, float],
-    terms: Sequence[float],
-) -> _Shift | None:
-    """
-    Align one template; None if it does not converge nearby or the correlation is negative.
-
-    `terms` (7,) are the products of the template with its doubled gradients and itself, and the
-    inverse of the Hessian.
-    """
-    xr, yr, power, xx, xy, _, yy = terms
-    x0, y0 = start[0] + 0.5 * (size[0] + 1), start[1] + 0.5 * (size[1] + 1)
-    x, y = x0, y0
-    for _ in range(_ITERATIONS):
-        seen = np.asarray(cv2.getRectSubPix(search, size, (x, y)), dtype=np.float32).ravel()
-        by_x, by_y, by_reference = (rows[:3] @ seen).tolist()
-        if not by_reference > 0.0:
-            return None
-        # value(x) ~ gain * reference(x - d) + offset
-        gain = by_reference / power
-        right, down = 0.5 * (by_x / gain - xr), 0.5 * (by_y / gain - yr)
-        step_x, step_y = -xx * right - xy * down, -xy * right - yy * down
-        x, y = x + step_x, y + step_y
-        if not (abs(x - x0) < _MAX_SHIFT_PX and abs(y - y0) < _MAX_SHIFT_PX):
-            return None
-        if abs(step_x) + abs(step_y) < _CONVERGED_PX:
-            break
-    return _Shift((x, y), (step_x, step_y), gain, seen)
-
-
-def _without_mean(values: Float32Array) -> Float32Array:
-    return np.asarray(values - values.sum() / values.size, dtype=np.float32)
-
-
 def _relative_blur(normal: FloatArray, image_products: FloatArray) -> FloatArray:
     """
-    Variance (n, 2) of the blur of images relative to their templates, to first order.
+    Variance (2,) of the blur of an image relative to its template, to first order.
 
     A Gaussian of variance v adds v / 2 times the second derivative. The coefficients follow by
-    regression from the products of `_rows` with each other (n, 5, 5) and with the image (n, 5).
+    regression from the products of `_rows` with each other (5, 5) and with the image (5,).
     """
-    power, reference = normal[:, 2, 2], image_products[:, 2]
-    projection = normal[:, 3:, 2] / power[:, None]
-    curvature = normal[:, 3:, 3:] - projection[:, :, None] * normal[:, None, 2, 3:]
-    seen = image_products[:, 3:] - projection * reference[:, None]
+    power, reference = normal[2, 2], image_products[2]
+    projection = normal[3:, 2] / power
+    curvature = normal[3:, 3:] - projection[:, None] * normal[2, 3:]
     # Regularised: a texture that is constant along one axis does not determine its blur.
-    curvature += 1e-3 * (curvature[:, 0, 0] + curvature[:, 1, 1])[:, None, None] * np.eye(2)
-    coefficients = (_inverse(curvature) @ seen[..., None])[..., 0]
-    return np.asarray(2.0 * (power / reference)[:, None] * coefficients)
+    curvature += 1e-3 * np.trace(curvature) * np.eye(2)
+    seen = image_products[3:] - projection * reference
+    return np.asarray(2.0 * power / reference * (_inverse(curvature) @ seen))

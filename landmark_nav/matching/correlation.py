@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from landmark_nav.arrays import Float32Array, FloatArray
-from landmark_nav.matching.alignment import align, for_matching, Pair
+from landmark_nav.arrays import Float32Array
+from landmark_nav.matching.alignment import align, for_matching, Match, Pair
 from landmark_nav.types import Refusal, RefusalCode
 
 # Smallest standard deviation of a template, grey levels.
@@ -18,9 +16,16 @@ _MIN_CONTRAST = 4.0
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
-class Query(NamedTuple):
+def match_template(
+    search: Float32Array,
+    template: Float32Array,
+    *,
+    min_score: float = 0.7,
+    max_second_ratio: float = 0.9,
+    search_blur: Pair = (0.0, 0.0),
+) -> Match | Refusal:
     """
-    A template, and the image to search.
+    Find a template by normalized cross-correlation and align it to sub-pixel.
 
     Parameters
     ----------
@@ -36,99 +41,27 @@ class Query(NamedTuple):
         Gaussian sigmas of the earlier blur of the search image, across and down, pixels; its noise
         is correlated accordingly.
     """
-
-    search: Float32Array
-    template: Float32Array
-    min_score: float = 0.7
-    max_second_ratio: float = 0.9
-    search_blur: Pair = (0.0, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Match:
-    """
-    A template found in a search image.
-
-    `xy` (2,) is the centre of the template in the search image, pixels (fractional); `covariance`
-    (2, 2) its covariance; `score` the normalized cross-correlation there. `blur_px2` (2,) is the
-    variance of the blur of the search image relative to the template, across and down; negative
-    if the template is more blurred. It includes the blur by interpolation, f (1 - f) at a fraction
-    f of a pixel.
-    """
-
-    xy: FloatArray
-    covariance: FloatArray
-    score: float
-    blur_px2: FloatArray
-
-
-def match_template(
-    search: Float32Array,
-    template: Float32Array,
-    *,
-    min_score: float = 0.7,
-    max_second_ratio: float = 0.9,
-) -> Match | Refusal:
-    """Find one template: `match_templates` of one `Query`."""
-    return match_templates([Query(search, template, min_score, max_second_ratio)])[0]
-
-
-def match_templates(queries: Sequence[Query]) -> list[Match | Refusal]:
-    """
-    Find templates by normalized cross-correlation and align them to sub-pixel.
-
-    Each step is done for all queries before the next, which is 1.5 times faster than query by
-    query (caches).
-    """
-    searches = [for_matching(query.search) for query in queries]
-    templates = [for_matching(query.template) for query in queries]
-    scores = [
-        np.asarray(cv2.matchTemplate(search, template, cv2.TM_CCOEFF_NORMED), dtype=np.float32)
-        for search, template in zip(searches, templates, strict=True)
-    ]
-    outcome = [_peak(*each) for each in zip(queries, scores, strict=True)]
-    peaks = [(k, peak) for k, peak in enumerate(outcome) if isinstance(peak, _Peak)]
-    aligned = align(
-        [searches[k] for k, _ in peaks],
-        [templates[k] for k, _ in peaks],
-        [_parabola_peak(scores[k], peak.column, peak.row) for k, peak in peaks],
-        [queries[k].search_blur for k, _ in peaks],
-    )
-    matches: dict[int, Match] = {}
-    for index, xy, covariance, score, blur_px2 in zip(*aligned, strict=True):
-        k, peak = peaks[index]
-        matches[k] = Match(xy, covariance, max(peak.score, float(score)), blur_px2)
-    return [
-        matches.get(k, Refusal('alignment failed')) if isinstance(peak, _Peak) else peak
-        for k, peak in enumerate(outcome)
-    ]
-
-
-class _Peak(NamedTuple):
-    column: int
-    row: int
-    score: float
-
-
-def _peak(query: Query, scores: Float32Array) -> _Peak | Refusal:
-    """The peak of the scores, if it is unambiguous."""
-    contrast = float(cv2.meanStdDev(query.template)[1][0, 0])
+    contrast = float(cv2.meanStdDev(template)[1][0, 0])
     if contrast < _MIN_CONTRAST:
         return Refusal('blank template', f'contrast {contrast:.1f}')
+    search, template = for_matching(search), for_matching(template)
+    found = cv2.matchTemplate(search, template, cv2.TM_CCOEFF_NORMED)
+    scores = np.asarray(found, dtype=np.float32)
     _, score, _, (column, row) = cv2.minMaxLoc(scores)
-    if score < query.min_score:
+    if score < min_score:
         return Refusal(
-            'low correlation',
-            f'{score:.2f} < {query.min_score:.2f}',
-            RefusalCode.LOW_CORRELATION,
+            'low correlation', f'{score:.2f} < {min_score:.2f}', RefusalCode.LOW_CORRELATION
         )
     if not (0 < column < scores.shape[1] - 1 and 0 < row < scores.shape[0] - 1):
         return Refusal('peak at the border of the search window')
-    limit = query.max_second_ratio * score
-    second = _second_peak(scores, column, row, query.template.shape, limit)
+    limit = max_second_ratio * score
+    second = _second_peak(scores, column, row, template.shape, limit)
     if second > limit:
         return Refusal('ambiguous', f'second peak {second:.2f} of {score:.2f}')
-    return _Peak(column, row, float(score))
+    match = align(search, template, _parabola_peak(scores, column, row), search_blur)
+    if match is None:
+        return Refusal('alignment failed')
+    return replace(match, score=max(score, match.score))
 
 
 def _second_peak(

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import patch_axes
-from landmark_nav.geometry.se2 import compose, rotation, transform_points
-from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.geometry.se2 import compose, rot_z, rotation
+from landmark_nav.matching import match_template
+from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate, Refusal
 from landmark_nav.upkeep.comparison import resampled
 
 # Share of a patch that is the template, the least correlation, and the least size of a template.
@@ -75,10 +75,10 @@ class _Matches:
     in_a: FloatArray
     in_b: FloatArray
     turn_rad: FloatArray
-    a: npt.NDArray[np.intp]
-    b: npt.NDArray[np.intp]
+    a: IndexArray
+    b: IndexArray
 
-    def chosen(self, which: npt.NDArray[np.bool_]) -> _Matches:
+    def chosen(self, which: BoolArray) -> _Matches:
         return _Matches(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
     @property
@@ -129,8 +129,7 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
     The error of the alignment adds five factors that all its landmarks share.
     """
     scale, pose = alignment.scale, alignment.pose
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(pose[2])
+    turn = rot_z(pose[2])
     origin = np.array([*pose[:2], alignment.rise_m])
     root = np.linalg.cholesky(alignment.covariance)
 
@@ -161,7 +160,7 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
         return replace(place, pose=compose(pose, way), covariance=covariance)
 
     def ends(end: tuple[float, float]) -> tuple[float, float]:
-        x, y = transform_points(pose, scale * np.array(end)).tolist()
+        x, y, _ = placed(np.array([*end, 0.0])).tolist()
         return x, y
 
     known = b.calibration
@@ -228,30 +227,25 @@ def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
     return _Matches(table[:, 1:4], table[:, 4:7], wrap_rad(table[:, 7]), index[:, 0], index[:, 1])
 
 
-def _image(k: Landmark, texel_m: float) -> npt.NDArray[np.float32]:
+def _image(k: Landmark, texel_m: float) -> Float32Array:
     shape = max(int(k.height_m / texel_m), 1), max(int(k.width_m / texel_m), 1)
     return resampled(k, texel_m, shape, np.zeros(2))
 
 
-def _offset(
-    a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]
-) -> tuple[float, FloatArray, FloatArray] | None:
+def _offset(a: Float32Array, b: Float32Array) -> tuple[float, FloatArray, FloatArray] | None:
     """Score, and offsets (2,) of the same point from the middles of both images, px; or None."""
     swapped = a.size > b.size
     small, large = (b, a) if swapped else (a, b)
-    rows, columns = (max(round(_TEMPLATE * length), 1) for length in small.shape)
-    if min(rows, columns) < _MIN_TEMPLATE_PX or rows > large.shape[0] or columns > large.shape[1]:
+    top, left = (round(0.5 * (1.0 - _TEMPLATE) * length) for length in small.shape)
+    template = small[top : small.shape[0] - top, left : small.shape[1] - left].copy()
+    least = np.array(template.shape)
+    if least.min() < _MIN_TEMPLATE_PX or (least + 4 > large.shape).any():
         return None
-    top, left = (small.shape[0] - rows) // 2, (small.shape[1] - columns) // 2
-    template = small[top : top + rows, left : left + columns]
-    scores = cv2.matchTemplate(large, template, cv2.TM_CCOEFF_NORMED)
-    _, score, _, (column, row) = cv2.minMaxLoc(scores)
-    if not np.isfinite(score) or score < _MIN_SCORE:
+    match = match_template(large, template, min_score=_MIN_SCORE)
+    if isinstance(match, Refusal):
         return None
-    half = np.array([columns - 1, rows - 1]) / 2.0
-    in_small = half + np.array([left, top]) - (np.array(small.shape[::-1]) - 1) / 2.0
-    in_large = half + np.array([column, row]) - (np.array(large.shape[::-1]) - 1) / 2.0
-    return (score, in_large, in_small) if swapped else (score, in_small, in_large)
+    middle, offset = np.zeros(2), match.xy - (np.array(large.shape[::-1]) - 1) / 2.0
+    return (match.score, offset, middle) if swapped else (match.score, middle, offset)
 
 
 def _point(k: Landmark, offset_m: FloatArray) -> FloatArray:
@@ -259,7 +253,7 @@ def _point(k: Landmark, offset_m: FloatArray) -> FloatArray:
     return np.asarray(k.position + offset_m[0] * right + offset_m[1] * down)
 
 
-def _agreement(matches: _Matches, scale_sigma: float) -> npt.NDArray[np.bool_]:
+def _agreement(matches: _Matches, scale_sigma: float) -> BoolArray:
     """Whether the transformation of each match (rows) fits the others (columns), (m, m)."""
     way_a, way_b = (xyz[None, :, :2] - xyz[:, None, :2] for xyz in (matches.in_a, matches.in_b))
     off = np.einsum('kij,klj->kli', rotation(matches.turn_rad), way_b) - way_a
@@ -271,7 +265,7 @@ def _agreement(matches: _Matches, scale_sigma: float) -> npt.NDArray[np.bool_]:
     )
 
 
-def _distinct(agree: npt.NDArray[np.bool_], matches: _Matches) -> npt.NDArray[np.intp]:
+def _distinct(agree: BoolArray, matches: _Matches) -> IndexArray:
     """Number of landmarks in each row of `agree`, of the map with fewer."""
     counts = []
     for index in (matches.a, matches.b):
@@ -283,7 +277,7 @@ def _distinct(agree: npt.NDArray[np.bool_], matches: _Matches) -> npt.NDArray[np
 
 def _best(
     a: LandmarkMap, b: LandmarkMap, matches: _Matches, scale_sigma: float
-) -> tuple[FrameAlignment | None, npt.NDArray[np.bool_]]:
+) -> tuple[FrameAlignment | None, BoolArray]:
     """Transformation with most inliers, fitted to them, and the mask (m,) of the inliers."""
     if not len(matches.a):
         return None, np.zeros(0, dtype=np.bool_)
@@ -297,22 +291,19 @@ def _fitted(
     a: LandmarkMap,
     b: LandmarkMap,
     matches: _Matches,
-    agree: npt.NDArray[np.bool_],
+    agree: BoolArray,
     turn_rad: float,
     scale_sigma: float,
 ) -> FrameAlignment:
     """Pose and scale by Gauss-Newton from the inliers `agree`; inliers are updated each round."""
     chosen = matches.chosen(agree)
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(turn_rad)
-    state = np.array([*(chosen.in_a - chosen.in_b @ turn.T).mean(0), turn_rad, 0.0])
+    state = np.array([*(chosen.in_a - chosen.in_b @ rot_z(turn_rad).T).mean(0), turn_rad, 0.0])
     # Both frames are on the floor, except for the effect of the scale at a given camera height.
     height_sigma = np.hypot(_HEIGHT_SIGMA_M, scale_sigma * np.abs(matches.in_a[:, 2]).max())
     prior = np.diag([0.0, 0.0, height_sigma**-2, 0.0, scale_sigma**-2])
     spread = _FIRST_SPREAD
     for _ in range(_ROUNDS):
-        turn[:2, :2] = rotation(state[3])
-        scaled = np.exp(state[4]) * turn
+        scaled = np.exp(state[4]) * rot_z(state[3])
         ways = matches.in_b @ scaled.T
         off = matches.in_a - ways - state[:3]
         noise = a.covariances[matches.a] + scaled @ b.covariances[matches.b] @ scaled.T

@@ -34,7 +34,7 @@ BEST = 1e9
 _LEARN, _FIND = 'landmark_nav.learning.', 'landmark_nav.localization.'
 _ATTENTION, _ELECT = f'{_LEARN}attention.maps:AttentionConfig.', f'{_LEARN}election:'
 _WALL = f'{_LEARN}stereo.wall_stereo:'
-_ADJUST = f'{_LEARN}adjustment.config:AdjustmentConfig.'
+_ADJUST = f'{_LEARN}adjustment.problem:AdjustmentConfig.'
 
 
 def _nothing(*_: object, **__: object) -> None:
@@ -46,7 +46,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     'depth from sizes': {f'{_WALL}log_nearer': lambda *_: (0.0, np.inf)},
     'quarters of a patch': {f'{_WALL}displaced_quarter': lambda *_: 0.0},
     'way back': {f'{_WALL}_MAX_RETURN_PX': BEST},
-    'one peak (stereo)': {f'{_LEARN}stereo.config:StereoConfig.max_second_ratio': 1.0},
+    'one peak (stereo)': {f'{_LEARN}stereo.wall_patch:StereoConfig.max_second_ratio': 1.0},
     'search off the walls': {f'{_LEARN}stereo.found_again:match_freely': lambda *_: Refusal('')},
     'exposures, vignetting': {
         f'{_LEARN}sweep_pipeline:measure_photometry': lambda s, _: Photometry.none(len(s.frames)),
@@ -54,16 +54,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     'median': {f'{_LEARN}panorama.synthesis:PanoramaConfig.blend': 'feather'},
     'calibration by overlaps': {f'{_LEARN}calibration.sweep_calibration:_WORTH_PX': BEST},
     'refusal of what is ambiguous': {f'{_LEARN}attention.attend:refusal': _nothing},
-    'contrast along the row': {
-        f'{_LEARN}attention.selection:_MAX_BEARING_SIGMA_PX': BEST,
-    },
-    'point symmetry': {f'{_ATTENTION}weight_symmetry': 0.0},
-    'radial symmetry': {f'{_ATTENTION}weight_radial_symmetry': 0.0},
-    'line symmetry': {f'{_ATTENTION}weight_line_symmetry': 0.0},
-    'all symmetries': {
-        f'{_ATTENTION}weight_{name}': 0.0
-        for name in ('symmetry', 'radial_symmetry', 'line_symmetry')
-    },
+    'symmetry': {f'{_ATTENTION}weight_symmetry': 0.0},
     'corners': {f'{_ATTENTION}weight_corners': 0.0},
     'edges': {f'{_ATTENTION}weight_edges': 0.0},
     'sizes of patches': {f'{_ATTENTION}size_max_px': 28},

@@ -18,19 +18,14 @@ ROOM = rectangle_room(6.0, 5.0)
 
 
 CONFIG = AdjustmentConfig()
-
-
+COMMON = CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma
 # Sigmas are what they are said to be: nothing of them is estimated.
 AS_EXPECTED = AdjustmentConfig(camera_weight=1e9, place_weight=1e9, room_weight=1e9)
-
-
 # x, y, z, heading: one at the seam of angles.
 POSES = np.array([[2.1, 1.9, 1.1, 3.12], [3.9, 2.8, 1.1, -1.4]])
 
 
 PRIOR = np.diag([0.008, 0.008, 0.005, 0.003]) ** 2
-
-
 OWN_SIGMA = np.array([2e-4, 3e-4])
 
 
@@ -75,7 +70,7 @@ def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Pano
 def measurements_of(
     world: World,
     rng: np.random.Generator | None,
-    common: tuple[float, float] = (CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma),
+    common: tuple[float, float] = COMMON,
 ) -> list[list[PatchMeasurement]]:
     """The first view proposed each landmark; the other found it with its own noise as well."""
     groups = []

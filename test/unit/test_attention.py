@@ -99,17 +99,7 @@ def test_concentric_target_is_always_selected(diameter, slant_deg, rings):
     assert rank < 12
 
 
-def test_each_of_several_equal_targets_is_selected():
-    gray = clutter(np.random.default_rng(3))
-    places = [(100, 40), (600, 150), (1200, 200)]
-    for place in places:
-        paste(gray, target(50), *place)
-    found = attend(panorama(gray), AttentionConfig()).candidates
-    for column, row in places:
-        assert min(away_px(c, column + 28, row + 28) for c in found) <= 8.0
-
-
-@pytest.mark.parametrize('noise', [0.0, 2.0, 6.0])
+@pytest.mark.parametrize('noise', [0.0, 2.0])
 def test_bare_wall_yields_nothing(noise):
     gray = plaster(np.random.default_rng(1), noise)
     assert attend(panorama(gray), AttentionConfig()).candidates == ()
@@ -181,11 +171,6 @@ def test_patches_stay_on_covered_pixels_and_ignore_the_rim():
     assert attend(bare, AttentionConfig()).candidates == ()
 
 
-def test_nothing_is_selected_where_nothing_is_covered():
-    gray = clutter(np.random.default_rng(8))
-    assert attend(panorama(gray, np.zeros(gray.shape, bool)), AttentionConfig()).candidates == ()
-
-
 def test_directions_are_kept_varied():
     rng = np.random.default_rng(9)
     gray = plaster(rng)
@@ -208,13 +193,6 @@ def test_saliency_falls_and_sizes_are_as_asked():
     assert found[0].saliency == max(c.saliency for c in found) == 1.0
     assert min(c.saliency for c in found) > 0.0
     assert {c.width_px for c in found} | {c.height_px for c in found} <= {36, 40, 44, 48}
-
-
-def test_least_response_ends_the_selection():
-    camera_image = panorama(clutter(np.random.default_rng(11)))
-    few = attend(camera_image, AttentionConfig(least_response=0.6)).candidates
-    many = attend(camera_image, AttentionConfig(least_response=0.05)).candidates
-    assert 0 < len(few) < len(many)
 
 
 def test_every_feature_runs_alone():

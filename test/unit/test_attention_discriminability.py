@@ -11,7 +11,6 @@ from landmark_nav.learning.attention.selection import refusal
 from landmark_nav.types import Candidate
 
 WIDTH, HEIGHT = 600, 200
-LOW_CONTRAST = 'too little contrast along the row'
 AMBIGUOUS = 'looks like a place near by'
 
 
@@ -37,8 +36,6 @@ def test_unique_texture_is_accepted_anywhere():
 
 def pattern(kind):
     row, column = grid()
-    if kind == 'blank':
-        return np.full((HEIGHT, WIDTH), 150.0)
     if kind == 'horizontal edge':
         return np.where(row < 100, 60.0, 200.0)
     if kind == 'horizontal bars':
@@ -53,28 +50,26 @@ def pattern(kind):
 
 
 @pytest.mark.parametrize(
-    ('kind', 'reason'),
+    'kind',
     [
-        ('blank', LOW_CONTRAST),
-        ('horizontal edge', LOW_CONTRAST),
-        ('horizontal bars', LOW_CONTRAST),
-        ('slanted edge', LOW_CONTRAST),
-        ('vertical edge', AMBIGUOUS),
-        ('vertical bars', AMBIGUOUS),
-        ('checkerboard', AMBIGUOUS),
+        'horizontal edge',
+        'horizontal bars',
+        'slanted edge',
+        'vertical edge',
+        'vertical bars',
+        'checkerboard',
     ],
 )
-def test_what_could_be_mistaken_is_refused(kind, reason):
+def test_what_could_be_mistaken_is_refused(kind):
     found = judge(pattern(kind))
     assert found is not None
-    assert found.reason == reason
+    assert found.reason == AMBIGUOUS
 
 
-def test_noise_is_no_texture():
-    noise = np.random.default_rng(2).normal(0.0, 8.0, (HEIGHT, WIDTH))
-    found = judge(150.0 + noise)
+def test_a_blank_patch_is_refused():
+    found = judge(np.full((HEIGHT, WIDTH), 150.0))
     assert found is not None
-    assert found.reason == LOW_CONTRAST
+    assert found.reason == 'too little contrast'
 
 
 def test_a_copy_is_found_near_by_round_the_seam_but_not_far_away():
@@ -89,10 +84,3 @@ def test_a_copy_is_found_near_by_round_the_seam_but_not_far_away():
     gray = texture()
     gray[84:116, 300:332] = patch
     assert judge(gray, 15.5, 99.5) is None
-
-
-def test_a_vertical_edge_will_do_where_height_is_not_searched():
-    gray = pattern('vertical edge')
-    gray[:, 330:] = 120.0
-    assert judge(gray) is not None
-    assert judge(gray, neighborhood_rows_px=0) is None

@@ -11,11 +11,7 @@ from landmark_nav.learning.attention.maps import (
     corner_map,
     edge_gradients,
     edge_map,
-    intensity_map,
-    line_symmetry_map,
     point_symmetry_map,
-    radial_symmetry_map,
-    vertical_edge_map,
 )
 
 SIZE = 200
@@ -54,12 +50,6 @@ def test_edges_lie_on_the_outline_only():
     assert edges[:40].max() == 0.0
 
 
-def test_vertical_edges_leave_horizontal_ones_out():
-    vertical = vertical_edge_map(gradients(rectangle()))
-    assert vertical[100, 48:53].max() > 0.8
-    assert vertical[50:70, 70:130].max() == 0.0
-
-
 def test_corners_are_at_corners_and_not_between_parallel_lines():
     corners = corner_map(gradients(rectangle()))
     assert corners[55:66, 45:56].max() > 0.3
@@ -88,28 +78,6 @@ def test_point_symmetry_peaks_at_the_centre_of_rings(slant_deg, dark):
 def test_point_symmetry_ignores_horizontal_edges():
     inside = point_symmetry_map(gradients(horizontal_bars()))[20:-20, 20:-20]
     assert inside.max() < 0.05
-
-
-@pytest.mark.parametrize('dark', [False, True])
-def test_radial_symmetry_peaks_at_the_centre_of_rings_and_hardly_beside_edges(dark):
-    symmetry = radial_symmetry_map(gradients(rings(30.0, dark=dark)))
-    row, column = np.unravel_index(symmetry.argmax(), symmetry.shape)
-    assert abs(2 * row - SIZE / 2) <= 4
-    assert abs(2 * column - SIZE / 2) <= 4
-    assert symmetry.max() > 0.35
-    assert radial_symmetry_map(gradients(horizontal_bars())).max() < 0.06
-
-
-def test_line_symmetry_is_high_on_the_axis_and_ignores_horizontal_bars():
-    rng = np.random.default_rng(1)
-    half = cv2.GaussianBlur(rng.normal(size=(SIZE, SIZE // 2)), (0, 0), 3)
-    half = 0.5 + 0.2 * half / half.std()
-    mirrored = np.concatenate([half, half[:, ::-1]], axis=1).astype(np.float32)
-    symmetry = line_symmetry_map(mirrored, 0.02)
-    profile = symmetry.mean(axis=0)[10:-10]
-    assert abs(int(profile.argmax()) + 10 - SIZE // 4) <= 1
-    assert profile.max() > 0.7
-    assert line_symmetry_map(intensity_map(horizontal_bars()), 0.02).max() < 0.01
 
 
 def test_conspicuity_prefers_one_peak_to_many():

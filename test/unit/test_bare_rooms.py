@@ -70,13 +70,11 @@ def furnished() -> Scene:
     return Scene((*walls(), *furniture()))
 
 
-def learned(
-    scenes: Sequence[Scene], known: FloatArray = POSES, true: FloatArray = POSES
-) -> LearningResult:
+def learned(scenes: Sequence[Scene], known: FloatArray = POSES) -> LearningResult:
     rng = np.random.default_rng(1)
     panoramas = [
         draw_panorama(scene, np.array([*pose[:2], EYE_M]), float(pose[2]), rng=rng)
-        for scene, pose in zip(scenes, true, strict=True)
+        for scene, pose in zip(scenes, POSES, strict=True)
     ]
     sigma = np.array([0.0, 0.0, 0.0, 0.03, 0.03, 0.02])
     lever = np.array([0.0, 0.0, EYE_M])
@@ -160,19 +158,7 @@ def test_a_corridor_with_bare_walls_makes_a_right_map_or_none(ends: bool) -> Non
     assert '\n' not in learned_or_refused(scene, boards)
 
 
-def test_rooms_that_share_nothing_are_refused() -> None:
-    others = tuple(board(b.center.tolist(), 200 + k) for k, b in enumerate(furniture()))
-    with pytest.raises(LandmarkNavError, match='shares too little'):
-        learned([furnished(), Scene((*walls(), *others))])
-
-
 def test_odometry_that_slipped_aside_makes_a_right_map_or_none() -> None:
     slipped = POSES + np.array([[0.0, 0.0, 0.0], [-0.18, 0.46, 0.0]])
     refused = learned_or_refused(furnished(), furniture(), slipped, scale_off=0.5)
     assert not refused or 'odom' in refused
-
-
-def test_two_sweeps_from_one_place_are_refused() -> None:
-    turned = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.7]])
-    with pytest.raises(LandmarkNavError, match='one place'):
-        learned([furnished()] * 2, POSES, turned)

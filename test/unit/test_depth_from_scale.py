@@ -81,13 +81,10 @@ def test_sizes_place_what_bearings_leave_uncertain_and_state_how_well() -> None:
     np.testing.assert_allclose(6.0 - found.positions[:, 0], found.off_wall_m, atol=1e-12)
     # Measurements alone show as much, within what walls add.
     assert np.sqrt(free.own_covariance[:, 0, 0]).max() < 0.012
-
-
-def test_what_stands_well_before_the_wall_does_not_fit_it() -> None:
-    for before in (0.12, 0.3, 0.5):
-        found, _ = placed(before_wall(np.random.default_rng(2), 50, np.full(50, before)))
-        assert found.chi_square.min() > 5.0
-        assert found.off_wall_m.min() > 0.06
+    # What stands well before the wall does not fit it.
+    found, _ = placed(before_wall(rng, 50, np.full(50, 0.12)))
+    assert found.chi_square.min() > 5.0
+    assert found.off_wall_m.min() > 0.06
 
 
 def test_sizes_that_miss_where_depths_are_known_count_for_less() -> None:
@@ -108,21 +105,6 @@ def test_sizes_that_miss_where_depths_are_known_count_for_less() -> None:
     worse = inflated.own_covariance[~known, 0, 0] / right.own_covariance[~known, 0, 0]
     assert worse.min() > 4.0
     np.testing.assert_array_equal(inflated.own_covariance[known], free.own_covariance[known])
-
-
-def test_without_sizes_nothing_changes() -> None:
-    points = before_wall(np.random.default_rng(5), 3, np.zeros(3))
-    adjustment, free = on_the_wall(points, 1e-3), on_the_wall(points, 0.08)
-    measurements = [
-        [own, replace(other, sigma_log_nearer=np.inf)]
-        for own, other in sizes_of(points, np.random.default_rng(0))
-    ]
-    found, still = depth_from_scale(
-        adjustment, free, measurements, np.tile(EAST, (3, 1)), CONFIG, UNCERTAIN_SIGMA_M
-    )
-    np.testing.assert_array_equal(found.positions, adjustment.positions)
-    np.testing.assert_array_equal(found.own_covariance, adjustment.own_covariance)
-    np.testing.assert_array_equal(still.own_covariance, free.own_covariance)
 
 
 @pytest.mark.parametrize('before_m', [0.0, 0.03, 0.08, 0.2])

@@ -1,19 +1,67 @@
-"""What a candidate shows lies on a wall where its ray meets it, and looks alike from anywhere."""
+"""A patch of wall is found again from another place, and refused where it is none."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+import tracemalloc
+from typing import Any
 
 import numpy as np
 from patch_texels import patch_points
 import pytest
-from scenes import draw_panorama, rectangle_room, Scene, textured_room
-from stereo_room import CENTERS, CONFIG, direction_to, EAST, patch_at, ROOM, views_of
+from scenes import (
+    Board,
+    draw_panorama,
+    flat_texture,
+    GREY,
+    rectangle_room,
+    Scene,
+    smooth_texture,
+    textured_room,
+)
 from wall_views import candidate_at, greys_of
 
-from landmark_nav.learning.stereo import hypothesize
-from landmark_nav.learning.stereo.wall_patch import own_measurement, wall_texture, WallPatch
-from landmark_nav.types import Panorama, Refusal
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
+from landmark_nav.learning.stereo.wall_patch import (
+    own_measurement,
+    PatchMeasurement,
+    wall_texture,
+    WallPatch,
+)
+from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
+
+ROOM = rectangle_room(6.0, 5.0)
+CONFIG = StereoConfig()
+CENTERS = (np.array([2.2, 2.0, 1.1]), np.array([3.6, 2.9, 1.1]))
+HEADINGS = (0.4, -2.0)
+EAST = 1
+
+
+def views_of(scene: Scene, seed: int | None = 0) -> list[Panorama]:
+    rng = None if seed is None else np.random.default_rng(seed)
+    return [
+        draw_panorama(scene, center, heading, rng=rng)
+        for center, heading in zip(CENTERS, HEADINGS, strict=True)
+    ]
+
+
+def patch_at(panorama: Panorama, point: FloatArray) -> WallPatch | Refusal:
+    return hypothesize(candidate_at(panorama, point, 32), 0, panorama, ROOM, CONFIG)
+
+
+def match_at(
+    panoramas: list[Panorama], point: FloatArray, config: StereoConfig = CONFIG
+) -> tuple[WallPatch, PatchMeasurement | Refusal]:
+    patch = patch_at(panoramas[0], point)
+    assert isinstance(patch, WallPatch)
+    return patch, match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, config)
+
+
+def direction_to(panorama: Panorama, point: FloatArray) -> FloatArray:
+    """Azimuth in the base frame, and tangent, of a point."""
+    d = point - panorama.center_map
+    return np.array([np.arctan2(d[1], d[0]) - panorama.heading_rad, d[2] / np.hypot(d[0], d[1])])
 
 
 @pytest.fixture(scope='module')
@@ -48,16 +96,6 @@ def test_a_candidate_lies_where_its_ray_meets_the_wall(
     expected = direction_to(panoramas[0], patch.position)
     expected[0] += 2.0 * np.pi * np.round((seen.azimuth_rad - expected[0]) / (2.0 * np.pi))
     np.testing.assert_allclose([seen.azimuth_rad, seen.tangent], expected, atol=1e-9)
-
-
-def test_a_slanted_patch_is_wide_on_the_wall(panoramas: list[Panorama]) -> None:
-    ahead = patch_at(panoramas[0], np.array([6.0, 2.0, 1.1]))
-    aside = patch_at(panoramas[0], np.array([5.2, 0.0, 1.1]))
-    assert isinstance(ahead, WallPatch)
-    assert isinstance(aside, WallPatch)
-    assert ahead.shape == (32, 32)
-    slant = np.hypot(3.0, 2.0) / 2.0
-    assert aside.shape[1] == pytest.approx(32 * slant, abs=1.5)
 
 
 @pytest.mark.parametrize(
@@ -121,3 +159,198 @@ def test_a_patch_out_of_the_image_has_no_texture(panoramas: list[Panorama]) -> N
     blind = replace(panoramas[0], mask=np.zeros_like(panoramas[0].mask))
     point = np.array([6.0, 2.4, 1.15])
     assert wall_texture(blind, grey, point, ROOM.normals[EAST], (40, 40), 0.014) is None
+
+
+def test_the_search_is_as_wide_as_places_are_uncertain(panoramas: list[Panorama]) -> None:
+    point = np.array([6.0, 2.5, 1.2])
+    given = panoramas[1].center_map + np.array([0.0, 0.0, 0.12])
+    found = []
+    for sigma in (0.001, 0.05):
+        covariance = np.diag([1e-3, 1e-3, sigma, 1e-3]) ** 2
+        raised = replace(panoramas[1], center_map=given, covariance=covariance)
+        found.append(match_at([panoramas[0], raised], point)[1])
+    assert isinstance(found[0], Refusal)
+    assert isinstance(found[1], PatchMeasurement)
+    _, usual = match_at(panoramas, point)
+    assert isinstance(usual, PatchMeasurement)
+    assert found[1].azimuth_rad == pytest.approx(usual.azimuth_rad, abs=2e-4)
+    assert found[1].tangent == pytest.approx(usual.tangent, abs=5e-4)
+
+
+def points_on_walls() -> FloatArray:
+    rng = np.random.default_rng(5)
+    return np.array(
+        [
+            ((6.0, rng.uniform(0.8, 4.2)), (rng.uniform(1.5, 5.0), 5.0))[k % 2]
+            + (rng.uniform(0.8, 1.4),)
+            for k in range(24)
+        ]
+    )
+
+
+def measurements_and_errors(
+    panoramas: list[Panorama], moved: Panorama | None = None
+) -> tuple[list[PatchMeasurement], FloatArray]:
+    """Measurements in the second view, taken to be where `moved` is, and their errors (n, 2)."""
+    found, errors = [], []
+    for point in points_on_walls():
+        patch, seen = match_at([panoramas[0], moved or panoramas[1]], point)
+        if isinstance(seen, PatchMeasurement):
+            truth = direction_to(panoramas[1], patch.position)
+            error = np.array([seen.azimuth_rad, seen.tangent]) - truth
+            error[0] = np.angle(np.exp(1j * error[0]))
+            found.append(seen)
+            errors.append(error)
+    return found, np.array(errors)
+
+
+@pytest.mark.parametrize('rise_m', [0.0, -0.2, 0.3])
+def test_patches_are_found_again_from_the_other_place(
+    scene: Scene, panoramas: list[Panorama], rise_m: float
+) -> None:
+    """Also where the camera is higher or lower there."""
+    center = CENTERS[1] + np.array([0.0, 0.0, rise_m])
+    other = draw_panorama(scene, center, HEADINGS[1], rng=np.random.default_rng(3))
+    found, errors = measurements_and_errors([panoramas[0], other])
+    assert len(found) > 15
+    assert {s.panorama for s in found} == {1}
+    assert min(s.score for s in found) > CONFIG.min_score
+    # A pixel is 4 mrad: a tenth of it, and as far as the covariance says.
+    assert np.abs(errors).max() < 8e-4
+    sigma = np.array([(s.sigma_azimuth_rad, s.sigma_tangent) for s in found])
+    assert np.mean((errors / sigma) ** 2) < 3.0
+
+
+def test_a_pose_that_is_a_little_wrong_changes_nothing(panoramas: list[Panorama]) -> None:
+    moved = replace(
+        panoramas[1],
+        center_map=CENTERS[1] + np.array([0.015, -0.01, 0.005]),
+        heading_rad=HEADINGS[1] + 0.004,
+    )
+    found, errors = measurements_and_errors(panoramas, moved)
+    assert len(found) > 15
+    # What is measured is the direction in the image, which knows nothing of the pose.
+    assert np.abs(errors).max() < 1e-3
+
+
+def hanging(scene: Scene, before_wall_m: float) -> tuple[Scene, FloatArray]:
+    """Scene with a textured board before the east wall, and the board's centre."""
+    center = np.array([6.0 - before_wall_m, 2.6, 1.15])
+    texture = smooth_texture(np.random.default_rng(9), 1.2, 1.2, 0.05)
+    board = Board(center, ROOM.normals[EAST], 1.2, 1.2, texture)
+    return replace(scene, boards=(*scene.boards, board)), center
+
+
+@pytest.mark.parametrize('before_wall_m', [0.05, 0.4])
+def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(
+    scene: Scene, before_wall_m: float
+) -> None:
+    changed, center = hanging(scene, before_wall_m)
+    panoramas = views_of(changed)
+    patch, seen = match_at(panoramas, center)
+    assert isinstance(seen, PatchMeasurement)
+    # Where the two rays meet, in plan, is the board, not the wall.
+    own = own_measurement(patch, panoramas[0])
+    azimuth = np.array([own.azimuth_rad + HEADINGS[0], seen.azimuth_rad + HEADINGS[1]])
+    rays = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
+    reach = np.linalg.solve(np.stack([rays[0], -rays[1]], -1), CENTERS[1][:2] - CENTERS[0][:2])
+    met = CENTERS[0][:2] + reach[0] * rays[0]
+    assert met[0] == pytest.approx(center[0], abs=0.015)
+
+
+def test_what_only_one_place_sees_is_refused(scene: Scene) -> None:
+    changed, center = hanging(scene, 0.8)
+    panoramas = [views_of(changed)[0], views_of(scene)[1]]
+    _, seen = match_at(panoramas, center)
+    assert isinstance(seen, Refusal)
+    assert seen.reason in (
+        'low correlation',
+        'ambiguous',
+        'peak at the border of the search window',
+    )
+
+
+def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it() -> None:
+    # Its rear edge lies on the wall, so both outlines agree; within them each place sees another
+    # part of its side, which reaches half a metre into the room.
+    grey = Board(np.array([6.0, 2.5, 1.25]), ROOM.normals[EAST], 5.0, 2.5, flat_texture(GREY))
+    front, rear = np.array([5.5, 4.1, 0.6]), np.array([6.0, 3.3, 1.2])
+    wood = smooth_texture(np.random.default_rng(5), 1.6, 1.2, 0.1) - 80.0
+    side = Board(np.array([5.75, rear[1], 0.6]), -ROOM.normals[0], 0.5, 1.2, wood)
+    face = Board(front, ROOM.normals[EAST], 1.6, 1.2, wood)
+    panoramas = views_of(Scene((grey, side, face)))
+    _, seen = match_at(panoramas, rear)
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'not flat'
+    _, seen = match_at(panoramas, rear, replace(CONFIG, max_displaced_px=100.0))
+    assert isinstance(seen, PatchMeasurement)
+
+
+def test_straight_ahead_sizes_gives_and_what_hangs_above_the_camera_has_parallax(
+    panoramas: list[Panorama],
+) -> None:
+    way = CENTERS[1] - CENTERS[0]
+    ahead = CENTERS[0] + (6.0 - CENTERS[0][0]) / way[0] * way
+    level = np.add(ahead, [0.0, 0.0, 0.02])
+    _, seen = match_at(panoramas, level)
+    assert isinstance(seen, PatchMeasurement)
+    nearer = np.log((6.0 - CENTERS[0][0]) / (6.0 - CENTERS[1][0]))
+    assert seen.log_nearer == pytest.approx(nearer, abs=5e-3)
+    blind = replace(CONFIG, min_approach=100.0)
+    _, seen = match_at(panoramas, level, blind)
+    assert isinstance(seen, Refusal)
+    assert seen.reason == 'too little parallax'
+    patch, seen = match_at(panoramas, np.add(ahead, [0.0, 0.0, 0.45]), blind)
+    assert isinstance(seen, PatchMeasurement)
+    truth = direction_to(panoramas[1], patch.position)
+    assert [seen.azimuth_rad, seen.tangent] == pytest.approx(truth, abs=8e-4)
+
+
+@pytest.mark.parametrize(
+    ('moved', 'reason'),
+    [
+        ({'center_map': CENTERS[0] + [0.05, 0.0, 0.0]}, 'too little parallax'),
+        ({'center_map': np.array([2.0, -1.0, 1.1])}, 'hidden from the other place'),
+        ({'center_map': np.array([5.8, 4.5, 1.1])}, 'too oblique from the other place'),
+        ({}, 'not covered'),
+    ],
+)
+def test_what_the_other_place_does_not_show_is_refused(
+    panoramas: list[Panorama], moved: dict[str, Any], reason: str
+) -> None:
+    covered = np.full_like(panoramas[1].mask, bool(moved))
+    other = replace(panoramas[1], mask=covered, **moved)
+    _, seen = match_at([panoramas[0], other], np.array([6.0, 2.2, 1.1]))
+    assert isinstance(seen, Refusal)
+    assert reason in seen.reason
+
+
+def test_a_place_close_to_a_wall_is_searched_within_reason() -> None:
+    patch = WallPatch(
+        Candidate(0.0, 0.0, 30, 30, 1.0),
+        source=0,
+        wall=0,
+        position=np.array([3.0, 0.0, 1.5]),
+        normal=np.array([0.0, 1.0, 0.0]),
+        shape=(30, 40),
+        texel_m=0.005,
+    )
+    cylinder = Cylinder.with_resolution(555.0, -0.4, 0.4)
+    here, there = (
+        Panorama(
+            0,
+            np.zeros((cylinder.height, cylinder.width, 3), np.uint8),
+            np.ones((cylinder.height, cylinder.width), np.bool_),
+            cylinder,
+            np.array(center),
+            0.0,
+            np.eye(4),
+        )
+        for center in ([2.0, 2.0, 1.1], [3.5, 0.35, 1.1])
+    )
+    greys = [np.zeros((cylinder.height, cylinder.width), np.float32)] * 2
+    tracemalloc.start()
+    match_in(patch, 1, [here, there], greys, rectangle_room(6.0, 4.0), StereoConfig())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6

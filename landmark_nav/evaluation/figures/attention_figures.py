@@ -112,8 +112,8 @@ def draw_features_alone(
     text = (
         'Figure 7. What attention selects by one feature at a time. Above, conspicuity maps; '
         f'below, the {_PATCHES} strongest patches of this part of the panorama. Broken orange: '
-        'refused, since a neighbouring place could be mistaken for them (too little contrast '
-        'along the row, or like a place near by); the counts are of the whole panorama.'
+        'refused, since a neighbouring place could be mistaken for them; the counts are of the '
+        'whole panorama.'
     )
     caption(figure, text)
     save(figure, path)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from landmark_nav.learning.adjustment.config import AdjustmentConfig, WallFitConfig
 from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
-from landmark_nav.learning.adjustment.problem import CALIBRATED
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig, CALIBRATED
 from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 
 __all__ = [
     'CALIBRATED',
     'Adjustment',
     'AdjustmentConfig',
-    'WallFitConfig',
     'adjust',
     'depth_from_scale',
 ]

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from landmark_nav.learning.adjustment.config import AdjustmentConfig
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray

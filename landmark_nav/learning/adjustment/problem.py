@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +23,47 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration.combined import lean_axes
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
+from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, Panorama
+
+
+@dataclass(frozen=True)
+class AdjustmentConfig(Config):
+    """
+    Expected sigmas, which the residuals refine.
+
+    docs/decisions.md (stereo, adjustment, election) compares lengths of wall sections and robust
+    weights; the other values are chosen by hand.
+    """
+
+    # Sigma that a panorama adds to each azimuth.
+    azimuth_sigma_rad: float = 1.5e-4
+    # Sigma that a panorama adds to each tangent of elevation.
+    tangent_sigma: float = 1e-3
+    # Sigma that two panoramas add to the log ratio of their distances by depth from scale.
+    nearness_sigma: float = 1.5e-3
+    # Sigma of the tilt of each sweep's pan axis; 0 does not estimate it.
+    tilt_sigma_rad: float = 0.0
+    # Sigma of errors that azimuths of one panorama share, in waves of a quarter turn and longer; 0
+    # does not estimate them.
+    wave_sigma_rad: float = 0.0
+    # Sigma of the distance from the wall within one section of it.
+    relief_sigma_m: float = 0.015
+    # Sigma of the distance from the wall between sections.
+    hanging_sigma_m: float = 0.015
+    # Length of a section of wall, within which errors are correlated, as in a picture.
+    hanging_length_m: float = 0.6
+    # Sigma of the mean distance of objects from all walls.
+    common_hanging_sigma_m: float = 0.015
+    # Sigma of the position of a wall in the plan.
+    wall_sigma_m: float = 0.005
+    # Weight of the expected sigmas of panoramas and of relief, in measurements.
+    camera_weight: float = 1.0
+    # Weight of the expected sigmas of their poses, in measurements.
+    place_weight: float = 10.0
+    # Weight of the expected sigmas of walls and of distances from them, in measurements.
+    room_weight: float = 0.05
+
 
 # Shared unknowns: x, y, z, heading of each panorama; distance of objects from each wall, then from
 # each section; then the calibration, tilts and waves.
@@ -61,6 +102,19 @@ class Linearized:
     wall: FloatArray
     by_point: FloatArray
     by_shared: FloatArray
+
+
+class Weights(NamedTuple):
+    """
+    Information of measurements `seen` (k, 2) and of walls `wall` (n,), and sigmas `spread` (5,).
+
+    `spread` are factors on the sigmas of panoramas in plan and in height, and sigmas of the
+    distance of objects from all walls, from each wall, and from each section.
+    """
+
+    seen: FloatArray
+    wall: FloatArray
+    spread: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +177,9 @@ class Problem:
         panoramas: Sequence[Panorama],
         places: FloatArray,
         room: Room,
-        normals: FloatArray | None = None,
-        start: FloatArray | None = None,
-        tilt_sigma_rad: float = 0.0,
-        wave_sigma_rad: float = 0.0,
+        normals: FloatArray,
+        start: FloatArray,
+        config: AdjustmentConfig,
     ) -> None:
         """Collect all that is constant during the iteration."""
         flat = [(k, s) for k, group in enumerate(measurements) for s in group]
@@ -138,11 +191,9 @@ class Problem:
 
         self.wall = np.asarray(walls, dtype=np.intp)
         self.on_wall = self.wall >= 0
-        self.normal = room.normals[self.wall]
+        self.normal = np.where(self.on_wall[:, None], room.normals[self.wall], normals)
         starts = np.array([room.walls[w].start for w in walls])
-        if normals is not None and start is not None:
-            self.normal = np.where(self.on_wall[:, None], self.normal, normals)
-            starts[~self.on_wall] = start[~self.on_wall, :2]
+        starts[~self.on_wall] = start[~self.on_wall, :2]
         self._level = np.sum(self.normal[:, :2] * starts, 1)
 
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
@@ -160,8 +211,8 @@ class Problem:
         self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
         self._mounted, known, self._calibration, self._made_with = _calibration(panoramas)
         # Warp of each panorama: its tilt, and waves of its azimuths.
-        wave = wave_sigma_rad / np.sqrt(_WAVES)
-        sigma = np.array([tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
+        wave = config.wave_sigma_rad / np.sqrt(_WAVES)
+        sigma = np.array([config.tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
         self._warps = np.flatnonzero(sigma)
         apart = np.diag(sigma[self._warps] ** 2)
         # A tilt common to all sweeps is one of the mount, which the calibration has.
@@ -170,10 +221,10 @@ class Problem:
         self._warp_variance -= np.kron(np.ones((self.views, self.views)), alike * apart)
         warps = np.zeros(len(self._warp_variance))
         self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known, warps])
-        self._poses = slice(0, poses.size)
+        self.pose_part = slice(0, poses.size)
         self._walls = slice(poses.size, poses.size + len(plane))
-        self._calibrated = slice(self._walls.stop, self._walls.stop + len(known))
-        self._warped = slice(self._calibrated.stop, len(self.prior))
+        self.calibration_part = slice(self._walls.stop, self._walls.stop + len(known))
+        self._warped = slice(self.calibration_part.stop, len(self.prior))
         self._places = places
         self._height = np.arange(poses.size) % _POSE == 2
 
@@ -183,23 +234,7 @@ class Problem:
 
     def poses(self, shared: FloatArray) -> FloatArray:
         """Poses (views, 4) among the shared unknowns."""
-        return np.asarray(shared[self._poses].reshape(self.views, _POSE))
-
-    def pose_covariance(self, covariance: FloatArray) -> FloatArray:
-        """Covariance (views, 4, 4) of each pose, from that of the shared unknowns."""
-        blocks = covariance[self._poses, self._poses].reshape(self.views, _POSE, self.views, _POSE)
-        diagonal = np.arange(self.views)
-        return np.asarray(blocks[diagonal, :, diagonal])
-
-    def calibration(
-        self, shared: FloatArray, covariance: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Values (c,) of `CALIBRATED` and their covariance (c, c), from the shared unknowns."""
-        return shared[self._calibrated], covariance[self._calibrated, self._calibrated]
-
-    def calibration_rows(self, root: FloatArray) -> FloatArray:
-        """Rows (c, m) of `CALIBRATED` in a root (m, m) of the covariance of shared unknowns."""
-        return root[self._calibrated]
+        return np.asarray(shared[self.pose_part].reshape(self.views, _POSE))
 
     def linearize(self, points: FloatArray, shared: FloatArray) -> Linearized:
         """Residuals and derivatives at landmarks (n, 3) and shared unknowns (m,)."""
@@ -220,7 +255,7 @@ class Problem:
         rows = np.arange(len(d))
         by_pose[rows, :, self.view, :3] = -by_point
         by_pose[rows, 0, self.view, 3] = -1.0
-        by_shared[..., self._poses] = by_pose.reshape(len(d), 2, -1)
+        by_shared[..., self.pose_part] = by_pose.reshape(len(d), 2, -1)
         if len(self._warps):
             by_warp = np.zeros((len(d), 2, self.views, len(self._warps)))
             by_warp[rows, :, self.view] = self._by_warps()[..., self._warps]
@@ -228,8 +263,8 @@ class Problem:
             seen -= by_shared[..., self._warped] @ shared[self._warped]
         if len(self._calibration):
             by_errors = self._by_errors(reach)
-            by_shared[..., self._calibrated] = by_errors
-            error = shared[self._calibrated] - self._made_with[self.view]
+            by_shared[..., self.calibration_part] = by_errors
+            error = shared[self.calibration_part] - self._made_with[self.view]
             seen -= np.einsum('kic,kc->ki', by_errors, error)
         return Linearized(
             seen, self._hangs @ shared[self._walls] - self.off_wall(points), by_point, by_shared
@@ -261,20 +296,15 @@ class Problem:
         return np.stack([by_azimuth, np.stack([-sin, cos], 1) * square[:, None]], 1)
 
     def normal_equations(
-        self,
-        at: Linearized,
-        shared: FloatArray,
-        seen: FloatArray,
-        wall: FloatArray,
-        spread: FloatArray,
+        self, at: Linearized, shared: FloatArray, weights: Weights
     ) -> NormalEquations:
         """
         Normal equations.
 
-        `seen` (k, 2) and `wall` (n,) are the information of measurements and walls; `spread` is as
-        in `prior_covariance`. Bearings alone may leave a landmark undetermined along its ray:
-        a small information in all directions prevents that.
+        Bearings alone may leave a landmark undetermined along its ray: a small information in all
+        directions prevents that.
         """
+        seen, wall, spread = weights
         prior = covariance_of(self.prior_covariance(spread))
         jx = at.by_point * seen[..., None]
         h_xx = _sum_by(self.landmark, np.einsum('nki,nkj->nij', jx, at.by_point), self.count)
@@ -293,26 +323,15 @@ class Problem:
         b_s[self._walls] -= hangs.T @ at.wall
         return NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
 
-    def cost(
-        self,
-        at: Linearized,
-        shared: FloatArray,
-        seen: FloatArray,
-        wall: FloatArray,
-        spread: FloatArray,
-    ) -> float:
+    def cost(self, at: Linearized, shared: FloatArray, weights: Weights) -> float:
         """Twice the function whose derivative `normal_equations` has; the same arguments."""
+        seen, wall, spread = weights
         off = shared - self.prior
         reduction = off @ solve_positive(self.prior_covariance(spread), off)
         return float(np.sum(seen * at.seen**2) + np.sum(wall * at.wall**2) + reduction)
 
     def prior_covariance(self, spread: FloatArray) -> FloatArray:
-        """
-        Prior covariance (m, m) of the shared unknowns.
-
-        `spread` (5,) are factors on the sigmas of panoramas in plan and in height, and sigmas of
-        the distance of objects from all walls, from each wall, and from each section.
-        """
+        """Prior covariance (m, m) of the shared unknowns by the `spread` of weights."""
         plan, height, *hanging = spread
         factor = np.where(self._height, height, plan)
         off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
@@ -334,10 +353,10 @@ class Problem:
         left = information @ (prior - equations.shared_covariance()) @ information
         # The prior is the sum of one part for each of `spread`.
         lifted = np.zeros(len(prior))
-        lifted[self._poses] = self._height
+        lifted[self.pose_part] = self._height
         upward = 0.5 * (lifted[:, None] + lifted)
         places = np.zeros(prior.shape)
-        places[self._poses, self._poses] = prior[self._poses, self._poses]
+        places[self.pose_part, self.pose_part] = prior[self.pose_part, self.pose_part]
         parts = [(1.0 - upward) * places, upward * places]
         for sigma, hanging in zip(spread[2:], self._hanging, strict=True):
             parts.append(np.zeros(prior.shape))

@@ -16,11 +16,15 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment.config import AdjustmentConfig
-from landmark_nav.learning.adjustment.problem import Linearized, Problem, wall_stretches
+from landmark_nav.learning.adjustment.problem import (
+    AdjustmentConfig,
+    Linearized,
+    Problem,
+    wall_stretches,
+    Weights,
+)
 from landmark_nav.learning.least_squares import Damping, root_of
-from landmark_nav.learning.stereo.ties import Ties
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
 from landmark_nav.types import FloatArray, Panorama
 
 _MAX_ITERATIONS = 15
@@ -134,9 +138,8 @@ def adjust(
         normals = np.concatenate([normals, np.tile([1.0, 0.0, 0.0], (len(ties.positions), 1))])
     stretch = wall_stretches(start, walls, room, config.hanging_length_m)
     problem = Problem(
-        measurements, walls, stretch, panoramas, places, room, normals, start,
-        config.tilt_sigma_rad, config.wave_sigma_rad,
-    )  # fmt: skip
+        measurements, walls, stretch, panoramas, places, room, normals, start, config
+    )
     expected = np.array(
         [
             config.azimuth_sigma_rad,
@@ -157,7 +160,7 @@ def adjust(
     noise, damping = expected, Damping()
     for _ in range(_NOISE_ITERATIONS):
         at = problem.linearize(points, shared)
-        weights = (*_information(problem, at, noise, influence), noise[_SPREAD])
+        weights = _information(problem, at, noise, influence)
         points, shared, moved = _step(problem, at, points, shared, weights, damping)
         better, fewness = _noise(problem, points, shared, noise, expected, influence, weight)
         still = np.abs(better / noise - 1.0).max() < _NOISE_CONVERGED
@@ -167,9 +170,8 @@ def adjust(
     # The mean of a variance exceeds its mode, the more so the fewer residuals it is based on.
     noise = noise * np.sqrt(fewness)
     at = problem.linearize(points, shared)
-    equations = problem.normal_equations(
-        at, shared, *_information(problem, at, noise, influence), noise[_SPREAD]
-    )
+    weights = _information(problem, at, noise, influence)
+    equations = problem.normal_equations(at, shared, weights)
     covariance = equations.shared_covariance()
     root = root_of(covariance)
     shared_loading, rest, axes = _main_factors((-equations.gain @ root)[:count])
@@ -178,12 +180,13 @@ def adjust(
         (influence[:, None, None] * equations.own_covariance())[:count] + rest,
         shared_loading,
         problem.poses(shared),
-        problem.pose_covariance(covariance),
+        _blocks(covariance[problem.pose_part, problem.pose_part], problem.views),
         problem.off_wall(points)[:count],
         _misfit(problem, at, noise, trusted)[:count],
         noise,
-        *problem.calibration(shared, covariance),
-        problem.calibration_rows(root) @ axes,
+        shared[problem.calibration_part],
+        covariance[problem.calibration_part, problem.calibration_part],
+        root[problem.calibration_part] @ axes,
     )
 
 
@@ -200,7 +203,7 @@ def _settle(
         at = problem.linearize(points, shared)
         weight = (1.0 + _misfit(problem, at, sigma) / tail_width) ** -2.0
         seen, wall = _variances(problem, sigma)
-        weights = (weight[problem.landmark, None] / seen, weight / wall, sigma[_SPREAD])
+        weights = Weights(weight[problem.landmark, None] / seen, weight / wall, sigma[_SPREAD])
         points, shared, moved = _step(problem, at, points, shared, weights, damping)
         if step > 4 and moved < _CONVERGED:
             break
@@ -212,15 +215,15 @@ def _step(
     at: Linearized,
     points: FloatArray,
     shared: FloatArray,
-    weights: tuple[FloatArray, FloatArray, FloatArray],
+    weights: Weights,
     damping: Damping,
 ) -> tuple[FloatArray, FloatArray, float]:
     """
     Landmarks and shared unknowns after one damped step, and the largest change.
 
-    `weights` are those of `Problem.normal_equations`; the step of a landmark is limited.
+    The step of a landmark is limited.
     """
-    equations = problem.normal_equations(at, shared, *weights)
+    equations = problem.normal_equations(at, shared, weights)
     there = points, shared
 
     def cost_with(by: float) -> float:
@@ -229,9 +232,9 @@ def _step(
         length = np.linalg.norm(point_step, axis=1, keepdims=True)
         point_step = point_step * np.minimum(1.0, _LONGEST_M / np.maximum(length, _LONGEST_M))
         there = points + point_step, shared + shared_step
-        return problem.cost(problem.linearize(*there), there[1], *weights)
+        return problem.cost(problem.linearize(*there), there[1], weights)
 
-    if not damping.lowers(cost_with, problem.cost(at, shared, *weights)):
+    if not damping.lowers(cost_with, problem.cost(at, shared, weights)):
         return points, shared, 0.0
     moved = max(np.abs(new - old).max() for new, old in zip(there, (points, shared), strict=True))
     return *there, float(moved)
@@ -266,12 +269,20 @@ def _tail(residual: FloatArray, variance: FloatArray) -> FloatArray:
 
 def _information(
     problem: Problem, at: Linearized, noise: FloatArray, influence: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> Weights:
     seen, wall = _variances(problem, noise)
-    return (
+    return Weights(
         influence[problem.landmark, None] * _tail(at.seen, seen) / seen,
         influence * _tail(at.wall, wall) / wall,
+        noise[_SPREAD],
     )
+
+
+def _blocks(covariance: FloatArray, count: int) -> FloatArray:
+    """Blocks (count, n, n) on the diagonal of a covariance (count * n, count * n)."""
+    size = len(covariance) // count
+    diagonal = np.arange(count)
+    return np.asarray(covariance.reshape(count, size, count, size)[diagonal, :, diagonal])
 
 
 def _misfit(
@@ -310,22 +321,23 @@ def _noise(
     `weight` residuals each. Returned with the ratio of mean and mode of each variance.
     """
     at = problem.linearize(points, shared)
-    information = _information(problem, at, noise, influence)
-    equations = problem.normal_equations(at, shared, *information, noise[_SPREAD])
-    predicted = problem.predicted_variance(at, equations)
+    weights = _information(problem, at, noise, influence)
+    equations = problem.normal_equations(at, shared, weights)
+    seen, wall = problem.predicted_variance(at, equations)
     counted = influence > 0.5
-    seen_voice = counted[problem.landmark]
-    variances = _variances(problem, noise)
+    # What of each residual is noise: not explained by the solution.
+    left = 1.0 - weights.seen * seen, 1.0 - weights.wall * wall
+    seen_variance, wall_variance = _variances(problem, noise)
     groups = [
-        (at.seen[:, 0], variances[0][:, 0], information[0][:, 0], predicted[0][:, 0], seen_voice),
-        (at.seen[:, 1], variances[0][:, 1], information[0][:, 1], predicted[0][:, 1], seen_voice),
-        (at.wall, variances[1], information[1], predicted[1], counted & problem.on_wall),
+        *zip(at.seen.T, seen_variance.T, weights.seen.T, left[0].T, strict=True),
+        (at.wall, wall_variance, weights.wall, left[1]),
     ]
+    measured = counted[problem.landmark]
     squares, counts = np.zeros((2, len(noise)))
-    for k, (residual, variance, trust, explained, who) in enumerate(groups):
-        part = noise[k] ** 2 / variance[who]
-        squares[k] = np.sum((trust * residual**2)[who] * part)
-        counts[k] = np.sum(np.maximum(1.0 - trust * explained, 0.0)[who] * part)
+    for k, who in enumerate((measured, measured, counted & problem.on_wall)):
+        residual, variance, trust, free = (part[who] for part in groups[k])
+        squares[k] = np.sum(trust * residual**2 * noise[k] ** 2 / variance)
+        counts[k] = np.sum(np.maximum(free, 0.0) * noise[k] ** 2 / variance)
     squares[_SPREAD], counts[_SPREAD] = problem.spread_misfit(shared, equations, noise[_SPREAD])
     pull = weight * (expected / noise) ** 2
     better = noise * np.sqrt((squares + pull) / (counts + weight))

@@ -18,12 +18,14 @@ from scipy.special import chdtrc
 from landmark_nav.arrays import BoolArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.adjustment.config import AdjustmentConfig, WallFitConfig
-from landmark_nav.learning.adjustment.problem import wall_stretches
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_stretches
 from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.types import FloatArray
 
+# Greatest median distance of patches in front of a wall and behind it, m, and greatest angle
+# between patches and their wall.
+_MAX_BEFORE_M, _MAX_BEHIND_M, _MAX_TURN_RAD = 0.045, 0.02, 0.03
 # Rate of false warnings about measured walls, and fewest patches of a warning.
 _FALSE_ALARM = 1e-3
 _FEW = 2
@@ -52,11 +54,7 @@ _MAX_SPREAD_SHARE = 0.1
 
 
 def check_walls(
-    free: Adjustment,
-    walls: Sequence[int],
-    room: Room,
-    expected: AdjustmentConfig,
-    config: WallFitConfig,
+    free: Adjustment, walls: Sequence[int], room: Room, expected: AdjustmentConfig
 ) -> str:
     """
     Compare positions of patches by stereo alone with the walls.
@@ -68,7 +66,7 @@ def check_walls(
     free : Adjustment
         Adjustment without the walls.
     walls : sequence of int
-        Wall of each patch.
+        Wall behind each patch, -1 for none.
     room : Room
         The plan.
     expected : AdjustmentConfig
@@ -82,11 +80,16 @@ def check_walls(
     """
     complaints: list[str] = []
     warnings: list[str] = []
+    # Also of patches on planes of their own.
+    index = np.asarray(walls, dtype=np.intp)
+    starts = np.array([wall.start for wall in room.walls])[index]
+    off_m = np.sum((free.positions[:, :2] - starts) * room.normals[index, :2], 1)
+    free = replace(free, off_wall_m=off_m)
     for k, on in _judged(free, walls, room, _MIN_PATCHES, elsewhere=True):
         things = _things(free, room, k, on, expected.hanging_length_m)
         shared = np.linalg.norm(_shared(free, room, k, on))
         sigma = float(np.hypot(shared, room.walls[k].sigma_m or 0.0))
-        complaint = _complaint(things, sigma, expected.hanging_sigma_m, int(on.sum()), config)
+        complaint = _complaint(things, sigma, expected.hanging_sigma_m, int(on.sum()))
         if complaint:
             wall, before = room.walls[k], np.median(free.off_wall_m[on]) > _ELSEWHERE_M[0]
             seen = np.ptp(free.positions[on, :2] @ wall.along)
@@ -143,10 +146,7 @@ def wall_residuals(
 
 
 def wall_warnings(
-    residuals: Sequence[WallResidual],
-    hanging_sigma_m: float,
-    expected: AdjustmentConfig,
-    config: WallFitConfig,
+    residuals: Sequence[WallResidual], hanging_sigma_m: float, expected: AdjustmentConfig
 ) -> str:
     """
     Warning if the walls, together or relative to each other, hardly fit the plan.
@@ -179,7 +179,7 @@ def wall_warnings(
     likely = chdtrc(max(len(off) - 1, 1), left @ inverse @ left) > _FALSE_ALARM
     # A single object may be as far from the wall as its frame is deep; the mean of many is not.
     slack = 2.0 * np.sqrt(np.sum(shared**2, 1) + hanging_sigma_m**2 / stretches**2 + walls**2)
-    near = (off >= -config.max_behind_m - slack) & (off <= config.max_before_m + slack)
+    near = (off >= -_MAX_BEHIND_M - slack) & (off <= _MAX_BEFORE_M + slack)
     if likely and near.all():
         return ''
     listed = ', '.join(
@@ -245,9 +245,7 @@ def _shared(adjustment: Adjustment, room: Room, k: int, on: BoolArray) -> FloatA
     return np.asarray(room.normals[k] @ adjustment.shared_loading[on].mean(0))
 
 
-def _complaint(
-    things: FloatArray, sigma_m: float, hanging_sigma_m: float, patches: int, config: WallFitConfig
-) -> str:
+def _complaint(things: FloatArray, sigma_m: float, hanging_sigma_m: float, patches: int) -> str:
     """Complaint about a wall; empty unless its objects lie in one plane."""
     along, off = things.T
     if len(things) < _LEAST_THINGS:
@@ -260,10 +258,10 @@ def _complaint(
         return ''
     apart = np.sqrt(np.sum((along - along.mean()) ** 2))
     turned = np.hypot(hanging_sigma_m / apart, sigma_m / np.ptp(along))
-    if abs(slope) > config.max_turn_rad + _SURE * turned:
+    if abs(slope) > _MAX_TURN_RAD + _SURE * turned:
         return f'is turned by {np.degrees(np.arctan(abs(slope))):.1f} deg against its patches'
     slack = _SURE * sigma_m
-    if -config.max_behind_m - slack <= median <= config.max_before_m + slack:
+    if -_MAX_BEHIND_M - slack <= median <= _MAX_BEFORE_M + slack:
         return ''
     place = 'before' if median > 0 else 'behind'
     furniture = ', or furniture hides it, whose front is then the wall'

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,10 +12,8 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig
 from landmark_nav.learning.attention.selection import refusal, select
-from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
+from landmark_nav.types import Candidate, ImageArray, Panorama, Refusal
 
-# Smallest distance of patches around matched features, relative to their size.
-_MIN_DISTANCE = 0.5
 # A patch keeps this far from uncovered pixels, whose neighbours are blurred by interpolation.
 _MARGIN_PX = 2
 
@@ -31,21 +28,16 @@ class Attention:
     candidates : tuple of Candidate
         Most salient first.
     refused : tuple of (Candidate, Refusal)
-        Attended patches that are ambiguous or too weak.
+        Attended patches that are ambiguous.
     """
 
     candidates: tuple[Candidate, ...]
     refused: tuple[tuple[Candidate, Refusal], ...]
 
 
-def attend(
-    panorama: Panorama, config: AttentionConfig, matched: FloatArray | None = None
-) -> Attention:
+def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
     """
     Select candidates, and return why others were refused.
-
-    Features at pixels `matched` (n, 2), which were matched with another panorama, are added until
-    `config.candidates` candidates contain such a feature.
 
     Raises `LandmarkNavError`: the panorama is smaller than a patch.
     """
@@ -60,53 +52,10 @@ def attend(
     examine = partial(refusal, gray=gray, config=config)
     accepted, refused = select(saliency, _inside(panorama.mask), config, examine)
     first = max((c.saliency for c in accepted), default=1.0)
-    if matched is not None:
-        least = min((c.saliency for c in accepted), default=1.0)
-        around_features = _around_features(
-            matched, accepted, gray, _inside(panorama.mask), least, config
-        )
-        accepted = (*accepted, *around_features)
     return Attention(
         tuple(replace(c, saliency=c.saliency / first) for c in accepted),
         tuple((replace(c, saliency=c.saliency / first), why) for c, why in refused),
     )
-
-
-def _around_features(
-    pixels: FloatArray,
-    taken: Sequence[Candidate],
-    gray: ImageArray,
-    inside: npt.NDArray[np.bool_],
-    saliency: float,
-    config: AttentionConfig,
-) -> list[Candidate]:
-    """Candidates around pixels (n, 2) that are distinct and far enough from those taken."""
-    height, width = gray.shape
-    size = config.size_max_px
-    centers = [(c.column, c.row) for c in taken]
-    found: list[Candidate] = []
-    away = np.abs(np.array(centers).reshape(-1, 1, 2) - pixels).max(-1)
-    wanted = config.candidates - int((away.min(-1, initial=np.inf) < _MIN_DISTANCE * size).sum())
-    for column, row in np.floor(pixels) + 0.5 * (1 - size % 2):
-        if len(found) >= wanted:
-            break
-        first = int(row - 0.5 * (size - 1))
-        if first < 0 or first + size > height:
-            continue
-        if centers:
-            away = np.abs(np.array(centers) - (column, row))
-            away[:, 0] = np.minimum(away[:, 0], width - away[:, 0])
-            if (away.max(1) < _MIN_DISTANCE * size).any():
-                continue
-        left = int(column - 0.5 * (size - 1))
-        across = np.arange(left, left + size) % width
-        if not inside[first : first + size].take(across, axis=1).all():
-            continue
-        candidate = Candidate(float(column), float(row), size, size, saliency)
-        if refusal(candidate, gray, config) is None:
-            found.append(candidate)
-            centers.append((column, row))
-    return found
 
 
 def _to_gray(image: ImageArray) -> ImageArray:

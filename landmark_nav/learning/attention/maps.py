@@ -1,15 +1,14 @@
 """
 Saliency of a grey panorama: feature maps -> conspicuity maps -> weighted mean.
 
-Feature maps are float32 in [0, 1]: intensity, edges, vertical edges, corners, and local symmetry
-about points and about vertical lines. All but intensity and line symmetry use Canny edge pixels
-only, so that noise on a bare wall is no feature. Symmetry is computed at half resolution, which is
-fine enough for patches of about 30 px.
+Feature maps are float32 in [0, 1]: edges, corners, and local symmetry about points. All use Canny
+edge pixels only, so that noise on a bare wall is no feature, and have half the resolution of the
+panorama, which is fine enough for patches of about 30 px.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,15 +21,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import ImageArray
 
-FEATURES = (
-    'intensity',
-    'edges',
-    'vertical_edges',
-    'corners',
-    'symmetry',
-    'radial_symmetry',
-    'line_symmetry',
-)
+FEATURES = ('edges', 'corners', 'symmetry')
 
 
 @dataclass(frozen=True)
@@ -42,20 +33,12 @@ class AttentionConfig(Config):
     are found again beyond chance in the simulated rooms for tuning (docs/decisions.md).
     """
 
-    # Weight of bright areas.
-    weight_intensity: float = 0.0
     # Weight of Canny edges.
     weight_edges: float = 0.25
-    # Weight of vertical edges, which determine bearings.
-    weight_vertical_edges: float = 0.0
     # Weight of corners.
     weight_corners: float = 0.2
     # Weight of symmetry about a point.
     weight_symmetry: float = 0.25
-    # Weight of symmetry about a point that edges vote for.
-    weight_radial_symmetry: float = 0.2
-    # Weight of symmetry about vertical lines.
-    weight_line_symmetry: float = 0.1
     # Smallest width and height of a patch, px.
     size_min_px: int = 28
     # Largest width and height of a patch, px.
@@ -101,16 +84,6 @@ class AttentionConfig(Config):
 _RING_SIGMAS_PX = (4.0, 8.0, 16.0)
 # Mean edge strength of an almost empty ring, relative to strong edges everywhere.
 _EMPTY = 0.02
-# Radii of the circles that edges vote for, px of the full image.
-_RADII_PX = (4, 8, 16)
-# Number of votes of full symmetry, and exponent of radial strictness (Loy and Zelinsky); it
-# excludes straight edges.
-_FULL_VOTES = 9.9
-_STRICTNESS = 2
-# Half the width and height of the window in which two sides of a vertical line are compared, px of
-# the full image.
-_HALF_WIDTH_PX = 16
-_HALF_HEIGHT_PX = 16
 
 
 def point_symmetry_map(gradients: EdgeGradients) -> Float32Array:
@@ -160,71 +133,6 @@ def _ring_symmetry(
     total = np.maximum(total, np.float32(1e-6))
     symmetry = np.maximum(circular, 0.0) * np.maximum(total - linear, 0.0) / (total * total)
     return np.asarray(symmetry * certainty, dtype=np.float32)
-
-
-def radial_symmetry_map(gradients: EdgeGradients) -> Float32Array:
-    """
-    Symmetry about a point at half resolution: edges vote for centres of circles.
-
-    Each edge pixel votes for the points that lie one radius up and one down its gradient, with
-    opposite signs: bright and dark centres collect votes of one sign, from all sides; points
-    beside a straight edge get one vote each. The largest over the radii. Loy and Zelinsky, Fast
-    Radial Symmetry for Detecting Points of Interest, PAMI 25(8), 2003, the fast form of Reisfeld,
-    Wolfson and Yeshurun, Context-Free Attentional Operators, IJCV 14, 1995.
-    """
-    height, width = (side // 2 for side in gradients.magnitude.shape)
-    row, column = np.nonzero(gradients.magnitude)
-    magnitude = gradients.magnitude[row, column]
-    up_x = gradients.dx[row, column] / magnitude
-    up_y = gradients.dy[row, column] / magnitude
-    strength = np.minimum(magnitude / np.float32(gradients.strong), np.float32(1.0))
-    best = np.zeros((height, width), np.float32)
-    for radius in _RADII_PX:
-        votes, weight = np.zeros(height * width), np.zeros(height * width)
-        for sign in (1, -1):
-            at_row = (row + np.rint(sign * radius * up_y).astype(np.intp)) // 2
-            at_column = (column + np.rint(sign * radius * up_x).astype(np.intp)) // 2
-            inside = (at_row >= 0) & (at_row < height) & (at_column >= 0) & (at_column < width)
-            at = at_row[inside] * width + at_column[inside]
-            votes += sign * np.bincount(at, minlength=len(votes))
-            weight += sign * np.bincount(at, strength[inside], minlength=len(weight))
-        share = np.minimum(np.abs(votes) / _FULL_VOTES, 1.0) ** _STRICTNESS
-        share *= np.minimum(np.abs(weight) / _FULL_VOTES, 1.0)
-        ring = share.reshape(height, width).astype(np.float32)
-        # A quarter of the radius, at half resolution.
-        np.maximum(best, cv2.GaussianBlur(ring, (0, 0), radius / 8.0), out=best)
-    return best
-
-
-def line_symmetry_map(intensity: Float32Array, contrast: float) -> Float32Array:
-    """
-    Symmetry about vertical lines at half resolution: correlation of both sides, one mirrored.
-
-    Row means are subtracted first, since horizontal edges are symmetric about any vertical line.
-
-    Parameters
-    ----------
-    intensity : ndarray of float32, shape (height, width)
-        Full resolution.
-    contrast : float
-        Contrast that counts as weak, in the units of `intensity`.
-    """
-    half = halve(intensity)
-    reach, rise = _HALF_WIDTH_PX // 2, _HALF_HEIGHT_PX // 2
-    detail = half - cv2.blur(half, (2 * reach + 1, 1))
-    width = detail.shape[1]
-    padded = cv2.copyMakeBorder(detail, 0, 0, reach, reach, cv2.BORDER_REFLECT)
-    product = np.zeros_like(detail)
-    energy = np.zeros_like(detail)
-    for offset in range(1, reach + 1):
-        left = padded[:, reach - offset : reach - offset + width]
-        right = padded[:, reach + offset : reach + offset + width]
-        product += left * right
-        energy += left * left + right * right
-    window = (1, 2 * rise + 1)
-    product, energy = cv2.blur(product, window), cv2.blur(energy, window)
-    floor = np.float32(2 * reach * contrast**2)
-    return np.asarray(np.clip(2.0 * product / (energy + floor), 0.0, 1.0), dtype=np.float32)
 
 
 def halve(image: Float32Array) -> Float32Array:
@@ -284,25 +192,9 @@ def edge_gradients(gray: ImageArray, low: float, high: float, side: int = 0) -> 
     return EdgeGradients(dx, dy, magnitude, strong)
 
 
-def intensity_map(gray: ImageArray) -> Float32Array:
-    """Brightness."""
-    return np.asarray(gray.astype(np.float32) / np.float32(255.0))
-
-
 def edge_map(gradients: EdgeGradients) -> Float32Array:
     """Contrast of edges in any direction."""
     return _unit(gradients.magnitude / np.float32(gradients.strong))
-
-
-def vertical_edge_map(gradients: EdgeGradients) -> Float32Array:
-    """
-    Contrast of edges within 45 degrees of the vertical: |g| max(0, cos 2 angle).
-
-    They determine bearings: shifted along the row, they do not match.
-    """
-    dx, dy, magnitude = gradients.dx, gradients.dy, gradients.magnitude
-    slope = (dx * dx - dy * dy) / np.maximum(magnitude, np.float32(1e-3))
-    return _unit(slope / np.float32(gradients.strong))
 
 
 def corner_map(gradients: EdgeGradients) -> Float32Array:
@@ -409,26 +301,16 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
     columns = np.arange(-side, width + side + width % 2) % width
     padded = panorama_gray.take(columns, axis=1)
     padded = cv2.copyMakeBorder(padded, 0, height % 2, 0, 0, cv2.BORDER_REPLICATE)
-    features = _feature_maps(padded, list(weights), side)
+    gradients = edge_gradients(padded, _EDGE_LOW, _EDGE_HIGH, side)
+    features = {
+        'edges': halve(edge_map(gradients)),
+        'corners': halve(corner_map(gradients)),
+        'symmetry': point_symmetry_map(gradients),
+    }
+    features = {name: features[name] for name in weights}
     sigmas = CENTER_SIGMA_PX / 2.0, SURROUND_SIGMA_PX / 2.0
     conspicuities = {name: conspicuity_map(m, *sigmas, side // 2) for name, m in features.items()}
     fused = fuse(conspicuities, weights)
     full = cv2.resize(fused, padded.shape[::-1], interpolation=cv2.INTER_LINEAR)
     saliency = np.asarray(full[:height, side : side + width], np.float32, order='C')
     return AttentionMaps(features, conspicuities, saliency, side // 2)
-
-
-def _feature_maps(gray: ImageArray, names: list[str], side: int) -> dict[str, Float32Array]:
-    """Feature maps at half resolution."""
-    gradients = edge_gradients(gray, _EDGE_LOW, _EDGE_HIGH, side)
-    intensity = intensity_map(gray)
-    compute: dict[str, Callable[[], Float32Array]] = {
-        'intensity': lambda: halve(intensity),
-        'edges': lambda: halve(edge_map(gradients)),
-        'vertical_edges': lambda: halve(vertical_edge_map(gradients)),
-        'corners': lambda: halve(corner_map(gradients)),
-        'symmetry': lambda: point_symmetry_map(gradients),
-        'radial_symmetry': lambda: radial_symmetry_map(gradients),
-        'line_symmetry': lambda: line_symmetry_map(intensity, _EDGE_HIGH / 255.0),
-    }
-    return {name: compute[name]() for name in names}

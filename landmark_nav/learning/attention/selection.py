@@ -195,20 +195,15 @@ def _sums(band: FloatArray, columns: IndexArray, width: int) -> FloatArray:
 
 # Smallest distance of another match, relative to the patch size; nearer ones are the patch itself.
 _SAME_PLACE = 0.25
-# Largest predicted noise of a match along the row, px.
-_MAX_BEARING_SIGMA_PX = 0.05
 # Largest correlation with a neighbouring position (docs/decisions.md, attention).
 _MAX_SIMILARITY = 0.75
-# Noise of a frame, standard deviation in grey levels: about that of the simulated camera at
-# medium brightness, sqrt(2^2 + 0.06 x 120) = 3.3.
-_NOISE_GRAY = 3.0
-# Standard deviation of the Gaussian before gradients are taken, px.
-_SMOOTHING_PX = 1.0
+# Least standard deviation of a patch, grey levels: a match needs 4.
+_MIN_CONTRAST = 5.0
 
 
 def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> Refusal | None:
     """
-    Return why a patch of a panorama is ambiguous or too weak; None if it is distinct.
+    Return why a patch of a panorama is ambiguous; None if it is distinct.
 
     Parameters
     ----------
@@ -217,10 +212,9 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     """
     window, column, row = _neighborhood(candidate, gray, config)
     patch = window[row : row + candidate.height_px, column : column + candidate.width_px]
-    sigma_px = _bearing_sigma_px(patch)
-    if sigma_px > _MAX_BEARING_SIGMA_PX:
-        found = f'a match would vary by {sigma_px:.2f} px' if np.isfinite(sigma_px) else 'noise'
-        return Refusal('too little contrast along the row', found)
+    contrast = float(np.std(patch))
+    if contrast < _MIN_CONTRAST:
+        return Refusal('too little contrast', f'{contrast:.1f} grey levels')
     score = cv2.matchTemplate(window, np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)
     columns_away = np.abs(np.arange(score.shape[1]) - column)
     rows_away = np.abs(np.arange(score.shape[0]) - row)
@@ -249,22 +243,3 @@ def _neighborhood(
     last = min(height, top + candidate.height_px + around)
     columns = np.arange(left - along, left + candidate.width_px + along) % width
     return gray[first:last].take(columns, axis=1), along, top - first
-
-
-def _bearing_sigma_px(patch: ImageArray) -> float:
-    """
-    Noise along the row of a least-squares match between two images of a patch, px.
-
-    It is the Cramer-Rao bound sqrt(2) noise / |gradients|, with the shift along the column unknown
-    too: one slanted edge determines neither. The gradients are those of a smoothed patch, less the
-    expected contribution of noise.
-    """
-    image = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), _SMOOTHING_PX)
-    dx = 0.5 * (image[1:-1, 2:] - image[1:-1, :-2])
-    dy = 0.5 * (image[2:, 1:-1] - image[:-2, 1:-1])
-    noise = dx.size * _NOISE_GRAY**2 / (8.0 * np.pi * _SMOOTHING_PX**4)
-    xx, yy, xy = float(np.sum(dx * dx)), float(np.sum(dy * dy)), float(np.sum(dx * dy))
-    information = xx - noise - (xy * xy / yy if yy > 0.0 else 0.0)
-    if information <= 0.0:
-        return float('inf')
-    return float(np.sqrt(2.0 * _NOISE_GRAY**2 / information))

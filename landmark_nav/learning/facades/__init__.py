@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from landmark_nav.learning.facades.config import FacadesConfig
 from landmark_nav.learning.facades.outline import open_room, room_of
-from landmark_nav.learning.facades.planes import Facade, find_facades
+from landmark_nav.learning.facades.planes import Facade, FacadesConfig, find_facades
 from landmark_nav.learning.facades.points import placed_matches, SeenPoints
 
 __all__ = [

@@ -15,8 +15,7 @@ import numpy as np
 from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.facades.config import FacadesConfig
-from landmark_nav.learning.facades.planes import Facade
+from landmark_nav.learning.facades.planes import Facade, FacadesConfig
 from landmark_nav.learning.facades.points import SeenPoints
 from landmark_nav.types import FloatArray
 
@@ -85,18 +84,12 @@ def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame
     Arguments are those of `room_of`; `points` are those that panoramas share.
     """
     middle = eyes[:, :2].mean(0)
-    seen = np.concatenate([eyes[:, :2], points.positions[:, :2]]) - middle
+    reach = np.hypot(*(points.positions[:, :2] - middle).T)
     least = float(np.hypot(*(eyes[:, :2] - middle).T).max()) + _OPEN_M
+    far = max(least, float(np.quantile(reach, _OPEN_SHARE)) if len(reach) else 0.0)
+    far = far / np.cos(np.pi / _OPEN_WALLS) + _BEYOND_M
     ends = 2.0 * np.pi * np.arange(_OPEN_WALLS) / _OPEN_WALLS
-    toward = np.stack([np.cos(ends), np.sin(ends)], 1)
-    reach = np.hypot(*seen.T)
-    corners = []
-    for direction in toward:
-        # A corner is as far out as the farthest points near its direction.
-        about = seen @ direction >= np.cos(2.0 * np.pi / _OPEN_WALLS) * reach
-        far = np.quantile(reach[about], _OPEN_SHARE) if about.any() else 0.0
-        far = max(float(far), least) / np.cos(np.pi / _OPEN_WALLS) + _BEYOND_M
-        corners.append((middle + far * direction, -1))
+    corners = [(middle + far * np.array([np.cos(a), np.sin(a)]), -1) for a in ends]
     return _closed(corners, config.wall_height_m, config, frame_id)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from landmark_nav.learning.relative_pose.config import RelativePoseConfig
+from landmark_nav.learning.relative_pose.epipolar import RelativePoseConfig
 from landmark_nav.learning.relative_pose.features import Features, find_features
 from landmark_nav.learning.relative_pose.poses import relative_poses, RelativePoses
 

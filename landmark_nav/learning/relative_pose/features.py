@@ -13,11 +13,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
-from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.relative_pose.config import RelativePoseConfig
-from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
-from landmark_nav.types import FloatArray, ImageArray
+from landmark_nav.arrays import Float32Array, IndexArray
+from landmark_nav.learning.relative_pose.epipolar import (
+    center,
+    RayPairs,
+    RelativePoseConfig,
+    turned,
+)
+from landmark_nav.types import FloatArray, Panorama
 
 # Overlap at the seam, and margin to uncovered parts, pixels: the support of a descriptor.
 _SEAM_PX, _MARGIN_PX = 48, 9
@@ -36,17 +39,9 @@ class Features:
         return len(self.rays)
 
 
-def find_features(grey: ImageArray, mask: BoolArray, cylinder: Cylinder, most: int) -> Features:
-    """
-    Find the strongest features of a panorama.
-
-    Parameters
-    ----------
-    grey : ndarray of uint8, shape (height, width)
-        Panorama of a full turn: the last column borders on the first.
-    mask : ndarray of bool, shape (height, width)
-        Covered pixels.
-    """
+def find_features(panorama: Panorama, most: int) -> Features:
+    """Find the strongest features of a panorama of a full turn."""
+    grey, mask = cv2.cvtColor(panorama.image, cv2.COLOR_BGR2GRAY), panorama.mask
     width = grey.shape[1]
     columns = np.arange(-_SEAM_PX, width + _SEAM_PX) % width
     kernel = np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)
@@ -59,24 +54,30 @@ def find_features(grey: ImageArray, mask: BoolArray, cylinder: Cylinder, most: i
     kept = (pixels[:, 0] >= -0.5) & (pixels[:, 0] < width - 0.5)
     histograms = descriptors[kept]
     root = np.sqrt(histograms / np.maximum(histograms.sum(1, keepdims=True), 1e-9))
-    return Features(cylinder.rays(pixels[kept]), np.asarray(root, dtype=np.float32))
+    return Features(panorama.cylinder.rays(pixels[kept]), np.asarray(root, dtype=np.float32))
 
 
 def alike(one: Features, other: Features, max_ratio: float) -> IndexArray:
     """Pairs (m, 2) of mutually nearest features that pass the ratio test, most distinct first."""
     if min(len(one), len(other)) < 2:
         return np.empty((0, 2), dtype=np.intp)
-    likeness = one.descriptors @ other.descriptors.T
-    best = likeness.argmax(1)
-    rows = np.arange(len(one))
-    back = likeness.argmax(0)[best] == rows
+    pairs, ratio, _ = _nearest(one.descriptors @ other.descriptors.T, max_ratio)
+    return pairs[np.argsort(ratio, kind='stable')]
+
+
+def _nearest(
+    likeness: Float32Array, max_ratio: float
+) -> tuple[IndexArray, Float32Array, Float32Array]:
+    """Pairs (m, 2), their ratios (m,) and likeness (m,) of mutually nearest descriptors."""
+    best, rows = likeness.argmax(1), np.arange(len(likeness))
     top = likeness[rows, best]
+    mutual = likeness.argmax(0)[best] == rows
     likeness[rows, best] = -1.0
-    with np.errstate(divide='ignore', invalid='ignore'):
-        ratio = np.sqrt(np.maximum(1.0 - top, 0.0) / np.maximum(1.0 - likeness.max(1), 1e-9))
-    kept = np.flatnonzero(back & (ratio < max_ratio))
-    kept = kept[np.argsort(ratio[kept], kind='stable')]
-    return np.stack([kept, best[kept]], 1)
+    second = np.maximum(likeness.max(1), 0.0)
+    # The distance of unit vectors is sqrt(2 - 2 cosine).
+    ratio = np.sqrt(np.maximum(1.0 - top, 0.0) / np.maximum(1.0 - second, 1e-9))
+    kept = np.flatnonzero(mutual & (ratio < max_ratio))
+    return np.stack([kept, best[kept]], 1), ratio[kept], top[kept]
 
 
 # Half width of the band about the epipolar curve, in sigmas: poses are not yet exact.
@@ -117,12 +118,6 @@ def matches_along(
             near &= (distance > _NEAREST * length) & (distance < _FARTHEST * length)
     likeness = features[one].descriptors @ features[other].descriptors.T
     likeness[~near] = -1.0
-    best = likeness.argmax(1)
-    rows = np.arange(len(w))
-    top = likeness[rows, best]
-    mutual = likeness.argmax(0)[best] == rows
-    likeness[rows, best] = -1.0
-    second = np.maximum(likeness.max(1), 0.0)
-    distinct = 1.0 - top < config.max_ratio**2 * (1.0 - second)
-    kept = mutual & distinct & (top > _LEAST_LIKENESS)
-    return RayPairs(one, other, features[one].rays[kept], features[other].rays[best[kept]])
+    found, _, top = _nearest(likeness, config.max_ratio)
+    found = found[top > _LEAST_LIKENESS]
+    return RayPairs(one, other, features[one].rays[found[:, 0]], features[other].rays[found[:, 1]])

@@ -17,13 +17,13 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.learning.least_squares import covariance_of
-from landmark_nav.learning.relative_pose.config import RelativePoseConfig
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
     EpipolarFit,
     fit_poses,
     misses,
     RayPairs,
+    RelativePoseConfig,
     STATE,
 )
 from landmark_nav.learning.relative_pose.features import alike, Features, matches_along

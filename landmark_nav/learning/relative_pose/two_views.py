@@ -13,8 +13,13 @@ import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rot_z, rotation
-from landmark_nav.learning.relative_pose.config import RelativePoseConfig
-from landmark_nav.learning.relative_pose.epipolar import center, fit_poses, RayPairs, STATE
+from landmark_nav.learning.relative_pose.epipolar import (
+    center,
+    fit_poses,
+    RayPairs,
+    RelativePoseConfig,
+    STATE,
+)
 from landmark_nav.types import FloatArray
 
 # Grid of headings and directions that is tried, and how far off a match then may be.

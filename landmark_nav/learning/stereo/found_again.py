@@ -9,10 +9,14 @@ import numpy as np
 
 from landmark_nav.arrays import Float32Array, FloatArray
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.stereo.config import StereoConfig
 from landmark_nav.learning.stereo.own_plane import depths_of, is_off_wall, match_freely
-from landmark_nav.learning.stereo.ties import Ties
-from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
+from landmark_nav.learning.stereo.wall_patch import (
+    own_measurement,
+    PatchMeasurement,
+    StereoConfig,
+    Ties,
+    WallPatch,
+)
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
@@ -40,16 +44,6 @@ class Found:
     def normals(self) -> FloatArray:
         """Normals (n, 3) of the patches."""
         return np.array([patch.normal for patch in self.patches])
-
-    @property
-    def before_walls(self) -> Found:
-        """Patches with a wall behind them, with that wall as their plane."""
-        which = [k for k, patch in enumerate(self.patches) if patch.wall >= 0]
-        return replace(
-            self,
-            patches=[replace(self.patches[k], on_wall=True) for k in which],
-            measurements=[self.measurements[k] for k in which],
-        )
 
 
 def find_again(

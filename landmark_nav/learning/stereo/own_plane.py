@@ -15,8 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from landmark_nav.arrays import Float32Array
-from landmark_nav.learning.stereo.config import StereoConfig
-from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
+from landmark_nav.learning.stereo.wall_patch import (
+    own_measurement,
+    PatchMeasurement,
+    StereoConfig,
+    WallPatch,
+)
 from landmark_nav.learning.stereo.wall_stereo import compare
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 

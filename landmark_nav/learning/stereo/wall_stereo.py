@@ -22,16 +22,16 @@ import numpy as np
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.stereo.config import StereoConfig
 from landmark_nav.learning.stereo.magnification import log_nearer
 from landmark_nav.learning.stereo.wall_patch import (
     covered_rows,
     PatchMeasurement,
+    StereoConfig,
     texels_per_pixel,
     wall_texture,
     WallPatch,
 )
-from landmark_nav.matching import blur_to, match_template
+from landmark_nav.matching import blur_to, Match, match_template
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
 # Sigma of the Gaussian blur against noise, pixels.
@@ -84,8 +84,10 @@ _SIGMAS = 3.0
 _LARGEST_MARGIN_M = 0.5
 # Sigma of a patch that is not flat, relative to the displacement of its quarters.
 _RELIEF_SHARE = 0.5
-# Greatest deviation of the match in the reverse direction.
-_MAX_RETURN_PX = 1.0
+# Greatest deviation of the match in the reverse direction, and its least score, relative to that
+# of the first one.
+_MAX_RETURN_PX, _RETURN_SCORE = 1.0, 0.9
+_UNCOVERED = Refusal('not covered by both panoramas')
 
 
 def hypothesize(
@@ -170,45 +172,30 @@ def compare(
     The search extends in front of the plane and behind it as `config` says.
     """
     here, there = panoramas[patch.source], panoramas[other]
+    grey, grey_there = greys[patch.source], greys[other]
     center, shape = _search_area(patch, here, there, config)
-    center, search = _window(there, greys[other], center, shape, patch)
-    template = wall_texture(
-        here, greys[patch.source], patch.position, patch.normal, patch.shape, patch.texel_m
-    )
-    if search is None or template is None:
-        return Refusal('not covered by both panoramas')
+    plane = patch.normal, patch.shape, patch.texel_m
+    template = wall_texture(here, grey, patch.position, *plane)
+    if template is None:
+        return _UNCOVERED
     # The sharper view is blurred to the resolution of the other, which improves the correlation.
     own, seen = (texels_per_pixel(patch, p) for p in (here, there))
-    coarser = max(own.max(), seen.max())
     template = blur_to(template, seen, own)
-    match = match_template(
-        blur_to(search, own, seen),
-        template,
-        min_score=config.min_score,
-        max_second_ratio=config.max_second_ratio,
-    )
-    if isinstance(match, Refusal):
-        return match
-    right, down = patch_axes(patch.normal)
-    across, below = (match.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
-    point = center + across * right + below * down
-    found = wall_texture(there, greys[other], point, patch.normal, patch.shape, patch.texel_m)
-    back_center, search = _window(here, greys[patch.source], patch.position, shape, patch)
-    if search is None or found is None:
-        return Refusal('not covered by both panoramas')
+    ahead = _located(patch, template, there, grey_there, center, shape, (own, seen), config)
+    if isinstance(ahead, Refusal):
+        return ahead
+    match, point = ahead
+    found = wall_texture(there, grey_there, point, *plane)
+    if found is None:
+        return _UNCOVERED
     found = blur_to(found, own, seen)
-    back = match_template(
-        blur_to(search, seen, own),
-        found,
-        min_score=0.9 * config.min_score,
-        max_second_ratio=config.max_second_ratio,
-    )
+    loose = replace(config, min_score=_RETURN_SCORE * config.min_score)
+    back = _located(patch, found, here, grey, patch.position, shape, (seen, own), loose)
     if isinstance(back, Refusal):
         return Refusal('no way back', str(back))
-    across, below = (back.xy - (np.array(search.shape[::-1]) - 1) / 2.0) * patch.texel_m
-    missed = (back_center + across * right + below * down - patch.position) / patch.texel_m
     # In pixels of the coarser view.
-    off = float(np.hypot(missed @ right, missed @ down)) / coarser
+    coarser = max(own.max(), seen.max())
+    off = float(np.linalg.norm(back[1] - patch.position)) / patch.texel_m / coarser
     if off > _MAX_RETURN_PX:
         return Refusal('no way back', f'leads {off:.1f} px away')
     displaced = displaced_quarter(template, found) / coarser
@@ -222,7 +209,7 @@ def compare(
         # A patch that is not flat may be matched by any part of it.
         relief = _RELIEF_SHARE * displaced * coarser * patch.texel_m / reach
         sigma = np.hypot(sigma, relief)
-    nearer = log_nearer(patch, point, (here, there), (greys[patch.source], greys[other]))
+    nearer = log_nearer(patch, point, (here, there), (grey, grey_there))
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -234,22 +221,37 @@ def compare(
     )
 
 
-def _window(
+def _located(
+    patch: WallPatch,
+    template: Float32Array,
     panorama: Panorama,
     grey: Float32Array,
     center: FloatArray,
     shape: tuple[int, int],
-    patch: WallPatch,
-) -> tuple[FloatArray, Float32Array | None]:
-    """Centre (3,) and texture of the covered rows of a window on the patch's plane."""
+    blur: tuple[FloatArray, FloatArray],
+    config: StereoConfig,
+) -> tuple[Match, FloatArray] | Refusal:
+    """Match of a template in a window about `center` on the patch's plane, and its point (3,)."""
     rows = covered_rows(panorama, center, patch.normal, shape, patch.texel_m)
     count = rows.stop - rows.start
     if count < patch.shape[0] + 4:
-        return center, None
-    shift = (rows.start + (count - 1) / 2.0 - (shape[0] - 1) / 2.0) * patch.texel_m
-    center = center - np.array([0.0, 0.0, shift])
+        return _UNCOVERED
+    right, down = patch_axes(patch.normal)
+    center = center + (rows.start + 0.5 * (count - shape[0])) * patch.texel_m * down
     size = (count, shape[1])
-    return center, wall_texture(panorama, grey, center, patch.normal, size, patch.texel_m)
+    search = wall_texture(panorama, grey, center, patch.normal, size, patch.texel_m)
+    if search is None:
+        return _UNCOVERED
+    match = match_template(
+        blur_to(search, *blur),
+        template,
+        min_score=config.min_score,
+        max_second_ratio=config.max_second_ratio,
+    )
+    if isinstance(match, Refusal):
+        return match
+    across, below = (match.xy - (np.array(size[::-1]) - 1) / 2.0) * patch.texel_m
+    return match, center + across * right + below * down
 
 
 def _search_area(

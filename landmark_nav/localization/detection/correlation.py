@@ -24,7 +24,7 @@ from landmark_nav.localization.detection.appearance import draw
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.expectation import expect, Expectation, quadratic, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals
-from landmark_nav.matching import blur_by, blur_sigmas, Match, match_templates, Query, sigmas_of
+from landmark_nav.matching import blur_by, blur_sigmas, Match, match_template, sigmas_of
 from landmark_nav.types import (
     CameraFrame,
     Detections,
@@ -173,20 +173,18 @@ def _detect(
     )
     # Of image and template, the sharper one is blurred to match the other.
     blurs = [_blurs(drawing.finer, blur_px2) for drawing in drawings]
-    matches = match_templates(
-        [
-            Query(
-                blur_by(view.grey[y0:y1, x0:x1].astype(np.float32), search_blur),
-                _inner(blur_by(drawing.image, template_blur), template_blur),
-                landmark.threshold,
-                config.max_second_ratio,
-                search_blur,
-            )
-            for landmark, (x0, y0, x1, y1), drawing, (search_blur, template_blur) in zip(
-                landmarks, windows, drawings, blurs, strict=True
-            )
-        ]
-    )
+    matches = [
+        match_template(
+            blur_by(view.grey[y0:y1, x0:x1].astype(np.float32), search_blur),
+            _inner(blur_by(drawing.image, template_blur), template_blur),
+            min_score=landmark.threshold,
+            max_second_ratio=config.max_second_ratio,
+            search_blur=search_blur,
+        )
+        for landmark, (x0, y0, x1, y1), drawing, (search_blur, template_blur) in zip(
+            landmarks, windows, drawings, blurs, strict=True
+        )
+    ]
     outcome: list[_Found | Refusal] = []
     for landmark, place, (x0, y0, *_), match in zip(
         landmarks, expected, windows, matches, strict=True
