@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+import shutil
 import sqlite3
 
 import lz4.frame
@@ -119,7 +120,7 @@ def packed_file(source: Path, path: Path) -> Path:
     return path
 
 
-def without_definitions(path: Path) -> None:
+def without_definitions(path: Path) -> Path:
     """Take the definitions out of a .db3, as distributions before Iron left them out."""
     (file,) = path.glob('*.db3')
     base = sqlite3.connect(file)
@@ -127,3 +128,14 @@ def without_definitions(path: Path) -> None:
     base.execute('DROP TABLE message_definitions')
     base.commit()
     base.close()
+    return path
+
+
+def compression_mode(source: Path, path: Path, mode: str) -> Path:
+    """The same bag, whose metadata name a mode of compression; its first bytes count."""
+    shutil.copytree(source, path)
+    text = (path / 'metadata.yaml').read_text()
+    assert "compression_mode: ''" in text
+    changed = text.replace("compression_mode: ''", f"compression_mode: '{mode}'")
+    (path / 'metadata.yaml').write_text(changed)
+    return path

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import gc
 from itertools import groupby
-import shutil
 
 from bag_forms import (
+    compression_mode,
     mcap_file,
     packed_file,
     ros1_bag,
@@ -286,6 +286,9 @@ FORMS = {
     'sqlite3 by file': lambda s, p: rosbag2_bag(s, p, CompressionMode.FILE),
     'mcap by message': lambda s, p: rosbag2_bag(s, p, CompressionMode.MESSAGE, StoragePlugin.MCAP),
     'mcap by file': lambda s, p: rosbag2_bag(s, p, CompressionMode.FILE, StoragePlugin.MCAP),
+    'sqlite3 without definitions': lambda s, p: without_definitions(rosbag2_bag(s, p)),
+    'metadata that say nothing': lambda s, p: compression_mode(s, p, 'None'),
+    'metadata that are wrong': lambda s, p: compression_mode(s, p, 'FILE'),
     'split': split_bag,
     'ros1': lambda s, p: ros1_bag(s, p, None),
     'ros1 bz2': lambda s, p: ros1_bag(s, p, Ros1Writer.CompressionFormat.BZ2),
@@ -341,43 +344,3 @@ def test_chunks_that_overlap_are_not_all_held_in_memory(drive, expected, tmp_pat
     path = mcap_file(drive, tmp_path / 'by_topic.mcap', by_topic)
     monkeypatch.setattr(container, '_HELD_BYTES', 30_000)
     assert events(path) == expected
-
-
-def test_definitions_that_are_not_in_the_bag_are_those_of_ros(drive, expected, tmp_path):
-    path = rosbag2_bag(drive, tmp_path / 'old')
-    without_definitions(path)
-    assert events(path) == expected
-
-
-@pytest.mark.parametrize('mode', ['NONE', 'none', 'None', '', 'FILE'])
-def test_what_metadata_state_of_compression_is_not_needed(drive, expected, tmp_path, mode):
-    shutil.copytree(drive, tmp_path / 'copy')
-    metadata = tmp_path / 'copy' / 'metadata.yaml'
-    text = metadata.read_text()
-    assert "compression_mode: ''" in text
-    metadata.write_text(text.replace("compression_mode: ''", f"compression_mode: '{mode}'"))
-    assert events(tmp_path / 'copy') == expected
-
-
-@pytest.mark.parametrize(
-    'form', ['ros1 lz4', 'sqlite3', 'zstd', 'chunks zstd', 'in blocks', 'index, by topic']
-)
-def test_damage_in_any_form_is_one_line(drive, tmp_path, form):
-    whole = FORMS[form](drive, tmp_path / 'whole')
-    files = [whole] if whole.is_file() else [f for f in whole.iterdir() if f.suffix != '.yaml']
-    content = files[0].read_bytes()
-    rng = np.random.default_rng(0)
-    path = tmp_path / 'damaged'
-    complaints = []
-    for k in range(30):
-        damaged = np.frombuffer(content, np.uint8).copy()
-        places = rng.integers(8, len(damaged), 20)
-        damaged[places] = rng.integers(0, 256, 20)
-        cut = len(damaged) if k % 2 else int(rng.integers(100, len(damaged)))
-        path.write_bytes(damaged[:cut].tobytes())
-        try:
-            list(sensor_events(Bag(path, lambda text: None), MOUNT))
-        except LandmarkNavError as error:
-            complaints.append(str(error))
-    assert complaints
-    assert not any('\n' in complaint for complaint in complaints)

@@ -154,6 +154,10 @@ def test_hash_gives_results_apart_but_not_rounding():
 
 # The bound
 
+NOISE = (
+    *('along_m_per_sqrt_m', 'across_m_per_sqrt_m', 'turn_rad_per_sqrt_m', 'slip_m_per_rad'),
+    *('turn_rad_per_sqrt_rad', 'floor_m_per_sqrt_s', 'floor_rad_per_sqrt_s'),
+)
 PLACES = np.array([[3.0, 0.0], [0.0, 4.0], [-2.0, -1.0], [2.0, 2.0]])
 
 
@@ -171,19 +175,6 @@ def landmarks(covariance, loading):
     )
 
 
-def silent_odometry():
-    return OdometryNoiseConfig(
-        along_m_per_sqrt_m=0.0,
-        across_m_per_sqrt_m=0.0,
-        turn_rad_per_sqrt_m=0.0,
-        turn_rad_per_sqrt_rad=0.0,
-        floor_m_per_sqrt_s=0.0,
-        floor_rad_per_sqrt_s=0.0,
-        estimate_odometry_bias=False,
-        slip_m_per_rad=0.0,
-    )
-
-
 def image(stamp, variance, mount, pose):
     count = len(PLACES)
     bearings = se2.bearings(mount.axis_pose_map(pose), PLACES)
@@ -195,7 +186,7 @@ def image(stamp, variance, mount, pose):
 def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
     config = LocalizationConfig(
         estimator=EstimatorConfig(correlation_length_m=1e9, floor_tilt_sigma_rad=0.0),
-        odometry=silent_odometry(),
+        odometry=OdometryNoiseConfig(**dict.fromkeys(NOISE, 0.0), estimate_odometry_bias=False),
     )
     pose = np.array([0.3, -0.2, 0.5])
     truth = PoseTrack.of([(k * SECOND // 10, pose) for k in range(times * 10)])
@@ -225,19 +216,14 @@ def test_bound_of_a_standing_robot_is_the_inverse_of_its_information(lever):
         np.testing.assert_allclose(found, np.linalg.inv(information), rtol=1e-3, atol=1e-10)
 
 
-def test_what_all_landmarks_share_bounds_the_pose_for_ever():
+def test_bound_knows_what_landmarks_share_and_is_unknown_without_truth():
     shift = np.zeros((3, 2))
     shift[0, 0] = shift[1, 1] = 0.01
     _, _, bound = bound_of_standing_robot(1e-12 * np.eye(3), shift, times=12)
     np.testing.assert_allclose(np.diag(bound[-1])[:2], 1e-4, rtol=0.02)
-
-
-def test_bound_is_unknown_without_truth():
-    config = LocalizationConfig()
-    start = PoseEstimate(0, np.zeros(3), np.eye(3))
-    world = landmarks(1e-6 * np.eye(3), np.zeros((3, 1)))
+    start, mount = PoseEstimate(0, np.zeros(3), np.eye(3)), PanTiltMount()
+    world, known = landmarks(1e-6 * np.eye(3), np.zeros((3, 1))), Calibration.of_mount(mount)
+    seen = image(SECOND, 1e-6, mount, np.zeros(3))
     for truth in (PoseTrack.of([]), PoseTrack.of([(9 * SECOND, np.zeros(3))])):
-        mount = PanTiltMount()
-        known, seen = Calibration.of_mount(mount), image(SECOND, 1e-6, mount, np.zeros(3))
-        bound = posterior_bound(truth, [seen], world, known, config, start)
+        bound = posterior_bound(truth, [seen], world, known, LocalizationConfig(), start)
         assert np.isnan(bound).all()

@@ -44,6 +44,7 @@ HOSTILE = {
     'control characters': 'walls: "\\n\\e[2J"\npan_axis: "\\0\\x07"\n',
     'deep maps': 'walls: ' + '{a: ' * 30 + '1' + '}' * 30,
     'NUL': 'walls: \x00',
+    'many values': 'a: [' + '1,' * 500_001 + ']',
 }
 
 
@@ -102,13 +103,6 @@ def test_an_error_names_file_and_line(tmp_path: Path) -> None:
             read_yaml_mapping(path)
     path.write_bytes(b'a: 1\nb: M\xfcller\n')
     with pytest.raises(LandmarkNavError, match=r'x\.yaml: line 2: not UTF-8'):
-        read_yaml_mapping(path)
-
-
-def test_values_are_counted(tmp_path: Path) -> None:
-    path = tmp_path / 'x.yaml'
-    path.write_text('a: [' + '1,' * 500_001 + ']')
-    with pytest.raises(LandmarkNavError, match='more than 500000 values'):
         read_yaml_mapping(path)
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from bare_landmarks import bare_landmark
 import numpy as np
 import pytest
 
@@ -18,7 +19,6 @@ from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.types import (
     CameraFrame,
     JointSample,
-    Landmark,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -30,6 +30,7 @@ MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.0))
 CAMERA = CameraModel(160, 120, 150.0, 150.0, 79.5, 59.5)
 CONFIG = LocalizationConfig()
 ROBOT = Calibration.of_mount(MOUNT)
+BEGIN = (1.0, 0.5, 0.2)
 PRIOR = np.diag([0.05**2, 0.05**2, 0.03**2])
 
 
@@ -37,17 +38,14 @@ def a_map():
     rng = np.random.default_rng(0)
     return LandmarkMap(
         tuple(
-            Landmark(
-                id=k,
-                position=np.array([4.0, 0.5 * k, 1.0]),
-                covariance=1e-6 * np.eye(3),
+            bare_landmark(
+                k,
+                np.array([4.0, 0.5 * k, 1.0]),
+                1e-6 * np.eye(3),
                 shared_loading=np.full((3, 1), 1e-4),
                 normal=np.array([-1.0, 0.0, 0.0]),
-                width_m=0.2,
-                height_m=0.2,
                 patch=rng.integers(0, 256, (40, 40)).astype(np.uint8),
                 viewpoint=np.array([2.0, 0.5, 1.0]),
-                threshold=0.7,
             )
             for k in range(4)
         )
@@ -56,7 +54,7 @@ def a_map():
 
 def drive(seconds=3, truth=True, scale=1.05):
     """A straight drive past an empty wall; the odometry has its own origin and a wrong scale."""
-    begin = np.array([1.0, 0.5, 0.2])
+    begin = np.array(BEGIN)
     origin = np.array([-3.0, 7.0, 2.0])
     for k in range(seconds * 20 + 1):
         stamp = START + k * SECOND // 20
@@ -71,8 +69,9 @@ def drive(seconds=3, truth=True, scale=1.05):
             yield CameraFrame(stamp, np.full((120, 160), 128, np.uint8), CAMERA, 0.0)
 
 
-def run(events, pose=(1.0, 0.5, 0.2)):
-    return replay(events, a_map(), ROBOT, CONFIG, np.array(pose), PRIOR)
+def run(events, pose=BEGIN):
+    start = None if pose is None else np.array(pose)
+    return replay(events, a_map(), ROBOT, CONFIG, start, PRIOR)
 
 
 def test_without_a_landmark_in_view_odometry_is_all_there_is():
@@ -126,29 +125,10 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
         reports.append(run_report(done, run_errors(done), a_map(), ROBOT, CONFIG))
     first, second = reports
     assert first['result_hash'] == second['result_hash']
-    assert list(first) == [
-        'schema',
-        'frames',
-        'fixes',
-        'availability',
-        'landmarks',
-        'fused',
-        'triangulation',
-        'odometry',
-        'nees',
-        'claimed',
-        'silently_wrong',
-        'crlb_ratio',
-        'update_ms',
-        'realtime_factor',
-        'result_hash',
-        'spells',
-        'calibration',
-        'odometry_noise',
-        'sighting_sigma',
-        'found',
-        'warning',
-    ]
+    assert set(first) >= {
+        *('schema', 'frames', 'fixes', 'availability', 'landmarks', 'fused', 'triangulation'),
+        *('odometry', 'nees', 'crlb_ratio', 'update_ms', 'realtime_factor', 'result_hash'),
+    }
     assert first['found'] is None
     assert (first['frames'], first['fixes'], first['landmarks']) == (16, 0, 4)
     assert 0.0 <= first['availability'] <= 1.0
@@ -183,11 +163,6 @@ def test_stretches_without_tracking_are_reported_with_the_first_reason():
     assert drive_verdict(report)['level'] == 'bad'
 
 
-def test_a_place_that_nothing_speaks_for_is_not_found():
-    with pytest.raises(LandmarkNavError, match=r'not found in 16 images .*give --start'):
-        replay(drive(), a_map(), ROBOT, CONFIG)
-
-
 def test_without_truth_the_errors_stay_empty(tmp_path):
     done = run(drive(truth=False))
     report = run_report(done, run_errors(done), a_map(), ROBOT, CONFIG)
@@ -200,11 +175,18 @@ def test_without_truth_the_errors_stay_empty(tmp_path):
     assert 'fused' not in drive_tables(report)[0]['head']
 
 
-def test_a_drive_without_images_or_odometry_is_refused():
-    for left_out in (CameraFrame, OdometrySample):
-        events = [event for event in drive() if not isinstance(event, left_out)]
-        with pytest.raises(LandmarkNavError, match='no image or no odometry'):
-            run(events)
+@pytest.mark.parametrize(
+    ('event_of', 'pose', 'words'),
+    [
+        (lambda e: e if not isinstance(e, CameraFrame) else None, BEGIN, 'no image or no odom'),
+        (lambda e: e if not isinstance(e, OdometrySample) else None, BEGIN, 'no image or no odom'),
+        (lambda e: replace(e, stamp_ns=0), BEGIN, '16 images are of one moment'),
+        (lambda e: e, None, r'not found in 16 images .*is the map'),
+    ],
+)
+def test_drives_that_cannot_be_evaluated_are_refused(event_of, pose, words):
+    with pytest.raises(LandmarkNavError, match=words):
+        run(filter(None, map(event_of, drive())), pose)
 
 
 def test_truth_is_never_given_to_the_localizer():
@@ -246,9 +228,3 @@ def test_an_image_that_came_late_is_smoothed_in_its_time():
     smoothed = smooth_run(done, a_map(), ROBOT, CONFIG)
     assert np.all(np.diff(smoothed.stamps_ns) > 0)
     assert len(smoothed.stamps_ns) == len(frames)
-
-
-def test_images_without_stamps_are_refused():
-    unstamped = (replace(event, stamp_ns=0) for event in drive(3))
-    with pytest.raises(LandmarkNavError, match='16 images are of one moment'):
-        run(unstamped)
