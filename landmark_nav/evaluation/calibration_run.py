@@ -118,8 +118,9 @@ class CalibrationDrive:
             seconds.append(np.full(len(done.columns), 1e-9 * (done.stamp_ns - start.stamp_ns)))
             points.append(self._focal_px * done.residual)
             weights.append(done.weight)
-        residuals = map(np.concatenate, (seconds, points, weights))
-        return joint.calibration, Residuals(*residuals)
+        return joint.calibration, Residuals(
+            np.concatenate(seconds), np.concatenate(points), np.concatenate(weights)
+        )
 
 
 def calibrate_by_drive(
