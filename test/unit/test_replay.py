@@ -9,11 +9,13 @@ import pytest
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.evaluate import run_summary
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.metrics import error_summary
 from landmark_nav.evaluation.replay import replay, shifts_by_odometry
 from landmark_nav.evaluation.report.tables import drive_tables, drive_verdict
 from landmark_nav.evaluation.run_report import run_errors, run_report
-from landmark_nav.evaluation.smoothed_run import smooth_run
+from landmark_nav.evaluation.smoothed_run import smooth_run, write_tum_files
 from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.types import (
@@ -25,7 +27,7 @@ from landmark_nav.types import (
 )
 
 SECOND = 1_000_000_000
-START = 5000 * SECOND
+START = 1_763_654_321_000_000_007
 MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.0))
 CAMERA = CameraModel(160, 120, 150.0, 150.0, 79.5, 59.5)
 CONFIG = LocalizationConfig()
@@ -228,3 +230,49 @@ def test_an_image_that_came_late_is_smoothed_in_its_time():
     smoothed = smooth_run(done, a_map(), ROBOT, CONFIG)
     assert np.all(np.diff(smoothed.stamps_ns) > 0)
     assert len(smoothed.stamps_ns) == len(frames)
+
+
+@pytest.fixture(scope='module')
+def beside():
+    """A drive from a start that is a little off, to be compared by other tools."""
+    return run(drive(), pose=(1.02, 0.51, 0.23))
+
+
+def test_tum_files_hold_the_poses_to_the_last_bit(beside, tmp_path):
+    paths = write_tum_files(beside, tmp_path)
+    # There is no triangulated pose.
+    assert [path.name for path in paths] == ['truth.tum', 'fused.tum', 'odometry.tum']
+    rows = np.loadtxt(paths[1])
+    assert rows.shape == (16, 8)
+    np.testing.assert_array_equal(rows[:, 1:3], beside.fused[:, :2])
+    np.testing.assert_allclose(rows[:, 0], 1e-9 * beside.stamps_ns, rtol=1e-15)
+    heading = 2.0 * np.arctan2(rows[:, 6], rows[:, 7])
+    np.testing.assert_allclose(wrap_rad(heading - beside.fused[:, 2]), 0.0, atol=1e-12)
+
+
+def test_evo_agrees(beside, tmp_path):
+    """The usual tool for trajectories finds the same errors in the exported files."""
+    pytest.importorskip('evo', reason="evo is not installed: pip install '.[dev]'")
+    from evo.core import metrics, sync
+    from evo.tools import file_interface
+
+    write_tum_files(beside, tmp_path)
+    errors = run_errors(beside)
+    for name, ours in (('fused', errors.fused), ('odometry', errors.odometry)):
+        truth, estimate = (
+            file_interface.read_tum_trajectory_file(tmp_path / f'{file}.tum')
+            for file in ('truth', name)
+        )
+        pair = sync.associate_trajectories(truth, estimate, max_diff=1e-6)
+        assert pair[0].num_poses == 16
+        summary = error_summary(ours)
+        position = metrics.APE(metrics.PoseRelation.translation_part)
+        position.process_data(pair)
+        theirs = position.get_all_statistics()
+        for key in ('rmse', 'median', 'max'):
+            assert theirs[key] == pytest.approx(summary[f'position_{key}_m'], abs=1e-9)
+        heading = metrics.APE(metrics.PoseRelation.rotation_angle_deg)
+        heading.process_data(pair)
+        # evo's angle comes from the trace of a rotation matrix: less digits near zero.
+        rmse = heading.get_statistic(metrics.StatisticsType.rmse)
+        assert rmse == pytest.approx(summary['heading_rmse_deg'], abs=1e-6)
