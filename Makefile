@@ -19,7 +19,7 @@ BIN = .venv/bin
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-offline test-nodes lint bench ablation rooms variety landmarks alternatives cameras triangulation unmeasured \
+.PHONY: install demo test test-offline test-nodes lint bench ablation rooms variety landmarks alternatives cameras unmeasured \
 	latency papers bad-sweeps degraded faults calibration fuzz docs docs-images test-oldest test-colcon clean
 
 install: .venv/installed
@@ -81,10 +81,6 @@ alternatives: install
 # The active camera against a fixed one and random triplets, in rooms that nothing was tuned on.
 cameras: install
 	$(BIN)/python test/benchmarks cameras --seeds $(SEEDS)
-
-# A million triangulated triplets against the same equations in C; needs a C compiler.
-triangulation: install
-	$(BIN)/python test/benchmarks triangulation
 
 # From image to corrected pose on the live graph.
 latency: install

@@ -88,8 +88,7 @@ def _check_map(bag: Bag, args: argparse.Namespace) -> list[Finding]:
     try:
         done = replay(events, landmarks, calibration, LocalizationConfig())
     except LandmarkNavError as error:
-        text = str(error).partition(': is the map')[0]
-        return [Finding('map', 'error', text, 'take the map of this room, or learn it anew')]
+        return [Finding('map', 'error', str(error), 'take the map of this room, or learn it anew')]
     x, y, heading = done.start.pose.tolist()
     text = f'place found: ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg after '
     text += f'{1e-9 * (done.start.stamp_ns - done.begin_ns):.1f} s'

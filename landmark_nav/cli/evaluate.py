@@ -17,7 +17,7 @@ from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.learning_report import check_truth_frame
-from landmark_nav.evaluation.replay import replay
+from landmark_nav.evaluation.replay import replay, UnknownPlaceError
 from landmark_nav.evaluation.report import (
     check_report,
     drawn_panoramas,
@@ -215,7 +215,10 @@ def run(args: argparse.Namespace) -> int:
     strip = FrameStrip()
     if args.report or args.video:
         events = strip.watch(events)
-    done = replay(events, landmarks, calibration, config, start, covariance)
+    try:
+        done = replay(events, landmarks, calibration, config, start, covariance)
+    except UnknownPlaceError as error:
+        raise LandmarkNavError(f'{error} Else give --start') from error
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
     done, errors, in_frame = against_truth(done, landmarks)

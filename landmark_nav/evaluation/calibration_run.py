@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -10,25 +10,14 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.geometry.se2 import relative
-from landmark_nav.localization.estimator import ImagePoints, JointFilter
-from landmark_nav.localization.estimator.timeline import Timeline
-from landmark_nav.localization.localizer import (
-    LocalizationConfig,
-    LocalizationUpdate,
-    Localizer,
-)
+from landmark_nav.localization.estimator import JointFilter
+from landmark_nav.localization.estimator.timeline import move_to
+from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.noise import left_variance, Motion
-from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.storage.bags import SensorEvent
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap
 
 # Tilt of the map relative to the floor, rad, if papers are misplaced by a millimetre: least sigma
 # of roll and pitch of the pan axis by a drive.
@@ -85,53 +74,52 @@ class CalibrationDrive:
 
     Parameters
     ----------
-    start : PoseEstimate
-        Pose at the first image in which landmarks were found.
+    run : Replay
+        Results of the drive; its start was found by global localization.
     calibration : Calibration
         Estimate at the end.
-    images, lost : int
-        Number of images since the start, and of those in which localization was lost.
-    landmark_map : LandmarkMap
-        Map of the drive.
     slip_bound_rad : float
         Sigma of the direction of travel by the learned noise of the wheels, mostly side slip in
         turns. It is the least sigma of pan zero.
     """
 
-    start: PoseEstimate
+    run: Replay
     calibration: Calibration
-    images: int
-    lost: int
-    landmark_map: LandmarkMap
     slip_bound_rad: float
-    _measured: tuple[OdometrySample | tuple[ImagePoints, float], ...]
+    _landmark_map: LandmarkMap
     _config: LocalizationConfig
+    _focal_px: float
+
+    @property
+    def images(self) -> int:
+        """Number of images since the start."""
+        return len(self.run.updates)
+
+    @property
+    def lost(self) -> int:
+        """Number of images in which localization was lost."""
+        return int(self.run.lost.sum())
 
     def again(self, calibration: Calibration) -> tuple[Calibration, Residuals]:
         """Return estimate and residuals by the same detections with another prior."""
-        config = self._config
+        config, start = self._config, self.run.start
         joint = JointFilter(
-            self.landmark_map, calibration, self.start, config.estimator, config.odometry
+            self._landmark_map, calibration, start, config.estimator, config.odometry
         )
-        line = Timeline(joint, OdometryTrack(config.odometry), config.estimator.history_s)
-        seconds, points, weights = [], [], []
-        for measured in self._measured:
-            if isinstance(measured, OdometrySample):
-                line.add_odometry(measured)
+        track = self.run.track(config.odometry)
+        seconds, points, weights = [np.empty(0)], [np.empty((0, 2))], [np.empty(0)]
+        for update in sorted(self.run.updates, key=lambda update: update.stamp_ns):
+            if update.points is None or update.stamp_ns < start.stamp_ns:
                 continue
-            seen, focal_px = measured
-            update = line.add_image(seen)
-            if isinstance(update, Refusal) or not len(update.columns):
+            move_to(update.stamp_ns, joint, track)
+            done = joint.observe(replace(update.points, stamp_ns=update.stamp_ns, near=None))
+            if not len(done.columns):
                 continue
-            since_s = 1e-9 * (update.stamp_ns - self.start.stamp_ns)
-            seconds.append(np.full(len(update.columns), since_s))
-            points.append(focal_px * update.residual)
-            weights.append(update.weight)
-        none = [np.empty(0)]
-        return line.filter.calibration, Residuals(
-            np.concatenate(seconds or none),
-            np.concatenate(points or [np.empty((0, 2))]),
-            np.concatenate(weights or none),
+            seconds.append(np.full(len(done.columns), 1e-9 * (done.stamp_ns - start.stamp_ns)))
+            points.append(self._focal_px * done.residual)
+            weights.append(done.weight)
+        return joint.calibration, Residuals(
+            np.concatenate(seconds), np.concatenate(points), np.concatenate(weights)
         )
 
 
@@ -144,8 +132,7 @@ def calibrate_by_drive(
     """
     Estimate the calibration over a drive.
 
-    Raises `LandmarkNavError`: no image or odometry, no pose found, or a drive that does not fit
-    the map.
+    Raises `LandmarkNavError`: as `replay`, or the drive does not fit the map.
 
     Parameters
     ----------
@@ -153,66 +140,36 @@ def calibrate_by_drive(
         Measurements; ground truth is not used, and the initial pose is found by global
         localization.
     """
-    localizer = Localizer(landmark_map, prior, config)
-    measured: list[OdometrySample | tuple[ImagePoints, float]] = []
-    begin: PoseEstimate | None = None
-    images = lost = searched = 0
-    moved = False
-    refusal = Refusal('no image')
-    for event in events:
-        if isinstance(event, OdometrySample):
-            localizer.add_odometry(event)
-            measured.append(event)
-            moved = True
-        elif isinstance(event, CameraFrame):
-            update = localizer.add_frame(event)
-            if not isinstance(update, LocalizationUpdate):
-                searched += 1
-                refusal = update if isinstance(update, Refusal) else refusal
-                continue
-            images += 1
-            lost += update.status == 'lost'
-            if begin is None:
-                begin = update.fused
-                # Odometry before the initial pose cannot be used.
-                odometry = [m for m in measured if isinstance(m, OdometrySample)]
-                measured = list(odometry[-1:])
-            assert update.points is not None, 'it is of an image'
-            points = replace(update.points, near=None)
-            measured.append((points, event.camera.fx))
-    if not moved or not (images or searched):
-        raise LandmarkNavError('the drive holds no image or no odometry: nothing to calibrate by')
-    if begin is None:
+    focal_px = 1.0
+
+    def watched() -> Iterator[SensorEvent]:
+        nonlocal focal_px
+        for event in events:
+            focal_px = event.camera.fx if isinstance(event, CameraFrame) else focal_px
+            yield event
+
+    run = replay(watched(), landmark_map, prior, config)
+    assert run.calibration is not None, 'it is of a localizer'
+    if run.lost.mean() > _MOST_LOST:
         raise LandmarkNavError(
-            f'the pose was not found in {searched} images ({refusal}): is the map of this room?'
+            f'localization is lost in {run.lost.sum()} of {len(run.updates)} images: is the map '
+            'of this room, and camera_info of this camera?'
         )
-    if lost > _MOST_LOST * images:
-        raise LandmarkNavError(
-            f'localization is lost in {lost} of {images} images: is the map of this room, and '
-            'camera_info of this camera?'
-        )
-    found = localizer.calibration
     lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
-    level = np.zeros_like(found.covariance)
+    level = np.zeros_like(run.calibration.covariance)
     # Exact quantities remain exact.
     level[lean, lean] = np.where(prior.sigmas[lean] > 0.0, _LEVEL_RAD**2, 0.0)
-    found = replace(found, covariance=found.covariance + level)
-    return CalibrationDrive(
-        begin, found, images, lost, landmark_map, _direction_bound(measured, localizer),
-        tuple(measured), config,
-    )  # fmt: skip
+    found = replace(run.calibration, covariance=run.calibration.covariance + level)
+    return CalibrationDrive(run, found, _direction_bound(run), landmark_map, config, focal_px)
 
 
-def _direction_bound(
-    measured: Sequence[OdometrySample | tuple[ImagePoints, float]], localizer: Localizer
-) -> float:
+def _direction_bound(run: Replay) -> float:
     """Sigma of the mean direction of travel, rad, with each step weighted by its information."""
-    samples = [m for m in measured if isinstance(m, OdometrySample)]
     known = 0.0
-    for before, after in pairwise(samples):
+    for before, after in pairwise(run.samples):
         seconds = max(1e-9 * (after.stamp_ns - before.stamp_ns), 0.0)
         motion = Motion(relative(before.pose_odom_base, after.pose_odom_base), seconds)
-        variance = left_variance(motion, localizer.odometry_noise)
+        variance = left_variance(motion, run.odometry_noise)
         known += float(motion.increment[0]) ** 2 / max(variance, 1e-12)
     return float(known**-0.5) if known else float(np.pi)
 

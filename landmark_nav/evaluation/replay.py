@@ -16,6 +16,7 @@ from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.storage.bags import SensorEvent
 from landmark_nav.types import (
     CameraFrame,
@@ -31,6 +32,10 @@ from landmark_nav.types import (
 _STEP_NS = 500_000_000
 # Time inserted between the last odometry before such a step and the first one after it.
 _GAP_NS = 100_000_000
+
+
+class UnknownPlaceError(LandmarkNavError):
+    """The pose was never found by global localization."""
 
 
 def shifts_by_odometry(
@@ -139,6 +144,13 @@ class Replay:
         """Covariances of the fused poses, (n, 3, 3)."""
         return np.array([update.fused.covariance for update in self.updates]).reshape(-1, 3, 3)
 
+    def track(self, config: OdometryNoiseConfig) -> OdometryTrack:
+        """All measured odometry, with the motion between any two times."""
+        track = OdometryTrack(config)
+        for sample in self.samples:
+            track.add(sample)
+        return track
+
     def by_map(self, landmark_map: LandmarkMap) -> FloatArray | None:
         """Derivatives (n, 3, m) of the fused poses by factors of unit variance of the map."""
         parts = [update.with_landmarks for update in self.updates]
@@ -182,7 +194,7 @@ def replay(
     Localize along a recorded drive.
 
     Raises `LandmarkNavError`: there is no image or no odometry, all stamps are equal, or the pose
-    was never found.
+    was never found (`UnknownPlaceError`).
 
     Parameters
     ----------
@@ -239,9 +251,9 @@ def replay(
     if not samples or not (updates or searched):
         raise LandmarkNavError('the drive holds no image or no odometry: nothing to evaluate')
     if start is None:
-        raise LandmarkNavError(
+        raise UnknownPlaceError(
             f'the place was not found in {len(searched)} images ({refusal}): is the map of this '
-            'room? Else give --start'
+            'room?'
         )
     if not updates:
         raise LandmarkNavError('the place was found in the last image: nothing to evaluate')

@@ -31,6 +31,9 @@ from landmark_nav.localization.localizer import LocalizationConfig, Localization
 from landmark_nav.types import FloatArray, LandmarkMap
 
 SCHEMA = 1
+_ESTIMATES = ('fused', 'triangulation', 'odometry')
+# Noise of the odometry that is learned.
+_NOISE = ('along_m_per_sqrt_m', 'turn_rad_per_sqrt_m', 'turn_rad_per_sqrt_rad', 'slip_m_per_rad')
 # Least availability without a warning.
 _MOSTLY = 0.5
 
@@ -94,12 +97,7 @@ def run_report(
         'calibration': None
         if run.calibration is None
         else run.calibration.differences(calibration),
-        'odometry_noise': {
-            'along_m_per_sqrt_m': run.odometry_noise.along_m_per_sqrt_m,
-            'turn_rad_per_sqrt_m': run.odometry_noise.turn_rad_per_sqrt_m,
-            'turn_rad_per_sqrt_rad': run.odometry_noise.turn_rad_per_sqrt_rad,
-            'slip_m_per_rad': run.odometry_noise.slip_m_per_rad,
-        },
+        'odometry_noise': {name: getattr(run.odometry_noise, name) for name in _NOISE},
         'sighting_sigma': run.detection_sigma_factor,
         'found': {
             'after_s': 1e-9 * float(run.start.stamp_ns - run.begin_ns),
@@ -124,9 +122,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
         'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
         'availability': float(np.sum(~run.lost)) / images,
         'landmarks': len(landmark_map.landmarks),
-        'fused': error_summary(errors.fused),
-        'triangulation': error_summary(errors.triangulation),
-        'odometry': error_summary(errors.odometry),
+        **{name: error_summary(getattr(errors, name)) for name in _ESTIMATES},
         'nees': {
             'mean': nees.mean if nees else None,
             'inside_95': nees.inside_95 if nees else None,
@@ -280,15 +276,10 @@ def against_truth(
         return run, run_errors(run), {}
     rigid = aligned(run, scaled=False)[1]
     run, in_metre, alignment = aligned(run, scaled=True)
-    return (
-        run,
-        in_metre,
-        {
-            'aligned': True,
-            'scale': alignment.scale,
-            'fused': error_summary(rigid.fused),
-            'triangulation': error_summary(rigid.triangulation),
-            'odometry': error_summary(rigid.odometry),
-            'fused_after_scale': error_summary(in_metre.fused),
-        },
-    )
+    figures = {
+        'aligned': True,
+        'scale': alignment.scale,
+        **{name: error_summary(getattr(rigid, name)) for name in _ESTIMATES},
+        'fused_after_scale': error_summary(in_metre.fused),
+    }
+    return run, in_metre, figures

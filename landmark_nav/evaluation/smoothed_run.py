@@ -19,7 +19,6 @@ from landmark_nav.evaluation.replay import Replay
 from landmark_nav.localization.estimator import ImagePoints, JointFilter
 from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.localizer import LocalizationConfig
-from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray, LandmarkMap
 
@@ -65,9 +64,7 @@ def smooth_run(
             lost[used : k + 1] = True
         elif update.used:
             used = k + 1
-    track = OdometryTrack(config.odometry)
-    for sample in run.samples:
-        track.add(sample)
+    track = run.track(config.odometry)
     images = []
     for update, unknown in zip(updates, lost, strict=True):
         seen = update.points or ImagePoints.nothing(update.stamp_ns)

@@ -131,25 +131,22 @@ def save_calibration(
     `odometry` is the content of the section of the same name, the noise of the odometry.
     """
     base = calibration.base
-    value = {name: calibration[name][0] for name in NAMES}
-    sigma = {name: calibration[name][1] for name in NAMES}
 
-    def several(first: str, count: int, of: dict[str, float]) -> list[float]:
+    def both(name: str, first: str) -> dict[str, list[float]]:
+        """Fields of three quantities: values and sigmas."""
         start = NAMES.index(first)
-        return [_rounded(of[name]) for name in NAMES[start : start + count]]
+        pairs = [calibration[quantity] for quantity in NAMES[start : start + 3]]
+        values, sigmas = (
+            [_rounded(number) for number in part] for part in zip(*pairs, strict=True)
+        )
+        return {name: values, f'{name}_sigma': sigmas}
 
     document: dict[str, Any] = {
         'base_frame': base.base_frame,
         'pan_joint': base.pan_joint,
         'tilt_joint': base.tilt_joint,
-        'pan_axis': {
-            'xyz': several('axis_x', 3, value),
-            'xyz_sigma': several('axis_x', 3, sigma),
-            'rpy': several('axis_roll', 3, value),
-            'rpy_sigma': several('axis_roll', 3, sigma),
-        },
-        'optical_center_offset': several('center_x', 3, value),
-        'optical_center_offset_sigma': several('center_x', 3, sigma),
+        'pan_axis': both('xyz', 'axis_x') | both('rpy', 'axis_roll'),
+        **both('optical_center_offset', 'center_x'),
         'pan_sigma': float(base.pan_sigma_rad),
         'pan_min': float(base.pan_min_rad),
         'pan_max': float(base.pan_max_rad),
@@ -159,7 +156,7 @@ def save_calibration(
     if odometry:
         document['odometry'] = dict(odometry)
     for name in ('camera_roll', *_SCALARS):
-        document[name], document[f'{name}_sigma'] = _rounded(value[name]), _rounded(sigma[name])
+        document[name], document[f'{name}_sigma'] = map(_rounded, calibration[name])
     spread = np.maximum(calibration.sigmas, 1e-12)
     together = calibration.covariance / np.outer(spread, spread)
     # Correlations are rounded toward zero, so that the matrix stays positive semi-definite.

@@ -17,17 +17,14 @@ import io
 import json
 import multiprocessing
 from pathlib import Path
-import sys
 from typing import Any
 
-from as_a_user import command
+from harness import BAGS, command, SHARED, start_of, STUDY
 import numpy as np
 
 from landmark_nav.learning.panorama.photometry import Photometry
 from landmark_nav.types import Refusal
 
-ROOT = Path(__file__).resolve().parents[2]
-SHARED = ROOT.parent / 'shared' / 'data'
 SEEDS = (8301, 8302, 8303)
 BEST = 1e9
 
@@ -149,10 +146,6 @@ def put(target: str, value: Any) -> None:
     config.__init__.__defaults__ = tuple(defaults)
 
 
-def start_of(folder: Path, name: str = 'start.json') -> list[float]:
-    return list(json.loads((folder / name).read_text())['pose'])
-
-
 def run(
     scene: Path, out: Path, changes: dict[str, Any], learned: Path | None, start: bool
 ) -> None:
@@ -219,9 +212,9 @@ def numbers(report: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def scenes(rooms: Path) -> Iterator[Path]:
-    yield ROOT / 'bags'
-    if (SHARED / 'study').is_dir():
-        yield SHARED / 'study'
+    yield BAGS
+    if STUDY.is_dir():
+        yield STUDY
     if not sorted(rooms.glob('room_*')):
         for seed in SEEDS:
             command(
@@ -278,7 +271,3 @@ def main() -> int:
                 values.append(numbers(measured(scene, out, changes, learned, start)))
             print(row(name, values), flush=True)
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -19,7 +19,6 @@ THETA`` runs them on the same bag, one line each:
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
@@ -29,22 +28,19 @@ import time
 from typing import Any, NamedTuple
 
 import cv2
+from harness import Drive, drive_parser, start_of, START_SIGMA, summary
 import numpy as np
 from scipy.optimize import least_squares
 
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.evaluation.metrics import pose_errors
-from landmark_nav.evaluation.replay import replay
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.noise import motion_variances, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
-from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import (
     CameraFrame,
@@ -54,8 +50,6 @@ from landmark_nav.types import (
     Sweep,
 )
 
-# As `landmark-nav evaluate` takes it.
-START_SIGMA = (0.05, 0.05, 0.035)
 # Wrong without a word.
 WRONG_M = 0.3
 
@@ -372,27 +366,16 @@ def _first(events: Iterator[SensorEvent], images: int | None) -> Iterator[Sensor
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('drive', type=Path)
+    parser = drive_parser(__doc__)
     parser.add_argument('--learn', type=Path, required=True, help='bag of the sweeps')
-    parser.add_argument('--map', type=Path, required=True)
-    parser.add_argument('--robot', type=Path, required=True)
-    parser.add_argument('--start', type=float, nargs=3, required=True)
     parser.add_argument('--tags', type=Path, help='folder of the same drive with AprilTags')
     parser.add_argument('--images', type=int, help='only the first so many of the drive')
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
-    mount, landmark_map = load_robot(arguments.robot), load_map(arguments.map)
-    drive, start = Bag(arguments.drive), np.array(arguments.start)
-    events = list(_first(sensor_events(drive, mount), arguments.images))
-    done = replay(
-        events,
-        landmark_map,
-        load_calibration(arguments.robot),
-        LocalizationConfig(),
-        start,
-        np.diag(np.square(START_SIGMA)),
-    )
+    drive = Drive.of(arguments)
+    mount, landmark_map, start = drive.mount, drive.landmarks, np.array(arguments.start)
+    events = list(_first(sensor_events(drive.bag, mount), arguments.images))
+    done = drive.run(events)
     truth = done.truth.at(done.stamps_ns)
     rows = [
         ('this package, fused', done.fused, float(np.mean(done.update_seconds))),
@@ -426,7 +409,7 @@ def main() -> int:
 def tag_rows(folder: Path, images: int | None) -> list[tuple[str, FloatArray, float]]:
     """Errors by the tags of a simulated drive, whose camera and room are known exactly."""
     mount, room = load_robot(folder / 'robot.yaml'), load_room(folder / 'room.yaml')
-    start = np.array(json.loads((folder / 'start.json').read_text(encoding='utf-8'))['pose'])
+    start = np.array(start_of(folder))
     drive = Bag(folder / 'drive')
     events = list(_first(sensor_events(drive, mount), images))
     single, gated, took_s = located_runs(
@@ -442,13 +425,10 @@ def tag_rows(folder: Path, images: int | None) -> list[tuple[str, FloatArray, fl
 
 def _row(name: str, errors: FloatArray, took_ms: float) -> str:
     known = np.isfinite(errors).all(axis=1)
-    away = np.hypot(errors[known, 0], errors[known, 1])
-    if not len(away):
+    if not known.any():
         return f'{name:<34}{0.0:>7.2f}'
-    figures = (np.median(away), np.sqrt(np.mean(away**2)), np.percentile(away, 95))
-    median, rmse, p95 = (1e3 * figure for figure in figures)
-    heading = np.degrees(np.sqrt(np.mean(errors[known, 2] ** 2)))
+    off, wrong = summary(errors), np.mean(np.hypot(*errors[known, :2].T) > WRONG_M)
     return (
-        f'{name:<34}{known.mean():>7.2f}{median:>11.1f}{rmse:>9.1f}{p95:>9.1f}{heading:>10.3f}'
-        f'{np.mean(away > WRONG_M):>9.3f}{took_ms:>8.1f}'
+        f'{name:<34}{known.mean():>7.2f}{off["median"]:>11.1f}{off["rmse"]:>9.1f}'
+        f'{off["p95"]:>9.1f}{off["heading"]:>10.3f}{wrong:>9.3f}{took_ms:>8.1f}'
     )

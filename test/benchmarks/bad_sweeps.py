@@ -276,15 +276,35 @@ class Given:
         paper = self.room.papers[k]
         return self.paper(k, width=scale * paper.width, height=scale * paper.height)
 
+    def redrawn(self, axes: Sequence[float] = (1.0, 1.0, 1.0), sheets: float = 1.0) -> Given:
+        """The plan with its axes scaled, mirrored, and its sheets; walls go round as before."""
+        x, y, z = axes
+        walls = tuple(
+            replace(
+                wall,
+                start=(x * wall.start[0], y * wall.start[1]),
+                end=(x * wall.end[0], y * wall.end[1]),
+                height=z * wall.height,
+            )
+            for wall in self.room.walls
+        )
+        if x * y < 0.0:
+            walls = tuple(replace(wall, start=wall.end, end=wall.start) for wall in walls[::-1])
+        papers = tuple(
+            replace(
+                paper,
+                center=tuple(np.multiply(paper.center, axes).tolist()),
+                width=sheets * paper.width,
+                height=sheets * paper.height,
+            )
+            for paper in self.room.papers
+        )
+        return replace(self, room=replace(self.room, walls=walls, papers=papers))
+
     def frames(self, change: Callable[[CameraFrame], CameraFrame]) -> Given:
         """The same with all frames changed."""
-        return replace(
-            self,
-            sweeps=tuple(
-                replace(sweep, frames=tuple(change(frame) for frame in sweep.frames))
-                for sweep in self.sweeps
-            ),
-        )
+        sweeps = (replace(s, frames=tuple(map(change, s.frames))) for s in self.sweeps)
+        return replace(self, sweeps=tuple(sweeps))
 
     def pans(self, change: Callable[[float], float]) -> Given:
         """The same with other pan angles."""
@@ -292,14 +312,13 @@ class Given:
 
     def focal(self, scale: float) -> Given:
         """The same with another focal length."""
-        return self.frames(
-            lambda frame: replace(
-                frame,
-                camera=replace(
-                    frame.camera, fx=scale * frame.camera.fx, fy=scale * frame.camera.fy
-                ),
-            )
-        )
+
+        def scaled(frame: CameraFrame) -> CameraFrame:
+            camera = frame.camera
+            camera = replace(camera, fx=scale * camera.fx, fy=scale * camera.fy)
+            return replace(frame, camera=camera)
+
+        return self.frames(scaled)
 
     def posed(self, poses: Sequence[FloatArray], covariance: FloatArray) -> Given:
         """The same with ``sweep/pose``."""
@@ -314,24 +333,20 @@ class Given:
 
 def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, Given, str]]:
     """Names of errors, what is given with them, and what must be said; `poses` are true."""
-    papers = given.room.papers
+    papers, mount = given.room.papers, given.mount
     colors = [paper.color for paper in papers]
     middle = int(np.argsort([np.sum(np.square(p.center)) for p in papers])[len(papers) // 2])
-    color = colors[middle]
+    color, other = colors[middle], colors[middle - 1]
+    hung = f'{color} paper hangs'
     yield 'nothing', given, '^$'
     for cm in (2, 5, 10, 20):
         for side, word in ((1, 'right'), (-1, 'left')):
-            wrong_paper = given.hung(middle, left_m=0.01 * side * cm)
-            yield (
-                f'{color} {cm} cm along, to the {word}',
-                wrong_paper,
-                f'{color} paper hangs .*{word}',
-            )
+            wrong = given.hung(middle, left_m=0.01 * side * cm)
+            yield f'{color} {cm} cm along, to the {word}', wrong, f'{hung} .*{word}'
     for cm in (5, 10, 20):
         for side, word in ((1, 'lower'), (-1, 'higher')):
-            wrong_paper = given.hung(middle, up_m=0.01 * side * cm)
-            yield f'{color} {cm} cm {word}', wrong_paper, f'{color} paper hangs .*{word}'
-    other = colors[middle - 1]
+            wrong = given.hung(middle, up_m=0.01 * side * cm)
+            yield f'{color} {cm} cm {word}', wrong, f'{hung} .*{word}'
     yield f'two {other} papers', given.paper(middle, color=other), 'of another colour'
     swapped = given.paper(middle, color=other).paper(middle - 1, color=color)
     yield 'colours swapped', swapped, 'seem swapped'
@@ -341,107 +356,50 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
     yield 'pan stays 0', given.pans(lambda pan: 0.0), 'pan does not turn'
     yield 'pan of two values', given.pans(lambda pan: float(pan > 0.0)), 'pan does not turn'
     yield 'pan within 5 deg', given.pans(lambda pan: pan / 72.0), 'pan does not turn'
-    usual = np.diag([0.01, 0.01, 0.005]) ** 2
     for name, covariance, text in (
-        ('1e100', 1e100 * np.eye(3), 'sweep/pose has standard deviations'),
-        ('-1', -np.eye(3), 'sweep/pose has a negative variance'),
-        ('NaN', np.nan * np.eye(3), 'sweep/pose has a covariance that is not a number'),
+        ('1e100', 1e100 * np.eye(3), 'standard deviations'),
+        ('-1', -np.eye(3), 'a negative variance'),
+        ('NaN', np.nan * np.eye(3), 'a covariance that is not a number'),
     ):
-        yield f'sweep/pose with covariance {name}', given.posed(poses, covariance), text
-    turned = replace(given.mount, axis_rpy=(0.0, 0.0, 5.0))
-    yield (
-        'rpy yaw 5, with sweep/pose',
-        replace(given.posed(poses, usual), mount=turned),
-        'yaw of pan_axis',
-    )
+        wrong = given.posed(poses, covariance)
+        yield f'sweep/pose with covariance {name}', wrong, f'sweep/pose has {text}'
+    posed = given.posed(poses, np.diag([0.01, 0.01, 0.005]) ** 2)
+    wrong = replace(posed, mount=replace(mount, axis_rpy=(0.0, 0.0, 5.0)))
+    yield 'rpy yaw 5, with sweep/pose', wrong, 'yaw of pan_axis'
     # Written down before any was tried.
-    paper = papers[0]
-    yield (
-        f'own: {colors[0]} turned',
-        given.paper(0, width=paper.height, height=paper.width),
-        f'width and height of the {colors[0]} paper',
-    )
-    yield (
-        f'own: {colors[-1]} as A3',
-        given.sized(-1 % len(papers), 1.414),
-        f'{colors[-1]} paper is',
-    )
-    yield f'own: {color} 8 cm into the room', given.hung(middle, in_m=0.08), f'{color} paper hangs'
-    larger = given
-    for k in range(len(papers)):
-        larger = larger.sized(k, 1.04)
-    yield 'own: all papers 4 % larger', larger, 'papers look .* smaller'
-    x, y, z = given.mount.axis_xyz
-    higher = replace(given, mount=replace(given.mount, axis_xyz=(x, y, z + 0.12)))
+    first, last, paper = colors[0], colors[-1], papers[0]
+    wrong = given.paper(0, width=paper.height, height=paper.width)
+    yield f'own: {first} turned', wrong, f'width and height of the {first} paper'
+    yield f'own: {last} as A3', given.sized(-1, 1.414), f'{last} paper is'
+    yield f'own: {color} 8 cm into the room', given.hung(middle, in_m=0.08), hung
+    yield 'own: all papers 4 % larger', given.redrawn(sheets=1.04), 'papers look .* smaller'
+    x, y, z = mount.axis_xyz
+    higher = replace(given, mount=replace(mount, axis_xyz=(x, y, z + 0.12)))
     yield 'own: camera 12 cm higher', higher, 'camera is .* lower'
-    tilted = replace(given, mount=replace(given.mount, axis_rpy=(0.05, 0.0, 0.0)))
+    tilted = replace(given, mount=replace(mount, axis_rpy=(0.05, 0.0, 0.0)))
     yield 'own: axis rolled by 3 deg', tilted, 'pan axis tilts'
-    wall = given.room.walls[int(given.room.nearest_wall(np.array(paper.center[:2])))]
-    across = max(
-        given.room.raycast(
-            np.add(paper.center[:2], 0.01 * wall.normal[:2]),
-            np.arctan2(wall.normal[1], wall.normal[0]),
-        )[0],
-        0.0,
-    )
-    opposite = given.hung(0, in_m=float(across) + 0.01)
-    yield f'own: {colors[0]} on the opposite wall', opposite, f'{colors[0]} paper is hidden'
+    normal = given.room.walls[int(given.room.nearest_wall(np.array(paper.center[:2])))].normal
+    before = np.add(paper.center[:2], 0.01 * normal[:2])
+    across = max(given.room.raycast(before, np.arctan2(normal[1], normal[0]))[0], 0.0)
+    wrong = given.hung(0, in_m=float(across) + 0.01)
+    yield f'own: {first} on the opposite wall', wrong, f'{first} paper is hidden'
     yield 'own: pan 1.3 times', given.pans(lambda pan: 1.3 * pan), 'times the pan that is reported'
     yield 'own: focal length 5 % larger', given.focal(1.05), 'focal length'
     still = given.sweeps[0].frames[0].image
-    yield (
-        'own: camera frozen',
-        given.frames(lambda frame: replace(frame, image=still)),
-        'images do not turn',
-    )
-    yield from further_of(given)
-
-
-def further_of(given: Given) -> Iterator[tuple[str, Given, str]]:
-    """Further errors of room.yaml, with `stream_errors.FURTHER` written down before any try."""
-    colors = [paper.color for paper in given.room.papers]
-
-    def redrawn(x: float, y: float, z: float, sheets: float) -> Given:
-        """The plan with its axes scaled, mirrored; walls go round counter-clockwise."""
-        walls = tuple(
-            replace(
-                wall,
-                start=(x * wall.start[0], y * wall.start[1]),
-                end=(x * wall.end[0], y * wall.end[1]),
-                height=z * wall.height,
-            )
-            for wall in given.room.walls
-        )
-        if x * y < 0.0:
-            walls = tuple(replace(wall, start=wall.end, end=wall.start) for wall in walls[::-1])
-        papers = tuple(
-            replace(
-                paper,
-                center=tuple(np.multiply(paper.center, (x, y, z)).tolist()),
-                width=sheets * paper.width,
-                height=sheets * paper.height,
-            )
-            for paper in given.room.papers
-        )
-        return replace(given, room=replace(given.room, walls=walls, papers=papers))
-
+    frozen = given.frames(lambda frame: replace(frame, image=still))
+    yield 'own: camera frozen', frozen, 'images do not turn'
+    # Further errors of room.yaml, with the list of that name in `stream_errors`.
     feet = 1.0 / 0.3048
-    yield 'further: room in feet', redrawn(feet, feet, feet, feet), 'feet|times|smaller|higher'
-    yield 'further: plan mirrored', redrawn(1.0, -1.0, 1.0, 1.0), 'mirrored|swapped'
-    yield (
-        'further: all papers given as A3',
-        redrawn(1.0, 1.0, 1.0, 1.414),
-        'papers look .* smaller',
-    )
+    text = 'feet|times|smaller|higher'
+    yield 'further: room in feet', given.redrawn((feet, feet, feet), feet), text
+    yield 'further: plan mirrored', given.redrawn((1.0, -1.0, 1.0)), 'mirrored|swapped'
+    yield 'further: all papers given as A3', given.redrawn(sheets=1.414), 'papers look .* smaller'
     clockwise = copy.copy(given.room)
     walls = tuple(replace(w, start=w.end, end=w.start) for w in given.room.walls[::-1])
     object.__setattr__(clockwise, 'walls', walls)  # as a file may have it
     yield 'further: walls clockwise', replace(given, room=clockwise), 'clockwise'
-    yield (
-        f'further: {colors[-1]} given as yellow',
-        given.paper(len(colors) - 1, color='yellow'),
-        'yellow paper is hidden, of another colour',
-    )
+    wrong, text = given.paper(-1, color='yellow'), 'yellow paper is hidden, of another colour'
+    yield f'further: {last} given as yellow', wrong, text
 
 
 def check_errors(folder: Path, only: str) -> int:
@@ -451,17 +409,15 @@ def check_errors(folder: Path, only: str) -> int:
     given = Given(room, mount, tuple(read_sweeps(bag, mount)))
     poses = truth_of_bag(bag).at([sweep.stamp_ns for sweep in given.sweeps])
     missed = total = 0
-    for name, wrong_paper, expected in errors_of(given, poses):
+    for name, wrong, expected in errors_of(given, poses):
         if only not in name:
             continue
         with tempfile.TemporaryDirectory() as temporary:
             output = Path(temporary)
             (output / 'learn').symlink_to((folder / 'learn').resolve())
-            (output / 'room.yaml').write_text(room_document(wrong_paper.room), encoding='utf-8')
-            (output / 'robot.yaml').write_text(robot_document(wrong_paper.mount), encoding='utf-8')
-            with patch(
-                'landmark_nav.cli.learn.read_sweeps', lambda *_, of=wrong_paper: iter(of.sweeps)
-            ):
+            (output / 'room.yaml').write_text(room_document(wrong.room), encoding='utf-8')
+            (output / 'robot.yaml').write_text(robot_document(wrong.mount), encoding='utf-8')
+            with patch('landmark_nav.cli.learn.read_sweeps', lambda *_, of=wrong: iter(of.sweeps)):
                 refusal, warned = learn(output)
         text = ' '.join((refusal or warned).replace(str(output), '').split())
         named = re.search(expected, text) is not None

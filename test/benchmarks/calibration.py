@@ -19,22 +19,21 @@ the true mount.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-import json
+from functools import partial
 import logging
 from pathlib import Path
 import tempfile
 
+from harness import command, Drive, start_of, STUDY, summary
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES, scaled, shown, UNITS
-from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.calibration_run import calibrate_by_drive
 from landmark_nav.evaluation.metrics import consistency, pose_errors, undetected_failures
-from landmark_nav.evaluation.replay import Replay, replay
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.evaluation.replay import Replay
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area import PaperRecord, ReferenceAreaConfig
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
@@ -44,14 +43,8 @@ from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEve
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    LandmarkMap,
-)
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap
 
-STUDY = Path(__file__).resolve().parents[3] / 'shared' / 'data' / 'study'
-START_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.035**2])
 DEGREE = np.pi / 180.0
 # By how much `robot.yaml` is wrong.
 ERRORS: dict[str, dict[str, float]] = {
@@ -82,7 +75,7 @@ GOAL = (0.012, 0.2)
 
 @dataclass(frozen=True)
 class Line:
-    """Figures of a drive."""
+    """Figures of a drive: all of it, and after the first metres."""
 
     position_mm: float
     heading_deg: float
@@ -93,35 +86,20 @@ class Line:
     undetected: int
 
     @classmethod
-    def of(
-        cls,
-        poses: FloatArray,
-        covariances: FloatArray,
-        tracking: Sequence[bool],
-        run: Replay,
-        by_map: FloatArray | None,
-    ) -> Line:
-        """Return those of poses (n, 3) at the images of a run."""
-        errors = pose_errors(poses, run.truth.at(run.stamps_ns))
+    def of(cls, run: Replay, landmarks: LandmarkMap) -> Line:
+        """Return those of a run."""
+        errors = pose_errors(run.fused, run.truth.at(run.stamps_ns))
         steps = np.hypot(*np.diff(run.odometry.poses[:, :2], axis=0).T)
         way = np.interp(
             run.stamps_ns, run.odometry.stamps_ns, np.concatenate([[0.0], np.cumsum(steps)])
         )
-        nees = consistency(errors, covariances, by_map)
-        assert nees is not None, 'the study has ground truth'
-
-        def rms(part: FloatArray) -> tuple[float, float]:
-            return (
-                1e3 * float(np.sqrt(np.mean(np.sum(part[:, :2] ** 2, axis=1)))),
-                float(np.degrees(np.sqrt(np.mean(part[:, 2] ** 2)))),
-            )
-
+        nees = consistency(errors, run.fused_covariances, run.by_map(landmarks))
+        assert nees is not None, 'the drive has ground truth'
+        whole, later = summary(errors), summary(errors[way > AFTER_M])
         return cls(
-            *rms(errors),
-            *rms(errors[way > AFTER_M]),
-            nees.mean,
-            (float(nees.interval_95[0]), float(nees.interval_95[1])),
-            undetected_failures(errors, covariances, np.array(tracking)),
+            *(whole['rmse'], whole['heading'], later['rmse'], later['heading']),
+            *(nees.mean, nees.interval_95),
+            undetected_failures(errors, run.fused_covariances, run.tracking),
         )
 
     def __str__(self) -> str:
@@ -144,9 +122,12 @@ def learned(study: Path, calibration: Calibration, folder: Path) -> LandmarkMap 
     """Map of the study learned with a mount; None where `learn` refuses it."""
     folder.mkdir()
     save_calibration(calibration, folder / 'robot.yaml')
-    files = ['--room', str(study / 'room.yaml'), '--robot', str(folder / 'robot.yaml')]
-    status = landmark_nav(['learn', str(study / 'learn'), *files, '--out', str(folder / 'map')])
-    return load_map(folder / 'map') if status == 0 else None
+    files = ('--room', study / 'room.yaml', '--robot', folder / 'robot.yaml')
+    try:
+        command('learn', study / 'learn', *files, '--out', folder / 'map')
+    except SystemExit:
+        return None
+    return load_map(folder / 'map')
 
 
 class DrawnRoom:
@@ -164,97 +145,93 @@ class DrawnRoom:
         self.true = nominal.with_values(**off)
         save_calibration(self.true, folder / 'true.yaml')
         self._folder = folder / 'room'
-        where = ['--out', str(self._folder), '--seed', str(seed), '--light-change']
-        how = ['--robot', str(folder / 'true.yaml'), '--drive-seconds', str(seconds)]
-        if landmark_nav(['simulate', *where, *how]):
-            raise LandmarkNavError('not simulated')
-        self.room = load_room(self._folder / 'room.yaml')
-        self.start = np.array(json.loads((self._folder / 'start.json').read_text())['pose'])
+        command(
+            'simulate', '--out', self._folder, '--seed', seed, '--light-change',
+            '--robot', folder / 'true.yaml', '--drive-seconds', seconds,
+        )  # fmt: skip
+        self._room = load_room(self._folder / 'room.yaml')
 
     def _as_given(self, frame: CameraFrame) -> CameraFrame:
         """Return a frame with the focal length that camera_info of this robot gives."""
         lens = scaled(frame.camera, 1.0 / (1.0 + self.true['focal_scale'][0]))
         return replace(frame, camera=lens)
 
-    def learned(self, given: Calibration) -> tuple[LandmarkMap, Calibration]:
-        """Map of the room, and what is known of the robot then."""
+    def learned(self, given: Calibration) -> Drive:
+        """Drive with the map of the room, and what is known of the robot then."""
         known, panoramas = given, []
-        papers = PaperRecord(self.room, ReferenceAreaConfig())
+        papers = PaperRecord(self._room, ReferenceAreaConfig())
         for sweep in read_sweeps(Bag(self._folder / 'learn'), given.mount):
             taken = replace(sweep, frames=tuple(map(self._as_given, sweep.frames)))
             panoramas.append(
-                panorama_from_sweep(taken, self.room, known, PanoramaStages(), papers=papers)
+                panorama_from_sweep(taken, self._room, known, PanoramaStages(), papers=papers)
             )
             found = panoramas[-1].calibration
             known = found if found is not None and found.surprises(given) else known
-        landmarks = learn_from_panoramas(panoramas, self.room, LearningConfig()).map
-        return landmarks, landmarks.calibration_from(given)
+        landmarks = learn_from_panoramas(panoramas, self._room, LearningConfig()).map
+        known, start = landmarks.calibration_from(given), start_of(self._folder)
+        return Drive(self._folder / 'drive', landmarks, known, start)
 
-    def events(self, mount: PanTiltMount) -> list[SensorEvent]:
+    def events(self, drive: Drive) -> list[SensorEvent]:
         """Return what is sensed in the drive."""
-        delayed = sensor_events(Bag(self._folder / 'drive'), mount, -self.true['joint_delay'][0])
+        delayed = sensor_events(drive.bag, drive.mount, -self.true['joint_delay'][0])
         return [self._as_given(e) if isinstance(e, CameraFrame) else e for e in delayed]
+
+
+def most_sigmas(off: FloatArray, sigmas: FloatArray) -> str:
+    """The three quantities that are off by most sigmas."""
+    normalized = off / sigmas
+    worst = np.argsort(-np.abs(normalized))[:3]
+    return ', '.join(f'{NAMES[k]} {normalized[k]:+.1f}' for k in worst)
 
 
 def drawn_line(seed: int, folder: Path, sigmas: dict[str, float]) -> str:
     """Learn a room with default sigmas and drive in it for 16 s; a line of figures."""
-    given = Calibration.of_mount(DEFAULT_MOUNT)
-    try:
-        robot = DrawnRoom(seed, 16.0, folder, sigmas)
-        landmarks, known = robot.learned(given)
-    except LandmarkNavError as error:
-        return f'{seed}: refused: {error}'
-    run = replay(
-        robot.events(given.mount), landmarks, known, LocalizationConfig(), robot.start,
-        START_COVARIANCE,
-    )  # fmt: skip
-    line = Line.of(
-        run.fused, run.fused_covariances, run.tracking.tolist(), run, run.by_map(landmarks)
-    )
-    away = float(np.hypot(*(run.fused[:, :2] - run.truth.at(run.stamps_ns)[:, :2]).T).max())
-    off = (known.values - robot.true.values) / known.sigmas
-    worst = ', '.join(f'{NAMES[k]} {off[k]:+.1f}' for k in np.argsort(-np.abs(off))[:3])
+    robot = DrawnRoom(seed, 16.0, folder, sigmas)
+    drive = robot.learned(Calibration.of_mount(DEFAULT_MOUNT))
+    run = drive.run(robot.events(drive))
+    line = Line.of(run, drive.landmarks)
+    away = summary(pose_errors(run.fused, run.truth.at(run.stamps_ns)))['max']
+    worst = most_sigmas(drive.known.values - robot.true.values, drive.known.sigmas)
     return (
-        f'{seed}: {line.position_mm:5.1f} mm (at most {1e3 * away:.0f}), {line.heading_deg:.2f} '
+        f'{line.position_mm:5.1f} mm (at most {away:.0f}), {line.heading_deg:.2f} '
         f'deg, NEES {line.nees:.1f} ({line.interval[0]:.1f} to {line.interval[1]:.1f}), '
         f'{line.undetected} over 5 sigma; learned, most sigmas: {worst}'
     )
 
 
-def room_line(seed: int, seconds: float, folder: Path) -> str:
+def room_line(seed: int, folder: Path, seconds: float) -> str:
     """Simulate a room with a robot that is drawn, learn and calibrate it; a line of figures."""
-    given = Calibration.of_mount(DEFAULT_MOUNT, DRAWN_SIGMAS)
-    try:
-        robot = DrawnRoom(seed, seconds, folder, DRAWN_SIGMAS)
-        landmarks, known = robot.learned(given)
-    except LandmarkNavError as error:
-        return f'{seed}: refused: {error}'
-    true, events = robot.true, robot.events(given.mount)
-    config = LocalizationConfig()
-    drive = calibrate_by_drive(events, landmarks, known, config)
-    found = drive.calibration
-    off = found.values - true.values
-    sigmas = found.sigmas
+    robot = DrawnRoom(seed, seconds, folder, DRAWN_SIGMAS)
+    drive = robot.learned(Calibration.of_mount(DEFAULT_MOUNT, DRAWN_SIGMAS))
+    events = robot.events(drive)
+    done = calibrate_by_drive(events, drive.landmarks, drive.known, LocalizationConfig())
+    found, true = done.calibration, robot.true
+    off, sigmas = found.values - true.values, found.sigmas
     nees = float(off @ np.linalg.solve(found.covariance, off))
-    rms = []
-    exact = dict.fromkeys(NAMES, 1e-05)
-    for prior in (found, Calibration(true.values, np.diag([v**2 for v in exact.values()]))):
-        run = replay(events, landmarks, prior, config, robot.start, START_COVARIANCE)
-        errors = pose_errors(run.fused, run.truth.at(run.stamps_ns))
-        rms.append(1e3 * float(np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1)))))
+    exact = Calibration(true.values, 1e-10 * np.eye(len(NAMES)))
+    by_found, by_true = (
+        Line.of(drive.run(events, prior), drive.landmarks).position_mm for prior in (found, exact)
+    )
     lever = f'{1e3 * np.hypot(*off[:2]):5.1f} +- {1e3 * np.hypot(*sigmas[:2]):4.1f} mm'
     yaw, focal, delay = (
         shown(off[k], sigmas[k], UNITS[NAMES[k]])
         for k in map(NAMES.index, ('axis_yaw', 'focal_scale', 'joint_delay'))
     )
-    off_sigmas = off / sigmas
-    largest = np.argsort(-np.abs(off_sigmas))[:3]
-    worst = ', '.join(f'{NAMES[k]} {off_sigmas[k]:+.1f}' for k in largest)
     return (
-        f'{seed}: lever {lever}, yaw {yaw} (slip {np.degrees(drive.slip_bound_rad):.2f}), '
-        f'focal {focal}, delay {delay}, NEES {nees:.1f}, {rms[0]:.1f} mm ({rms[1]:.1f} with the '
-        f'true mount), most sigmas: {worst}'
+        f'lever {lever}, yaw {yaw} (slip {np.degrees(done.slip_bound_rad):.2f}), focal {focal}, '
+        f'delay {delay}, NEES {nees:.1f}, {by_found:.1f} mm ({by_true:.1f} with the true mount), '
+        f'most sigmas: {most_sigmas(off, sigmas)}'
     )
+
+
+def print_rooms(seeds: Iterable[int], line: Callable[[int, Path], str]) -> None:
+    """Print a line a room."""
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as scratch:
+            try:
+                print(f'{seed}: {line(seed, Path(scratch))}', flush=True)
+            except (LandmarkNavError, SystemExit) as error:
+                print(f'{seed}: refused: {error}', flush=True)
 
 
 def main() -> int:
@@ -272,18 +249,15 @@ def main() -> int:
     parser.add_argument('--seconds', type=float, default=150.0, help='of each calibration drive')
     args = parser.parse_args()
     logging.getLogger('landmark_nav').setLevel(logging.CRITICAL)
-    for seed in args.rooms or []:
-        with tempfile.TemporaryDirectory() as scratch:
-            print(room_line(seed, args.seconds, Path(scratch)), flush=True)
+    print_rooms(args.rooms or [], partial(room_line, seconds=args.seconds))
     nominal = Calibration.of_mount(DEFAULT_MOUNT)
     drawn = {name: nominal[name][1] for name in DRAWN_SIGMAS} if args.wide else DRAWN_SIGMAS
-    for seed in range(args.first, args.first + (args.drawn or 0)):
-        with tempfile.TemporaryDirectory() as scratch:
-            print(drawn_line(seed, Path(scratch), drawn), flush=True)
+    seeds = range(args.first, args.first + (args.drawn or 0))
+    print_rooms(seeds, partial(drawn_line, sigmas=drawn))
     if args.rooms or args.drawn:
         return 0
     right = load_calibration(args.study / 'robot.yaml')
-    start = np.array(json.loads((args.study / 'start.json').read_text())['pose'])
+    start = start_of(args.study)
     events = list(sensor_events(Bag(args.study / 'drive'), right.mount))
     lines, good = [], True
     with tempfile.TemporaryDirectory() as scratch:
@@ -301,12 +275,8 @@ def main() -> int:
                     lines.append(f'{name:38}{where:9}learn refuses it')
                     continue
                 known = landmarks.calibration_from(wrong)
-                config = LocalizationConfig()
-                run = replay(events, landmarks, known, config, start, START_COVARIANCE)
-                line = Line.of(
-                    run.fused, run.fused_covariances, run.tracking.tolist(), run,
-                    run.by_map(landmarks),
-                )  # fmt: skip
+                drive = Drive(args.study / 'drive', landmarks, known, start)
+                line = Line.of(drive.run(events), landmarks)
                 reached = line.meets(GOALS.get(name, GOAL))
                 good &= reached
                 lines.append(

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from as_a_user import learned_room
+from harness import learned_room, summary
 import numpy as np
 
 from landmark_nav.calibration import Calibration
@@ -184,12 +184,8 @@ def _row(name: str, runs: list[Run]) -> str:
     fused = np.concatenate([run.fused for run in runs])
     fixes = np.concatenate([run.fixes for run in runs])
     lost = np.concatenate([run.lost for run in runs])
-    away = np.hypot(fused[:, 0], fused[:, 1])
-    fix_away = np.hypot(fixes[:, 0], fixes[:, 1])
-    known = np.isfinite(fix_away)
-    median = np.median(fix_away[known]) if known.any() else np.nan
+    off, found = summary(fused), np.mean(np.isfinite(fixes[:, 0]))
     return (
-        f'{name:<28}{1e3 * np.sqrt(np.mean(away**2)):>9.1f}{1e3 * np.percentile(away, 95):>9.1f}'
-        f'{np.degrees(np.sqrt(np.mean(fused[:, 2] ** 2))):>10.3f}{1.0 - np.mean(lost):>11.3f}'
-        f'{np.mean(known):>8.2f}{1e3 * median:>15.1f}'
+        f'{name:<28}{off["rmse"]:>9.1f}{off["p95"]:>9.1f}{off["heading"]:>10.3f}'
+        f'{1.0 - np.mean(lost):>11.3f}{found:>8.2f}{summary(fixes)["median"]:>15.1f}'
     )

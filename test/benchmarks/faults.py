@@ -11,7 +11,6 @@ not come back.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 import logging
@@ -19,17 +18,15 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from drive_faults import degraded, faults, FOR_GOOD_S
+from drive_faults import degraded, faults, FOR_GOOD_S, write_bag
+from harness import Drive, drive_parser, START_SIGMA
 import numpy as np
 
 from landmark_nav.evaluation.metrics import pose_errors, undetected_failures
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
-from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
-from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
 
-START_SIGMA = np.array([0.05, 0.05, 0.035])
 # Time within which faults are to be reported.
 REPORTED_S = 2.0
 # A pose this near is right again.
@@ -109,33 +106,24 @@ def outcome(
 
 def main() -> int:
     """Print a line for each fault."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('drive')
-    parser.add_argument('--map', required=True)
-    parser.add_argument('--robot', required=True)
-    parser.add_argument('--start', nargs=3, type=float, required=True)
+    parser = drive_parser(__doc__)
     parser.add_argument('--at', type=float, default=12.0, help='seconds into the drive (12)')
     parser.add_argument('--only', nargs='+', help='faults whose name holds one of these')
     args = parser.parse_args()
     logging.getLogger('landmark_nav').setLevel(logging.CRITICAL)
-    calibration, landmarks = load_calibration(args.robot), load_map(args.map)
-    mount = calibration.mount
-    bag, good = Bag(args.drive), True
+    drive, good = Drive.of(args), True
     print(f'{"fault":44} seen   back  tracking  wrong without a report')
-    for name, fault in faults(bag).items():
+    for name, fault in faults(drive.bag).items():
         if not any(part in name for part in args.only or ['']):
             continue
-        start, at_s = np.array(args.start), args.at
+        start, at_s = drive.start, args.at
         if name == 'start 1 m wrong':
             start, at_s = np.add(start, [0.8, 0.6, 0.0]), 0.0
         with tempfile.TemporaryDirectory() as scratch:
-            path = Path(scratch) / 'drive'
-            with BagWriter(path) as written:
-                for topic, message, log in degraded(bag, name, fault, at_s):
-                    written.write(topic, message, log)
+            path = write_bag(Path(scratch) / 'drive', degraded(drive.bag, name, fault, at_s))
             over_s = fault.seconds if fault.topics else 0.0
-            localizer = Localizer(landmarks, calibration, LocalizationConfig())
-            done = outcome(sensor_events(Bag(path), mount), localizer, start, at_s, over_s)
+            localizer = Localizer(drive.landmarks, drive.known, LocalizationConfig())
+            done = outcome(sensor_events(Bag(path), drive.mount), localizer, start, at_s, over_s)
         print(f'{name:44}{done}', flush=True)
         good &= not done.wrong_s > REPORTED_S and np.isfinite(done.back_s)
     return 0 if good else 1

@@ -27,7 +27,7 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from as_a_user import learned_room
+from harness import learned_room, print_row
 from landmark_truth import TrueWalls
 import numpy as np
 import numpy.typing as npt
@@ -229,13 +229,7 @@ def main() -> int:
         seen.append(check_detections(rooms[-1], arguments.poses))
         area.append(check_area(rooms[-1]) if arguments.area else np.zeros(4, np.int64))
         row = line_of(rooms[-1:], seen[-1], area[-1])
-        if k == 0:
-            print(f'\n{"seed":>9}  ' + '  '.join(f'{name:>9}' for name in row))
-        _show(str(seed), row)
+        print_row({'seed': str(seed), **row}, 9, k == 0)
     row = line_of(rooms, np.sum(seen, 0), np.sum(area, 0))
-    _show('all', row)
+    print_row({'seed': 'all', **row}, 9)
     return 0 if meets_bounds(row, arguments) else 1
-
-
-def _show(name: str, row: dict[str, float]) -> None:
-    print(f'{name:>9}  ' + '  '.join(f'{value:9.4g}' for value in row.values()), flush=True)

@@ -14,11 +14,12 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
-import subprocess
 import tempfile
 import time
 from typing import Any
 
+from harness import drive_parser
+from node_costs import used
 import numpy as np
 
 from landmark_nav.demo.graph import node_command, node_environment
@@ -58,16 +59,6 @@ class Stopwatch:
             self._waiting.remove(done)
             if done in self.shown:
                 self.took.append((self.shown[done], now - self.shown[done]))
-
-
-def cpu_s(processes: dict[str, subprocess.Popen[bytes]]) -> dict[str, float]:
-    """Computing time of each so far."""
-    ticks = os.sysconf('SC_CLK_TCK')
-    used = {}
-    for name, process in processes.items():
-        fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
-        used[name] = (int(fields[11]) + int(fields[12])) / ticks
-    return used
 
 
 def measure(arguments: argparse.Namespace) -> tuple[Stopwatch, dict[str, float], dict[str, str]]:
@@ -111,22 +102,18 @@ def measure(arguments: argparse.Namespace) -> tuple[Stopwatch, dict[str, float],
         covariance = np.diag(np.square(START_SIGMA))
         stamp = client.odometry.stamp_ns
         client.start_at(PoseEstimate(stamp, np.array(arguments.start), covariance))
-        before, begin = cpu_s(running), time.monotonic()
+        before, begin = {k: used(one)[0] for k, one in running.items()}, time.monotonic()
         client.wait(lambda: playing.poll() is not None, 300.0, 'the end of the bag')
         seconds = time.monotonic() - begin
-        cpu = {k: (v - before[k]) / seconds for k, v in cpu_s(running).items()}
+        cpu = {k: (used(one)[0] - before[k]) / seconds for k, one in running.items()}
         client.wait(lambda: time.monotonic() - begin > seconds + 1.2, 5.0, 'last words')
         return watch, cpu, dict(client.status_of('triangulation_localizer').values)
 
 
 def main() -> int:
     """Measure and judge."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('drive', type=Path)
-    parser.add_argument('--map', type=Path, required=True)
+    parser = drive_parser(__doc__)
     parser.add_argument('--room', type=Path, required=True)
-    parser.add_argument('--robot', type=Path, required=True)
-    parser.add_argument('--start', type=float, nargs=3, required=True)
     parser.add_argument('--hz', type=float, default=15.0, help='images a second (15)')
     watch, cpu, status_of = measure(parser.parse_args())
     if not watch.took:

@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import argparse
 from itertools import takewhile
-import json
 from pathlib import Path
 import tempfile
 from typing import Any
 
-from as_a_user import command
+from harness import command, SHARED, start_of, START_SIGMA
 import numpy as np
 
 from landmark_nav.configuration import load_configuration, READS
@@ -27,8 +26,6 @@ from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-DATA = REPOSITORY.parent / 'shared' / 'data' / 'mrclam'
 # RMSE and median, m; heading RMSE, deg.
 LIMITS = {1: (0.13, 0.08, 2.5), 2: (0.09, 0.06, 1.5), 3: (0.07, 0.04, 1.0)}
 
@@ -37,7 +34,6 @@ def driven(robot: int, data: Path, folder: Path, seconds: float = np.inf) -> dic
     """Return the report of a robot's drive, of its first seconds."""
     log = folder / 'log'
     command('convert', 'mrclam', data, '--robot', robot, '--out', log)
-    start = json.loads(log.with_name('log_start.json').read_text())['pose']
     calibration = load_calibration(folder / 'log_robot.yaml')
     bag, posts = Bag(log), load_map(folder / 'log_map')
     first = next(iter(sensor_events(bag, calibration.mount))).stamp_ns
@@ -50,8 +46,8 @@ def driven(robot: int, data: Path, folder: Path, seconds: float = np.inf) -> dic
         posts,
         calibration,
         load_configuration(folder / 'log_config.yaml', folder / 'log_robot.yaml', *READS),
-        np.array(start, float),
-        np.diag([0.05, 0.05, 0.035]) ** 2,
+        np.array(start_of(folder, 'log_start.json')),
+        np.diag(START_SIGMA**2),
     )
     return pose_report(run, run_errors(run), posts)
 
@@ -72,7 +68,7 @@ def main() -> int:
     """Print a line a robot."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--robots', type=int, nargs='+', default=list(LIMITS), choices=LIMITS)
-    parser.add_argument('--data', type=Path, default=DATA)
+    parser.add_argument('--data', type=Path, default=SHARED / 'mrclam')
     args, good = parser.parse_args(), True
     for robot in args.robots:
         with tempfile.TemporaryDirectory() as scratch:

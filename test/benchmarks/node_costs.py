@@ -4,7 +4,7 @@ What the nodes cost beside their work: idle, and for images that are received an
 ``python test/benchmarks/node_costs.py`` starts the nodes of a simulated robot without the robot,
 apart and in one process, and reads their computing time and memory from /proc. Then one process
 publishes mono8 images of 640 x 480 pixels at 30 Hz, and a node takes them as the localizer does:
-subscription, guard, `decode.camera_image`. Where the robot drives is measured by live_latency.py.
+subscription, guard, `decode.camera_image`. Where the robot drives is measured by `latency`.
 Ends with 1 if an idle node takes over 3 % of a core, or images over 15 % or 2 ms each.
 """
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
-from as_a_user import as_jpeg
 import cv2
+from harness import as_jpeg
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError

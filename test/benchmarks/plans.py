@@ -24,8 +24,8 @@ from dataclasses import replace
 from itertools import combinations
 import sys
 
-from as_a_user import as_jpeg
 import cv2
+from harness import as_jpeg, print_row, rms
 from landmark_truth import TrueWalls
 import numpy as np
 
@@ -182,11 +182,6 @@ def localize(
     return error, float(np.sqrt(np.trace(fix.covariance[:2, :2])))
 
 
-def rms(values: FloatArray) -> float:
-    """Root mean square; NaN of nothing."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float('nan')
-
-
 def summary(rows: Sequence[dict[str, float | str]]) -> bool:
     """Print what came of the predictions; whether they are good enough."""
     print(f'\n{"over all rooms":<16}{"landmarks":>25}{"localization":>28}')
@@ -233,9 +228,6 @@ def main() -> int:
     rows: list[dict[str, float | str]] = []
     for seed in args.seeds:
         for row in check_room(seed, config, args):
-            if not rows:
-                print('  '.join(f'{name:>11}' for name in row))
+            print_row(row, 11, not rows)
             rows.append(row)
-            cells = (v if isinstance(v, str) else f'{v:.4g}' for v in row.values())
-            print('  '.join(f'{cell:>11}' for cell in cells), flush=True)
     return 0 if summary(rows) else 1

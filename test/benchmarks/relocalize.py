@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 import time
 
-from as_a_user import as_jpeg, learned_room
+from harness import as_jpeg, learned_room, print_row
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
@@ -135,9 +135,8 @@ def main() -> int:
         check_room(seed, learned_map(seed, arguments.rooms), arguments.poses, arguments.frames)
         for seed in arguments.seeds
     ]
-    print('\n' + '  '.join(f'{name:>9}' for name in Row.__dataclass_fields__))
-    for row in rows:
-        print('  '.join(f'{value:9.3g}' for value in vars(row).values()))
+    for k, row in enumerate(rows):
+        print_row(vars(row), 9, k == 0, 3)
     right, wrong, poses = (sum(getattr(r, k) for r in rows) for k in ('right', 'wrong', 'poses'))
     print(f'{right} of {poses} right ({right / poses:.1%}), {wrong} wrong')
     return 0 if wrong == 0 and right >= MIN_RIGHT * poses else 1

@@ -14,7 +14,7 @@ import json
 from pathlib import Path
 import tempfile
 
-from as_a_user import command
+from harness import command, evaluate, learn, print_row, start_of
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2
@@ -35,22 +35,10 @@ def run_room(
     seed: int, folder: Path, *options: str, exact: bool = False
 ) -> dict[str, float | bool]:
     """Take the commands that a user would, in `folder`; what came of it."""
-    changes: list[object] = ['--light-change', '--exchange', EXCHANGED]
-    if exact:
-        changes.append('--exact')
+    changes = ['--light-change', '--exchange', EXCHANGED, *(['--exact'] if exact else [])]
     command('simulate', '--out', folder, '--overwrite', '--seed', seed, *changes, *options)
-    room, robot = folder / 'room.yaml', folder / 'robot.yaml'
-    start = json.loads((folder / 'start.json').read_text())['pose']
-    command(
-        'learn', folder / 'learn', '--room', room, '--robot', robot,
-        '--out', folder / 'map', '--overwrite', '--json', folder / 'learn.json',
-    )  # fmt: skip
-    command(
-        'evaluate', folder / 'drive', '--map', folder / 'map', '--robot', robot,
-        '--start', *start, '--json', folder / 'evaluate.json',
-    )  # fmt: skip
-    learned = json.loads((folder / 'learn.json').read_text())
-    driven = json.loads((folder / 'evaluate.json').read_text())
+    learned = learn(folder, folder / 'map')
+    driven = evaluate(folder, folder / 'map', start=start_of(folder))
     return {
         'seed': seed,
         'landmarks': driven['landmarks'],
@@ -125,9 +113,7 @@ def main() -> int:
             folder = (arguments.out or Path(scratch)) / f'room_{seed}'
             rows.append(run_room(seed, folder, *options, exact=arguments.exact))
     for k, row in enumerate(rows):
-        if k == 0:
-            print('\n' + '  '.join(f'{name:>12}' for name in row))
-        print('  '.join(f'{value:12.4g}' for value in row.values()))
+        print_row(row, 12, k == 0)
     ratios = np.array([row['crlb_ratio'] for row in rows])
     chance = sum(over_by_chance(row['nees_high']) for row in rows)
     print(

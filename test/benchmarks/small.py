@@ -12,11 +12,9 @@ import json
 from pathlib import Path
 import tempfile
 
-from as_a_user import command
+from harness import BAGS, evaluate, learn, REPOSITORY, start_of
 from rooms import run_room
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-BAGS = REPOSITORY / 'bags'
 BASELINE = Path(__file__).with_name('baseline.json')
 CAMERA = REPOSITORY / 'test' / 'setups' / 'camera_quarter_vga.yaml'
 SEED = 2718
@@ -35,13 +33,8 @@ Figures = dict[str, float]
 
 def recorded_room(out: Path) -> Figures:
     """Learn and drive in the room of bags/; `learn.json`, `run.json` and the map stay in `out`."""
-    files = ('--room', BAGS / 'room.yaml', '--robot', BAGS / 'robot.yaml')
-    command('learn', BAGS / 'learn', *files, '--out', out / 'map', '--json', out / 'learn.json')
-    command(
-        'evaluate', BAGS / 'drive', '--map', out / 'map', *files[2:],
-        '--start', *json.loads((BAGS / 'start.json').read_text())['pose'],
-        '--json', out / 'run.json', '--report', out / 'run.html',
-    )  # fmt: skip
+    learn(BAGS, out / 'map')
+    evaluate(BAGS, out / 'map', '--report', out / 'run.html', start=start_of(BAGS))
     return recorded_figures(out)
 
 

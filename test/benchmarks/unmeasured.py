@@ -29,7 +29,7 @@ import subprocess
 import sys
 import tempfile
 
-from as_a_user import command
+from harness import command, evaluate, SHARED, start_of, STUDY
 from landmark_truth import TrueWalls
 import numpy as np
 from scipy.linalg import block_diag
@@ -49,7 +49,6 @@ from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_room, wall_entry
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap
 
-SHARED = Path(__file__).resolve().parents[3] / 'shared'
 WAYS = ('tape', 'odom', 'papers', 'walls')
 OWN_FRAME = ('odom', 'papers')
 MAX_POSITION_RMSE_M, MAX_NEES, MAX_SCALE_SIGMAS = 0.008, 8.0, 3.0
@@ -88,7 +87,7 @@ def sources(way: str, recording: Path, folder: Path, seed: int) -> list[object]:
     if way == 'papers':
         return [recording / 'learn', '--paper-size', 0.210, 0.297]
     if way == 'odom':
-        tool = SHARED / 'tools' / 'add_odometry.py'
+        tool = SHARED.parent / 'tools' / 'add_odometry.py'
         subprocess.run(
             [sys.executable, tool, recording / 'learn', folder / 'sweeps', '--seed', str(seed)],
             check=True,
@@ -105,21 +104,16 @@ def sources(way: str, recording: Path, folder: Path, seed: int) -> list[object]:
 
 def run(way: str, recording: Path, folder: Path, seed: int) -> dict[str, float]:
     """Learn and drive in one room; figures after alignment where the map has its own frame."""
-    robot = recording / 'robot.yaml'
     command(
-        'learn', *sources(way, recording, folder, seed), '--robot', robot,
-        '--out', folder / 'map', '--json', folder / 'l.json', '--overwrite',
+        'learn', *sources(way, recording, folder, seed), '--robot', recording / 'robot.yaml',
+        '--out', folder / 'map', '--json', folder / 'learn.json', '--overwrite',
         '--walls-out', folder / 'walls.yaml',
     )  # fmt: skip
-    truth = truth_of_bag(Bag(recording / 'learn'))
-    start = json.loads((recording / 'start.json').read_text())['pose']
+    learned = json.loads((folder / 'learn.json').read_text())
+    truth, start = truth_of_bag(Bag(recording / 'learn')), start_of(recording)
     if way in OWN_FRAME:
         start = se2.relative(truth.poses[0], np.array(start)).tolist()
-    command(
-        'evaluate', recording / 'drive', '--map', folder / 'map', '--robot', robot,
-        '--start', *start, '--json', folder / 'e.json',
-    )  # fmt: skip
-    learned, driven = (json.loads((folder / name).read_text()) for name in ('l.json', 'e.json'))
+    driven = evaluate(recording, folder / 'map', start=start)
     scaled, scale, sigma = driven['fused'], 1.0, 1.0
     if way in OWN_FRAME:
         sigma = float(learned['unmeasured']['scale_sigma'])
@@ -288,7 +282,7 @@ def main() -> int:
     failed = False
     errors: dict[str, list[float]] = {way: [] for way in args.ways}
     with tempfile.TemporaryDirectory() as name:
-        rooms = [(SHARED / 'data' / 'study', 0)] if args.study else []
+        rooms = [(STUDY, 0)] if args.study else []
         for seed in args.seeds:
             room = Path(name) / str(seed)
             command('simulate', '--out', room, '--seed', seed, '--light-change')

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from drive_faults import write_bag
+from harness import BAGS
 import numpy as np
 import pytest
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.cli.main import main
-from landmark_nav.storage.bags import Bag, BagWriter
+from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
 
-BAGS = Path(__file__).resolve().parents[2] / 'bags'
 ROOM, LEARN, DRIVE = (str(BAGS / name) for name in ('room.yaml', 'learn', 'drive'))
 DEGREE = np.pi / 180.0
 OFF = {
@@ -93,33 +94,24 @@ def test_sweeps_alone_show_the_camera_and_not_the_lever(
     assert found['camera_roll'][1] < 0.002
 
 
-def reported(capsys: pytest.CaptureFixture[str], out: Path, *args: str) -> str:
-    """What an error says, in one line; nothing was written."""
-    status = main(['calibrate', *args, '--robot', str(BAGS / 'robot.yaml'), '--out', str(out)])
-    assert status in (1, 2)
-    assert not out.exists()
-    lines = [line for line in capsys.readouterr().err.splitlines() if 'WARNING' not in line]
-    assert len(lines) == 1
-    return lines[0]
-
-
-def test_what_cannot_be_calibrated_is_reported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ('bag', 'words'), [(DRIVE, 'needs a map'), (LEARN, '--room'), ('nowhere', 'nowhere')]
+)
+def test_what_cannot_be_calibrated_is_reported_in_a_line(
+    bag: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / 'out.yaml'
-    assert 'needs a map' in reported(capsys, out, DRIVE)
-    assert '--room' in reported(capsys, out, LEARN)
-    assert 'nowhere' in reported(capsys, out, str(tmp_path / 'nowhere'))
+    files = ['--robot', str(BAGS / 'robot.yaml'), '--out', str(out)]
+    assert main(['calibrate', bag, *files]) in (1, 2)
+    (line,) = [one for one in capsys.readouterr().err.splitlines() if 'WARNING' not in one]
+    assert words in line
+    assert not out.exists()
 
 
 def test_what_a_robot_that_stands_does_not_show_stays_as_given(tmp_path: Path) -> None:
     """The first third of a second of a drive: nothing of lever and pan zero."""
-    bag = Bag(BAGS / 'drive')
-    with BagWriter(tmp_path / 'still') as still:
-        messages = list(bag.messages())
-        for message in messages:
-            if message.stamp_ns < messages[0].stamp_ns + 3 * 10**8:
-                still.write(message.topic, message.message, message.stamp_ns)
+    sent = [(e.topic, e.message, e.stamp_ns) for e in Bag(BAGS / 'drive').messages()]
+    write_bag(tmp_path / 'still', [one for one in sent if one[2] < sent[0][2] + 3 * 10**8])
     robot, out = str(BAGS / 'robot.yaml'), tmp_path / 'out.yaml'
     args = ['calibrate', LEARN, str(tmp_path / 'still'), '--room', ROOM, '--robot', robot]
     assert main([*args, '--out', str(out), '--json', str(tmp_path / 'c.json')]) == 0

@@ -8,45 +8,24 @@ from pathlib import Path
 import re
 
 import cv2
+from drive_faults import write_bag
+from harness import BAGS, start_of
 import numpy as np
 import pytest
 import yaml
 
 from landmark_nav.cli.main import main
-from landmark_nav.messages.factory import default_typestore
-from landmark_nav.storage.bags import Bag, BagWriter
+from landmark_nav.storage.bags import Bag
 
-STORE = default_typestore()
-
-
-class Study:
-    """The recorded room of bags/."""
-
-    folder = Path(__file__).resolve().parents[2] / 'bags'
-    robot, room = str(folder / 'robot.yaml'), str(folder / 'room.yaml')
-    start = tuple(map(str, json.loads((folder / 'start.json').read_text())['pose']))
-
-    def __init__(self, recorded):
-        self.learned = recorded / 'map'
-        self.figures = json.loads((recorded / 'learn.json').read_text())
-
-
-@pytest.fixture(scope='module')
-def study(recorded):
-    return Study(recorded)
+ROBOT, ROOM = str(BAGS / 'robot.yaml'), str(BAGS / 'room.yaml')
+START = tuple(map(str, start_of(BAGS)))
 
 
 def rewrite(source, target, change):
-    """Copy a bag; `change` gets each message and may alter it, or leave it out with None."""
-    with BagWriter(target) as writer:
-        for entry in Bag(source).messages():
-            changed = change(entry)
-            if isinstance(changed, bytes):
-                writer.write_serialized(entry.topic, entry.type_name, changed, entry.stamp_ns)
-            elif changed is not None:
-                data = STORE.serialize_cdr(changed, entry.type_name)
-                writer.write_serialized(entry.topic, entry.type_name, data, entry.stamp_ns)
-    return str(target)
+    """Copy a bag; `change` gets topic, message and log time, and may leave it out with None."""
+    entries = ((e.topic, e.message, e.stamp_ns) for e in Bag(source).messages())
+    changed = ((topic, change(topic, message, log), log) for topic, message, log in entries)
+    return str(write_bag(target, (one for one in changed if one[1] is not None)))
 
 
 def refused(capsys, arguments, *words, status=1):
@@ -64,8 +43,8 @@ def refused(capsys, arguments, *words, status=1):
 # What the issue asks for
 
 
-def test_learn_finds_the_sweeps_and_enough_landmarks(study):
-    report = study.figures
+def test_learn_finds_the_sweeps_and_enough_landmarks(recorded, capsys):
+    report = json.loads((recorded / 'learn.json').read_text())
     assert len(report['sweeps']) == 2
     for sweep in report['sweeps']:
         assert sweep['frames'] == 72
@@ -80,18 +59,14 @@ def test_learn_finds_the_sweeps_and_enough_landmarks(study):
     for stage in ('panorama', 'reference_area', 'attention', 'stereo', 'election'):
         assert report['stages'][stage]['seconds'] > 0.0
         assert report['stages'][stage]['peak_memory_mb'] > 10.0
-
-
-def test_learn_writes_the_map_and_its_images(study):
-    names = {path.name for path in study.learned.iterdir()}
+    # The map, its images, and what `map show` says of it.
+    learned = recorded / 'map'
+    names = {path.name for path in learned.iterdir()}
     assert names == {'map.yaml', 'patches', 'views', 'map.png', 'panorama_1.png', 'panorama_2.png'}
-    assert len(list((study.learned / 'patches').iterdir())) == study.figures['elected']
-
-
-def test_map_show_lists_the_landmarks(study, capsys):
-    assert main(['map', 'show', str(study.learned)]) == 0
+    assert len(list((learned / 'patches').iterdir())) == report['elected']
+    assert main(['map', 'show', str(learned)]) == 0
     printed = capsys.readouterr().out
-    assert f'{study.figures["elected"]} landmarks in frame map' in printed
+    assert f'{report["elected"]} landmarks in frame map' in printed
     assert 'learned_from: learn' in printed
 
 
@@ -116,29 +91,27 @@ def test_photographs_become_a_panorama_of_a_full_turn(shared_data, tmp_path, cap
 # Bad input: one line, status 1, nothing half-written
 
 
-def learn(bag, study, out, room=None):
-    inputs = ['--room', room or study.room, '--robot', study.robot]
-    return ['learn', bag, *inputs, '--out', out]
+def learn(bag, out, room=ROOM):
+    return ['learn', bag, '--room', room, '--robot', ROBOT, '--out', out]
 
 
-def evaluate(bag, study, learned=None, start=True):
-    inputs = ['--map', learned or study.learned, '--robot', study.robot]
-    return ['evaluate', bag, *inputs, *(['--start', *study.start] if start else [])]
+def evaluate(bag, learned, start=START):
+    return ['evaluate', bag, '--map', learned, '--robot', ROBOT, '--start', *start]
 
 
-def test_what_is_no_bag_is_refused(study, tmp_path, capsys):
+def test_what_is_no_bag_is_refused(recorded, tmp_path, capsys):
     out = tmp_path / 'map'
-    refused(capsys, learn(tmp_path / 'nowhere', study, out), 'no bag there')
-    refused(capsys, learn(study.room, study, out), 'not a bag')
-    refused(capsys, evaluate(study.folder / 'learn', study), 'camera/image_raw', 'is missing')
+    refused(capsys, learn(tmp_path / 'nowhere', out), 'no bag there')
+    refused(capsys, learn(ROOM, out), 'not a bag')
+    refused(capsys, evaluate(BAGS / 'learn', recorded / 'map'), 'camera/image_raw', 'is missing')
     assert not list(tmp_path.iterdir())
 
 
-def test_a_recording_that_broke_off_may_leave_a_single_sweep(study, tmp_path, capsys, caplog):
-    whole = (study.folder / 'learn' / 'learn.mcap').read_bytes()
+def test_a_recording_that_broke_off_may_leave_a_single_sweep(tmp_path, capsys, caplog):
+    whole = (BAGS / 'learn' / 'learn.mcap').read_bytes()
     cut = tmp_path / 'cut.mcap'
     cut.write_bytes(whole[: int(0.6 * len(whole))])
-    refused(capsys, learn(cut, study, tmp_path / 'map'), 'two panoramas')
+    refused(capsys, learn(cut, tmp_path / 'map'), 'two panoramas')
     assert 'cut off or damaged' in caplog.text
     assert [p.name for p in tmp_path.iterdir()] == ['cut.mcap']
 
@@ -154,44 +127,37 @@ def test_a_recording_that_broke_off_may_leave_a_single_sweep(study, tmp_path, ca
         ),
     ],
 )
-def test_unknown_cameras_and_encodings_are_refused_by_name(
-    study, tmp_path, capsys, topic, change, words
-):
-    def with_change(entry):
-        if entry.topic != topic:
-            return entry.data
-        for name, value in change.items():
-            setattr(entry.message, name, value)
-        return entry.message
+def test_unknown_cameras_and_encodings_are_refused_by_name(tmp_path, capsys, topic, change, words):
+    def with_change(name, message, _):
+        for field, value in change.items() if name == topic else ():
+            setattr(message, field, value)
+        return message
 
-    bag = rewrite(study.folder / 'learn', tmp_path / 'strange', with_change)
-    refused(capsys, learn(bag, study, tmp_path / 'map'), topic, *words)
+    bag = rewrite(BAGS / 'learn', tmp_path / 'strange', with_change)
+    refused(capsys, learn(bag, tmp_path / 'map'), topic, *words)
     assert not (tmp_path / 'map').exists()
 
 
-def test_papers_given_on_the_opposite_wall_are_refused(study, tmp_path, capsys):
-    room = yaml.safe_load(Path(study.room).read_text())
+def test_papers_given_on_the_opposite_wall_are_refused(tmp_path, capsys):
+    room = yaml.safe_load(Path(ROOM).read_text())
     for paper in room['reference_area']['papers']:
         paper['center'][1] -= 5.3
     path = tmp_path / 'room.yaml'
     path.write_text(yaml.safe_dump(room))
-    bag = study.folder / 'learn'
-    refused(capsys, learn(bag, study, tmp_path / 'map', str(path)), 'papers', 'opposite wall')
+    bag = BAGS / 'learn'
+    refused(capsys, learn(bag, tmp_path / 'map', str(path)), 'papers', 'opposite wall')
     assert not (tmp_path / 'map').exists()
 
 
-def test_odometry_that_is_no_number_is_left_out(study, tmp_path, caplog):
-    def poisoned(entry):
-        if entry.stamp_ns > 5001 * 10**9:
-            return None
-        if entry.topic == '/odom' and entry.stamp_ns > 5000.5 * 10**9:
-            entry.message.pose.pose.position.x = float('nan')
-            return entry.message
-        return entry.data
+def test_odometry_that_is_no_number_is_left_out(recorded, tmp_path, caplog):
+    def poisoned(topic, message, log_ns):
+        if topic == '/odom' and log_ns > 5000.5 * 10**9:
+            message.pose.pose.position.x = float('nan')
+        return message if log_ns <= 5001 * 10**9 else None
 
-    bag = rewrite(study.folder / 'drive', tmp_path / 'nan', poisoned)
+    bag = rewrite(BAGS / 'drive', tmp_path / 'nan', poisoned)
     report = tmp_path / 'report.json'
-    assert main([str(a) for a in [*evaluate(bag, study), '--json', report]]) == 0
+    assert main([str(a) for a in [*evaluate(bag, recorded / 'map'), '--json', report]]) == 0
     reported = [line.getMessage() for line in caplog.records if '5000.550 s' in line.getMessage()]
     assert len(reported) == 1
     assert '10 of 21 messages left out' in reported[0]
@@ -200,30 +166,29 @@ def test_odometry_that_is_no_number_is_left_out(study, tmp_path, caplog):
     assert json.loads(report.read_text())['fused']['position_rmse_m'] < 0.02
 
 
-def test_maps_and_starts_that_cannot_be_are_refused(study, tmp_path, capsys):
-    drive = study.folder / 'drive'
-    refused(capsys, evaluate(drive, study, learned=tmp_path), 'no map there', 'learn')
+def test_maps_and_starts_that_cannot_be_are_refused(recorded, tmp_path, capsys):
+    drive = BAGS / 'drive'
+    refused(capsys, evaluate(drive, tmp_path), 'no map there', 'learn')
     (tmp_path / 'map.yaml').write_text('schema_version: 7\n')
-    refused(capsys, evaluate(drive, study, learned=tmp_path), 'schema version 7', 'update')
+    refused(capsys, evaluate(drive, tmp_path), 'schema version 7', 'update')
     refused(capsys, ['map', 'show', tmp_path], 'schema version 7')
-    arguments = evaluate(drive, study, start=False)
-    refused(capsys, [*arguments, '--start', '1', '1', '90'], 'radians', status=2)
-    outside = [*arguments, '--start', '9.8', '1', '0']
+    turned, outside = (evaluate(drive, recorded / 'map', s) for s in ((1, 1, 90), (9.8, 1, 0)))
+    refused(capsys, turned, 'radians', status=2)
     refused(capsys, outside, '1.00 m outside the room', status=2)
 
 
-def test_a_truncated_drive_is_evaluated_up_to_the_break(study, tmp_path, caplog):
-    whole = (study.folder / 'drive' / 'drive.mcap').read_bytes()
+def test_a_truncated_drive_is_evaluated_up_to_the_break(recorded, tmp_path, caplog):
+    whole = (BAGS / 'drive' / 'drive.mcap').read_bytes()
     cut = tmp_path / 'cut.mcap'
     cut.write_bytes(whole[: len(whole) // 4])
     figures = tmp_path / 'evaluate.json'
-    arguments = [*evaluate(cut, study), '--json', figures]
+    arguments = [*evaluate(cut, recorded / 'map'), '--json', figures]
     assert main([str(a) for a in arguments]) == 0
     assert 'cut off or damaged' in caplog.text
     assert 10 < json.loads(figures.read_text())['frames'] < 30
 
 
-def test_nothing_is_written_over_what_is_no_map(study, tmp_path, capsys):
+def test_nothing_is_written_over_what_is_no_map(tmp_path, capsys):
     (tmp_path / 'thesis.txt').write_text('precious')
-    refused(capsys, learn(study.folder / 'learn', study, tmp_path), 'other files')
+    refused(capsys, learn(BAGS / 'learn', tmp_path), 'other files')
     assert [p.name for p in tmp_path.iterdir()] == ['thesis.txt']

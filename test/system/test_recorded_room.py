@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from drive_faults import displaced_drive, late_drive, starved_drive
+from harness import BAGS, evaluate, start_of
 import numpy as np
 import pytest
 
@@ -21,8 +22,6 @@ from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
-
-BAGS = Path(__file__).resolve().parents[2] / 'bags'
 
 
 @pytest.fixture(scope='module')
@@ -100,29 +99,29 @@ def test_the_planner_would_have_forereported_it(figures: tuple[dict[str, float],
 
 
 @pytest.fixture
-def evaluated_late(
-    figures: tuple[dict[str, float], Path], tmp_path: Path
-) -> Callable[[float, float], dict[str, Any]]:
-    """What `evaluate` measures where joint states are stamped late from a time on."""
-    start = json.loads((BAGS / 'start.json').read_text())['pose']
+def driven(recorded: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
+    """What `evaluate` measures on this map, of another drive or with another `robot.yaml`."""
 
-    def run(late_s: float, since_s: float) -> dict[str, Any]:
-        drive = late_drive(Bag(BAGS / 'drive'), tmp_path / 'late', late_s, since_s)
-        evaluate = ['evaluate', str(drive), '--map', str(figures[1] / 'map'), '--robot']
-        evaluate += [str(BAGS / 'robot.yaml'), '--start', *map(str, start)]
-        assert main([*evaluate, '--json', str(tmp_path / 'late.json')]) == 0
-        measured: dict[str, Any] = json.loads((tmp_path / 'late.json').read_text())
-        return measured
+    def run(
+        drive: Path | None = None, known: Calibration | None = None, *, start: bool = True
+    ) -> dict[str, Any]:
+        robot = None if known is None else tmp_path / 'robot.yaml'
+        if robot and known:
+            save_calibration(known, robot)
+        given = start_of(BAGS) if start else None
+        files = {'drive': drive, 'robot': robot, 'out': tmp_path / 'run.json'}
+        return evaluate(BAGS, recorded / 'map', start=given, **files)
 
     return run
 
 
 def test_joint_states_that_are_stamped_late_are_reported_and_put_right(
     figures: tuple[dict[str, float], Path],
-    evaluated_late: Callable[[float, float], dict[str, Any]],
+    driven: Callable[..., dict[str, Any]],
+    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    run = evaluated_late(0.04, 0.0)
+    run = driven(late_drive(Bag(BAGS / 'drive'), tmp_path / 'late', 0.04))
     delay = run['calibration']['joint_delay']
     assert delay['value'] == pytest.approx(0.04, abs=0.002)
     usual = figures[0]['fused_position_rmse_m']
@@ -131,10 +130,10 @@ def test_joint_states_that_are_stamped_late_are_reported_and_put_right(
 
 
 def test_joint_states_that_become_late_are_not_put_right_from_the_start(
-    evaluated_late: Callable[[float, float], dict[str, Any]],
+    driven: Callable[..., dict[str, Any]], tmp_path: Path
 ) -> None:
     """What is measured in the end is wrong before."""
-    run = evaluated_late(0.2, 6.0)
+    run = driven(late_drive(Bag(BAGS / 'drive'), tmp_path / 'late', 0.2, 6.0))
     assert run['calibration']['joint_delay']['value'] == pytest.approx(0.2, abs=0.005)
     assert run['silently_wrong'] == 0
     assert run['nees']['mean'] < run['nees']['interval_95'][1]
@@ -148,14 +147,11 @@ def test_images_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
 
 @pytest.mark.xfail(strict=True, reason='heading off by 0.29 degrees, which its sigma says')
 def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(
-    figures: tuple[dict[str, float], Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+    driven: Callable[..., dict[str, Any]], tmp_path: Path
 ) -> None:
     """No start is given; it looks above or below, or is rolled, from the first image on."""
     drive = displaced_drive(Bag(BAGS / 'drive'), tmp_path / 'displaced', (-1.0, 0.0, 1.5))
-    evaluate = ['evaluate', str(drive), '--map', str(figures[1] / 'map')]
-    evaluate += ['--robot', str(BAGS / 'robot.yaml'), '--json', str(tmp_path / 'run.json')]
-    assert main(evaluate) == 0
-    run = json.loads((tmp_path / 'run.json').read_text())
+    run = driven(drive, start=False)
     assert run['found']['after_s'] < 2.0
     assert run['fused']['position_rmse_m'] < 0.006
     assert run['fused']['heading_rmse_deg'] < 0.15
@@ -163,43 +159,28 @@ def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(
 
 
 def test_what_a_starved_machine_loses_is_in_the_covariance(
-    figures: tuple[dict[str, float], Path], tmp_path: Path
+    driven: Callable[..., dict[str, Any]], tmp_path: Path
 ) -> None:
-    drive = starved_drive(Bag(BAGS / 'drive'), tmp_path / 'starved')
-    evaluate = ['evaluate', str(drive), '--map', str(figures[1] / 'map')]
-    evaluate += ['--robot', str(BAGS / 'robot.yaml')]
-    assert main([*evaluate, '--json', str(tmp_path / 'run.json')]) == 0
-    run = json.loads((tmp_path / 'run.json').read_text())
+    run = driven(starved_drive(Bag(BAGS / 'drive'), tmp_path / 'starved'), start=False)
     assert run['silently_wrong'] == 0
     assert run['nees']['mean'] < 5.0
     assert run['availability'] > 0.9
 
 
-def run_with(
-    landmarks: Path, out: Path, calibration: Calibration, *options: str
-) -> dict[str, Any]:
-    """Figures of `evaluate` with another `robot.yaml`."""
-    save_calibration(calibration, out / 'robot.yaml')
-    files = ['--map', str(landmarks), '--robot', str(out / 'robot.yaml')]
-    files += ['--json', str(out / 'run.json')]
-    assert main(['evaluate', str(BAGS / 'drive'), *files, *options]) == 0
-    run: dict[str, Any] = json.loads((out / 'run.json').read_text())
-    return run
-
-
-def start_of_the_drive() -> list[str]:
-    return ['--start', *map(str, json.loads((BAGS / 'start.json').read_text())['pose'])]
-
-
-def test_the_estimator_is_as_good_where_the_mount_is_exact(recorded: Path, tmp_path: Path) -> None:
-    exact = Calibration.exact(load_robot(BAGS / 'robot.yaml'))
-    run = run_with(recorded / 'map', tmp_path, exact, *start_of_the_drive())
-    bounds = json.loads((BAGS / 'expected.json').read_text())
-    assert run['fused']['position_rmse_m'] < bounds['fused_position_rmse_m']['most']
-    assert run['fused']['heading_rmse_deg'] < bounds['fused_heading_rmse_deg']['most']
-    assert run['availability'] == 1.0
-    assert run['integrity']['coverage_99'] > 0.97
+@pytest.mark.parametrize('start', [True, False])
+def test_the_estimator_is_as_good_where_the_mount_is_exact(
+    driven: Callable[..., dict[str, Any]], start: bool
+) -> None:
+    run = driven(known=Calibration.exact(load_robot(BAGS / 'robot.yaml')), start=start)
+    assert (run['found'] is None) == start
     assert run['integrity']['undetected_wrong'] == 0
+    assert run['fused']['position_median_m'] < 0.01
+    if start:
+        bounds = json.loads((BAGS / 'expected.json').read_text())
+        assert run['fused']['position_rmse_m'] < bounds['fused_position_rmse_m']['most']
+        assert run['fused']['heading_rmse_deg'] < bounds['fused_heading_rmse_deg']['most']
+        assert run['availability'] == 1.0
+        assert run['integrity']['coverage_99'] > 0.97
 
 
 @pytest.mark.parametrize(
@@ -212,22 +193,14 @@ def test_the_estimator_is_as_good_where_the_mount_is_exact(recorded: Path, tmp_p
     ],
 )
 def test_the_estimator_knows_how_wrong_it_may_be(
-    recorded: Path, error: dict[str, float], tmp_path: Path
+    driven: Callable[..., dict[str, Any]], error: dict[str, float]
 ) -> None:
     right = Calibration.of_mount(load_robot(BAGS / 'robot.yaml'))
     wrong = right.with_values(**{name: right[name][0] + off for name, off in error.items()})
-    run = run_with(recorded / 'map', tmp_path, wrong, *start_of_the_drive())
+    run = driven(known=wrong)
     assert run['integrity']['undetected_wrong'] == 0
     assert run['nees']['mean'] < run['nees']['interval_95'][1]
     assert run['fused']['position_rmse_m'] < 0.03
     for name in error:
         found = run['calibration'][name]
         assert abs(found['value'] - right[name][0]) < max(4.0 * found['sigma'], 0.002)
-
-
-def test_the_estimator_finds_its_own_place(recorded: Path, tmp_path: Path) -> None:
-    exact = Calibration.exact(load_robot(BAGS / 'robot.yaml'))
-    run = run_with(recorded / 'map', tmp_path, exact)
-    assert run['found'] is not None
-    assert run['integrity']['undetected_wrong'] == 0
-    assert run['fused']['position_median_m'] < 0.01

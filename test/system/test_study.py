@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+from harness import evaluate, learn, start_of
 import numpy as np
 import pytest
-
-from landmark_nav.cli.main import main
 
 MOUNT = 'xyz: [0.08, 0.0, 1.1]\n  rpy: [0.0, 0.0, 0.0]'
 
@@ -22,8 +20,7 @@ def study(shared_data: Path) -> Path:
 @pytest.fixture(scope='module')
 def learned(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp('study') / 'map'
-    setup = ['--room', str(study / 'room.yaml'), '--robot', str(study / 'robot.yaml')]
-    assert main(['learn', str(study / 'learn'), *setup, '--out', str(out)]) == 0
+    learn(study, out)
     return out
 
 
@@ -31,13 +28,10 @@ def driven(study: Path, learned: Path, folder: Path, mount: str, more: str = '')
     """Figures of the drive with another mount in robot.yaml."""
     given = (study / 'robot.yaml').read_text()
     assert MOUNT in given
-    robot, figures = folder / 'robot.yaml', folder / 'evaluate.json'
+    robot = folder / 'robot.yaml'
     robot.write_text(given.replace(MOUNT, mount) + more)
-    start = json.loads((study / 'start.json').read_text())['pose']
-    arguments = ['evaluate', str(study / 'drive'), '--map', str(learned), '--robot', str(robot)]
-    arguments += ['--start', *map(str, start), '--json', str(figures)]
-    assert main(arguments) == 0
-    report = json.loads(figures.read_text())
+    out = folder / 'run.json'
+    report = evaluate(study, learned, start=start_of(study), robot=robot, out=out)
     assert report['frames'] == 184
     assert report['availability'] >= 0.95
     assert report['integrity']['undetected_wrong'] == 0

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from harness import BAGS, evaluate, start_of
 import numpy as np
 import pytest
 from unmeasured_bags import with_odometry
@@ -16,7 +17,6 @@ from landmark_nav.geometry import se2
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.setup_files import load_room
 
-BAGS = Path(__file__).resolve().parents[2] / 'bags'
 ROBOT = str(BAGS / 'robot.yaml')
 SCALE = 1.02
 
@@ -63,11 +63,8 @@ def test_walls_found_are_those_of_the_room(learned: tuple[dict[str, Any], Path])
 
 def test_the_map_serves_a_drive(learned: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
     first = truth_of_bag(Bag(BAGS / 'learn')).poses[0]
-    start = se2.relative(first, json.loads((BAGS / 'start.json').read_text())['pose'])
-    words = ['evaluate', str(BAGS / 'drive'), '--map', str(learned[1] / 'map'), '--robot', ROBOT]
-    words += ['--start', *map(str, start.tolist()), '--json', str(tmp_path / 'run.json')]
-    assert main(words) == 0
-    run = json.loads((tmp_path / 'run.json').read_text())
+    start = se2.relative(first, start_of(BAGS)).tolist()
+    run = evaluate(BAGS, learned[1] / 'map', start=start, out=tmp_path / 'run.json')
     assert run['aligned']
     assert run['scale'] == pytest.approx(SCALE, abs=0.006)
     assert run['fused_after_scale']['position_rmse_m'] < 0.012
@@ -93,28 +90,20 @@ def test_papers_at_unknown_places_give_the_scale(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    'words',
+    ('words', 'status', 'named'),
     [
-        ['--paper-size', '-1', '2'],
-        ['--paper-size', '0.2', '0'],
-        ['--marker-size', '0.1', '--marker-dictionary', 'none'],
-        ['--paper-size', '0.2', '0.3', '--room', str(BAGS / 'room.yaml')],
+        (['--paper-size', '-1', '2'], 2, ''),
+        (['--marker-size', '0.1', '--marker-dictionary', 'none'], 2, ''),
+        (['--paper-size', '0.2', '0.3', '--room', str(BAGS / 'room.yaml')], 2, ''),
+        ([], 1, 'odom sweep/pose --paper-size --room'),
     ],
 )
-def test_sizes_that_are_none_are_wrong_usage(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_without_a_scale_it_is_refused_in_one_line(
+    words: list[str], status: int, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
-    assert main([*given, *words]) == 2
+    assert main([*given, *words]) == status
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert len(line) < 200
-
-
-def test_without_any_scale_the_ways_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
-    assert main(words) == 1
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert all(way in line for way in ('odom', 'sweep/pose', '--paper-size', '--room'))
+    assert len(line) < 300
+    assert all(way in line for way in named.split())
     assert not (tmp_path / 'map').exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+import shutil
 import sqlite3
 
 import lz4.frame
@@ -16,22 +17,28 @@ import yaml
 import zstandard
 
 from landmark_nav.messages.factory import default_typestore
-from landmark_nav.storage.bags import Bag, BagMessage, BagWriter
+from landmark_nav.storage.bags import Bag, BagMessage
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), default_typestore()
 
 
-def sqlite3_bag(source: Path, path: Path, mode: CompressionMode | None = None) -> Path:
-    """rosbag2 with sqlite3 storage, perhaps compressed."""
-    with _rosbag2(path, StoragePlugin.SQLITE3, mode) as writer:
-        _copy(source, writer, lambda entry: entry.data)
-    return path
-
-
-def compressed_bag(source: Path, path: Path, mode: CompressionMode) -> Path:
-    """rosbag2 with MCAP storage, compressed by rosbag2 itself."""
-    with _rosbag2(path, StoragePlugin.MCAP, mode) as writer:
-        _copy(source, writer, lambda entry: entry.data)
+def rosbag2_bag(
+    source: Path,
+    path: Path,
+    mode: CompressionMode | None = None,
+    storage: StoragePlugin = StoragePlugin.SQLITE3,
+) -> Path:
+    """rosbag2, perhaps compressed by rosbag2 itself."""
+    writer, connections = Writer(path, version=9, storage_plugin=storage), {}
+    if mode is not None:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        for entry in Bag(source).messages():
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(
+                    entry.topic, entry.type_name, typestore=ROS2
+                )
+            writer.write(connections[entry.topic], entry.stamp_ns, entry.data)
     return path
 
 
@@ -88,22 +95,16 @@ def mcap_file(
 
 def split_bag(source: Path, path: Path, parts: int = 3) -> Path:
     """rosbag2 in several files."""
-    entries = list(Bag(source).messages())
     path.mkdir()
-    names = []
-    for k in range(parts):
-        part = entries[k * len(entries) // parts : (k + 1) * len(entries) // parts]
-        with BagWriter(path / f'part{k}') as writer:
-            for entry in part:
-                writer.write_serialized(entry.topic, entry.type_name, entry.data, entry.stamp_ns)
-        (path / f'part{k}' / f'part{k}.mcap').rename(path / f'split_{k}.mcap')
-        (path / f'part{k}' / 'metadata.yaml').unlink()
-        (path / f'part{k}').rmdir()
-        names.append(f'split_{k}.mcap')
+
+    def part(k: int) -> Callable[[list[BagMessage]], list[BagMessage]]:
+        return lambda entries: entries[k * len(entries) // parts : (k + 1) * len(entries) // parts]
+
+    files = [mcap_file(source, path / f'split_{k}.mcap', part(k)) for k in range(parts)]
     information = {
         'version': 9,
         'storage_identifier': 'mcap',
-        'relative_file_paths': names[::-1],
+        'relative_file_paths': [file.name for file in files[::-1]],
         'compression_format': '',
         'compression_mode': 'NONE',
     }
@@ -119,7 +120,7 @@ def packed_file(source: Path, path: Path) -> Path:
     return path
 
 
-def without_definitions(path: Path) -> None:
+def without_definitions(path: Path) -> Path:
     """Take the definitions out of a .db3, as distributions before Iron left them out."""
     (file,) = path.glob('*.db3')
     base = sqlite3.connect(file)
@@ -127,20 +128,14 @@ def without_definitions(path: Path) -> None:
     base.execute('DROP TABLE message_definitions')
     base.commit()
     base.close()
+    return path
 
 
-def _rosbag2(path: Path, storage: StoragePlugin, mode: CompressionMode | None) -> Writer:
-    writer = Writer(path, version=9, storage_plugin=storage)
-    if mode is not None:
-        writer.set_compression(mode, CompressionFormat.ZSTD)
-    return writer
-
-
-def _copy(source: Path, writer: Writer, data: Callable[[BagMessage], bytes | memoryview]) -> None:
-    connections = {}
-    for entry in Bag(source).messages():
-        if entry.topic not in connections:
-            connections[entry.topic] = writer.add_connection(
-                entry.topic, entry.type_name, typestore=ROS2
-            )
-        writer.write(connections[entry.topic], entry.stamp_ns, data(entry))
+def compression_mode(source: Path, path: Path, mode: str) -> Path:
+    """The same bag, whose metadata name a mode of compression; its first bytes count."""
+    shutil.copytree(source, path)
+    text = (path / 'metadata.yaml').read_text()
+    assert "compression_mode: ''" in text
+    changed = text.replace("compression_mode: ''", f"compression_mode: '{mode}'")
+    (path / 'metadata.yaml').write_text(changed)
+    return path

@@ -5,14 +5,24 @@ from __future__ import annotations
 import re
 
 from bag_writers import CAMERA, camera_image, FACTORY, MOUNT, SECOND, START, write_drive
+from drive_faults import write_bag
 import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.messages import encode
-from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
+from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.types import CameraFrame, OdometrySample, PoseEstimate
+
+
+def recorded(path):
+    """Topics, messages and log times of a bag, to be written again."""
+    return [(entry.topic, entry.message, entry.stamp_ns) for entry in Bag(path).messages()]
+
+
+def frames_of(path, warn=print):
+    return [e for e in sensor_events(Bag(path, warn), MOUNT) if isinstance(e, CameraFrame)]
 
 
 def test_frames_carry_the_pan_of_their_own_stamp(tmp_path):
@@ -39,27 +49,18 @@ def test_ground_truth_in_another_frame_than_the_map_is_reported(tmp_path, caplog
 
 
 def test_raw_images_are_preferred_to_compressed_ones(tmp_path):
-    path = write_drive(tmp_path / 'drive')
-    with BagWriter(tmp_path / 'both') as both:
-        for entry in Bag(path).messages():
-            both.write_serialized(entry.topic, entry.type_name, entry.data, entry.stamp_ns)
-        stamp = START + SECOND
-        both.write('camera/image_raw', encode.image(FACTORY, camera_image(9), stamp, ''), stamp)
-    frames = [
-        e for e in sensor_events(Bag(tmp_path / 'both'), MOUNT) if isinstance(e, CameraFrame)
-    ]
-    assert [f.stamp_ns for f in frames] == [stamp]
+    stamp = START + SECOND
+    raw = 'camera/image_raw', encode.image(FACTORY, camera_image(9), stamp, ''), stamp
+    path = write_bag(tmp_path / 'both', [*recorded(write_drive(tmp_path / 'drive')), raw])
+    assert [f.stamp_ns for f in frames_of(path)] == [stamp]
 
 
 def test_of_one_moment_images_come_last(tmp_path):
     moment = 50_000_000
-    entries = list(Bag(write_drive(tmp_path / 'drive')).messages())
-    with BagWriter(tmp_path / 'same') as same:
-        for entry in sorted(entries, key=lambda e: 'image' not in e.topic):
-            log_ns = entry.stamp_ns // moment * moment
-            same.write_serialized(entry.topic, entry.type_name, entry.data, log_ns)
+    sent = sorted(recorded(write_drive(tmp_path / 'drive')), key=lambda m: 'image' not in m[0])
+    same = write_bag(tmp_path / 'same', [(t, m, log // moment * moment) for t, m, log in sent])
     passed, images = [], 0
-    for event in sensor_events(Bag(tmp_path / 'same'), MOUNT):
+    for event in sensor_events(Bag(same), MOUNT):
         if isinstance(event, OdometrySample):
             passed.append(event.stamp_ns)
         elif isinstance(event, CameraFrame):
@@ -69,42 +70,34 @@ def test_of_one_moment_images_come_last(tmp_path):
 
 
 def test_joint_states_in_degrees_are_refused(tmp_path):
-    path = write_drive(tmp_path / 'drive')
-    with BagWriter(tmp_path / 'degrees') as degrees:
-        for entry in Bag(path).messages():
-            message = entry.message
-            if entry.topic == '/joint_states':
-                message.position = np.degrees(message.position)
-            degrees.write(entry.topic, message, entry.stamp_ns)
+    sent = recorded(write_drive(tmp_path / 'drive'))
+    for topic, message, _ in sent:
+        if topic == '/joint_states':
+            message.position = np.degrees(message.position)
     with pytest.raises(LandmarkNavError, match=r'joint_states: the pan turns by 17 rad/s: are th'):
-        list(sensor_events(Bag(tmp_path / 'degrees'), MOUNT))
+        frames_of(write_bag(tmp_path / 'degrees', sent))
 
 
 def test_what_was_recorded_twice_counts_once(tmp_path):
     drive = write_drive(tmp_path / 'drive')
-    with BagWriter(tmp_path / 'twice') as twice:
-        for entry in Bag(drive).messages():
-            for again_ns in (0, 3_000_000):
-                log_ns = entry.stamp_ns + again_ns
-                twice.write_serialized(entry.topic, entry.type_name, entry.data, log_ns)
+    sent = [(t, m, log + again) for t, m, log in recorded(drive) for again in (0, 3_000_000)]
     once, again = (
-        [
-            (type(event), event.stamp_ns, getattr(event, 'pan_rad', None))
+        sorted(
+            str((type(event), event.stamp_ns, getattr(event, 'pan_rad', None)))
             for event in sensor_events(Bag(path), MOUNT)
-        ]
-        for path in (drive, tmp_path / 'twice')
+        )
+        for path in (drive, write_bag(tmp_path / 'twice', sent))
     )
-    assert sorted(map(str, again)) == sorted(map(str, once))
+    assert again == once
 
 
 def test_a_damaged_image_is_left_out_and_reported(tmp_path):
     warnings = []
-    bag = Bag(write_drive(tmp_path / 'drive', damaged=(2, 5)), warnings.append)
-    frames = [e for e in sensor_events(bag, MOUNT) if isinstance(e, CameraFrame)]
+    frames = frames_of(write_drive(tmp_path / 'drive', damaged=(2, 5)), warnings.append)
     assert len(frames) == 8
-    assert len(warnings) == 1
-    assert '2 of 10 images left out' in warnings[0]
-    assert 'does not decode' in warnings[0]
+    (warning,) = warnings
+    assert '2 of 10 images left out' in warning
+    assert 'does not decode' in warning
 
 
 @pytest.mark.parametrize('topic', ['odom', 'joint_states', 'camera/camera_info'])
@@ -119,28 +112,22 @@ def test_what_is_not_a_number_is_left_out_and_reported(tmp_path, topic):
     assert re.search(rf'1 of [14]0 messages left out: .*/{topic}: .*nan', warning)
 
 
-def test_a_clock_that_is_set_back_leaves_images_the_pan_of_their_time(tmp_path):
-    drive = write_drive(tmp_path / 'drive', set_back=lambda k: SECOND if k >= 21 else 0)
-    frames = [e for e in sensor_events(Bag(drive), MOUNT) if isinstance(e, CameraFrame)]
-    known = np.delete(0.3 * (0.2 * np.arange(10) + 0.02), 5)
-    # At the moment itself no joint state comes after the image.
-    np.testing.assert_allclose([f.pan_rad for f in frames], known)
-
-
 @pytest.mark.parametrize('step_back_ns', [0, SECOND])
-def test_a_tilt_that_is_recognized_by_itself_is_that_of_the_image(tmp_path, step_back_ns):
+@pytest.mark.parametrize('tilt_a_step', [0.0, 0.01])
+def test_pan_and_tilt_are_of_the_time_of_the_image(tmp_path, step_back_ns, tilt_a_step):
+    """Also where the clock is set back, and where tilts come by themselves."""
     drive = write_drive(
         tmp_path / 'drive',
         set_back=lambda k: step_back_ns if k >= 21 else 0,
-        lone_tilt=lambda k: 0.01 * k,
+        lone_tilt=(lambda k: tilt_a_step * k) if tilt_a_step else None,
     )
-    frames = [e for e in sensor_events(Bag(drive), MOUNT) if isinstance(e, CameraFrame)]
+    frames = frames_of(drive)
     known = 0.2 * np.arange(10) + 0.02
-    tilts = 0.01 / 0.05 * known
     if step_back_ns:
         # At the moment itself no joint state comes after the image.
-        known, tilts = np.delete(known, 5), np.delete(tilts, 5)
+        known = np.delete(known, 5)
     np.testing.assert_allclose([f.pan_rad for f in frames], 0.3 * known)
+    tilts = tilt_a_step / 0.05 * known
     np.testing.assert_allclose([f.tilt_rad for f in frames], tilts, atol=1e-6)
 
 

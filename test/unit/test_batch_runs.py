@@ -53,7 +53,7 @@ def test_a_grid_over_folders_shares_what_it_does_not_change(recordings: Path) ->
         assert evaluate.arguments[0].endswith('drive')
 
 
-def test_parameters_of_a_grid_are_those_that_a_command_reads(recordings: Path) -> None:
+def test_parameters_of_a_grid_and_contents_of_files_make_a_stage(recordings: Path) -> None:
     robot, path = recordings / 'bare.yaml', recordings / 'config.yaml'
     robot.write_text('pan_axis: {xyz: [0, 0, 1]}')
     found = set()
@@ -61,9 +61,6 @@ def test_parameters_of_a_grid_are_those_that_a_command_reads(recordings: Path) -
         path.write_text(run.stages[-1].config)
         found.add(load_configuration(path, robot, 'odometry_fusion').estimator.learning_sigma)
     assert found == {0.5, 1.0}
-
-
-def test_another_content_of_a_file_is_another_stage(recordings: Path) -> None:
     before = runs_of(recordings, RUN)
     (recordings / 'rooms' / 'attic' / 'room.yaml').write_text('another room')
     after = runs_of(recordings, RUN)

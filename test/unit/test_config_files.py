@@ -120,7 +120,6 @@ def test_facts_of_the_robot_still_come_from_where_they_were(
         (for_all('estimator: 3'), "no parameter 'estimator'"),
         (for_all('capture: {frames: soon}'), "frames is 'soon': take a whole number"),
         (for_all('capture: {frames: true}'), 'frames is True: take a whole number'),
-        (for_all('capture: {frames: 2.5}'), 'take a whole number'),
         (for_all('capture: {frames: -1}'), 'frames of .* is -1'),
         (for_all('look_around: {enabled: 1}'), 'take true or false'),
         ('/**: {ros__parameters: [1]}', 'not a mapping'),
@@ -130,11 +129,6 @@ def test_facts_of_the_robot_still_come_from_where_they_were(
 def test_what_cannot_be_is_named(tmp_path: Path, text: str, complaint: str) -> None:
     with pytest.raises(LandmarkNavError, match=rf'config\.yaml.*{complaint}'):
         load(tmp_path, text)
-
-
-def learn_command(config: Path) -> list[str]:
-    files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(ROBOT), '--config', str(config)]
-    return ['learn', str(BAGS / 'learn'), *files, '--out', str(config.parent / 'map')]
 
 
 def test_learn_takes_parameters_of_all_its_stages(
@@ -155,19 +149,15 @@ def test_learn_takes_parameters_of_all_its_stages(
     monkeypatch.setattr(learn, 'learn_from_panoramas', learn_from_panoramas)
     path = tmp_path / 'learn.yaml'
     path.write_text(for_all('attention: {candidates: 50}, election: {max_count: 9}'))
-    assert main(learn_command(path)) == 1
+    files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(ROBOT), '--config', str(path)]
+    words = ['learn', str(BAGS / 'learn'), *files, '--out', str(tmp_path / 'map')]
+    assert main(words) == 1
     assert 'enough' in capsys.readouterr().err
     assert len(met) == 3
     for config in met:
         assert (config.attention.candidates, config.election.max_count) == (50, 9)
         assert config.stereo == PLAIN.stereo
-
-
-def test_learn_refuses_parameters_that_cannot_be(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / 'learn.yaml'
     path.write_text(for_all('attention: {candidates: 0}'))
-    assert main(learn_command(path)) == 1
+    assert main(words) == 1
     assert str(path) in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ['learn.yaml']

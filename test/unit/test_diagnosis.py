@@ -10,20 +10,11 @@ import re
 from typing import Any
 
 import cv2
+from message_changes import each_second, no_number, nothing
 import numpy as np
 import numpy.typing as npt
 import pytest
-from stream_errors import (
-    FIFTH,
-    FOURTH,
-    FURTHER,
-    OTHERS,
-    REPORTED,
-    StreamError,
-    SWEEPS,
-    THIRD,
-    write_drive,
-)
+from stream_errors import of_drives, of_sweeps, StreamError, write_drive
 
 from landmark_nav.cli.check import checked
 from landmark_nav.cli.main import main
@@ -310,7 +301,7 @@ def test_nearness_of_a_round_room() -> None:
     assert 0.25 < nearness_of_room(Room(tuple(walls))) < 0.45
 
 
-NAMED = {**REPORTED, **OTHERS, **FURTHER, **THIRD, **FOURTH, **FIFTH}
+NAMED = {name: error for errors in of_drives().values() for name, error in errors.items()}
 # One of each kind; `make degraded` has all.
 SOME = (
     *('odom clock 5 % fast', 'yaw reversed', 'odom in cm', 'zeros between joint_states'),
@@ -347,7 +338,7 @@ def test_a_good_recording_passes(
 
 
 def test_errors_are_refused_in_one_line(tmp_path: Path) -> None:
-    bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', REPORTED['odom +5 s'])
+    bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', NAMED['odom +5 s'])
     mount = load_robot(BAGS / 'robot.yaml')
     with pytest.raises(LandmarkNavError, match=r'odom clock: stamped 5\.0') as refused:
         checked(Bag(bag), mount, None)
@@ -358,12 +349,13 @@ def test_errors_are_refused_in_one_line(tmp_path: Path) -> None:
 def test_learning_refuses_what_it_cannot_calibrate(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bag = write_drive(Bag(BAGS / 'learn'), tmp_path / 'learn', SWEEPS[name])
+    error = of_sweeps()[name]
+    bag = write_drive(Bag(BAGS / 'learn'), tmp_path / 'learn', error)
     files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(BAGS / 'robot.yaml')]
     assert main(['learn', str(bag), *files, '--out', str(tmp_path / 'map')]) == 1
     reported = capsys.readouterr().err
-    assert SWEEPS[name].names in reported
-    assert SWEEPS[name].finding in reported
+    assert error.names in reported
+    assert error.finding in reported
     assert not (tmp_path / 'map').exists()
 
 
@@ -376,8 +368,7 @@ def test_degrees_as_the_mount_of_a_camera_are_refused(tmp_path: Path) -> None:
 def test_a_bag_without_images_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    error = replace(REPORTED['odom +1 s'], topics=('camera/image_raw/compressed',))
-    error = replace(error, change=lambda message, count: None)
+    error = StreamError(('camera/image_raw/compressed',), nothing, 'images')
     bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error)
     assert main(['check', str(bag)]) == 1
     assert 'camera/image_raw' in capsys.readouterr().err
@@ -385,7 +376,7 @@ def test_a_bag_without_images_is_refused(
 
 @pytest.mark.parametrize(('frame', 'fits'), [('base_footprint', True), ('laser', False)])
 def test_odometry_may_be_of_the_footprint(frame: str, fits: bool, tmp_path: Path) -> None:
-    def about(message: Any, _: int) -> Any:
+    def about(message: Any) -> Any:
         message.child_frame_id = frame
         return message
 
@@ -400,12 +391,7 @@ def test_odometry_may_be_of_the_footprint(frame: str, fits: bool, tmp_path: Path
 
 
 def test_damaged_messages_are_counted(tmp_path: Path) -> None:
-    def broken(message: object, count: int) -> object:
-        if count % 2:
-            message.position = np.full(2, np.nan)  # type: ignore[attr-defined]
-        return message
-
-    error = replace(REPORTED['joint_states +5 s'], change=broken)
+    error = StreamError(('joint_states',), each_second(no_number), 'reading')
     bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
     found = diagnose(bag, load_robot(BAGS / 'robot.yaml'))
     assert 'reading' in [finding.name for finding in found.warnings]

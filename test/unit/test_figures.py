@@ -7,6 +7,7 @@ from bare_landmarks import bare_landmark
 import cv2
 import numpy as np
 import pytest
+from scenes import rectangle_room
 
 from landmark_nav.evaluation.figures import (
     draw_errors,
@@ -20,7 +21,7 @@ from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.walls import Paper, Wall
+from landmark_nav.geometry.walls import Paper
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation
 from landmark_nav.types import (
@@ -32,31 +33,28 @@ from landmark_nav.types import (
     Refusal,
 )
 
-WALLS = (
-    Wall('south', (0.0, 0.0), (5.0, 0.0), 2.5),
-    Wall('east', (5.0, 0.0), (5.0, 4.0), 2.5),
-    Wall('north', (5.0, 4.0), (0.0, 4.0), 2.5),
-    Wall('west', (0.0, 4.0), (0.0, 0.0), 2.5),
-)
+WALLS = rectangle_room(5.0, 4.0, ()).walls
 
 # How the figures draw landmarks, as OpenCV reads it back.
 LANDMARK_BGR = (0x73, 0x9E, 0x00)
 
 
 def landmark(identity, x):
-    return bare_landmark(
-        identity,
-        np.array([x, 0.0, 1.2]),
-        1e-4 * np.eye(3),
-        normal=np.array([0.0, 1.0, 0.0]),
-        wall_id='south',
-    )
+    normal = np.array([0.0, 1.0, 0.0])
+    position = np.array([x, 0.0, 1.2])
+    return bare_landmark(identity, position, 1e-4 * np.eye(3), normal=normal, wall_id='south')
 
 
 def a_map(count=3):
     places = (PoseEstimate(0, np.array([2.0, 2.0, 0.3]), 1e-5 * np.eye(3)),)
     members = tuple(landmark(k, 0.5 + 0.4 * k) for k in range(count))
     return LandmarkMap(members, 'map', WALLS, places)
+
+
+def a_panorama():
+    """A grey one."""
+    cylinder, pixels = Cylinder(400, 80, 64.0, 199.5, 40.0), np.full((80, 400, 3), 200, np.uint8)
+    return Panorama(0, pixels, np.ones((80, 400), bool), cylinder, np.zeros(3), 0.0, np.eye(4))
 
 
 def share_of(path, color):
@@ -68,14 +66,12 @@ def share_of(path, color):
 
 def test_map_shows_its_landmarks(tmp_path):
     papers = [Paper('red', (1, 0.02, 1.7), 0.2, 0.3), Paper('#8020c0', (2, 0.02, 1.7), 0.2, 0.3)]
-    draw_map(a_map(), tmp_path / 'map.png', papers)
-    draw_map(a_map(), tmp_path / 'again.png', papers)
-    draw_map(a_map(0), tmp_path / 'empty.png')
-    assert share_of(tmp_path / 'map.png', LANDMARK_BGR) > share_of(
-        tmp_path / 'empty.png', LANDMARK_BGR
-    )
-    assert (tmp_path / 'map.png').read_bytes() == (tmp_path / 'again.png').read_bytes()
-    assert share_of(tmp_path / 'map.png', (0xC0, 0x20, 0x80)) > 0.0
+    full, again, empty = (tmp_path / f'{name}.png' for name in ('map', 'again', 'empty'))
+    for path, count in ((full, 3), (again, 3), (empty, 0)):
+        draw_map(a_map(count), path, papers)
+    assert share_of(full, LANDMARK_BGR) > share_of(empty, LANDMARK_BGR)
+    assert full.read_bytes() == again.read_bytes()
+    assert share_of(full, (0xC0, 0x20, 0x80)) > 0.0
 
 
 def test_labels_that_are_kept_do_not_overlap_and_those_left_out_lie_on_one_kept():
@@ -91,15 +87,7 @@ def test_labels_that_are_kept_do_not_overlap_and_those_left_out_lie_on_one_kept(
 
 @pytest.mark.parametrize('column', [100.0, 1.0, 399.0])
 def test_panorama_marks_what_was_elected(tmp_path, column):
-    view = Panorama(
-        0,
-        np.full((80, 400, 3), 200, np.uint8),
-        np.ones((80, 400), np.bool_),
-        Cylinder(400, 80, 64.0, 199.5, 40.0),
-        np.zeros(3),
-        0.0,
-        np.eye(4),
-    )
+    view = a_panorama()
     candidates = [Candidate(column, 40.0, 20, 20, 1.0)]
     draw_panorama(view, candidates, [landmark(7, 1.0)], 1, tmp_path / 'elected.png')
     draw_panorama(view, candidates, [Refusal('too far')], 1, tmp_path / 'refused.png')

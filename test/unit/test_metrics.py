@@ -76,25 +76,34 @@ def test_poses_are_carried_on_as_odometry_moves():
 # Figures of errors
 
 
-def test_errors_are_absolute_and_the_heading_is_wrapped():
+def test_errors_are_absolute_wrapped_and_summarised():
     errors = pose_errors([[1.0, 2.0, 3.1], [np.nan] * 3], [[0.5, 2.5, -3.1], [0, 0, 0]])
     np.testing.assert_allclose(errors[0], [0.5, -0.5, 6.2 - 2 * np.pi])
     assert np.isnan(errors[1]).all()
-
-
-def test_summary_has_the_keys_of_the_contract():
     errors = np.zeros((101, 3))
     errors[:, 0] = np.arange(101) * 0.01
     errors[:, 2] = np.radians(2.0)
     errors[0] = np.nan
     summary = error_summary(errors)
-    assert summary['position_median_m'] == pytest.approx(0.505)
-    assert summary['position_max_m'] == pytest.approx(1.0)
-    assert summary['position_p95_m'] == pytest.approx(0.9505)
-    assert summary['position_rmse_m'] == pytest.approx(np.sqrt(np.mean(errors[1:, 0] ** 2)))
-    assert summary['heading_rmse_deg'] == pytest.approx(2.0)
-    assert summary['heading_p95_deg'] == pytest.approx(2.0)
+    assert summary == pytest.approx(
+        {
+            'position_rmse_m': np.sqrt(np.mean(errors[1:, 0] ** 2)),
+            'position_median_m': 0.505,
+            'position_p95_m': 0.9505,
+            'position_max_m': 1.0,
+            'heading_rmse_deg': 2.0,
+            'heading_p95_deg': 2.0,
+        }
+    )
     assert error_summary(np.full((4, 3), np.nan)) == dict.fromkeys(summary)
+
+
+def test_undetected_failures_are_counted():
+    errors = np.zeros((6, 3))
+    errors[1, 0], errors[2, 2], errors[3, 1], errors[4, :2] = 0.06, -0.06, 0.04, np.nan
+    covariances = np.broadcast_to(np.eye(3) * 0.01**2, (6, 3, 3))
+    assert undetected_failures(errors, covariances, np.ones(6, bool)) == 2
+    assert undetected_failures(errors, covariances, np.zeros(6, bool)) == 0
 
 
 def test_errors_of_the_claimed_size_are_consistent():
@@ -113,45 +122,22 @@ def test_errors_of_the_claimed_size_are_consistent():
     assert crlb_ratio(nothing, covariances[:3]) is None
 
 
-@pytest.mark.parametrize('kept', [0.0, 0.9, 0.995])
-def test_nees_interval_allows_for_errors_that_repeat(kept):
+@pytest.mark.parametrize(('kept', 'of_map'), [(0.0, 0.0), (0.9, 0.0), (0.995, 0.0), (0.0, 2 / 3)])
+def test_nees_interval_allows_for_errors_that_repeat(kept, of_map):
+    """Errors last for a while, or a share of their variance is the map's, drawn once a run."""
     rng = np.random.default_rng(2)
-    runs = [rng.normal(size=(100, 3))]
+    runs = [rng.normal(size=(200, 3))]
     for _ in range(200):
-        runs.append(kept * runs[-1] + rng.normal(size=(100, 3)) * np.sqrt(1.0 - kept**2))
-    inside, widths = 0, []
-    for errors in np.array(runs).swapaxes(0, 1):
-        found = consistency(errors, np.broadcast_to(np.eye(3), (201, 3, 3)))
-        low, high = found.interval_95
-        inside += low < found.mean < high
-        widths.append(high - low)
-    assert inside >= 84
-    assert (np.median(widths) > 3.0) == (kept > 0.95)
-
-
-def test_nees_interval_knows_that_the_map_is_drawn_once():
-    # Two thirds of the variance are the map's, the same all along; the rest is new each time.
-    rng = np.random.default_rng(4)
-    by_map = np.broadcast_to(np.sqrt(2.0 / 3.0) * np.eye(3), (200, 3, 3))
-    covariances = np.broadcast_to(np.eye(3), (200, 3, 3))
-    reported, alone = 0, 0
-    for _ in range(200):
-        errors = by_map[0] @ rng.normal(size=3) + rng.normal(0.0, np.sqrt(1.0 / 3.0), (200, 3))
-        low, high = consistency(errors, covariances, by_map).interval_95
-        reported += low < np.mean(np.sum(errors**2, 1)) < high
-        low, high = consistency(errors, covariances).interval_95
-        alone += low < np.mean(np.sum(errors**2, 1)) < high
-    assert reported >= 0.93 * 200
-    # A map that happens to be good hides how much is the map's.
-    assert alone < reported
-
-
-def test_what_is_sure_and_wrong_is_counted():
-    errors = np.zeros((6, 3))
-    errors[1, 0], errors[2, 2], errors[3, 1], errors[4, :2] = 0.06, -0.06, 0.04, np.nan
-    covariances = np.broadcast_to(np.eye(3) * 0.01**2, (6, 3, 3))
-    assert undetected_failures(errors, covariances, np.ones(6, bool)) == 2
-    assert undetected_failures(errors, covariances, np.zeros(6, bool)) == 0
+        runs.append(kept * runs[-1] + rng.normal(size=(200, 3)) * np.sqrt(1.0 - kept**2))
+    errors = np.sqrt(1.0 - of_map) * np.array(runs) + np.sqrt(of_map) * rng.normal(size=(200, 3))
+    by_map = np.broadcast_to(np.sqrt(of_map) * np.eye(3), (201, 3, 3)) if of_map else None
+    covariances = np.broadcast_to(np.eye(3), (201, 3, 3))
+    found = [consistency(run, covariances, by_map) for run in errors.swapaxes(0, 1)]
+    low, high = np.array([one.interval_95 for one in found]).T
+    means = np.array([one.mean for one in found])
+    assert np.mean((low < means) & (means < high)) >= 0.84 + 0.09 * (of_map > 0.0)
+    if not of_map:
+        assert (np.median(high - low) > 3.0) == (kept > 0.95)
 
 
 def test_hash_gives_results_apart_but_not_rounding():
@@ -168,6 +154,10 @@ def test_hash_gives_results_apart_but_not_rounding():
 
 # The bound
 
+NOISE = (
+    *('along_m_per_sqrt_m', 'across_m_per_sqrt_m', 'turn_rad_per_sqrt_m', 'slip_m_per_rad'),
+    *('turn_rad_per_sqrt_rad', 'floor_m_per_sqrt_s', 'floor_rad_per_sqrt_s'),
+)
 PLACES = np.array([[3.0, 0.0], [0.0, 4.0], [-2.0, -1.0], [2.0, 2.0]])
 
 
@@ -185,19 +175,6 @@ def landmarks(covariance, loading):
     )
 
 
-def silent_odometry():
-    return OdometryNoiseConfig(
-        along_m_per_sqrt_m=0.0,
-        across_m_per_sqrt_m=0.0,
-        turn_rad_per_sqrt_m=0.0,
-        turn_rad_per_sqrt_rad=0.0,
-        floor_m_per_sqrt_s=0.0,
-        floor_rad_per_sqrt_s=0.0,
-        estimate_odometry_bias=False,
-        slip_m_per_rad=0.0,
-    )
-
-
 def image(stamp, variance, mount, pose):
     count = len(PLACES)
     bearings = se2.bearings(mount.axis_pose_map(pose), PLACES)
@@ -209,7 +186,7 @@ def image(stamp, variance, mount, pose):
 def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
     config = LocalizationConfig(
         estimator=EstimatorConfig(correlation_length_m=1e9, floor_tilt_sigma_rad=0.0),
-        odometry=silent_odometry(),
+        odometry=OdometryNoiseConfig(**dict.fromkeys(NOISE, 0.0), estimate_odometry_bias=False),
     )
     pose = np.array([0.3, -0.2, 0.5])
     truth = PoseTrack.of([(k * SECOND // 10, pose) for k in range(times * 10)])
@@ -239,19 +216,14 @@ def test_bound_of_a_standing_robot_is_the_inverse_of_its_information(lever):
         np.testing.assert_allclose(found, np.linalg.inv(information), rtol=1e-3, atol=1e-10)
 
 
-def test_what_all_landmarks_share_bounds_the_pose_for_ever():
+def test_bound_knows_what_landmarks_share_and_is_unknown_without_truth():
     shift = np.zeros((3, 2))
     shift[0, 0] = shift[1, 1] = 0.01
     _, _, bound = bound_of_standing_robot(1e-12 * np.eye(3), shift, times=12)
     np.testing.assert_allclose(np.diag(bound[-1])[:2], 1e-4, rtol=0.02)
-
-
-def test_bound_is_unknown_without_truth():
-    config = LocalizationConfig()
-    start = PoseEstimate(0, np.zeros(3), np.eye(3))
-    world = landmarks(1e-6 * np.eye(3), np.zeros((3, 1)))
+    start, mount = PoseEstimate(0, np.zeros(3), np.eye(3)), PanTiltMount()
+    world, known = landmarks(1e-6 * np.eye(3), np.zeros((3, 1))), Calibration.of_mount(mount)
+    seen = image(SECOND, 1e-6, mount, np.zeros(3))
     for truth in (PoseTrack.of([]), PoseTrack.of([(9 * SECOND, np.zeros(3))])):
-        mount = PanTiltMount()
-        known, seen = Calibration.of_mount(mount), image(SECOND, 1e-6, mount, np.zeros(3))
-        bound = posterior_bound(truth, [seen], world, known, config, start)
+        bound = posterior_bound(truth, [seen], world, known, LocalizationConfig(), start)
         assert np.isnan(bound).all()

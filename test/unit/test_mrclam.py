@@ -35,38 +35,29 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_barcodes_become_subjects_and_images(folder: Path) -> None:
-    log = read_mrclam(folder, 2, SIGMA)
+@pytest.mark.parametrize('packed', [False, True])
+def test_a_log_is_read_plain_and_packed(folder: Path, packed: bool) -> None:
+    if packed:
+        for name, text in FILES.items():
+            (folder / f'{name}.dat').unlink()
+            (folder / f'{name}.dat.gz').write_bytes(gzip.compress(text.encode()))
+    log = read_mrclam(folder, 2, SIGMA, landmark_sigma_m=0.01)
+    # Barcodes become subjects and images.
     assert log.landmark_map.ids.tolist() == [6, 7]
     assert [seen.ids.tolist() for seen in log.detections] == [[6, 7], [6]]
     assert [seen.stamp_ns for seen in log.detections] == [1248444175200000000, 1248444175900000000]
     np.testing.assert_array_equal(log.detections[0].bearing_rad, [0.2, -0.3])
     np.testing.assert_allclose(log.detections[0].variance_rad2, SIGMA**2)
     assert log.unknown == 1
-
-
-def test_commands_keep_to_increasing_stamps(folder: Path) -> None:
-    log = read_mrclam(folder, 2, SIGMA)
+    # Commands keep to increasing stamps.
     assert log.command_ns.tolist() == [1248444175156000000, 1248444175186000000]
     np.testing.assert_array_equal(log.commands, [[0.086, -0.398], [0.1, 0.0]])
     assert log.truth[1].stamp_ns == 1248444176100000000
     np.testing.assert_array_equal(log.truth[0].pose, [1.0, 2.0, 0.5])
-
-
-def test_survey_and_what_repeats_add_up(folder: Path) -> None:
-    posts = read_mrclam(folder, 2, SIGMA, landmark_sigma_m=0.01).landmark_map
+    # The errors of the survey and of what repeats add up.
+    posts = log.landmark_map
     np.testing.assert_allclose(np.diag(posts.covariances[0]), [1.01e-4, 1.04e-4, 0.0])
     assert not posts.landmarks[0].patch.size
-
-
-def test_packed_files_are_read_too(folder: Path) -> None:
-    plain = read_mrclam(folder, 2, SIGMA)
-    for name, text in FILES.items():
-        (folder / f'{name}.dat').unlink()
-        (folder / f'{name}.dat.gz').write_bytes(gzip.compress(text.encode()))
-    packed = read_mrclam(folder, 2, SIGMA)
-    np.testing.assert_array_equal(packed.command_ns, plain.command_ns)
-    np.testing.assert_array_equal(packed.landmark_map.positions, plain.landmark_map.positions)
 
 
 @pytest.mark.parametrize(
@@ -74,11 +65,7 @@ def test_packed_files_are_read_too(folder: Path) -> None:
     [
         ('Robot2_Odometry.dat', None, 'Robot2_Odometry.dat: not there'),
         ('Barcodes.dat', b'1 2 3\n', 'is 3 columns wide, not 2'),
-        ('Barcodes.dat', b'', 'is empty'),
-        ('Robot2_Measurement.dat', b'1 2 three 4\n', 'cannot be read'),
-        ('Robot2_Measurement.dat', b'1 2 3 nan\n', 'not a number'),
         ('Robot2_Measurement.dat', b'1248444175.2 5 3.0 0.1\n', 'no landmark was seen'),
-        ('Landmark_Groundtruth.dat', b'\xff\xfe', 'cannot be read'),
     ],
 )
 def test_bad_files_are_named(
@@ -89,11 +76,8 @@ def test_bad_files_are_named(
         (folder / name).write_bytes(content)
     with pytest.raises(LandmarkNavError, match=complaint):
         read_mrclam(folder, 2, SIGMA)
-
-
-def test_no_folder(tmp_path: Path) -> None:
     with pytest.raises(LandmarkNavError, match='no folder there'):
-        read_mrclam(tmp_path / 'nothing', 2, SIGMA)
+        read_mrclam(folder / 'nothing', 2, SIGMA)
 
 
 def test_the_data_set_itself(shared_data: Path) -> None:

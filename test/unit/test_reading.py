@@ -44,6 +44,7 @@ HOSTILE = {
     'control characters': 'walls: "\\n\\e[2J"\npan_axis: "\\0\\x07"\n',
     'deep maps': 'walls: ' + '{a: ' * 30 + '1' + '}' * 30,
     'NUL': 'walls: \x00',
+    'many values': 'a: [' + '1,' * 500_001 + ']',
 }
 
 
@@ -105,13 +106,6 @@ def test_an_error_names_file_and_line(tmp_path: Path) -> None:
         read_yaml_mapping(path)
 
 
-def test_values_are_counted(tmp_path: Path) -> None:
-    path = tmp_path / 'x.yaml'
-    path.write_text('a: [' + '1,' * 500_001 + ']')
-    with pytest.raises(LandmarkNavError, match='more than 500000 values'):
-        read_yaml_mapping(path)
-
-
 def test_only_regular_files_of_bounded_size_are_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,15 +117,8 @@ def test_only_regular_files_of_bounded_size_are_read(
     monkeypatch.chdir(tmp_path)  # a socket's path must be short
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind('socket')
-    for path in (
-        fifo,
-        link,
-        large,
-        tmp_path / 'socket',
-        tmp_path,
-        tmp_path / 'none',
-        Path('/dev/zero'),
-    ):
+    others = (tmp_path / 'socket', tmp_path, tmp_path / 'none', Path('/dev/zero'))
+    for path in (fifo, link, large, *others):
         with pytest.raises(LandmarkNavError, match=str(path)):
             read_text(path)
     with pytest.raises(LandmarkNavError, match='cannot be read'):
@@ -186,7 +173,6 @@ def test_a_hostile_list_of_images_is_refused(rows: str, tmp_path: Path) -> None:
         b'',
         b'1 2 3 4 nan',
         b'1 2 3 4 1e400',
-        b'1 2 3 4 1e300',
         b'1 0x2 3 4 5',
         b'1 2\0 3 4 5',
         b'\xff\xfe1',

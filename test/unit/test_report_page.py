@@ -8,7 +8,7 @@ from chromium import browser
 import cv2
 import numpy as np
 import pytest
-from test_figures import a_map, a_run
+from test_figures import a_map, a_panorama, a_run
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.report import (
@@ -22,9 +22,8 @@ from landmark_nav.evaluation.report import (
 from landmark_nav.evaluation.report.write import page_html
 from landmark_nav.evaluation.run_report import pose_report, run_errors, spells
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.pipeline import LearningResult
-from landmark_nav.types import CameraFrame, Candidate, Panorama, Refusal
+from landmark_nav.types import CameraFrame, Candidate, Refusal
 
 CAMERA = CameraModel(160, 120, 150.0, 150.0, 79.5, 59.5)
 MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.2))
@@ -57,18 +56,9 @@ def page_of(truth=True, camera=True, **given):
         report, run, run_errors(run), given.pop('landmarks', landmarks),
         Calibration.of_mount(MOUNT), strip,
     )  # fmt: skip
-    view = Panorama(
-        0,
-        np.full((80, 400, 3), 200, np.uint8),
-        np.ones((80, 400), np.bool_),
-        Cylinder(400, 80, 64.0, 199.5, 40.0),
-        np.zeros(3),
-        0.0,
-        np.eye(4),
-    )
     candidates = (Candidate(100.0, 40.0, 20, 20, 1.0), Candidate(399.0, 40.0, 20, 20, 0.5))
     outcomes = (landmarks.landmarks[1], Refusal('too far', HOSTILE))
-    learned = LearningResult(landmarks, (view,), (candidates,), (outcomes,), 2)
+    learned = LearningResult(landmarks, (a_panorama(),), (candidates,), (outcomes,), 2)
     page['data']['panoramas'] = panoramas(learned)
     return page
 
@@ -105,6 +95,22 @@ def robot_at(chrome):
     return x / 100.0, -y / 100.0
 
 
+# Widths of all images that a selector finds, once they are decoded.
+WIDTHS = """
+    const done = arguments[1];
+    Promise.all([...document.querySelectorAll(arguments[0])].map((one) => {
+      const image = new Image();
+      image.src = one.getAttribute('src') || one.getAttribute('href');
+      return image.decode().then(() => image.naturalWidth);
+    })).then(done, () => done([]))
+"""
+
+
+def click(chrome, selector):
+    event = "new MouseEvent('click', {bubbles: true})"
+    chrome.execute_script(f'document.querySelector(arguments[0]).dispatchEvent({event})', selector)
+
+
 def press(chrome, key, **more):
     event = json.dumps({'key': key, 'bubbles': True, 'cancelable': True, **more})
     chrome.execute_script(f"document.body.dispatchEvent(new KeyboardEvent('keydown', {event}))")
@@ -126,15 +132,8 @@ def test_the_slider_moves_the_robot_and_every_image_loads(opened):
             'image.decode().then(() => done([image.naturalWidth, image.naturalHeight]))'
         )
         assert size == [160, 120]
-    chrome.execute_script("document.querySelector('#plan [data-id]').dispatchEvent("
-                          "new MouseEvent('click', {bubbles: true}))")  # fmt: skip
-    loaded = chrome.execute_async_script(
-        'const done = arguments[0];'
-        "Promise.all([...document.querySelectorAll('img, image')].map((one) => {"
-        'const image = new Image();'
-        "image.src = one.getAttribute('src') || one.getAttribute('href');"
-        'return image.decode().then(() => image.naturalWidth);})).then(done, () => done([]))'
-    )
+    click(chrome, '#plan [data-id]')
+    loaded = chrome.execute_async_script(WIDTHS, 'img, image')
     assert len(loaded) == 3  # camera, patch, panorama
     assert all(loaded)
     assert chrome.get_log('browser') == []
@@ -187,18 +186,10 @@ def test_figures_follow_dark_mode(opened):
     assert all(one != other for one, other in zip(light, dark, strict=True))
 
 
-def test_a_figure_is_explained_on_focus(opened):
-    chrome = opened(page_of())
-    chrome.execute_script("document.querySelector('tbody .term').focus()")
-    shown = 'return getComputedStyle(document.activeElement.nextElementSibling).display'
-    assert chrome.execute_script(shown) == 'block'
-
-
 def test_what_comes_from_outside_is_text(opened):
     chrome = opened(page_of(), title=HOSTILE)
     press(chrome, 'End')
-    chrome.execute_script("document.querySelector('[data-candidate=\"1\"]').dispatchEvent("
-                          "new MouseEvent('click', {bubbles: true}))")  # fmt: skip
+    click(chrome, '[data-candidate="1"]')
     shown = chrome.execute_script('return document.body.innerText + document.title')
     assert shown.count(HOSTILE) >= 5  # heading, state, seen, panorama, table, title
     assert chrome.execute_script('return window.hacked') is None
@@ -229,18 +220,15 @@ def test_panoramas_that_learn_drew_beside_the_map_are_shown(opened, tmp_path):
     page['data']['panoramas'] = drawn_panoramas(tmp_path)
     assert [one['size'] for one in page['data']['panoramas']] == [[100, 60], [200, 60]]
     chrome = opened(page)
-    loaded = chrome.execute_async_script(
-        'const done = arguments[0];'
-        "Promise.all([...document.querySelectorAll('.panorama image')].map((one) => {"
-        "const image = new Image(); image.src = one.getAttribute('href');"
-        'return image.decode().then(() => image.naturalWidth);})).then(done, () => done([]))'
-    )
-    assert loaded == [100, 200]
+    assert chrome.execute_async_script(WIDTHS, '.panorama image') == [100, 200]
     assert drawn_panoramas(tmp_path / 'nowhere') == []
 
 
-def test_a_page_that_is_not_laid_out_has_no_error(opened):
+def test_a_page_that_is_not_laid_out_has_no_error_and_a_figure_is_explained(opened):
     chrome = opened(page_of())
+    chrome.execute_script("document.querySelector('tbody .term').focus()")
+    shown = 'return getComputedStyle(document.activeElement.nextElementSibling).display'
+    assert chrome.execute_script(shown) == 'block'
     hide = "document.querySelector('.stage').style.display = arguments[0]"
     for display in ('none', ''):
         chrome.execute_script(hide, display)

@@ -8,7 +8,7 @@ import pytest
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.storage.bags.timelines import JointHistory
-from landmark_nav.types import JointSample, Refusal
+from landmark_nav.types import FloatArray, JointSample, Refusal
 
 MS = 1_000_000
 RATE = 0.9
@@ -51,25 +51,34 @@ def test_what_no_joint_state_gives_is_refused(
 def test_what_interpolation_leaves_open_is_claimed(period_ms: int) -> None:
     """A unit that turns here and there, and swings after each stop."""
     rng, step_ms = np.random.default_rng(1), 5
-    unit = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.0))
-    true = []
+    unit, true = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.0)), []
     for k in range(4000):
         if k % 250 == 0:
             unit.command(rng.uniform(-2.0, 2.0))
         unit.step(1e-3 * step_ms)
         true.append(unit.angles_rad[0])
+    off, sigma = interpolated(np.array(true), step_ms, period_ms)
     every = period_ms // step_ms
-    known = [JointSample(k * step_ms * MS, true[k]) for k in range(0, len(true), every)]
-    history, normalized = JointHistory(known), []
-    for k in range(every, len(true) - 2 * every):
-        found = history.at(k * step_ms * MS)
-        assert isinstance(found, JointSample)
-        if k % every == 0:
-            assert found.pan_sigma_rad == 0.0
-        else:
-            normalized.append((found.pan_rad - true[k]) / np.hypot(found.pan_sigma_rad, 1e-4))
+    assert not sigma[::every].any()
+    between = np.arange(len(off)) % every > 0
+    normalized = (off / np.hypot(sigma, 1e-4))[between]
     assert np.sqrt(np.mean(np.square(normalized))) < 1.0
     assert np.mean(np.abs(normalized) > 3.0) < 0.01
+
+
+def interpolated(
+    true: FloatArray, step_ms: int, period_ms: int, shift_ms: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """Errors and sigmas (n,) of pans that are known each `period_ms`, at all steps between."""
+    every, first = period_ms // step_ms, shift_ms // step_ms
+    known = [JointSample(k * step_ms * MS, true[k]) for k in range(first, len(true), every)]
+    history, found = JointHistory(known), []
+    for k in range(first + every, len(true) - 3 * every):
+        sample = history.at(k * step_ms * MS)
+        assert isinstance(sample, JointSample)
+        found.append((sample.pan_rad - true[k], sample.pan_sigma_rad))
+    off, sigma = np.array(found).T
+    return off, sigma
 
 
 @pytest.mark.parametrize(('period_ms', 'shift_ms'), [(100, 0), (100, 30), (200, 0), (200, 70)])
@@ -87,13 +96,8 @@ def test_what_few_joint_states_do_not_show_is_claimed(period_ms: int, shift_ms: 
     # Ten times a second faster and slower by a quarter.
     phase = 2.0 * np.pi * 10.0 * 1e-3 * step_ms * np.arange(len(smooth))
     true = smooth + 0.25 * np.gradient(smooth) / np.diff(phase)[0] * np.sin(phase)
-    every, first = period_ms // step_ms, shift_ms // step_ms
-    known = [JointSample(k * step_ms * MS, true[k]) for k in range(first, len(true), every)]
-    history, normalized = JointHistory(known), []
-    for k in range(first + every, len(true) - 3 * every):
-        found = history.at(k * step_ms * MS)
-        assert isinstance(found, JointSample)
-        normalized.append((found.pan_rad - true[k]) / np.hypot(found.pan_sigma_rad, 2e-4))
+    off, sigma = interpolated(true, step_ms, period_ms, shift_ms)
+    normalized = off / np.hypot(sigma, 2e-4)
     assert np.sqrt(np.mean(np.square(normalized))) < 1.0
     assert np.mean(np.abs(normalized) > 5.0) < 0.002
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,9 @@ from landmark_nav.evaluation.figures.style import (
     draw_sweep_places,
     draw_walls,
     FIX,
+    framed,
     FUSED,
+    key,
     LANDMARK,
     new_figure,
     ODOMETRY,
@@ -88,13 +89,10 @@ def draw_observation_areas(
     _draw_places(panels[-1], landmarks, room)
     handles = [
         Patch(color=FIX, alpha=0.45, label='observation area as predicted'),
-        Line2D([], [], color=FUSED, marker='^', linestyle='', label='where it was learned'),
+        key(FUSED, '^', 'where it was learned'),
     ]
     if tests:
-        handles += [
-            Line2D([], [], color=LANDMARK, marker='o', linestyle='', label='found from here'),
-            Line2D([], [], color=ODOMETRY, marker='x', linestyle='', label='not found'),
-        ]
+        handles += [key(LANDMARK, 'o', 'found from here'), key(ODOMETRY, 'x', 'not found')]
     top.legend(handles=handles, loc='center', ncols=len(handles), frameon=False)
     text = (
         f'Figure 6. Observation areas of {len(chosen)} landmarks: there neither width nor height '
@@ -160,10 +158,7 @@ def _draw_patch(axes: Axes, landmark: Landmark) -> None:
     """Draw the patch of a landmark."""
     show(axes, landmark.patch)
     axes.set_anchor('NW')
-    for spine in axes.spines.values():
-        spine.set_visible(True)
-        spine.set_color(LANDMARK)
-        spine.set_linewidth(2.0)
+    framed(axes, LANDMARK)
 
 
 def _draw_places(axes: Axes, landmarks: LandmarkMap, room: Room) -> None:

@@ -10,13 +10,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.evaluation.figures.strips import caption, mark, patch_of, show, Strip, widest
-from landmark_nav.evaluation.figures.style import CANDIDATE, LANDMARK, new_figure, ODOMETRY, save
+from landmark_nav.evaluation.figures.style import (
+    CANDIDATE,
+    framed,
+    LANDMARK,
+    new_figure,
+    ODOMETRY,
+    save,
+)
 from landmark_nav.learning.attention import (
     attend,
     attention_maps,
@@ -50,8 +56,8 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
         show(grid[0, k], _part(maps, maps.features[name], strip), f'{_title(name)}')
         weight = config.weights[name] / sum(config.weights.values())
         show(grid[1, k], _part(maps, maps.conspicuities[name], strip), f'weight {weight:.2f}')
-    _side(grid[0, 0], 'feature maps')
-    _side(grid[1, 0], 'conspicuity maps\n(difference of\nGaussians)')
+    grid[0, 0].set_ylabel('feature maps', fontsize=11)
+    grid[1, 0].set_ylabel('conspicuity maps\n(difference of\nGaussians)', fontsize=11)
     left, right = fused.subplots(1, 2)
     show(left, strip.cut(maps.saliency), 'saliency map: weighted mean of the conspicuity maps')
     show(right, strip.cut(panorama.image), 'hierarchical selection: candidates, strongest first')
@@ -130,10 +136,7 @@ def _draw_patches(
         candidate = chosen[number - 1]
         axes.set_axis_on()
         show(axes, patch_of(panorama, candidate, _PATCH_PX), str(number))
-        for spine in axes.spines.values():
-            spine.set_visible(True)
-            spine.set_linewidth(3.0)
-            spine.set_color(ODOMETRY if id(candidate) in refused else LANDMARK)
+        framed(axes, ODOMETRY if id(candidate) in refused else LANDMARK, 3.0)
 
 
 def _strip(panorama: Panorama, candidates: Sequence[Candidate]) -> Strip:
@@ -162,10 +165,6 @@ def _part(maps: AttentionMaps, image: Float32Array, strip: Strip) -> Float32Arra
 
 def _title(name: str) -> str:
     return name.replace('_', ' ')
-
-
-def _side(axes: Axes, text: str) -> None:
-    axes.set_ylabel(text, fontsize=11)
 
 
 def _refusals(refused: Sequence[tuple[Candidate, Refusal]]) -> str:

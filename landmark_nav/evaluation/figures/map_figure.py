@@ -8,17 +8,18 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.evaluation.figures.style import (
     add_ellipse,
     draw_papers,
+    draw_sweep_places,
     draw_walls,
     free_labels,
     FUSED,
     keep_in_view,
+    key,
     LANDMARK,
     legend_beside,
     metres_per_inch,
@@ -27,7 +28,7 @@ from landmark_nav.evaluation.figures.style import (
     save,
 )
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.types import LandmarkMap, PoseEstimate
+from landmark_nav.types import LandmarkMap
 
 # Scale of the ellipses: those of millimetres would not be visible in a room.
 _MAGNIFIED = 10.0
@@ -44,41 +45,24 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     draw_walls(axes, landmarks.walls, _MARGIN_M)
     draw_landmarks(axes, landmarks)
     _draw_certainty(axes, landmarks)
-    for number, place in enumerate(landmarks.panorama_poses, 1):
-        _draw_place(axes, place, number)
+    for place in landmarks.panorama_poses:
+        add_ellipse(axes, place.pose, place.covariance[:2, :2], 3.0, FUSED, _MAGNIFIED)
+    draw_sweep_places(axes, [place.pose for place in landmarks.panorama_poses], 'sweep')
     axes.set_title(
         f'{len(landmarks.landmarks)} landmarks learned from '
         f'{len(landmarks.panorama_poses)} panoramas'
     )
     plain(axes)
+    text = 'landmark, its normal, its number where there is room'
     handles = [
-        Line2D(
-            [],
-            [],
-            color=LANDMARK,
-            marker='o',
-            label='landmark, its normal, its number where there is room',
-        ),
-        Line2D(
-            [],
-            [],
-            color=LANDMARK,
-            marker='o',
-            markersize=13,
-            alpha=0.35,
-            linestyle='',
-            label=f'3 sigma, {_MAGNIFIED:.0f} times as large',
-        ),
-        Line2D(
-            [], [], color=FUSED, marker='^', linestyle='', label='sweep, arrow along base_link +x'
-        ),
+        key(LANDMARK, 'o', text, linestyle='-'),
+        key(LANDMARK, 'o', f'3 sigma, {_MAGNIFIED:.0f} times as large', markersize=13, alpha=0.35),
+        key(FUSED, '^', 'sweep, arrow along base_link +x'),
     ]
     drawn = list(papers)
     draw_papers(axes, drawn)
     if drawn:
-        handles.append(
-            Line2D([], [], color='#888888', marker='s', linestyle='', label='paper, in its colour')
-        )
+        handles.append(key('#888888', 's', 'paper, in its colour'))
     legend_beside(axes, 'below', (len(handles) + 1) // 2, handles)
     number_landmarks(figure, axes, landmarks)
     save(figure, path)
@@ -122,22 +106,3 @@ def _draw_certainty(axes: Axes, landmarks: LandmarkMap) -> None:
     axes.add_collection(LineCollection(lines, colors=LANDMARK, linewidths=1.0, zorder=5))
     for foot, covariance in zip(feet, landmarks.covariances[:, :2, :2], strict=True):
         add_ellipse(axes, foot, covariance, 3.0, LANDMARK, _MAGNIFIED)
-
-
-def _draw_place(axes: Axes, place: PoseEstimate, number: int) -> None:
-    """Draw the pose of a sweep: position, heading of the base, and covariance."""
-    x, y, heading = place.pose
-    add_ellipse(axes, place.pose, place.covariance[:2, :2], 3.0, FUSED, _MAGNIFIED)
-    axes.plot(x, y, '^', color=FUSED, markersize=8, zorder=6)
-    axes.annotate(
-        '',
-        (x + 0.45 * np.cos(heading), y + 0.45 * np.sin(heading)),
-        (x, y),
-        arrowprops={'arrowstyle': '->', 'color': FUSED},
-        zorder=6,
-    )
-    # On the side opposite to the arrow.
-    away = -17 if np.sin(heading) > 0.0 else 8
-    axes.annotate(
-        f'sweep {number}', (x, y), (0, away), textcoords='offset points', ha='center', color=FUSED
-    )

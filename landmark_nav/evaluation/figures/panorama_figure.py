@@ -7,11 +7,10 @@ from pathlib import Path
 
 import cv2
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
-from matplotlib.patches import Rectangle
 import numpy as np
 
+from landmark_nav.evaluation.figures.strips import mark
 from landmark_nav.evaluation.figures.style import (
     CANDIDATE,
     DPI,
@@ -27,7 +26,7 @@ _MARGINS_IN = (0.7, 0.6, 0.2, 0.4)
 # Width of a digit of a label and of its border, and height of the label.
 _DIGIT_PX, _BORDER_PX, _LABEL_PX = 0.09 * DPI, 0.06 * DPI, 0.19 * DPI
 # Distance of a label from the patch below it.
-_ABOVE_PX = 3.0
+_ABOVE_PX = 2.0
 
 
 def draw_panorama(
@@ -55,11 +54,11 @@ def draw_panorama(
     for candidate, outcome, label in zip(
         candidates, outcomes, _labels(candidates, outcomes), strict=True
     ):
+        color = LANDMARK if isinstance(outcome, Landmark) else CANDIDATE
         # Patches across the seam are drawn at both ends.
-        for turn in (-columns, 0, columns):
-            column = candidate.column + turn
+        for column in (candidate.column - columns, candidate.column, candidate.column + columns):
             if -candidate.width_px < column < columns + candidate.width_px:
-                _frame(axes, candidate, column, isinstance(outcome, Landmark), label)
+                mark(axes, (column, candidate.row), candidate, label, color)
     azimuths = np.arange(-165, 181, 15)
     axes.set_xticks(panorama.cylinder.column_of(np.radians(azimuths)), [f'{a}' for a in azimuths])
     tangents = np.arange(-8, 9, 2) / 10
@@ -104,34 +103,3 @@ def _labels(candidates: Sequence[Candidate], outcomes: Sequence[Landmark | Refus
     free = free_labels(corners, sizes)
     kept = {k: word for (k, word), is_free in zip(elected.items(), free, strict=True) if is_free}
     return [kept.get(k, '') for k in range(len(candidates))]
-
-
-def _frame(axes: Axes, candidate: Candidate, column: float, is_elected: bool, label: str) -> None:
-    """Draw the outline of a candidate; bold and labelled if it was elected."""
-    corner = (
-        column - 0.5 * candidate.width_px,
-        candidate.row - 0.5 * candidate.height_px,
-    )
-    axes.add_patch(
-        Rectangle(
-            corner,
-            candidate.width_px,
-            candidate.height_px,
-            fill=False,
-            edgecolor=LANDMARK if is_elected else CANDIDATE,
-            linewidth=2.2 if is_elected else 0.9,
-        )
-    )
-    if label:
-        axes.text(
-            column,
-            corner[1] - _ABOVE_PX,
-            label,
-            ha='center',
-            va='bottom',
-            fontsize=9,
-            fontweight='bold',
-            color='white',
-            bbox={'boxstyle': 'round,pad=0.15', 'facecolor': LANDMARK, 'linewidth': 0.0},
-            clip_on=True,
-        )

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.evaluation.figures.style import (
     draw_papers,
+    draw_sweep_places,
     draw_walls,
     FUSED,
-    HALO,
+    key,
     legend_beside,
     new_figure,
     ODOMETRY,
@@ -36,17 +36,15 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     _draw_accuracy(axes, plan.accuracy_map)
     draw_walls(axes, room.walls, _MARGIN_M)
     draw_papers(axes, room.papers)
-    handles = []
+    handles = [key(FUSED, '^', f'proposed: {_cost(plan.best)} in the mean over the floor')]
     if plan.left_right is not None:
-        _draw_places(axes, plan.left_right, 'o', ODOMETRY)
-        handles.append(
-            _key('o', ODOMETRY, f'left and right of the middle: {_cost(plan.left_right)}')
-        )
-    _draw_places(axes, plan.best, '^', FUSED)
-    _draw_headings(axes, plan.best)
-    handles.insert(0, _key('^', FUSED, f'proposed: {_cost(plan.best)} in the mean over the floor'))
+        poses = plan.left_right.poses_map_base
+        axes.plot(*poses[:, :2].T, 'o', color=ODOMETRY, markeredgecolor='white', zorder=7)
+        text = f'left and right of the middle: {_cost(plan.left_right)}'
+        handles.append(key(ODOMETRY, 'o', text))
+    draw_sweep_places(axes, plan.best.poses_map_base)
     middle = plan.random[len(plan.random) // 2]
-    handles.append(Line2D([], [], linestyle='', label=f'median of random places: {_cost(middle)}'))
+    handles.append(key('white', '', f'median of random places: {_cost(middle)}'))
     axes.set_title(
         f'Expected localization error, {len(plan.best.poses_map_base)} panoramas, '
         f'{plan.best.landmarks.sum():.0f} landmarks',
@@ -89,32 +87,6 @@ def _gridded(
     grid = np.full((len(y), len(x)), np.nan)
     grid[row, column] = np.where(np.isfinite(values), values, np.nan)
     return x, y, grid
-
-
-def _draw_places(axes: Axes, forecast: Forecast, marker: str, color: str) -> None:
-    axes.plot(
-        *forecast.poses_map_base[:, :2].T, marker, color=color, markersize=9,
-        markeredgecolor='white', zorder=7,
-    )  # fmt: skip
-
-
-def _draw_headings(axes: Axes, forecast: Forecast) -> None:
-    """Draw the heading of the base at each pose, and the number of the pose behind it."""
-    for number, (x, y, heading) in enumerate(forecast.poses_map_base, 1):
-        ahead = np.array([np.cos(heading), np.sin(heading)])
-        arrow = {'arrowstyle': '->', 'color': FUSED, 'path_effects': HALO}
-        axes.annotate('', 0.45 * ahead + [x, y], (x, y), arrowprops=arrow, zorder=6)
-        axes.annotate(
-            str(number), (x, y), tuple(-13.0 * ahead), textcoords='offset points', ha='center',
-            va='center', color=FUSED, path_effects=HALO, weight='bold', zorder=8,
-        )  # fmt: skip
-
-
-def _key(marker: str, color: str, label: str) -> Line2D:
-    return Line2D(
-        [], [], color=color, marker=marker, markersize=9, linestyle='', markeredgecolor='white',
-        label=label,
-    )  # fmt: skip
 
 
 def _cost(forecast: Forecast) -> str:

@@ -101,7 +101,8 @@ def mark(
     axes.add_patch(
         Rectangle(
             corner, candidate.width_px, candidate.height_px,
-            fill=False, edgecolor=color, linewidth=1.8 if label else 0.9, linestyle=style,
+            fill=False, edgecolor=color, linewidth=1.8 if label or color == LANDMARK else 0.9,
+            linestyle=style,
         )
     )  # fmt: skip
     if label:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from matplotlib.patheffects import withStroke
 import numpy as np
@@ -89,6 +90,21 @@ def legend_beside(
     )
 
 
+def key(color: str, marker: str, label: str, **more: Any) -> Line2D:
+    """Entry of a legend: a marker, without a line unless `linestyle` gives one."""
+    return Line2D(
+        [], [], **{'color': color, 'marker': marker, 'linestyle': '', **more}, label=label
+    )
+
+
+def framed(axes: Axes, color: str, width: float = 2.0) -> None:
+    """Draw a frame around an image."""
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+        spine.set_color(color)
+        spine.set_linewidth(width)
+
+
 def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
     """Draw a plan of the walls with equal axes in metres and a margin of `margin_m`."""
     drawn = list(walls)
@@ -111,15 +127,26 @@ def draw_papers(axes: Axes, papers: Iterable[Paper]) -> None:
         axes.plot(*paper.center[:2], 's', color=(red, green, blue), markersize=7, zorder=5)
 
 
-def draw_sweep_places(axes: Axes, places_xy: Iterable[FloatArray]) -> None:
-    """Draw positions of sweeps: L and R for two, as in stereo, numbers for more."""
-    places = list(places_xy)
-    names = 'LR' if len(places) <= 2 else [str(number) for number in range(1, len(places) + 1)]
-    for name, (x, y) in zip(names, places, strict=False):
-        axes.plot(x, y, '^', color=FUSED, markersize=11, markeredgecolor='white', zorder=5)
+def draw_sweep_places(axes: Axes, poses: Iterable[FloatArray], name: str = '') -> None:
+    """
+    Draw the poses (2,) or (3,) of sweeps, with an arrow along the heading, if it is given.
+
+    They are called L and R if there are two, as in stereo, else by number; with a `name`, always.
+    """
+    places = [np.asarray(pose) for pose in poses]
+    numbers = [f'{name} {number}'.strip() for number in range(1, len(places) + 1)]
+    for label, place in zip(numbers if name or len(places) > 2 else 'LR', places, strict=False):
+        x, y = place[:2]
+        axes.plot(x, y, '^', color=FUSED, markersize=9, markeredgecolor='white', zorder=7)
+        ahead = np.array([np.cos(place[2]), np.sin(place[2])]) if len(place) > 2 else np.zeros(2)
+        if ahead.any():
+            arrow = {'arrowstyle': '->', 'color': FUSED, 'path_effects': HALO}
+            axes.annotate('', 0.45 * ahead + [x, y], (x, y), arrowprops=arrow, zorder=6)
+        # Behind the arrow.
+        offset = tuple(-14.0 * ahead) if ahead.any() else (12, 8)
         axes.annotate(
-            name, (x, y), (9, 6), textcoords='offset points', color=FUSED, weight='bold',
-            fontsize=13, path_effects=HALO, zorder=6,
+            label, (x, y), offset, textcoords='offset points', ha='center', va='center',
+            color=FUSED, path_effects=HALO, weight='bold', zorder=8,
         )  # fmt: skip
 
 
@@ -135,16 +162,9 @@ def add_ellipse(
     width, height = 2.0 * sigmas * scale * np.sqrt(np.maximum(variances[::-1], 0.0))
     angle = np.degrees(np.arctan2(axes_2d[1, 1], axes_2d[0, 1]))
     ellipse = Ellipse(
-        (float(center[0]), float(center[1])),
-        float(width),
-        float(height),
-        angle=float(angle),
-        facecolor=color,
-        edgecolor=color,
-        alpha=0.35,
-        linewidth=0.8,
+        (center[0], center[1]), width, height, angle=angle, color=color, alpha=0.35, linewidth=0.8,
         zorder=4,
-    )
+    )  # fmt: skip
     ellipse.set_in_layout(False)
     axes.add_patch(ellipse)
 

@@ -145,50 +145,45 @@ def drive_tables(report: Mapping[str, Any]) -> list[Table]:
 
 def _merits(report: Mapping[str, Any]) -> Iterable[Row]:
     nees, claimed = report['nees'], report['claimed']
-    yield _row('images', report['frames'], why='Images of the drive that were looked at.')
-    yield _row('fixes', report['fixes'],
-               why='Images, or views together, that gave a triangulated pose.')  # fmt: skip
-    yield _row('availability', cell(report['availability'], 1.0, 3),
-               why='Share of the images whose fused state is not lost.')  # fmt: skip
-    yield _row('landmarks in the map', report['landmarks'], why='What could be looked for.')
-    yield _row('claimed sigma, median [cm]', cell(claimed['position_median_m'], 100.0, 2),
-               why='What the estimate says of its own error, by its covariance.')  # fmt: skip
-    yield _row(
-        'NEES, mean', cell(nees['mean'], 1.0, 2) + nees_range(nees['interval_95']),
-        why='Normalised estimation error squared: errors over what the covariance claims. 3 is '
-        'ideal for x, y and heading; larger means that the covariance is too small.',
-    )  # fmt: skip
-    yield _row('NEES within 95 % [%]', cell(nees['inside_95'], 100.0, 1),
-               why='Share of the images inside the 95 % region of their covariance.')  # fmt: skip
-    yield _row(
-        'undetected failures', cell(report['silently_wrong'], 1.0, 0),
-        why='Images that are off by more than five sigma while the state is OK. None is right.',
-    )  # fmt: skip
+    rows = [
+        ('images', report['frames'], 'Images of the drive that were looked at.'),
+        ('fixes', report['fixes'], 'Images, or views together, that gave a triangulated pose.'),
+        ('availability', cell(report['availability'], 1.0, 3),
+         'Share of the images whose fused state is not lost.'),
+        ('landmarks in the map', report['landmarks'], 'What could be looked for.'),
+        ('claimed sigma, median [cm]', cell(claimed['position_median_m'], 100.0, 2),
+         'What the estimate says of its own error, by its covariance.'),
+        ('NEES, mean', cell(nees['mean'], 1.0, 2) + nees_range(nees['interval_95']),
+         'Normalised estimation error squared: errors over what the covariance claims. 3 is '
+         'ideal for x, y and heading; larger means that the covariance is too small.'),
+        ('NEES within 95 % [%]', cell(nees['inside_95'], 100.0, 1),
+         'Share of the images inside the 95 % region of their covariance.'),
+        ('undetected failures', cell(report['silently_wrong'], 1.0, 0),
+         'Images that are off by more than five sigma while the state is OK. None is right.'),
+    ]  # fmt: skip
     if integrity := report.get('integrity'):
-        yield _row(
-            'inside the protection level [%]', cell(integrity['coverage_99'], 100.0, 1),
-            why='Share of the images whose error stays within the level that should hold 99 %.',
-        )  # fmt: skip
-        yield _row(
-            'protection level over error', cell(integrity['level_over_error_median'], 1.0, 1),
-            why='Median of the level over the error: how wide the level is for its safety.',
-        )  # fmt: skip
-    if 'crlb_ratio' not in report:
-        return
-    found, times = report['found'], report['update_ms']
-    yield _row(
-        'RMSE over Cramér-Rao bound', cell(report['crlb_ratio'], 1.0, 2),
-        why='The bound is the least error that any unbiased estimator reaches with these '
-        'measurements: 1 is the best there is.',
-    )  # fmt: skip
-    yield _row('place', 'given' if found is None else f'found after {found["after_s"]:.1f} s',
-               why='Whether the start was given, or found from images alone.')  # fmt: skip
-    yield _row('update [ms]', f'{times["median"]:.1f}, 95 % within {times["p95"]:.1f}',
-               why='Computing time of one image.')  # fmt: skip
-    yield _row('times real time', cell(report['realtime_factor'], 1.0, 1),
-               why='How much faster than the recording all of it was computed.')  # fmt: skip
-    yield _row('result hash', report['result_hash'][:16],
-               why='The same for the same bag and map, run after run.')  # fmt: skip
+        rows += [
+            ('inside the protection level [%]', cell(integrity['coverage_99'], 100.0, 1),
+             'Share of the images whose error stays within the level that should hold 99 %.'),
+            ('protection level over error', cell(integrity['level_over_error_median'], 1.0, 1),
+             'Median of the level over the error: how wide the level is for its safety.'),
+        ]  # fmt: skip
+    if 'crlb_ratio' in report:
+        found, times = report['found'], report['update_ms']
+        rows += [
+            ('RMSE over Cramér-Rao bound', cell(report['crlb_ratio'], 1.0, 2),
+             'The bound is the least error that any unbiased estimator reaches with these '
+             'measurements: 1 is the best there is.'),
+            ('place', 'given' if found is None else f'found after {found["after_s"]:.1f} s',
+             'Whether the start was given, or found from images alone.'),
+            ('update [ms]', f'{times["median"]:.1f}, 95 % within {times["p95"]:.1f}',
+             'Computing time of one image.'),
+            ('times real time', cell(report['realtime_factor'], 1.0, 1),
+             'How much faster than the recording all of it was computed.'),
+            ('result hash', report['result_hash'][:16],
+             'The same for the same bag and map, run after run.'),
+        ]  # fmt: skip
+    return (_row(name, value, why=why) for name, value, why in rows)
 
 
 def learning_verdict(report: Mapping[str, Any], warning: str) -> dict[str, str]:

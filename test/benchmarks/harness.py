@@ -1,0 +1,147 @@
+"""What benchmarks share: commands as users give them, recordings, errors and tables."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+import json
+from pathlib import Path
+import tempfile
+from typing import Any
+
+import cv2
+import numpy as np
+
+from landmark_nav.calibration import Calibration
+from landmark_nav.cli.main import main as landmark_nav
+from landmark_nav.evaluation.metrics import error_summary
+from landmark_nav.evaluation.replay import Replay, replay
+from landmark_nav.localization.localizer import LocalizationConfig
+from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
+from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.types import FloatArray, ImageArray, LandmarkMap
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+BAGS = REPOSITORY / 'bags'
+SHARED = REPOSITORY.parent / 'shared' / 'data'
+STUDY = SHARED / 'study'
+# Sigma of x, y and heading of a given start, as `landmark-nav evaluate` takes it.
+START_SIGMA = np.array([0.05, 0.05, 0.035])
+
+
+def command(*words: object) -> None:
+    """`landmark-nav` with these words; ends the benchmark if it fails."""
+    arguments = [str(word) for word in words]
+    status = landmark_nav(arguments)
+    if status != 0:
+        raise SystemExit(f'landmark-nav {" ".join(arguments)}: exit status {status}')
+
+
+def start_of(folder: Path, name: str = 'start.json') -> list[float]:
+    """Pose of the base in map at the start of the drive of a room."""
+    return list(json.loads((folder / name).read_text(encoding='utf-8'))['pose'])
+
+
+def learn(room: Path, out: Path, *options: object) -> dict[str, Any]:
+    """Learn the sweeps of a room to the map `out`; figures, also in `learn.json` beside it."""
+    figures = out.with_name('learn.json')
+    files = ('--room', room / 'room.yaml', '--robot', room / 'robot.yaml')
+    command('learn', room / 'learn', *files, '--out', out, '--overwrite', '--json', figures,
+            *options)  # fmt: skip
+    return dict(json.loads(figures.read_text()))
+
+
+def evaluate(
+    room: Path,
+    learned: Path,
+    *options: object,
+    start: list[float] | None,
+    drive: Path | None = None,
+    robot: Path | None = None,
+    out: Path | None = None,
+) -> dict[str, Any]:
+    """Evaluate the drive of a room, or another; figures, also in `run.json` beside the map."""
+    figures = out or learned.with_name('run.json')
+    given = () if start is None else ('--start', *start)
+    files = ('--map', learned, '--robot', robot or room / 'robot.yaml', '--json', figures)
+    command('evaluate', drive or room / 'drive', *files, *given, *options)
+    return dict(json.loads(figures.read_text()))
+
+
+def learned_room(seed: int, *options: str, kept: Path | None = None) -> LandmarkMap:
+    """Map of a simulated room, or of one that `kept` holds already."""
+    with tempfile.TemporaryDirectory() as scratch:
+        room, out = kept or Path(scratch) / 'room', Path(scratch) / 'map'
+        if kept is None:
+            command('simulate', '--out', room, '--seed', seed, '--drive-seconds', 1, *options)
+        learn(room, out)
+        return load_map(out)
+
+
+def as_jpeg(image: ImageArray, quality: int = 90) -> ImageArray:
+    """What is left of an image in a JPEG."""
+    _, data = cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)
+
+
+def drive_parser(text: str | None, **defaults: object) -> argparse.ArgumentParser:
+    """Parser of the arguments of a recorded drive; those with a default are optional."""
+    parser = argparse.ArgumentParser(description=text)
+    parser.add_argument('drive', type=Path, nargs='?' if 'drive' in defaults else None)
+    for name in ('map', 'robot'):
+        parser.add_argument(f'--{name}', type=Path, required=name not in defaults)
+    parser.add_argument(
+        '--start', type=float, nargs=3, required='start' not in defaults,
+        metavar=('X', 'Y', 'THETA'),
+    )  # fmt: skip
+    parser.set_defaults(**defaults)
+    return parser
+
+
+class Drive:
+    """A recorded drive, its map, and what is known of the robot and its start."""
+
+    def __init__(
+        self, bag: Path, learned: LandmarkMap, known: Calibration, start: list[float] | None
+    ) -> None:
+        self.bag, self.landmarks, self.known = Bag(bag), learned, known
+        self.start = None if start is None else np.array(start)
+        self.mount = known.mount
+
+    @classmethod
+    def of(cls, given: argparse.Namespace) -> Drive:
+        """Drive of the arguments of `drive_parser`."""
+        return cls(given.drive, load_map(given.map), load_calibration(given.robot), given.start)
+
+    def events(self) -> list[SensorEvent]:
+        """Return what was sensed."""
+        return list(sensor_events(self.bag, self.mount))
+
+    def run(self, events: Iterable[SensorEvent], known: Calibration | None = None) -> Replay:
+        """Localize by events, such as these, changed."""
+        return replay(
+            events, self.landmarks, known or self.known, LocalizationConfig(), self.start,
+            np.diag(START_SIGMA**2),
+        )  # fmt: skip
+
+
+def summary(errors: FloatArray) -> dict[str, float]:
+    """RMSE, median, 95 % and greatest error of positions [mm], RMSE of headings [deg]."""
+    known = {name: np.nan if v is None else v for name, v in error_summary(errors).items()}
+    names = ('rmse', 'median', 'p95', 'max')
+    figures = {name: 1e3 * known[f'position_{name}_m'] for name in names}
+    return {**figures, 'heading': known['heading_rmse_deg']}
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square; NaN of nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float('nan')
+
+
+def print_row(row: dict[str, Any], width: int, first: bool = False, digits: int = 4) -> None:
+    """Print the values of a row of a table, below their names if it is the first one."""
+    if first:
+        print('\n' + '  '.join(f'{name:>{width}}' for name in row))
+    cells = (v if isinstance(v, str) else f'{v:.{digits}g}' for v in row.values())
+    print('  '.join(f'{cell:>{width}}' for cell in cells), flush=True)
