@@ -67,6 +67,7 @@ def faults(bag: Bag) -> dict[str, Fault]:
         'focal length 10 % off': Fault(change.lens(1.1, 1.1), (INFO,)),
         'focal length 10 % off for good': Fault(change.lens(1.1, 1.1), (INFO,), FOR_GOOD_S),
         'images stop': Fault(change.nothing, (CAMERA,)),
+        'nothing comes for 10 s': Fault(change.nothing, EVERYTHING, 10.0),
         'turned by hand 10 deg': Fault(change.turned_by_hand(-0.1745), (ODOMETRY,), FOR_GOOD_S),
         'kidnapped': Fault(change.same, ()),
         'start 1 m wrong': Fault(change.same, ()),
