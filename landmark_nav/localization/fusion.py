@@ -14,6 +14,7 @@ from landmark_nav.localization.estimator import (
     EstimatorConfig,
     ImagePoints,
     Integrity,
+    is_unknown,
     JointFilter,
     protection_level,
     ProtectionLevel,
@@ -196,7 +197,7 @@ class Fusion:
         update = line.add_image(seen)
         self._update = update if isinstance(update, Update) else None
         # From an unknown pose nothing is expected, so that nothing is missed.
-        unknown = is_prior_uncertain(line.filter.predicted.covariance[:3, :3])
+        unknown = is_unknown(line.filter.predicted.covariance[:3, :3])
         self._integrity.add(seen.stamp_ns, self._update, 0 if unknown else len(seen.missed))
         if self._update is not None:
             self._weigh_start(line, seen, self._update)

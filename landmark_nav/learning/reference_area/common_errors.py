@@ -74,7 +74,7 @@ def pose_errors(
         outlines = places.outlines(
             states[..., None, :3], states[..., None, 3:_SIZE], errors, states[..., _SIZE, None]
         )
-        return outlines.reshape(*states.shape[:-1], -1)
+        return outlines.reshape(*states.shape[:-1], 4 * papers)
 
     states = np.zeros((len(eye), _PAPERS + 2 * papers))
     states[:, _X_Y_HEIGHT] = eye

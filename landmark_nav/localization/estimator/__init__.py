@@ -5,6 +5,7 @@ from landmark_nav.localization.estimator.factors import ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter, Update
 from landmark_nav.localization.estimator.integrity import (
     Integrity,
+    is_unknown,
     protection_level,
     ProtectionLevel,
     Status,
@@ -18,5 +19,6 @@ __all__ = [
     'ProtectionLevel',
     'Status',
     'Update',
+    'is_unknown',
     'protection_level',
 ]

@@ -93,6 +93,12 @@ def protection_level(estimate: PoseEstimate, update: Update | None = None) -> Pr
     )
 
 
+def is_unknown(covariance: FloatArray) -> bool:
+    """Whether a pose with this covariance (3, 3) is unknown, so that it is lost."""
+    position, heading = _sigmas(covariance)
+    return bool(position > _LOST_M or heading > _LOST_RAD)
+
+
 def _sigmas(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Largest sigma of the position, and that of the heading, of covariances (..., 3, 3)."""
     xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
@@ -148,7 +154,7 @@ class Integrity:
             return Status.LOST, 'the estimate is not a number'
         if self.contradicted:
             return Status.LOST, 'images do not show what should be seen from here'
-        if position > _LOST_M or heading > _LOST_RAD:
+        if is_unknown(estimate.covariance):
             return Status.LOST, f'sigma {position:.2f} m, {np.degrees(heading):.0f} deg'
         if self._log_ratio < 0.0 or self._newest <= _AGAINST:
             return Status.DEGRADED, 'images show little of what should be seen from here'
