@@ -313,11 +313,14 @@ class RobotClient:
                         bag.write(name, message, stamp_ns)
 
     def _last_heard(self) -> str:
-        """Text: the last reports of the nodes, which often hold the reason."""
+        """Text: the last reports of the nodes, which often hold the reason; the worst first."""
         own = self._node.get_name()
+        rank = {level: k for k, level in enumerate(reversed(_LEVELS.values()))}
         words = [
             f'{name}: {status.reason}'
-            for name, status in sorted(self.status.items())
+            for name, status in sorted(
+                self.status.items(), key=lambda one: (rank.get(one[1].level, -1), one[0])
+            )
             if name != own
         ]
         return '; '.join(words) or 'nothing of any node: is ROS_DOMAIN_ID theirs?'
