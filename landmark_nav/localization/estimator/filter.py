@@ -568,8 +568,7 @@ class JointFilter:
                 before, looser = looser, np.maximum((freedom + squares) / (freedom + rows), 1.0)
                 if np.abs(looser / before - 1.0).max() < _SAME_WEIGHT:
                     break
-            _, log_determinant = np.linalg.slogdet(covariance)
-            square = float(innovation @ pull)
+            widened, square = covariance, float(innovation @ pull)
             out = looser > 1.0 / _OUTLIER
             if out.any():
                 # What is found elsewhere than the landmark has no information: in a wide window
@@ -595,6 +594,7 @@ class JointFilter:
         left = np.eye(STATES) - by_acted @ acted
         by_noise = left @ state.by_noise @ left.T
         by_noise[DETECTION] += by_acted @ detected @ by_acted.T
+        _, log_determinant = np.linalg.slogdet(widened)
         evidence = -0.5 * (square + log_determinant)
         if freedom:
             # Prior density of the weights, which are gamma variables.
