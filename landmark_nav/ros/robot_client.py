@@ -253,9 +253,9 @@ class RobotClient:
         """Publisher of a public topic."""
         return self._node.advertise(topic)
 
-    def listen(self, topic: str, callback: Callable[[Any], None]) -> None:
-        """Subscribe to a public topic."""
-        self._node.listen(topic, callback)
+    def listen(self, topic: str, callback: Callable[[Any], None]) -> Any:
+        """Subscribe to a public topic, and return the subscription."""
+        return self._node.listen(topic, callback)
 
     def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
         """Publish ``cmd_vel``."""

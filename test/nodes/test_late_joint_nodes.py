@@ -68,6 +68,8 @@ def localizing(learned_map: Path, start: Callable[..., None], client: RobotClien
         60.0,
         'the map',
     )
+    images = 'camera/image_raw/compressed'
+    client.wait(lambda: client._node.count_subscribers(images) > 0, 60.0, 'the localizer')
 
 
 def true_places(drive: Bag) -> PoseTrack:
@@ -102,8 +104,9 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
         estimate = decode.pose_estimate(message)
         fused[estimate.stamp_ns] = estimate
 
-    client.listen('detections', saw)
+    detected = client.listen('detections', saw)
     client.listen('odometry/fused', knew)
+    client.wait(lambda: detected.get_publisher_count() > 0, 60.0, 'the localizer')
     player = play(tmp_path / 'drive')
 
     def over() -> bool:
@@ -137,5 +140,6 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
         and event.stamp_ns - begin_ns > KNOWN_S * 1e9
         and event.stamp_ns in found
     ]
+    assert turning, client.status
     # Three of five look at landmarks; one in ten finds some with the pan as it is given.
     assert np.mean(np.array(turning) >= 3) > 0.5
