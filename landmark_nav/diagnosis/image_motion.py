@@ -17,6 +17,8 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 
 # Size of a strip, pixels.
 _COLUMNS, _ROWS = 128, 48
+# Shifts tried per column: between columns, the correlation is interpolated by its spectrum.
+_FINER = 4
 # Window in which the contrast is normalised, pixels; least contrast, grey levels per column.
 _CONTRAST, _LEAST_CONTRAST = (41, 41), 6.0
 # Least overlap of two images that are compared, as a share of their width.
@@ -71,7 +73,7 @@ class StripView:
         self.width_rad = float(most - least)
         grid, rise = np.meshgrid(azimuths, slopes)
         rays = np.stack([np.cos(grid), np.sin(grid), rise], -1) @ upright
-        self._reduction = max(1, camera.width // (2 * _COLUMNS))
+        self._reduction = max(1, camera.width // _COLUMNS)
         pixels = (camera.project(rays) + 0.5) / self._reduction - 0.5
         self._pixels = pixels.astype(np.float32)
 
@@ -96,17 +98,21 @@ class StripView:
         The turn has the largest likelihood ratio. The score is the normalised cross-correlation of
         the overlap. The turn is NaN if the overlap or the score is too small.
         """
-        shifts = np.arange(-_COLUMNS, _COLUMNS)
-        product = fft.irfft((first[0] * np.conj(second[0])).sum(0), 2 * _COLUMNS)
-        product = np.roll(product, _COLUMNS)
-        low, high = np.maximum(shifts, 0), np.minimum(_COLUMNS + shifts, _COLUMNS)
-        shared = high - low >= _LEAST_OVERLAP * _COLUMNS
+        count = 2 * _COLUMNS * _FINER
+        shifts = np.arange(-_COLUMNS, _COLUMNS, 1.0 / _FINER)
+        product = _FINER * fft.irfft((first[0] * np.conj(second[0])).sum(0), count)
+        product = np.roll(product, count // 2)
+        low, high = np.maximum(shifts, 0.0), np.minimum(_COLUMNS + shifts, _COLUMNS)
         width = high - low
+        shared = width >= _LEAST_OVERLAP * _COLUMNS
+        columns = np.arange(_COLUMNS + 1)
+        energies = [
+            np.interp(high - off, columns, strip[1]) - np.interp(low - off, columns, strip[1])
+            for strip, off in ((first, 0.0), (second, shifts))
+        ]
         # The JPEG grid and dirt on the lens, which do not turn, dominate on a bare wall.
         blank = _BLANK * _ROWS * width
-        energy = (first[1][high] - first[1][low] + blank) * (
-            second[1][high - shifts] - second[1][low - shifts] + blank
-        )
+        energy = (energies[0] + blank) * (energies[1] + blank)
         score = np.where(shared, product / np.sqrt(np.maximum(energy, 1e-9)), -1.0)
         # The likelihood ratio of a match: jambs of a window are alike in a small overlap.
         evidence = -width * np.log1p(-np.square(np.clip(score, 0.0, 1.0 - 1e-9)))
@@ -117,4 +123,4 @@ class StripView:
         before, after = score[best - 1], score[best + 1]
         bend = before - 2.0 * peak + after
         part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-        return float((shifts[best] + part) * self.step_rad), peak
+        return float((shifts[best] + part / _FINER) * self.step_rad), peak

@@ -313,7 +313,8 @@ def fit(turns: FloatArray, columns: FloatArray) -> Fit:
     all_values, sigmas = np.zeros(k), np.full(k, np.inf)
     all_values[seen] = values
     if used.shape[1]:
-        spread = np.linalg.pinv(information, hermitian=True)
+        # The ridge keeps what collinear columns leave open uncertain.
+        spread = np.linalg.inv(information + ridge)
         sigmas[seen] = scale * np.sqrt(np.maximum(np.diag(spread), 0.0))
     likelihood = -n * np.log(scale) - 0.5 * (FREEDOM + 1.0) * float(
         np.sum(np.log1p((residuals / scale) ** 2 / FREEDOM))
