@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+import fcntl
 from itertools import count
 import os
 from pathlib import Path
 import subprocess
+import tempfile
 from typing import Any, TYPE_CHECKING
 
 import pytest
@@ -19,14 +21,21 @@ if TYPE_CHECKING:
 
     from landmark_nav.ros.robot_client import RobotClient
 
-_NUMBER = count()
+_NUMBER = count(7 * os.getpid())
 
 
 @pytest.fixture
-def domain_id() -> int:
-    """A domain that no other test of this run uses, below the ephemeral ports."""
-    worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
-    return 10 + 22 * (worker % 4) + (os.getpid() * 7 + next(_NUMBER)) % 22
+def domain_id() -> Iterator[int]:
+    """A domain that no other test on this machine uses, below the ephemeral ports."""
+    for number in _NUMBER:
+        domain = 10 + number % 88
+        try:
+            with (Path(tempfile.gettempdir()) / f'ros_domain_{domain}.lock').open('w') as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                yield domain
+                return
+        except OSError:
+            continue
 
 
 @pytest.fixture
