@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import log
 from typing import NamedTuple
@@ -21,7 +20,7 @@ class Step(NamedTuple):
     probability: float
     sigma_m: float
     sigma_rad: float
-    calibration: Mapping[str, float]
+    calibration: dict[str, float]
 
     @property
     def log_odds(self) -> float:
@@ -90,22 +89,43 @@ class EstimatorConfig(Config):
 
     @property
     def knock(self) -> Step:
-        """What no image shows by itself: base or camera was turned, or the joint delay changed."""
-        turns = dict.fromkeys(('axis_yaw', 'camera_roll', 'camera_tilt'), self.step_sigma_rad)
-        changed = turns | {'joint_delay': self.step_sigma_s}
-        return Step(self.step_probability, self.step_sigma_m, self.step_sigma_rad, changed)
+        """What is open after a knock: base and camera may have moved, and the joint delay."""
+        return self._base._replace(calibration=self._turned | self._late)
 
     @property
     def zoom(self) -> Step:
         """The same, and the focal length changed."""
-        knock = self.knock
-        changed = {**knock.calibration, 'focal_scale': self.step_sigma_focal}
-        return knock._replace(probability=self.zoom_probability, calibration=changed)
+        return self.knock._replace(calibration=self.knock.calibration | self._zoomed)
 
     @property
-    def steps(self) -> tuple[Step, ...]:
-        """All that may happen unseen before an image: wheels slip, a knock, a zoom."""
+    def steps(self) -> tuple[tuple[Step, Step], ...]:
+        """
+        All that may happen unseen before an image: each cause, and what is open after it.
+
+        One image does not show which of the causes of a knock it was.
+        """
         if not self.step_probability:
             return ()
         slip = Step(self.slip_probability, self.slip_sigma_m, self.slip_sigma_rad, {})
-        return slip, self.knock, self.zoom
+        camera, late = (
+            Step(self.step_probability, 0.0, 0.0, changed) for changed in (self._turned, self._late)
+        )
+        zoom = Step(self.zoom_probability, 0.0, 0.0, self._zoomed)
+        knocks = (self._base, camera, late)
+        return (slip, slip), *((cause, self.knock) for cause in knocks), (zoom, self.zoom)
+
+    @property
+    def _base(self) -> Step:
+        return Step(self.step_probability, self.step_sigma_m, self.step_sigma_rad, {})
+
+    @property
+    def _turned(self) -> dict[str, float]:
+        return dict.fromkeys(('axis_yaw', 'camera_roll', 'camera_tilt'), self.step_sigma_rad)
+
+    @property
+    def _late(self) -> dict[str, float]:
+        return {'joint_delay': self.step_sigma_s}
+
+    @property
+    def _zoomed(self) -> dict[str, float]:
+        return {'focal_scale': self.step_sigma_focal}

@@ -408,16 +408,19 @@ class JointFilter:
             expected = prior
             # After a knock the pose is open, and many slips in a row would close it wrongly.
             known = expected.covariance[2, 2] < _OPEN_RAD**2
-            for step in self._config.steps:
+            for cause, step in self._config.steps:
                 if not (known or step.calibration):
+                    continue
+                _, alone = self._corrected(self._stepped(expected, cause), seen)
+                evidence = alone.log_evidence + cause.log_odds
+                if evidence < update.log_evidence:
                     continue
                 stepped = self._stepped(expected, step)
                 freed, alternative = self._corrected(stepped, seen)
-                evidence = alternative.log_evidence + step.log_odds
                 agree = int(np.sum(alternative.weight > _INLIER))
                 # A knock is no slip: many sigmas of it cost less than the prior of a knock.
                 unlike = alternative.surprising and not step.calibration
-                if agree >= _WITNESSES and evidence > update.log_evidence and not unlike:
+                if agree >= _WITNESSES and not unlike:
                     prior, after = stepped, freed
                     update = alternative._replace(
                         log_evidence=evidence, stepped=bool(step.calibration)
