@@ -461,7 +461,9 @@ class Detections:
         Normalised image coordinates by camera_info: x/z to the right, y/z down; empty where only
         bearings are known.
     point_covariance : ndarray, shape (n, 2, 2)
-        Covariance of `points`.
+        Covariance of `points`, without that by an error of the focal length.
+    sizes : ndarray, shape (n, 2)
+        Width and height of the templates in normalised image coordinates; empty if unknown.
     near : ndarray, shape (3,), optional
         Pose of the base found in this image by a search within the prior, if that was uncertain.
     """
@@ -479,6 +481,7 @@ class Detections:
     covariance_px2: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     points: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     point_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    sizes: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     near: FloatArray | None = None
 
     def __len__(self) -> int:
@@ -490,4 +493,5 @@ class Detections:
         names = ['ids', 'bearing_rad', 'variance_rad2', 'score', 'uv_px']
         names += ['covariance_px2'] if len(self.covariance_px2) else []
         names += ['points', 'point_covariance'] if len(self.points) else []
+        names += ['sizes'] if len(self.sizes) else []
         return replace(self, **{name: getattr(self, name)[which] for name in names})

@@ -245,6 +245,7 @@ class Fusion:
             points = ImagePoints(
                 found.stamp_ns, columns, found.points, found.point_covariance,
                 np.full(len(columns), pan), missed=missed, near=found.near,
+                sizes=found.sizes if len(found.sizes) else None,
             )  # fmt: skip
             if joints is None:
                 return points

@@ -290,16 +290,12 @@ class Observer:
         self._novelty[looked_for] *= _NEW
         missed = [k for k, why in result.refused.items() if why.reason not in NOT_LOOKED_FOR]
         seen, places = result.detections, result.expected
-        # A template of a wrong scale fits at any of its points.
         sizes = np.array([places[k].size for k in seen.ids.tolist()]).reshape(-1, 2)
-        covariance = np.array(seen.covariance_px2)
-        focal = expected.calibration['focal_scale'][1]
-        covariance[:, [0, 1], [0, 1]] += (focal * sizes) ** 2 / 12.0
         points = ImagePoints.of_pixels(
             frame.stamp_ns,
             self._map.indices(seen.ids),
             seen.uv_px,
-            covariance,
+            seen.covariance_px2,
             frame.camera,
             frame.pan_rad,
             known=_zoomed(frame.camera, expected.calibration),
@@ -311,6 +307,7 @@ class Observer:
             pan_rad=float(expected.calibration.mount.azimuth_base_rad(frame.pan_rad)),
             points=points.points,
             point_covariance=points.covariance,
+            sizes=sizes / [frame.camera.fx, frame.camera.fy],
             near=None if place is None else place.pose,
         )
         return Observation(

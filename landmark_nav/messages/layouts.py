@@ -53,9 +53,10 @@ class Layout:
         return np.dtype([*fixed, *repeated])
 
 
-# `point` is in normalised image coordinates by camera_info; a covariance of zero means that there
-# is none. All rows repeat the joint delay that the node assumes, and `near`: the pose
-# of the base found in this image by a search within an uncertain prior, zero without a search.
+# `point` and the `size` of the template are in normalised image coordinates by camera_info; a
+# covariance of zero means that there is none. All rows repeat the joint delay that the node
+# assumes, and `near`: the pose of the base found in this image by a search within an uncertain
+# prior, zero without a search.
 DETECTIONS = Layout(
     'detections',
     np.dtype(
@@ -69,10 +70,11 @@ DETECTIONS = Layout(
             ('joint_delay', '<f8'),
             ('point', '<f8', (2,)),
             ('point_covariance', '<f8', (4,)),
+            ('size', '<f8', (2,)),
             ('near', '<f8', (3,)),
         ]
     ),
-    optional=('joint_delay', 'point', 'point_covariance', 'near'),
+    optional=('joint_delay', 'point', 'point_covariance', 'size', 'near'),
 )
 
 # One point: pose of the base with its covariance, speeds of the base, values and sigmas of the

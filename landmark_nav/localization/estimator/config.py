@@ -108,7 +108,8 @@ class EstimatorConfig(Config):
             return ()
         slip = Step(self.slip_probability, self.slip_sigma_m, self.slip_sigma_rad, {})
         camera, late = (
-            Step(self.step_probability, 0.0, 0.0, changed) for changed in (self._turned, self._late)
+            Step(self.step_probability, 0.0, 0.0, changed)
+            for changed in (self._turned, self._late)
         )
         zoom = Step(self.zoom_probability, 0.0, 0.0, self._zoomed)
         knocks = (self._base, camera, late)

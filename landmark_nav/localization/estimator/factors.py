@@ -73,6 +73,8 @@ class ImagePoints:
     near : ndarray, shape (3,), optional
         Pose of the base by the image itself, if the prior was uncertain: the first linearization
         point, not a measurement.
+    sizes : ndarray, shape (m, 2), optional
+        Width and height of the templates: one of a wrong scale fits at any of its points.
     """
 
     stamp_ns: int
@@ -88,6 +90,7 @@ class ImagePoints:
     missed: IndexArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     delay_step_s: float = LEAST_STEP_S
     near: FloatArray | None = None
+    sizes: FloatArray | None = None
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -184,6 +187,7 @@ class ImagePoints:
             points=self.points[which],
             covariance=self.covariance[which],
             pan_rad=self.pan_rad[which],
+            sizes=None if self.sizes is None else self.sizes[which],
         )
 
     def pans(self, delay_s: float) -> tuple[FloatArray, float]:

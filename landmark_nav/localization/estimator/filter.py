@@ -28,6 +28,7 @@ from landmark_nav.localization.estimator.factors import (
     CENTER,
     DELAY,
     FLOOR_TILT,
+    FOCAL,
     ImagePoints,
     LEAST_STEP_S,
     moved,
@@ -534,6 +535,9 @@ class JointFilter:
         each = np.arange(count)
         prior, freedom = state.mean, self._config.tail_freedom
         noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
+        if seen.sizes is not None:
+            by_scale = state.covariance[FOCAL, FOCAL] * seen.sizes[:, :rows] ** 2 / 12.0
+            noise += by_scale[:, None] * np.eye(rows)
         common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2 + bend**2
         mean, looser = prior, np.ones(count)
         if seen.near is not None:

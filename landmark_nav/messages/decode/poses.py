@@ -162,6 +162,7 @@ def detections(msg: Any) -> Detections:
     # A sensor that measures bearings only publishes no points.
     has_points = bool((np.diagonal(point_covariance, axis1=1, axis2=2) > 0.0).all())
     image_points = finite(found['point'], 'detections point', stamp, _MAX_COORDINATE)
+    sizes = finite(found['size'], 'detections size', stamp, _MAX_COORDINATE, least=0.0)
     near = finite(points['near'][0] if len(points) else np.zeros(3), 'near', stamp, FARTHEST_M)
     return Detections(
         stamp,
@@ -174,6 +175,7 @@ def detections(msg: Any) -> Detections:
         joint_delay_s=delay,
         points=image_points if has_points else image_points[:0],
         point_covariance=point_covariance if has_points else point_covariance[:0],
+        sizes=sizes if has_points else sizes[:0],
         near=near if near.any() else None,
     )
 

@@ -149,6 +149,8 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
     if len(found.points):
         seen['point'] = found.points
         seen['point_covariance'] = found.point_covariance.reshape(-1, 4)
+    if len(found.sizes):
+        seen['size'] = found.sizes
     if found.near is not None:
         points['near'] = found.near
     points['joint_delay'] = found.joint_delay_s
