@@ -289,10 +289,14 @@ def test_a_knock_of_the_camera_is_noticed_at_once() -> None:
 
 
 def test_another_focal_length_is_noticed_at_once_and_found() -> None:
-    mount = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4))
+    mount, rng = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4)), np.random.default_rng(0)
 
     def zoomed(k: int, seen: ImagePoints) -> ImagePoints:
-        return replace(seen, points=seen.points / 1.1) if k >= 40 else seen
+        sizes = np.full(seen.points.shape, 0.1)
+        # The first templates have the scale of before: each fits at some point of the patch.
+        off = 0.1 * sizes * rng.uniform(-0.5, 0.5, sizes.shape) if k == 40 else 0.0
+        points = seen.points / 1.1 + off if k >= 40 else seen.points
+        return replace(seen, points=points, sizes=sizes)
 
     for seed in range(4):
         run = driven(simulated(seed, mount, mount, seconds=24.0), changed=zoomed)
@@ -303,6 +307,22 @@ def test_another_focal_length_is_noticed_at_once_and_found() -> None:
         focal, sigma = run.filter.calibration['focal_scale']
         assert sigma < 0.005
         assert focal == pytest.approx(1.0 / 1.1 - 1.0, abs=4.0 * sigma)
+
+
+@pytest.mark.parametrize('late_s', [0.03, 0.1, 0.2])
+def test_joint_states_that_are_suddenly_late_turn_no_heading_unnoticed(late_s: float) -> None:
+    mount = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4))
+
+    def late(k: int, seen: ImagePoints) -> ImagePoints:
+        phase = 0.5 * (1e-9 * seen.stamp_ns - late_s)
+        pan_rad = np.full(len(seen), 2.0 * np.sin(phase))
+        return replace(seen, pan_rad=pan_rad, pan_rate_rad_s=np.cos(phase)) if k >= 58 else seen
+
+    for seed in range(4):
+        run = driven(simulated(seed, mount, mount, seconds=24.0), changed=late)
+        assert (run.nees < 31.8).all()
+        delay_s, sigma_s = run.filter.calibration['joint_delay']
+        assert delay_s == pytest.approx(late_s, abs=4.0 * sigma_s + 0.005)
 
 
 def test_a_base_that_moves_unseen_by_the_wheels_is_no_zoom() -> None:

@@ -98,22 +98,20 @@ class EstimatorConfig(Config):
         return self.knock._replace(calibration=self.knock.calibration | self._zoomed)
 
     @property
-    def steps(self) -> tuple[tuple[Step, Step], ...]:
+    def steps(self) -> tuple[tuple[tuple[Step, ...], Step], ...]:
         """
-        All that may happen unseen before an image: each cause, and what is open after it.
+        All that may happen unseen before an image: causes, and what is open after any of them.
 
         One image does not show which of the causes of a knock it was.
         """
         if not self.step_probability:
             return ()
         slip = Step(self.slip_probability, self.slip_sigma_m, self.slip_sigma_rad, {})
-        camera, late = (
-            Step(self.step_probability, 0.0, 0.0, changed)
-            for changed in (self._turned, self._late)
-        )
+        camera = Step(self.step_probability, 0.0, 0.0, self._turned)
+        late = camera._replace(calibration=self._late)
         zoom = Step(self.zoom_probability, 0.0, 0.0, self._zoomed)
-        knocks = (self._base, camera, late)
-        return (slip, slip), *((cause, self.knock) for cause in knocks), (zoom, self.zoom)
+        knock = self._base, camera, late
+        return ((slip,), slip), (knock, self.knock), ((zoom,), self.zoom)
 
     @property
     def _base(self) -> Step:

@@ -10,6 +10,7 @@ left. So repeated detections never make the pose more certain than the map allow
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -149,6 +150,14 @@ class Update(NamedTuple):
     def used(self) -> IndexArray:
         """Landmarks of the image that are not outliers."""
         return self.columns[self.weight > _OUTLIER]
+
+
+class _Hypothesis(NamedTuple):
+    """What may have happened before an image: the prediction, the estimate, and its evidence."""
+
+    prior: State
+    after: State
+    update: Update
 
 
 class JointFilter:
@@ -406,26 +415,30 @@ class JointFilter:
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         after, update = self._corrected(prior, seen)
         if update.surprising:
-            expected = prior
             # After a knock the pose is open, and many slips in a row would close it wrongly.
-            known = expected.covariance[2, 2] < _OPEN_RAD**2
-            for cause, step in self._config.steps:
+            known = prior.covariance[2, 2] < _OPEN_RAD**2
+            hypotheses = [_Hypothesis(prior, after, update)]
+            for causes, step in self._config.steps:
                 if not (known or step.calibration):
                     continue
-                _, alone = self._corrected(self._stepped(expected, cause), seen)
-                evidence = alone.log_evidence + cause.log_odds
-                if evidence < update.log_evidence:
-                    continue
-                stepped = self._stepped(expected, step)
+                evidence = max(
+                    cause.log_odds
+                    + self._corrected(self._stepped(prior, cause), seen)[1].log_evidence
+                    for cause in causes
+                )
+                stepped = self._stepped(prior, step)
                 freed, alternative = self._corrected(stepped, seen)
                 agree = int(np.sum(alternative.weight > _INLIER))
                 # A knock is no slip: many sigmas of it cost less than the prior of a knock.
                 unlike = alternative.surprising and not step.calibration
                 if agree >= _WITNESSES and not unlike:
-                    prior, after = stepped, freed
-                    update = alternative._replace(
+                    alternative = alternative._replace(
                         log_evidence=evidence, stepped=bool(step.calibration)
                     )
+                    hypotheses.append(_Hypothesis(stepped, freed, alternative))
+            hypotheses.sort(key=lambda each: -each.update.log_evidence)
+            prior, after, update = hypotheses[0]
+            after = _merged(hypotheses)
         new = ~np.isin(seen.columns, self._state.landmarks)
         after = self._doubting(after, update, new)
         recognised = found_log_ratios(update.residual, update.covariance).sum()
@@ -632,6 +645,23 @@ class JointFilter:
             ),
             update,
         )
+
+
+def _merged(hypotheses: Sequence[_Hypothesis]) -> State:
+    """Return the first of the estimates with the mean and covariance of their mixture."""
+    logs = np.array([each.update.log_evidence for each in hypotheses])
+    shares = np.exp(logs - logs.max())
+    shares /= shares.sum()
+    best = hypotheses[0].after
+    away = np.array([each.after.mean for each in hypotheses]) - best.mean
+    away[:, 2] = wrap_rad(away[:, 2])
+    shift = shares @ away
+    mean = best.mean + shift
+    mean[2] = wrap_rad(mean[2])
+    covariance = (away - shift).T @ (shares[:, None] * (away - shift))
+    for share, each in zip(shares, hypotheses, strict=True):
+        covariance += share * each.after.covariance
+    return replace(best, mean=mean, covariance=covariance)
 
 
 def _usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
