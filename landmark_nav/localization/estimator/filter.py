@@ -10,7 +10,6 @@ left. So repeated detections never make the pose more certain than the map allow
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -82,6 +81,9 @@ _NO_INFORMATION = 1e6
 _WIDEST = 25.0
 # A heading that is known worse than this, rad, shows no slip of the wheels.
 _OPEN_RAD = 0.02
+# Log of the share of the likeliest hypothesis below which another is excluded: the risk of the
+# protection level.
+_EXCLUDED = float(np.log(0.01))
 # Significance at which an image is surprising.
 _SURPRISE = 1e-3
 # Sigmas of an unknown pose, m and rad.
@@ -436,9 +438,14 @@ class JointFilter:
                         log_evidence=evidence, stepped=bool(step.calibration)
                     )
                     hypotheses.append(_Hypothesis(stepped, freed, alternative))
-            hypotheses.sort(key=lambda each: -each.update.log_evidence)
-            prior, after, update = hypotheses[0]
-            after = _merged(hypotheses)
+            # A knock that cannot be excluded leaves all open; else the likeliest counts.
+            best = max(each.update.log_evidence for each in hypotheses)
+            prior, after, update = next(
+                each
+                for each in reversed(hypotheses)
+                if each.update.log_evidence >= best + _EXCLUDED * each.update.stepped
+            )
+            update = update._replace(log_evidence=best)
         new = ~np.isin(seen.columns, self._state.landmarks)
         after = self._doubting(after, update, new)
         recognised = found_log_ratios(update.residual, update.covariance).sum()
@@ -645,23 +652,6 @@ class JointFilter:
             ),
             update,
         )
-
-
-def _merged(hypotheses: Sequence[_Hypothesis]) -> State:
-    """Return the first of the estimates with the mean and covariance of their mixture."""
-    logs = np.array([each.update.log_evidence for each in hypotheses])
-    shares = np.exp(logs - logs.max())
-    shares /= shares.sum()
-    best = hypotheses[0].after
-    away = np.array([each.after.mean for each in hypotheses]) - best.mean
-    away[:, 2] = wrap_rad(away[:, 2])
-    shift = shares @ away
-    mean = best.mean + shift
-    mean[2] = wrap_rad(mean[2])
-    covariance = (away - shift).T @ (shares[:, None] * (away - shift))
-    for share, each in zip(shares, hypotheses, strict=True):
-        covariance += share * each.after.covariance
-    return replace(best, mean=mean, covariance=covariance)
 
 
 def _usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
