@@ -261,8 +261,8 @@ def run(args: argparse.Namespace) -> int:
         write_tum_files(done, args.tum, smoothed)
     write_json(args.json, report)
     print(run_summary(report))
-    if args.out:
-        print(f'{" and ".join(_FIGURES)} in {args.out.resolve()}')
+    if drawn := [*figures_in, *filter(None, (args.report, args.video))]:
+        print(f'drawn: {", ".join(map(str, drawn))}')
     return 0
 
 
