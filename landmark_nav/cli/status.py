@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from contextlib import suppress
 import os
 import shutil
 import sys
@@ -76,6 +77,10 @@ def run(args: argparse.Namespace) -> int:
                 'nodes (landmark-nav up), or set ROS_DOMAIN_ID as theirs is'
             ) from None
         client.pause(_GATHER_S)
+        if once:
+            # Nodes of others may report by another name.
+            with suppress(LandmarkNavError):
+                client.wait(lambda: not client.unheard(), _NO_NODE_S, 'all nodes')
         while True:
             size = shutil.get_terminal_size((99, 24))
             lines = table(others(), size.columns, args.values)

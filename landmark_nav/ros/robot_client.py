@@ -193,6 +193,11 @@ class RobotClient:
         """Last report of a node; empty before the first."""
         return self.status.get(node, NodeStatus())
 
+    def unheard(self) -> set[str]:
+        """Nodes that publish ``/diagnostics``, and of which none has arrived."""
+        known = self._node.get_publishers_info_by_topic('/diagnostics')
+        return {publisher.node_name for publisher in known} - {*self.status}
+
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """
         Handle messages until `condition` is true; `LandmarkNavError` if it takes too long.

@@ -124,6 +124,8 @@ def test_who_waits_in_vain_is_reported_what_the_nodes_last_reported(
         counting(domain_id) as (_, executor),
         RobotClient(domain_id, lambda: executor.spin_once(timeout_sec=0.0)) as client,
     ):
+        client.wait(lambda: 'counter' in client.unheard(), 10.0, 'its publisher')
         client.wait(lambda: 'counter' in client.status, 10.0, 'its first word')
+        assert 'counter' not in client.unheard()
         with pytest.raises(LandmarkNavError, match='for rain; last heard: counter: counting'):
             client.wait(lambda: False, 0.1, 'rain')
