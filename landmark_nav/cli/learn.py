@@ -313,8 +313,8 @@ def _scale_line(name: str, scale: float, sigma: float, inflation: float, sheets:
     count = f' ({sheets})' if sheets else ''
     grown = f'; its variance grew by {inflation:.1f} to fit the panoramas' * (inflation > 1.0)
     return (
-        f'  {name}{count} alone: ways {100.0 * (scale - 1.0):+.2f} %, sigma {100.0 * sigma:.2g} %'
-        f'{grown}'
+        f'  {name}{count} alone: lengths {100.0 * (scale - 1.0):+.2f} %, '
+        f'sigma {100.0 * sigma:.2g} %{grown}'
     )
 
 
