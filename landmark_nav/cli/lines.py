@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sized
 import logging
 from pathlib import Path
 import shlex
@@ -72,6 +72,7 @@ def progress(iterable: Iterable[T], description: str, total: int | None = None) 
         )
     else:
         begin = shown = time.monotonic()
+        total = len(iterable) if total is None and isinstance(iterable, Sized) else total
         for count, item in enumerate(iterable):
             now = time.monotonic()
             if now - shown > _LINE_EVERY_S and sys.stderr is not None:

@@ -97,11 +97,12 @@ _LEVELS = {level.value: level.name for level in Level}
 
 @dataclass(frozen=True)
 class NodeStatus:
-    """State of a node by ``/diagnostics``; the level is OK, DEGRADED or LOST."""
+    """State of a node by ``/diagnostics``, OK, DEGRADED or LOST, and when it arrived."""
 
     level: str = ''
     reason: str = ''
     values: Mapping[str, str] = field(default_factory=dict)
+    heard_s: float = field(default_factory=time.monotonic)
 
     @property
     def lost(self) -> bool:
