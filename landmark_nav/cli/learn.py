@@ -188,6 +188,8 @@ def run(args: argparse.Namespace) -> int:
         page = learning_page(report, result, room.papers)
         write_report(args.report, page, title, args.command_line, inputs)
     print(_summary(report, result.panoramas, args.out))
+    if args.report:
+        print(f'drawn: {args.report}')
     return 0
 
 
