@@ -13,6 +13,10 @@ from tempfile import TemporaryDirectory
 
 from PIL import Image
 
+from landmark_nav.evaluation.figures.map_figure import draw_map
+from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.setup_files import load_room
+
 DOCS = Path(__file__).resolve().parent
 BAGS = DOCS.parent / 'bags'
 SETUP = ('--room', str(BAGS / 'room.yaml'), '--robot', str(BAGS / 'robot.yaml'))
@@ -23,6 +27,10 @@ COMMANDS = (
     ('learn', str(BAGS / 'learn'), *SETUP, '--out', 'map'),
     ('evaluate', str(BAGS / 'drive'), '--map', 'map', *SETUP[2:], '--out', 'drive'),
     ('demo', '--out', 'demo'),
+    (
+        *('evaluate', 'demo/recording', '--map', 'demo/map'),
+        *('--robot', 'demo/robot.yaml', '--out', 'demo_drive'),
+    ),
 )
 # What a command writes -> its name in docs/images.
 WRITTEN = {
@@ -39,19 +47,18 @@ WRITTEN = {
 
 
 def demo_page(folder: Path) -> Image.Image:
-    """Panorama of the demo above, map and drive side by side below."""
-    wide, *pair = (
-        Image.open(folder / f'{name}.png').convert('RGB')
-        for name in ('panorama_1', 'map', 'trajectory')
-    )
+    """Map and drive of the demo, side by side."""
+    papers = load_room(folder / 'demo' / 'room.yaml').papers
+    draw_map(load_map(folder / 'demo' / 'map'), folder / 'demo_map.png', papers)
+    pair = [
+        Image.open(folder / name).convert('RGB')
+        for name in ('demo_map.png', 'demo_drive/trajectory.png')
+    ]
     height = min(image.height for image in pair)
     pair = [image.resize((image.width * height // image.height, height)) for image in pair]
-    width = sum(image.width for image in pair)
-    top = wide.resize((width, wide.height * width // wide.width))
-    page = Image.new('RGB', (width, top.height + height), 'white')
-    page.paste(top, (0, 0))
-    page.paste(pair[0], (0, top.height))
-    page.paste(pair[1], (pair[0].width, top.height))
+    page = Image.new('RGB', (sum(image.width for image in pair), height), 'white')
+    page.paste(pair[0], (0, 0))
+    page.paste(pair[1], (pair[0].width, 0))
     return page
 
 
@@ -60,9 +67,9 @@ def save_reduced(image: Image.Image, target: Path) -> None:
     width = min(1200, image.width)
     while True:
         size = width, round(image.height * width / image.width)
-        image.resize(size, Image.Resampling.LANCZOS).quantize(256, dither=0).save(
-            target, optimize=True
-        )
+        small = image.resize(size, Image.Resampling.LANCZOS)
+        # The default method drops rare colours, as those of thin lines.
+        small.quantize(256, Image.Quantize.FASTOCTREE, dither=0).save(target, optimize=True)
         if target.stat().st_size <= MOST_BYTES:
             return
         width = width * 9 // 10
@@ -76,7 +83,7 @@ def main() -> None:
             subprocess.run(call, cwd=folder, check=True)
         for written, name in WRITTEN.items():
             save_reduced(Image.open(Path(folder, written)).convert('RGB'), DOCS / 'images' / name)
-        save_reduced(demo_page(Path(folder, 'demo')), DOCS / 'images' / 'demo.png')
+        save_reduced(demo_page(Path(folder)), DOCS / 'images' / 'demo.png')
 
 
 if __name__ == '__main__':

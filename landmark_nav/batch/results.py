@@ -169,7 +169,7 @@ def page(
 
     by_name = {run.name: run for run in runs}
     good = [row for row in rows if not row['failure']]
-    columns = [name for name in _columns(rows) if name != 'failure']
+    columns = [name for name in _columns(rows) if name not in ('run', 'failure')]
     shown = [(row, _pictures(by_name[row['run']], results)) for row in good]
     template = Environment(autoescape=True).from_string(_PAGE)
     return template.render(
@@ -224,9 +224,9 @@ th:first-child,.left{text-align:left}.left{white-space:normal}img{background:#ff
 <table><tr><th>run<th class=left>reason
 {% for row in failures %}<tr><td>{{ row.run }}<td class=left>{{ row.failure }}{% endfor %}
 </table>{% endif %}{% if shown %}<h2>Runs</h2>
-<table><tr><th>{% for name in columns %}<th>{{ name }}{% endfor %}
-{% for row, pictures in shown %}<tr><td>{% for link, data in pictures %}<a href="{{ link }}"
-><img src="data:image/png;base64,{{ data }}" alt="{{ row.run }}"></a> {% endfor %}
+<table><tr><th>run<th>{% for name in columns %}<th>{{ name }}{% endfor %}
+{% for row, pictures in shown %}<tr><td>{{ row.run }}<td>{% for link, data in pictures %}<a
+href="{{ link }}"><img src="data:image/png;base64,{{ data }}" alt="{{ row.run }}"></a> {% endfor %}
 {% for name in columns %}<td>{{ cell(row.get(name)) }}{% endfor %}{% endfor %}</table>{% endif %}
 </html>
 """

@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         }
         write_json(args.json, report)
     print('\n'.join(table(found.findings)))
-    print(f'{len(found.errors)} errors, {len(found.warnings)} warnings')
+    print(f'errors: {len(found.errors)}, warnings: {len(found.warnings)}')
     return int(bool(found.errors))
 
 

@@ -26,7 +26,7 @@ from landmark_nav.evaluation.report import (
     write_report,
     write_video,
 )
-from landmark_nav.evaluation.report.tables import cell, ESTIMATES, nees_range
+from landmark_nav.evaluation.report.tables import cell, ESTIMATES, nees_range, STATUS
 from landmark_nav.evaluation.run_report import against_truth, integrity_report, run_report
 from landmark_nav.evaluation.smoothed_run import (
     departures,
@@ -64,7 +64,7 @@ def run_summary(report: Mapping[str, Any]) -> str:
             f'{np.degrees(heading):.1f} deg'
         )
     lines += [
-        f'{spell["status"]} {_when(spell)}: {spell["reason"]}'
+        f'{STATUS[spell["status"]]} {_when(spell)}: {spell["reason"]}'
         for spell in report['spells'][:_MOST_SPELLS]
     ]
     if len(report['spells']) > _MOST_SPELLS:
@@ -80,7 +80,7 @@ def run_summary(report: Mapping[str, Any]) -> str:
         _camera(report['calibration']),
         f'update {report["update_ms"]["median"]:.1f} ms, 95 % within '
         f'{report["update_ms"]["p95"]:.1f} ms; {report["realtime_factor"]:.1f} times real time',
-        f'result {report["result_hash"][:16]}',
+        f'result hash {report["result_hash"][:16]}',
     ]
     return wrapped(lines)
 
@@ -261,8 +261,8 @@ def run(args: argparse.Namespace) -> int:
         write_tum_files(done, args.tum, smoothed)
     write_json(args.json, report)
     print(run_summary(report))
-    if args.out:
-        print(f'{" and ".join(_FIGURES)} in {args.out.resolve()}')
+    if drawn := [*figures_in, *filter(None, (args.report, args.video))]:
+        print(f'drawn: {", ".join(map(str, drawn))}')
     return 0
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.check import checked
-from landmark_nav.cli.lines import progress, wrapped
+from landmark_nav.cli.lines import NBSP, progress, wrapped
 from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.errors import inside, LandmarkNavError, release, UsageError
@@ -188,6 +188,8 @@ def run(args: argparse.Namespace) -> int:
         page = learning_page(report, result, room.papers)
         write_report(args.report, page, title, args.command_line, inputs)
     print(_summary(report, result.panoramas, args.out))
+    if args.report:
+        print(f'drawn: {args.report}')
     return 0
 
 
@@ -313,8 +315,8 @@ def _scale_line(name: str, scale: float, sigma: float, inflation: float, sheets:
     count = f' ({sheets})' if sheets else ''
     grown = f'; its variance grew by {inflation:.1f} to fit the panoramas' * (inflation > 1.0)
     return (
-        f'  {name}{count} alone: ways {100.0 * (scale - 1.0):+.2f} %, sigma {100.0 * sigma:.2g} %'
-        f'{grown}'
+        f'  {name}{count} alone: lengths {100.0 * (scale - 1.0):+.2f} %, '
+        f'sigma {100.0 * sigma:.2g} %{grown}'
     )
 
 
@@ -324,7 +326,7 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
     for number, (sweep, panorama) in enumerate(zip(report['sweeps'], panoramas, strict=True), 1):
         x, y, heading = sweep['pose']
         lines.append(
-            f'sweep {number}: {sweep["frames"]} frames at ({x:.3f}, {y:.3f}) m, '
+            f'sweep {number}: {sweep["frames"]} frames, base_link at ({x:.3f}, {y:.3f}) m, '
             f'{57.29578 * heading:.2f} deg; {sweep["candidates"]} candidates, '
             f'{sweep["elected"]} elected'
         )
@@ -337,7 +339,8 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
                 f'{before["error_heading_deg"]:.3f} deg'
             )
         lines.append(f'  panorama: {panorama.quality}')
-    walls = ', '.join(f'{wall} {count}' for wall, count in report['landmarks_per_wall'].items())
+    per_wall = report['landmarks_per_wall'].items()
+    walls = ', '.join(f'{wall}{NBSP}{count}' for wall, count in per_wall)
     if found := report.get('unmeasured'):
         lines.append(
             f'no room.yaml: scale from {found["scale"]}, good to '
@@ -351,7 +354,7 @@ def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path
     lines.extend(f'  {count:4d} refused: {why}' for why, count in report['refused'].items())
     lines.extend(f'  {n:4d} not proposed: {why}' for why, n in report['ambiguous'].items())
     stages = ', '.join(
-        f'{name.replace("_", " ")} {s["seconds"]:.1f}' for name, s in report['stages'].items()
+        f'{name.replace("_", " ")}{NBSP}{s["seconds"]:.1f}' for name, s in report['stages'].items()
     )
     peak = max(stage['peak_memory_mb'] for stage in report['stages'].values())
     lines.append(f'{report["seconds"]:.1f} s ({stages}), peak memory {peak:.0f} MB')

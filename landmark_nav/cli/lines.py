@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sized
 import logging
 from pathlib import Path
 import shlex
@@ -16,12 +16,13 @@ from tqdm import tqdm
 
 from landmark_nav.types import FloatArray
 
+NBSP = '\xa0'
 _WIDTH = 99
 _LEAST_WIDTH = 60
 
 
 def wrapped(lines: Iterable[str]) -> str:
-    """Join lines to a text; long lines are wrapped with a deeper indent."""
+    """Join lines to a text; long lines are wrapped with a deeper indent, but not at NBSP."""
     columns = shutil.get_terminal_size((_WIDTH, 24)).columns
     width = min(max(columns, _LEAST_WIDTH), _WIDTH)
     return '\n'.join(
@@ -33,7 +34,7 @@ def wrapped(lines: Iterable[str]) -> str:
             break_on_hyphens=False,
         )
         for line in lines
-    )
+    ).replace(NBSP, ' ')
 
 
 def evaluate_line(
@@ -71,6 +72,7 @@ def progress(iterable: Iterable[T], description: str, total: int | None = None) 
         )
     else:
         begin = shown = time.monotonic()
+        total = len(iterable) if total is None and isinstance(iterable, Sized) else total
         for count, item in enumerate(iterable):
             now = time.monotonic()
             if now - shown > _LINE_EVERY_S and sys.stderr is not None:

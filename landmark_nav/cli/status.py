@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
 import os
 import shutil
 import sys
 from textwrap import wrap
+import time
 from typing import TYPE_CHECKING
 
 from landmark_nav.demo.supervisor import Interruption
@@ -21,6 +24,8 @@ if TYPE_CHECKING:
 _GATHER_S = 2.5
 _REFRESH_S = 1.0
 _NO_NODE_S = 10.0
+# A node that reports once a second and was not heard for this long has ended, or hangs.
+_SILENT_S = 5.0
 _CLEAR = '\x1b[H\x1b[J'
 
 
@@ -32,6 +37,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--once', action='store_true', help='print one table and end')
     parser.add_argument('--values', action='store_true', help='print all values, too')
+
+
+def current(node: NodeStatus, now_s: float) -> NodeStatus:
+    """Return the last report of a node, or that it is silent since."""
+    silent_s = now_s - node.heard_s
+    if silent_s < _SILENT_S:
+        return node
+    reason = f'nothing heard for {silent_s:.0f} s: it has ended, or hangs'
+    return replace(node, level='SILENT', reason=reason, values={})
 
 
 def table(status: Mapping[str, NodeStatus], width: int, values: bool = False) -> list[str]:
@@ -62,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
 
     def others() -> dict[str, NodeStatus]:
         # All nodes except that of this command.
-        return {name: node for name, node in client.status.items() if name != own}
+        now_s = time.monotonic()
+        return {k: current(node, now_s) for k, node in client.status.items() if k != own}
 
     with (
         Interruption() as interruption,
@@ -76,6 +91,10 @@ def run(args: argparse.Namespace) -> int:
                 'nodes (landmark-nav up), or set ROS_DOMAIN_ID as theirs is'
             ) from None
         client.pause(_GATHER_S)
+        if once:
+            # Nodes of others may report by another name.
+            with suppress(LandmarkNavError):
+                client.wait(lambda: not client.unheard(), _NO_NODE_S, 'all nodes')
         while True:
             size = shutil.get_terminal_size((99, 24))
             lines = table(others(), size.columns, args.values)

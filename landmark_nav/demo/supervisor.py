@@ -144,7 +144,7 @@ class Interruption:
     """
 
     def __init__(self) -> None:
-        self._noted = False
+        self._noted = 0
         self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> Interruption:
@@ -160,9 +160,9 @@ class Interruption:
             self.check()
 
     def check(self) -> None:
-        """Raise `KeyboardInterrupt` if there was a signal."""
+        """Raise `KeyboardInterrupt` with the number of the signal, if there was one."""
         if self._noted:
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt(self._noted)
 
-    def _note(self, _number: int, _frame: FrameType | None) -> None:
-        self._noted = True
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        self._noted = number

@@ -53,7 +53,10 @@ def diagnose(
             if topic:
                 found += check_stamps(read_stream(bag, name, topic))
     if sweeps:
-        found += check_sweeps(bag, sweeps, mount, most_images)
+        checked = check_sweeps(bag, sweeps, mount, most_images)
+        if most_images < THOROUGH and any(finding.level == 'error' for finding in checked):
+            checked = check_sweeps(bag, sweeps, mount, THOROUGH)
+        found += checked
     if not found:
         bag.require(*IMAGES, *_SWEEP_IMAGES)
     for text in described:

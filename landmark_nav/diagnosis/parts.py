@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -282,22 +283,28 @@ def jumping_values(motion: Motion) -> list[Finding]:
     return found
 
 
-def moved_between(motion: Motion, wide: Motion) -> list[Finding]:
+def moved_between(motion: Motion, wider: Callable[[], Motion]) -> list[Finding]:
     """
     Find jumps of the camera in a sweep that consecutive images show and the pan does not.
 
-    A turn of consecutive images may be an outlier; images farther apart, in `wide`, confirm it.
+    Consecutive images may be mistaken, as where somebody walks by; most of those farther apart,
+    which `wider` returns, must show the jump too.
     """
-    left, across = motion.unexplained(), wide.unexplained()
-    for k in _jumps(left):
+    left = motion.unexplained()
+    jumps = _jumps(left)
+    if not len(jumps):
+        return []
+    wide = wider()
+    across = wide.unexplained()
+    for k in jumps:
         over = (wide.before_s <= motion.before_s[k]) & (wide.after_s >= motion.after_s[k])
-        if not over.any() or np.abs(across[over] - left[k]).max() > _SAME_JUMP * abs(left[k]):
+        if not over.any() or abs(np.median(across[over]) - left[k]) > _SAME_JUMP * abs(left[k]):
             continue
         turned, at_s = float(left[k]), float(motion.before_s[k])
         side = 'left' if turned > 0.0 else 'right'
-        text = f'at {at_s:.1f} s the images turn {abs(np.degrees(turned)):.0f} deg farther to the '
-        text += f'{side} than the pan'
-        advice = 'the base was turned, or the pan slipped: let the robot stand, sweep again'
+        text = f'at {at_s:.1f} s the images turn {abs(np.degrees(turned)):.0f} deg farther {side} '
+        text += 'than the pan'
+        advice = 'base turned, pan slipped, or people passed: sweep again, all standing still'
         values = {'turned_rad': turned, 'at_s': at_s}
         return [Finding('sweep motion', 'error', text, advice, values)]
     return []

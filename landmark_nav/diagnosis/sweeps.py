@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -25,6 +26,8 @@ _LEAST_PAIRS = 12
 # Greatest factor of focal length or pan that calibration corrects in a sweep; its logarithm is the
 # bound of angles, rad.
 _CALIBRATED = 1.2
+# Greatest distance, in images, of pairs that confirm a jump.
+_WIDEST = 8
 # Least pause between two sweeps, in intervals between two images.
 _PAUSE = 5.0
 _INFOS = ('sweep/camera_info', 'camera/camera_info')
@@ -50,7 +53,7 @@ def check_sweeps(bag: Bag, images: str, mount: PanTiltMount, most_images: int) -
         return found
     slopes = linear(motion)
     if slopes.fits:
-        found += moved_between(motion, _motion(looks, pan, 2))
+        found += moved_between(motion, partial(_wider, looks, pan))
     else:
         judged = verdict(motion)
         each = _each(motion) if judged.cause.kind == 'none' else []
@@ -84,6 +87,14 @@ def _motion(looks: Looks, pan: Track, apart: int) -> Motion:
     # The robot moves between sweeps.
     good &= second - first < 3.0 * float(np.median(second - first)) if len(first) else good
     return Motion(first[good], second[good], turns[good], pan, None)
+
+
+def _wider(looks: Looks, pan: Track) -> Motion:
+    """Pan, and turns between all images 2 to `_WIDEST` apart."""
+    each = [_motion(looks, pan, apart) for apart in range(2, _WIDEST + 1)]
+    pairs = [(m.before_s, m.after_s, m.turns_rad) for m in each]
+    before, after, turns = np.concatenate(pairs, axis=1)
+    return Motion(before, after, turns, pan, None)
 
 
 def _planned(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[int, float]]:

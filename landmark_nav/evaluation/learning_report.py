@@ -22,6 +22,8 @@ from landmark_nav.storage.bags.sensors import truth_decoder
 from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
 
 SCHEMA = 1
+# Where landmarks on planes of their own are counted.
+NO_WALL = 'no wall'
 
 
 def learning_report(
@@ -47,7 +49,7 @@ def learning_report(
     """
     outcomes = [outcome for group in result.outcomes for outcome in group]
     refused = Counter(o.reason for o in outcomes if isinstance(o, Refusal))
-    walls = Counter(landmark.wall_id or 'no wall' for landmark in result.map.landmarks)
+    walls = Counter(landmark.wall_id or NO_WALL for landmark in result.map.landmarks)
     return {
         'schema': SCHEMA,
         'sweeps': [

@@ -64,6 +64,8 @@ _MAY_STEP = {
 _TRUSTED = 4.0
 # Prior log odds that a given start is right: one in a hundred is another place.
 _GIVEN_RIGHT = log(99.0)
+_NO_LANDMARKS = 'no landmarks: call learn_landmarks or load_map'
+_NO_POSE = 'no pose yet: odom and images give it, or initialpose'
 _NOT_STARTED = Refusal('not initialized', 'give a start pose')
 _WRONG_START = Refusal('the given start is wrong', 'images are not those of that place')
 
@@ -321,7 +323,7 @@ class Fusion:
         """State of the pose at a time, by default the newest, and the reason if it is not OK."""
         line, ends = self._line, self._track.stamps_ns
         if line is None:
-            return Status.LOST, 'no pose is known: it takes odom, and initialpose or relocalize'
+            return Status.LOST, _NO_POSE if self._map.landmarks else _NO_LANDMARKS
         at_ns = line.newest_ns if stamp_ns is None else max(stamp_ns, line.newest_ns)
         status, reason = self._integrity.status(line.estimate(at_ns))
         if self._unlikely:

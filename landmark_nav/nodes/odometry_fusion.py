@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.calibration import NAMES, UNITS
+from landmark_nav.calibration import NAMES, SHOWN_IN, UNITS
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.localization.estimator import Status
@@ -118,11 +118,11 @@ class OdometryFusionNode(LandmarkNode):
         known, prior = self._fusion.calibration, self._fusion.prior
         off = known.values - prior.values
         far = np.abs(off) > np.maximum(prior.sigmas, _BEYOND_DOUBT * known.sigmas)
-        names = [
-            f'{name} by {off[k]:+.4f} {UNITS[name]}'
-            for k, name in enumerate(NAMES)
-            if far[k] and name != 'joint_delay'
-        ]
+        names = []
+        for name, value in zip(NAMES, np.where(far, off, 0.0).tolist(), strict=True):
+            factor, unit = SHOWN_IN[UNITS[name]]
+            if value and name != 'joint_delay':
+                names.append(f'{name} by {factor * value:+.2f} {unit}')
         return f'; robot.yaml is off, which is put right: {", ".join(names)}' if names else ''
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
@@ -284,11 +284,12 @@ def _calibration_values(fusion: Fusion) -> dict[str, str]:
     values = {'joint_delay_ms': f'{1e3 * delay_s:.2f} +- {1e3 * sigma_s:.2f}'}
     for name, of in fusion.calibration.differences(fusion.prior).items():
         if fusion.prior[name][1] > 0.0:
-            prior, value, sigma = (float(of[key]) for key in ('prior', 'value', 'sigma'))
+            factor, unit = SHOWN_IN[UNITS[name]]
+            value, sigma = (factor * float(of[key]) for key in ('value', 'sigma'))
+            prior, given = (factor * number for number in fusion.prior[name])
             known = '' if of['observed'] else ', not observed yet'
             values[f'calibration/{name}'] = (
-                f'{value:.5f} +- {sigma:.5f} {of["unit"]} '
-                f'(prior {prior:.5f} +- {fusion.prior[name][1]:.5f}{known})'
+                f'{value:.3f} +- {sigma:.3f} {unit} (prior {prior:.3f} +- {given:.3f}{known})'
             )
     return values
 

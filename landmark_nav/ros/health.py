@@ -43,7 +43,10 @@ def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) 
             name=f'{node.get_name()}: {subcomponent}',
             message=health.reason,
             hardware_id=node.get_fully_qualified_name(),
-            values=[KeyValue(key=key, value=str(value)) for key, value in health.values.items()],
+            values=[
+                KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
+                for key, value in health.values.items()
+            ],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = node.get_clock().now().to_msg()

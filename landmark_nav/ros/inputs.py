@@ -143,7 +143,7 @@ class Input:
         self._reported, self._reported_s = self._count, now_s
         if waits := self.waits():
             return f'waits: {waits[len(self.name) + 2 : -1]}'
-        if self._arrived_s is None:
+        if not self._is_open():
             return 'not listened to now'
         amount = f'{rate_hz:.1f} Hz' if self.is_stream else f'{self._count} messages'
         return f'{amount} from {self.publisher}'

@@ -97,11 +97,12 @@ _LEVELS = {level.value: level.name for level in Level}
 
 @dataclass(frozen=True)
 class NodeStatus:
-    """State of a node by ``/diagnostics``; the level is OK, DEGRADED or LOST."""
+    """State of a node by ``/diagnostics``, OK, DEGRADED or LOST, and when it arrived."""
 
     level: str = ''
     reason: str = ''
     values: Mapping[str, str] = field(default_factory=dict)
+    heard_s: float = field(default_factory=time.monotonic)
 
     @property
     def lost(self) -> bool:
@@ -192,6 +193,11 @@ class RobotClient:
     def status_of(self, node: str) -> NodeStatus:
         """Last report of a node; empty before the first."""
         return self.status.get(node, NodeStatus())
+
+    def unheard(self) -> set[str]:
+        """Nodes that publish ``/diagnostics``, and of which none has arrived."""
+        known = self._node.get_publishers_info_by_topic('/diagnostics')
+        return {publisher.node_name for publisher in known} - {*self.status}
 
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """

@@ -12,7 +12,7 @@ import yaml
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.simulation.scene import Scene
-from landmark_nav.storage.setup_files import room_text
+from landmark_nav.storage.setup_files import PAN_UNIT, room_text
 from landmark_nav.types import FloatArray
 
 # Standard deviations of the extrinsics of a simulated robot: 1 mm, 0.1 degrees.
@@ -28,7 +28,7 @@ def room_document(room: Room) -> str:
 
 
 def robot_document(mount: PanTiltMount) -> str:
-    """Text of ``robot.yaml``: extrinsics of the camera."""
+    """Text of ``robot.yaml``: extrinsics of the camera, and the pan joint."""
     document: dict[str, Any] = {
         'base_frame': mount.base_frame,
         'pan_joint': mount.pan_joint,
@@ -47,6 +47,9 @@ def robot_document(mount: PanTiltMount) -> str:
         document['camera_roll'] = float(mount.camera_roll_rad)
     if mount.pan_sigma_rad != PanTiltMount.pan_sigma_rad:
         document['pan_sigma'] = float(mount.pan_sigma_rad)
+    for key, (argument, *_) in PAN_UNIT.items():
+        if getattr(mount, argument) != getattr(PanTiltMount, argument):
+            document[key] = float(getattr(mount, argument))
     return (
         '# pose of the pan axis in base_link at pan 0 (the camera then looks along +x), and of '
         'the\n# optical centre from the axis, in metres and radians; sigmas: what the maker of a\n'

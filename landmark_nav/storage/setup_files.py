@@ -46,7 +46,7 @@ _HALF_TURN_RAD = 3.15
 _LARGEST_SIGMA_RAD = 0.1
 # Field -> argument of a mount, range and unit. A joint may make a full turn to both sides; rates
 # and accelerations beyond the range are given in another unit.
-_PAN_UNIT = {
+PAN_UNIT = {
     'pan_min': ('pan_min_rad', -6.2832, 6.2832, 'radians'),
     'pan_max': ('pan_max_rad', -6.2832, 6.2832, 'radians'),
     'pan_rate': ('pan_rate_rad_s', 0.01, 100.0, 'radians a second'),
@@ -59,7 +59,7 @@ _ROBOT_FIELDS = (
     # Fields that `robot_files` reads.
     *('optical_center_offset_sigma', 'camera_roll_sigma', 'camera_tilt', 'camera_tilt_sigma'),
     *('pan_scale', 'pan_scale_sigma', 'focal_scale', 'focal_scale_sigma', 'principal_point'),
-    *('principal_point_sigma', 'joint_delay', 'joint_delay_sigma', 'odometry', *_PAN_UNIT),
+    *('principal_point_sigma', 'joint_delay', 'joint_delay_sigma', 'odometry', *PAN_UNIT),
 )
 _AXIS_FIELDS = ('xyz', 'rpy', 'xyz_sigma', 'rpy_sigma')
 
@@ -212,7 +212,7 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
             tilt_joint=name_field(document, 'tilt_joint', 'robot', 'tilt_joint'),
             **{
                 argument: _within(document, key, low, high, unit)
-                for key, (argument, low, high, unit) in _PAN_UNIT.items()
+                for key, (argument, low, high, unit) in PAN_UNIT.items()
                 if key in document
             },
         )

@@ -455,7 +455,7 @@ def of_sweeps() -> dict[str, StreamError]:
         'pan in degrees': trajectory(change.swept(DEGREES), 'pan scale', 'degrees'),
         'pan in ticks': trajectory(change.swept(651.9), 'pan scale', '65.'),
         'pushed by 8 deg': trajectory(
-            change.pushed(36, np.radians(8.0)), 'sweep motion', 'base was turned'
+            change.pushed(36, np.radians(8.0)), 'sweep motion', 'base turned'
         ),
         'first sweep in reverse': swept(change.in_reverse(72), 'pan sign', 'sweep 1: .*reversed'),
         'camera upside down': swept(pictured(lambda i: i[::-1, ::-1]), 'pan sign', 'upside down'),

@@ -12,6 +12,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
+from landmark_nav.cli.status import current
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -124,6 +125,11 @@ def test_who_waits_in_vain_is_reported_what_the_nodes_last_reported(
         counting(domain_id) as (_, executor),
         RobotClient(domain_id, lambda: executor.spin_once(timeout_sec=0.0)) as client,
     ):
+        client.wait(lambda: 'counter' in client.unheard(), 10.0, 'its publisher')
         client.wait(lambda: 'counter' in client.status, 10.0, 'its first word')
+        assert 'counter' not in client.unheard()
+        heard = client.status['counter']
+        assert current(heard, heard.heard_s + 1.5) is heard
+        assert current(heard, heard.heard_s + 60.0).level not in ('OK', 'DEGRADED')
         with pytest.raises(LandmarkNavError, match='for rain; last heard: counter: counting'):
             client.wait(lambda: False, 0.1, 'rain')

@@ -21,6 +21,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.diagnosis.advice import motion_findings
 from landmark_nav.diagnosis.causes import verdict
+from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.diagnosis.image_motion import Strip, StripView
 from landmark_nav.diagnosis.looks import Looks
 from landmark_nav.diagnosis.motion import (
@@ -435,25 +436,36 @@ def test_a_camera_that_is_turned_is_not_laid_to_the_path(drive: Motion) -> None:
     assert found['camera heading'].values['heading_rad'] == pytest.approx(0.3, abs=0.06)
 
 
-def sweep(pushed_rad: float, seen_wrongly: bool = False) -> tuple[Motion, Motion]:
-    """A sweep of 5 deg a frame, by images next to each other and two apart."""
+def sweep(pushed_rad: float, passing: int = 0) -> tuple[Motion, Motion]:
+    """
+    Turns of a sweep of 5 deg a frame, of consecutive images and of those 2 to 8 apart.
+
+    The last `passing` images before 36 look turned from that one, as if somebody walked by.
+    """
     seconds, step = np.arange(72.0), np.radians(5.0)
     pan = Track(seconds, (step * seconds)[:, None])
     looks = step * seconds + pushed_rad * (seconds > 35.0)
-    one, two = (
-        Motion(seconds[:-n], seconds[n:], looks[n:] - looks[:-n], pan, None) for n in (1, 2)
-    )
-    if seen_wrongly:
-        one.turns_rad[20] += 0.2
-    return one, two
+    first, second = np.array([(i, i + n) for n in range(1, 9) for i in range(72 - n)]).T
+    turns = looks[second] - looks[first]
+    turns[(first >= 36 - passing) & (second == 36)] += 0.3
+    every = Motion(seconds[first], seconds[second], turns, pan, None)
+    return every.only(second == first + 1), every.only(second > first + 1)
+
+
+def found_in(one: Motion, wide: Motion) -> list[Finding]:
+    return moved_between(one, lambda: wide)
 
 
 def test_a_base_that_is_pushed_in_a_sweep_is_seen() -> None:
-    (found,) = moved_between(*sweep(np.radians(8.0)))
+    (found,) = found_in(*sweep(np.radians(8.0)))
     assert found.values['turned_rad'] == pytest.approx(np.radians(8.0))
     assert found.values['at_s'] == 35.0
-    assert not moved_between(*sweep(0.0))
-    assert not moved_between(*sweep(0.0, seen_wrongly=True))
+    assert not found_in(*sweep(0.0))
+
+
+@pytest.mark.parametrize('frames', [1, 2, 3])
+def test_somebody_who_passes_in_a_sweep_is_no_push(frames: int) -> None:
+    assert not found_in(*sweep(0.0, passing=frames))
 
 
 def seen(images: list[npt.NDArray[np.uint8]], sharpness: float = 0.5) -> Looks:

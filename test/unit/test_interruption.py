@@ -42,8 +42,9 @@ def interrupted_at_its_end(then: type[Exception] | None = None) -> None:
 @pytest.mark.parametrize('number', NUMBERS)
 def test_a_signal_in_a_destructor_is_not_lost(number: signal.Signals) -> None:
     handlers = [signal.getsignal(each) for each in NUMBERS]
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as raised:
         interrupted(number)
+    assert raised.value.args == (number,)
     assert [signal.getsignal(each) for each in NUMBERS] == handlers
 
 

@@ -11,6 +11,7 @@ import pytest
 from test_figures import a_map, a_panorama, a_run
 
 from landmark_nav.calibration import Calibration
+from landmark_nav.evaluation.learning_report import NO_WALL
 from landmark_nav.evaluation.report import (
     drawn_panoramas,
     drive_page,
@@ -19,6 +20,7 @@ from landmark_nav.evaluation.report import (
     write_report,
     write_video,
 )
+from landmark_nav.evaluation.report.tables import learning_verdict
 from landmark_nav.evaluation.report.write import page_html
 from landmark_nav.evaluation.run_report import pose_report, run_errors, spells
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -270,3 +272,10 @@ def test_a_video_shows_the_drive(tmp_path, camera):
     moved = [np.abs(frames[k] - frames[k + 2]).sum((0, 2)) for k in (2, 12, 22)]
     middles = [float(np.average(np.arange(800), weights=one > 500)) for one in moved]
     assert middles == sorted(middles)
+
+
+def test_landmarks_on_planes_of_their_own_count_no_wall():
+    sweeps = [{'sigma': [1e-3, 1e-3, 1e-3]}]
+    report = {'elected': 7, 'sweeps': sweeps, 'landmarks_per_wall': {'a': 2, 'b': 2, NO_WALL: 3}}
+    (walls,) = re.findall(r'on (\d+) walls', learning_verdict(report, '')['text'])
+    assert int(walls) == 2

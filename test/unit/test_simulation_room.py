@@ -218,7 +218,9 @@ def test_documents_are_read_back(tmp_path, scenes):
     scene = scenes[1]
     (tmp_path / 'room.yaml').write_text(room_document(scene.room))
     assert load_room(tmp_path / 'room.yaml') == scene.room
-    mount = PanTiltMount((0.1, 0.0, 1.2), (0.0, 0.01, 0.0), (0.03, 0.0, 0.0))
+    mount = PanTiltMount(
+        (0.1, 0.0, 1.2), (0.0, 0.01, 0.0), (0.03, 0.0, 0.0), pan_min_rad=-2.9, pan_rate_rad_s=0.5
+    )
     (tmp_path / 'robot.yaml').write_text(robot_document(mount))
     assert load_robot(tmp_path / 'robot.yaml') == mount
     assert json.loads(start_document(np.array([1.0, 2.0, 0.5])))['pose'] == [1.0, 2.0, 0.5]

@@ -42,7 +42,7 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
         axes.plot(*poses[:, :2].T, 'o', color=ODOMETRY, markeredgecolor='white', zorder=7)
         text = f'left and right of the middle: {_cost(plan.left_right)}'
         handles.append(key(ODOMETRY, 'o', text))
-    draw_sweep_places(axes, plan.best.poses_map_base)
+    draw_sweep_places(axes, plan.best.poses_map_base, 'place')
     middle = plan.random[len(plan.random) // 2]
     handles.append(key('white', '', f'median of random places: {_cost(middle)}'))
     axes.set_title(

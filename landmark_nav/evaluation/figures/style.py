@@ -142,10 +142,11 @@ def draw_sweep_places(axes: Axes, poses: Iterable[FloatArray], name: str = '') -
         if ahead.any():
             arrow = {'arrowstyle': '->', 'color': FUSED, 'path_effects': HALO}
             axes.annotate('', 0.45 * ahead + [x, y], (x, y), arrowprops=arrow, zorder=6)
-        # Behind the arrow.
+        # Behind the arrow, and ending there.
         offset = tuple(-14.0 * ahead) if ahead.any() else (12, 8)
+        side = ('left', 'center', 'right')[1 + round(ahead[0])]
         axes.annotate(
-            label, (x, y), offset, textcoords='offset points', ha='center', va='center',
+            label, (x, y), offset, textcoords='offset points', ha=side, va='center',
             color=FUSED, path_effects=HALO, weight='bold', zorder=8,
         )  # fmt: skip
 

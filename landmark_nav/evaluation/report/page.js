@@ -363,7 +363,7 @@ function drawCharts() {
     const found = run.seen.map((list) => list.filter((one) => one.bearing !== undefined).length);
     const used = run.seen.map((list) => list.filter((one) => one.used).length);
     charts.push({label: 'landmarks', low: 0, limit: 1 + found.reduce((a, b) => Math.max(a, b), 1), t: run.t, series: [
-      {name: 'found', kind: 'line', color: 'odometry', y: found}, {name: 'used', kind: 'line', color: 'used', y: used}]});
+      {name: 'landmarks found', kind: 'line', color: 'odometry', y: found}, {name: 'landmarks used', kind: 'line', color: 'used', y: used}]});
   }
   const names = new Map();
   for (const {series} of charts) for (const s of series) names.set(`${s.name}${s.color}`, [s.name, `${s.kind} ${s.color}`]);
@@ -375,8 +375,8 @@ function drawCharts() {
     const width = Math.max(drawn.clientWidth, 200), wide = width - LEFT - RIGHT;
     const x = (t) => wide * (t - first) / Math.max(last - first, 1e-9);
     const panel = (tall, name) => {
-      const svg = add(drawn, 'svg', {class: 'chart', viewBox: `0 0 ${width} ${tall + 8}`, role: 'img', 'aria-label': name});
-      svg.style.height = `${tall + 8}px`;
+      const svg = add(drawn, 'svg', {class: 'chart', viewBox: `0 0 ${width} ${tall + 14}`, role: 'img', 'aria-label': name});
+      svg.style.height = `${tall + 14}px`;
       const inner = add(svg, 'svg', {x: LEFT, y: 4, width: wide, height: tall});
       return [svg, inner];
     };

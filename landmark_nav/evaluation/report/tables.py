@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.calibration import MEANINGS, SHOWN_IN
+from landmark_nav.evaluation.learning_report import NO_WALL
 
 ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 # States of localization by the terms of the glossary.
@@ -192,7 +193,7 @@ def learning_verdict(report: Mapping[str, Any], warning: str) -> dict[str, str]:
     worst_m = max(float(np.hypot(*sweep['sigma'][:2])) for sweep in report['sweeps'])
     errors = [sweep['error_position_m'] for sweep in report['sweeps'] if 'error' in sweep]
     parts = (
-        f'{report["elected"]} landmarks on {len(walls)} walls ('
+        f'{report["elected"]} landmarks on {len(walls.keys() - {NO_WALL})} walls ('
         + ', '.join(f'{wall} {count}' for wall, count in walls.items())
         + f') learned from {len(report["sweeps"])} sweeps',
         f'poses of the sweeps known to {1e3 * worst_m:.1f} mm (sigma)'
