@@ -67,7 +67,7 @@ def wait(condition: Callable[[], bool], timeout_s: float) -> None:
         time.sleep(0.1)
 
 
-def test_who_died_is_reported_and_the_rest_ends(
+def test_a_node_that_died_is_reported_and_the_others_end(
     demo: subprocess.Popen[str], tmp_path: Path
 ) -> None:
     wait(lambda: len(processes(tmp_path)) == NODES, 60.0)

@@ -104,7 +104,7 @@ def test_a_covered_lens_is_reported_and_forgotten_when_free(sensed: list[Sensed]
     check_consistent(moments)
 
 
-def test_a_map_of_another_room_is_not_believed(
+def test_a_map_of_another_room_is_not_accepted(
     sensed: list[Sensed], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried: dict[int, Verification | Refusal] = {}

@@ -197,7 +197,7 @@ class TestTrack:
         assert refusal is not None
         assert refusal.reason == 'odometry jumped'
 
-    def test_a_jump_after_a_pause_is_bridged_as_far_as_a_twist_tells(self) -> None:
+    def test_a_jump_after_a_pause_is_bridged_as_far_as_a_twist_predicts(self) -> None:
         track = circle_track()
         assert track.add(sample(2.0, np.array([50.0, 0.0, 0.0]))) is not None
         motion = track.motion(1_000_000_000, 2_000_000_000)
