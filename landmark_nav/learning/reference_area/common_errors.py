@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag, eigh, solve_triangular
+from scipy.linalg import block_diag, eigh
 
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.least_squares import covariance_of, root_of
+from landmark_nav.learning.least_squares import covariance_of, root_of, solve_root
 from landmark_nav.learning.reference_area.model import (
     linearized,
     OF_PAPER,
@@ -145,7 +145,7 @@ def _loading(
         known = panorama.calibration
         mounted = panorama.by_calibration @ root_of(known.covariance)
     loading = np.hstack([mounted, _by_papers(panorama, covariance, room, config)])
-    half = solve_triangular(root_of(covariance), loading, lower=True)
+    half = solve_root(root_of(covariance), loading)
     share = float(np.linalg.norm(half, 2) ** 2)
     return np.asarray(loading * np.sqrt(_MOST / max(share, _MOST)))
 
