@@ -108,12 +108,15 @@ def test_what_cannot_be_calibrated_is_reported_in_a_line(
     assert not out.exists()
 
 
-def test_what_a_robot_that_stands_does_not_show_stays_as_given(tmp_path: Path) -> None:
+def test_what_a_robot_that_stands_does_not_show_stays_as_given(
+    recorded: Path, tmp_path: Path
+) -> None:
     """The first third of a second of a drive: nothing of lever and pan zero."""
     sent = [(e.topic, e.message, e.stamp_ns) for e in Bag(BAGS / 'drive').messages()]
     write_bag(tmp_path / 'still', [one for one in sent if one[2] < sent[0][2] + 3 * 10**8])
     robot, out = str(BAGS / 'robot.yaml'), tmp_path / 'out.yaml'
-    args = ['calibrate', LEARN, str(tmp_path / 'still'), '--room', ROOM, '--robot', robot]
+    args = ['calibrate', str(tmp_path / 'still'), '--map', str(recorded / 'map')]
+    args += ['--robot', robot]
     assert main([*args, '--out', str(out), '--json', str(tmp_path / 'c.json')]) == 0
     given, found = load_calibration(robot), load_calibration(out)
     hidden = ('axis_x', 'axis_y', 'axis_yaw')

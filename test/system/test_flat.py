@@ -10,6 +10,7 @@ import pytest
 from landmark_nav.cli.main import main
 from landmark_nav.storage.maps import load_map
 
+pytestmark = pytest.mark.usefixtures('undrawn')
 FLAT = Path(__file__).parents[3] / 'shared' / 'data' / 'flat'
 
 

@@ -9,6 +9,7 @@ from harness import evaluate, learn, start_of
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.usefixtures('undrawn')
 MOUNT = 'xyz: [0.08, 0.0, 1.1]\n  rpy: [0.0, 0.0, 0.0]'
 
 
