@@ -305,6 +305,6 @@ def covariance_field(mapping: Any, size: int, where: str) -> FloatArray:
     slack = _ROUNDING * max(float(eigenvalues[-1]), 0.0)
     if np.abs(matrix - matrix.T).max() > slack or eigenvalues[0] < -slack:
         raise LandmarkNavError(
-            f'{where}: covariance is none: it must be symmetric without negative eigenvalues'
+            f'{where}: no covariance: it must be symmetric without negative eigenvalues'
         )
     return matrix
