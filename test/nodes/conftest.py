@@ -46,9 +46,11 @@ def start(supervisor: Supervisor) -> Callable[..., None]:
 
 
 @pytest.fixture(scope='session')
-def learned_map(recorded: Path) -> Path:
+def learned_map(once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Folder of what is learned of the recorded room."""
-    return recorded / 'map'
+    from harness import BAGS, learn
+
+    return once('learned', lambda out: learn(BAGS, out / 'map')) / 'map'
 
 
 @pytest.fixture

@@ -33,8 +33,8 @@ SENT_AGAIN = 'qos_overrides./camera/image_raw/compressed.{}.reliability'
 CUT_S, LOSS_S, FIXES = 10.0, 6.0, 8
 # A machine that takes longer than that hangs. What counts is compared by stamps.
 HANGS_S = 120.0
-# Fifteen seconds of images at their nominal rate. Two do on a machine that keeps up: a search looks at
-# the newest image alone, and a starved one takes a second for each.
+# Fifteen seconds of images. Two do on a machine that keeps up: a search looks at the newest image
+# alone, and a starved one takes a second for each.
 BACK_IMAGES = 15 * RATE_HZ
 KNOWN_M, MOST_SIGMAS = 0.05, 5.0
 # Of the images during the loss; without sending again 2 % arrive whole.

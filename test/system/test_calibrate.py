@@ -84,11 +84,14 @@ def test_the_report_states_what_was_shown(
     assert (folder / 'report.html').stat().st_size > 30_000
 
 
-def test_sweeps_alone_show_the_camera_and_not_the_lever(
+def test_a_sweep_alone_shows_the_camera_and_not_the_lever(
     calibrated: tuple[Path, Calibration, Calibration], tmp_path: Path
 ) -> None:
     given, out = str(calibrated[0] / 'given.yaml'), tmp_path / 'robot.yaml'
-    assert main(['calibrate', LEARN, '--room', ROOM, '--robot', given, '--out', str(out)]) == 0
+    sent = [(e.topic, e.message, e.stamp_ns) for e in Bag(LEARN).messages()]
+    ends = next(k for k, one in enumerate(sent) if one[0] == '/sweep/trajectory')
+    bag = str(write_bag(tmp_path / 'sweep', sent[: ends + 1]))
+    assert main(['calibrate', bag, '--room', ROOM, '--robot', given, '--out', str(out)]) == 0
     found = load_calibration(out)
     assert found['axis_x'][1] == pytest.approx(0.02)
     assert found['camera_roll'][1] < 0.002
