@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import eigh
 
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, root_of, solve_root
@@ -131,9 +131,12 @@ def joined(alone: FloatArray, loading: FloatArray) -> FloatArray:
 
     These include the part by shared factors of unit variance with `loading` (v, d, m).
     """
-    shared = loading.reshape(-1, loading.shape[-1])
-    apart = 1.0 - block_diag(*np.ones_like(alone))
-    return np.asarray(block_diag(*alone) + apart * (shared @ shared.T))
+    count, size, factors = loading.shape
+    shared = loading.reshape(count * size, factors)
+    joint = shared @ shared.T
+    own = np.arange(count)
+    joint.reshape(count, size, count, size)[own, :, own] = alone
+    return np.asarray(joint)
 
 
 def _loading(
