@@ -28,18 +28,18 @@ SHOWN = {
     if topic not in ('/diagnostics', 'odometry_fusion/protection_level')
 }
 DEMO = [sys.executable, '-m', 'landmark_nav', 'demo', '--out']
-# The same with half of the frames and a shorter way.
+# The same with a third of the frames and a shorter way.
 SHORT_DEMO = """
 import functools, pathlib, sys
 from landmark_nav.cli import demo, main
 from landmark_nav.demo import scenario
-scenario._TOUR_M = 8.0
+scenario._TOUR_M = 5.0
 demo.node_commands = functools.partial(
     demo.node_commands, parameter_file=pathlib.Path(sys.argv.pop(1))
 )
 sys.exit(main.main())
 """
-SHORT_SWEEP = '/**: {ros__parameters: {capture: {frames: 36, step_rad: 0.1745329}}}'
+SHORT_SWEEP = '/**: {ros__parameters: {capture: {frames: 24, step_rad: 0.2617994}}}'
 
 
 @pytest.fixture
