@@ -125,7 +125,7 @@ def test_landmarks_and_poses_err_as_their_covariances_say(
 def test_the_solution_is_that_of_least_squares() -> None:
     rng = np.random.default_rng(10)
     third = [3.0, 1.2, 1.1, 0.3]
-    # So little noise that nothing is taken for less certain than it says.
+    # So little noise that no measurement is down-weighted.
     world = replace(world_of(rng, 6, flat=True), poses=np.vstack([POSES, [third]]))
     prior = given_poses(world, rng)
     measurements = measurements_of(world, None)
@@ -163,7 +163,7 @@ def test_landmarks_share_what_the_poses_err() -> None:
         hung = world_hung(world, rng)
         found = solve(hung, measurements_of(hung, rng), prior, AS_EXPECTED)
         if found.chi_square.max() > 50.0:
-            continue  # given to be false
+            continue  # a landmark was refused as an outlier
         errors.append(found.positions - hung.points)
         loadings.append(found.shared_loading)
         owns.append(found.own_covariance)
@@ -241,7 +241,7 @@ def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, relief
     rng = np.random.default_rng(8)
     noise, of_landmarks = [], []
     for _ in range(6):
-        # As many as a room gives: expected sigmas count for a few measurements, too.
+        # As many landmarks as in a room: expected sigmas count as a few measurements.
         world = world_of(rng, 150, relief_m=relief)
         prior = given_poses(world, rng)
         measurements = measurements_of(world, rng, (azimuth, tangent))

@@ -1,8 +1,7 @@
 """
-What goes wrong on a real robot, fed to the localizer: it says so, survives, and comes back.
+Faults on a real robot: the localizer reports them, survives, and recovers.
 
-The start, the place, the map and what hangs on the walls; `test_bad_odometry` and
-`test_bad_camera` have the rest.
+Of the start, the place, the map and the objects on the walls; `test_bad_sensors` has the rest.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a sweep shows of camera and mount: mended where it is wrong, left alone where right."""
+"""Calibration by a sweep: errors of camera and mount are corrected, right values are kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A signal is heeded where that was asked for, and nowhere else."""
+"""A signal is handled where the program checks for it, and nowhere else."""
 
 from __future__ import annotations
 
