@@ -1,4 +1,4 @@
-"""A ROS domain of its own for each test, processes that end with it, a client to look in."""
+"""Fixtures of node tests: a ROS domain for each test, processes that end with it, a client."""
 
 from __future__ import annotations
 

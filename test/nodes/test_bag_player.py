@@ -1,4 +1,4 @@
-"""`bag_player` says by its exit status whether it played all there is."""
+"""The exit status of `bag_player` shows whether it played the whole bag."""
 
 from __future__ import annotations
 

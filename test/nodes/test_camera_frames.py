@@ -1,4 +1,4 @@
-"""Images of whichever topic has them, and joint states that are kept for them."""
+"""Images of either image topic, and the joint states that are kept for them."""
 
 from __future__ import annotations
 

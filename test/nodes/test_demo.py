@@ -1,4 +1,4 @@
-"""The demo as a user starts it: it succeeds, it ends all, it says who died."""
+"""The demo as a user starts it: it succeeds, ends all processes, and reports one that died."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Callbacks in several threads, and `main` of every node in the face of what rclpy throws."""
+"""Callbacks in several threads, and `main` of the nodes when rclpy raises errors."""
 
 from __future__ import annotations
 

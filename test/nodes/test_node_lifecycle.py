@@ -1,4 +1,4 @@
-"""Nodes are processes that start, say how they are, and end cleanly."""
+"""Nodes as processes start, report their state, and end cleanly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When the localizer looks for its place by itself."""
+"""When the localizer searches the pose without a request."""
 
 from __future__ import annotations
 

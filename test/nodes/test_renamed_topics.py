@@ -1,4 +1,4 @@
-"""A renamed topic serves those who know its former name alone, once, and names them."""
+"""A renamed topic serves nodes that only know its former name, once, with a warning."""
 
 from __future__ import annotations
 

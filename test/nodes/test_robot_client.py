@@ -1,4 +1,4 @@
-"""What a program that conducts the nodes asks them."""
+"""The client of programs that control the nodes."""
 
 from __future__ import annotations
 

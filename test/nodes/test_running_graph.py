@@ -1,4 +1,4 @@
-"""Nodes that run go on through what happens to a robot; on the clock of a bag, over DDS."""
+"""Running nodes survive restarts, another map, a replayed bag and a wrong start, over DDS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Services and bad input: a reason instead of an end."""
+"""Services and bad input: nodes answer with a reason and go on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sweep is taken over DDS of a small robot that turns a camera."""
+"""A sweep of a small simulated robot over DDS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sweeps that went wrong, through `learn`: a few of the cases of `make bad-sweeps`, in small."""
+"""Sweeps with faults through `learn`: some cases of `make bad-sweeps` with small images."""
 
 from __future__ import annotations
 

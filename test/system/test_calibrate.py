@@ -1,4 +1,4 @@
-"""`landmark-nav calibrate` on the recorded room of bags/: what it writes, and what it refuses."""
+"""`landmark-nav calibrate` on the recorded room of bags/: results and refusals."""
 
 from __future__ import annotations
 

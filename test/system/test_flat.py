@@ -1,4 +1,4 @@
-"""Real photographs of three places: what fits badly costs landmarks, never the adjustment."""
+"""Photographs of a real flat: bad matches cost landmarks, and the adjustment succeeds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The recorded room of bags/ through the offline commands, against its expected figures."""
+"""The offline commands on the recorded room of bags/, against its expected figures."""
 
 from __future__ import annotations
 

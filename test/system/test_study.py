@@ -1,4 +1,4 @@
-"""Learning and localization in a room that no simulator of ours drew."""
+"""Learning and localization in a room that another simulator rendered."""
 
 from __future__ import annotations
 

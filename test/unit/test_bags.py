@@ -1,4 +1,4 @@
-"""Bags in each form that people have are read whole, and what is damaged is reported."""
+"""Bags are read in each file format, and damage is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sweeps that are placed by the same papers err together, and that is known."""
+"""Sweeps located by the same papers have correlated errors."""
 
 from __future__ import annotations
 

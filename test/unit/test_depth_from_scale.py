@@ -1,4 +1,4 @@
-"""Patches in line with both panoramas, placed by how large these show them."""
+"""Patches on the baseline of two panoramas get their depth from their relative size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of landmarks in the image, beside each other."""
+"""Image rows of landmarks: wrong heights and tilts are distinguished."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the joint estimator makes of odometry, images and places as they come in a node."""
+"""Fusion of odometry, images and global poses in the order in which a node receives them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joint states whose stamps are late, or that stay as they were: reported, and measured."""
+"""Joint states with late stamps or frozen values are reported, and the delay is estimated."""
 
 from __future__ import annotations
 

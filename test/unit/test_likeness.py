@@ -1,4 +1,4 @@
-"""Whether all of a patch is the same in two views."""
+"""Displacement of parts of a patch between two views."""
 
 from __future__ import annotations
 

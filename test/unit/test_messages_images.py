@@ -1,4 +1,4 @@
-"""Images and cameras come back from their messages, or are refused by name."""
+"""Images and cameras survive encoding and decoding, or are refused by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exposures and vignetting, found out of overlaps and made up for."""
+"""Exposures and vignetting are estimated from overlaps and corrected."""
 
 from __future__ import annotations
 

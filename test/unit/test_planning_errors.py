@@ -1,4 +1,4 @@
-"""What planning predicts to first order, against the stages that will do it."""
+"""First-order predictions of planning against the stages themselves."""
 
 from __future__ import annotations
 

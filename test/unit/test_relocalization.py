@@ -1,4 +1,4 @@
-"""The pose of a robot that knows nothing of it: found, refused, or not unique."""
+"""Global localization: found, refused, or not unique."""
 
 from __future__ import annotations
 

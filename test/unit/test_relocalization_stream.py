@@ -1,4 +1,4 @@
-"""A place that is searched for while images and odometry come in."""
+"""Global localization from a stream of images and odometry."""
 
 from __future__ import annotations
 

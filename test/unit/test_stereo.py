@@ -1,4 +1,4 @@
-"""A patch of wall is found again from another place, and refused where it is none."""
+"""A patch of a wall is found again from another position, or refused."""
 
 from __future__ import annotations
 

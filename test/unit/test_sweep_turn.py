@@ -1,4 +1,4 @@
-"""Whether images turn as the pan that is reported: sign, scale, focal length."""
+"""Images turn as the reported pan: sign, scale, focal length."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The chosen triplet is in view, within reach, and promises what the fix will have."""
+"""The chosen triplet is in view and within reach, and the fix has the predicted covariance."""
 
 from __future__ import annotations
 

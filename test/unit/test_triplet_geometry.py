@@ -1,4 +1,4 @@
-"""What is visible, how far the camera turns for it, and how exact a fix it makes."""
+"""Visibility, pan motion and accuracy of triplets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pose that is hardly known: landmarks look otherwise than from there."""
+"""Localization within a wide prior, where landmarks look different from the expected view."""
 
 from __future__ import annotations
 
