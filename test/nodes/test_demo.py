@@ -28,7 +28,7 @@ SHOWN = {
     if topic not in ('/diagnostics', 'odometry_fusion/protection_level')
 }
 DEMO = [sys.executable, '-m', 'landmark_nav', 'demo', '--out']
-# The same with a third of the frames and a shorter way.
+# The same with fewer frames and a shorter way.
 SHORT_DEMO = """
 import functools, pathlib, sys
 from landmark_nav.cli import demo, main
@@ -39,7 +39,7 @@ demo.node_commands = functools.partial(
 )
 sys.exit(main.main())
 """
-SHORT_SWEEP = '/**: {ros__parameters: {capture: {frames: 24, step_rad: 0.2617994}}}'
+SHORT_SWEEP = '/**: {ros__parameters: {capture: {frames: 16, step_rad: 0.3926991}}}'
 
 
 @pytest.fixture
