@@ -263,10 +263,10 @@ class Calibration:
             for k, name in enumerate(NAMES)
         }
 
-    def sigma_of(self, first: str, count: int) -> npt.NDArray[np.float64]:
-        """Sigmas of `count` quantities from `first` on."""
+    def sigmas_from(self, first: str) -> npt.NDArray[np.float64]:
+        """Sigmas (2,) of the quantity `first` and the next one."""
         k = NAMES.index(first)
-        return self.sigmas[k : k + count]
+        return self.sigmas[k : k + 2]
 
 
 def scaled(camera: CameraModel, scale: float) -> CameraModel:
