@@ -53,7 +53,6 @@ class RefusalCode(Enum):
     """The landmarks that should be in view from the hypotheses are not found."""
     LOW_CORRELATION = auto()
     """The correlation of a template is below the threshold."""
-    CLOCK_SET_BACK = auto()
 
 
 @dataclass(frozen=True)

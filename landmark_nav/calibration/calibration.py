@@ -225,12 +225,12 @@ class Calibration:
         hardly = (self.sigmas > (1.0 - _OBSERVED) * prior.sigmas) & (prior.sigmas > 0.0)
         return tuple(name for name, unknown in zip(NAMES, hardly, strict=True) if unknown)
 
-    def contradictions(self, prior: Calibration, sigmas: float = 5.0) -> tuple[str, ...]:
-        """Names of quantities that deviate by more than `sigmas` prior sigmas."""
-        off = np.abs(self.values - prior.values) > sigmas * prior.sigmas + 1e-12
+    def contradictions(self, prior: Calibration) -> tuple[str, ...]:
+        """Names of quantities that deviate by more than five prior sigmas."""
+        off = np.abs(self.values - prior.values) > 5.0 * prior.sigmas + 1e-12
         return tuple(name for name, far in zip(NAMES, off, strict=True) if far)
 
-    def surprises(self, prior: Calibration, sigmas: float = 3.0) -> str:
+    def surprises(self, prior: Calibration) -> str:
         """
         Text of the significant differences from the prior; empty if there are none.
 
@@ -245,7 +245,7 @@ class Calibration:
             off = float((self.values - prior.values)[row].sum())
             sigma = float(np.sqrt(max(self.covariance[np.ix_(row, row)].sum(), 0.0)))
             given = float(np.sqrt(prior.covariance[np.ix_(row, row)].sum()))
-            if abs(off) > max(sigmas * sigma, _WORTH_REPORTING * given) + 1e-9:
+            if abs(off) > max(3.0 * sigma, _WORTH_REPORTING * given) + 1e-9:
                 words.append(f'{what} {shown(off, sigma, UNITS[names[0]])}')
         return ', '.join(words)
 
@@ -263,10 +263,10 @@ class Calibration:
             for k, name in enumerate(NAMES)
         }
 
-    def sigma_of(self, first: str, count: int) -> npt.NDArray[np.float64]:
-        """Sigmas of `count` quantities from `first` on."""
+    def sigmas_from(self, first: str) -> npt.NDArray[np.float64]:
+        """Sigmas (2,) of the quantity `first` and the next one."""
         k = NAMES.index(first)
-        return self.sigmas[k : k + count]
+        return self.sigmas[k : k + 2]
 
 
 def scaled(camera: CameraModel, scale: float) -> CameraModel:

@@ -28,6 +28,10 @@ if TYPE_CHECKING:  # the import needs ROS
     from landmark_nav.ros.robot_client import RobotClient
 
 
+# Length of the drive.
+_TOUR_M = 14.0
+
+
 @dataclass(frozen=True, eq=False)
 class DemoRoom:
     """
@@ -59,11 +63,9 @@ class DemoRoom:
     size_m: tuple[float, float]
 
 
-def prepare_room(
-    folder: Path, seed: int, tour_m: float = 14.0, *, measured: bool = True
-) -> DemoRoom:
+def prepare_room(folder: Path, seed: int, *, measured: bool = True) -> DemoRoom:
     """
-    Generate a room with a tour of `tour_m`, and write ``robot.yaml`` into `folder`.
+    Generate a room with a tour, and write ``robot.yaml`` into `folder`.
 
     If the room is `measured`, ``room.yaml`` is written too.
 
@@ -89,7 +91,7 @@ def prepare_room(
         se2.transform_points(se2.inverse(frame), plan_way(scene, first, second)),
         se2.transform_points(
             se2.inverse(frame),
-            plan_tour(scene, second, tour_m, np.random.default_rng([seed, 40])),
+            plan_tour(scene, second, _TOUR_M, np.random.default_rng([seed, 40])),
         ),
         (float(extent[0]), float(extent[1])),
     )

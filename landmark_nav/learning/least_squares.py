@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
@@ -33,8 +33,7 @@ def root_of(matrix: FloatArray) -> FloatArray:
 
     Raises `LandmarkNavError`: a value is not finite.
     """
-    if not np.isfinite(matrix).all():
-        raise LandmarkNavError('the sweeps do not determine an adjustment: take them again')
+    _check_finite(matrix)
     diagonal = np.diag(matrix)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     scaled = matrix / np.outer(scale, scale)
@@ -48,16 +47,28 @@ def root_of(matrix: FloatArray) -> FloatArray:
             return np.asarray(scale[:, None] * root)
 
 
+def solve_root(root: FloatArray, right: FloatArray, transposed: bool = False) -> FloatArray:
+    """Solve ``L x = right`` (n, m) for a factor L (n, n) of `root_of`; or ``L^T x = right``."""
+    _check_finite(right)
+    # `scipy.linalg.solve_triangular` calls the same, and takes much longer for small matrices.
+    return np.asarray(dtrtrs(root.T, right, lower=0, trans=not transposed)[0])
+
+
+def _check_finite(matrix: FloatArray) -> None:
+    if not np.isfinite(matrix).all():
+        raise LandmarkNavError('the sweeps do not determine an adjustment: take them again')
+
+
 def solve_positive(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve ``matrix x = right`` (n, ...) for a positive semidefinite matrix (n, n)."""
     root = root_of(matrix)
-    half = solve_triangular(root, right.reshape(len(root), -1), lower=True)
-    return np.asarray(solve_triangular(root, half, lower=True, trans='T').reshape(right.shape))
+    half = solve_root(root, right.reshape(len(root), -1))
+    return solve_root(root, half, transposed=True).reshape(right.shape)
 
 
 def covariance_of(information: FloatArray) -> FloatArray:
     """Inverse of an information matrix (n, n), symmetric and positive by construction."""
-    half = solve_triangular(root_of(information), np.eye(len(information)), lower=True)
+    half = solve_root(root_of(information), np.eye(len(information)))
     return np.asarray(half.T @ half)
 
 

@@ -199,7 +199,7 @@ class _Maker:
         # Of height and tilt of the camera.
         self._sigmas = (
             float(np.sqrt(prior.covariance[np.ix_(height, height)].sum())),
-            float(prior.sigma_of('axis_roll', 2).max()),
+            float(prior.sigmas_from('axis_roll').max()),
         )
 
     def not_exact(self, error: WrongMountError) -> MountError:

@@ -147,10 +147,10 @@ def locate(
         joined = SeenPoints.joined([points for points, _ in matched])
         facades = find_facades(joined, config.facades)
         try:
-            room = room_of(facades, eyes, config.facades, 'map')
+            room = room_of(facades, eyes, config.facades)
         except LandmarkNavError as error:
             _LOG.warning('%s: only what stands for itself is learned', error)
-            room = open_room(joined, eyes, config.facades, 'map')
+            room = open_room(joined, eyes, config.facades)
         ties = Ties(joined.positions, [m for _, pairs in matched for m in _measured(pairs, sigma)])
     located = [
         replace(

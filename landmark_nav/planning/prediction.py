@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import observed_well
@@ -92,7 +91,9 @@ def landmark_errors(
     shared = np.zeros((h_xs.shape[2], h_xs.shape[2]))
     blocks = np.einsum('s,ns,nsi,nsj->nij', landmarks, weight, by_pose, by_pose)
     poses, planes = slice(0, _POSE * len(blocks)), slice(_POSE * len(blocks), None)
-    shared[poses, poses] = block_diag(*blocks) + np.linalg.inv(pose_covariance)
+    prior, each = np.linalg.inv(pose_covariance), np.arange(len(blocks))
+    prior.reshape(len(blocks), _POSE, len(blocks), _POSE)[each, :, each] += blocks
+    shared[poses, poses] = prior
     off_walls = (
         config.common_hanging_sigma_m**2 + np.eye(on_wall.shape[1]) * config.wall_sigma_m**2
     )

@@ -67,7 +67,7 @@ def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibratio
     entry, where = document[key], f'{where}: {key}'
     if list_field(entry, 'names', where) != list(NAMES):
         raise LandmarkNavError(f'{where}: names must be {", ".join(NAMES)}')
-    covariance = covariance_field(entry, 'covariance', len(NAMES), where)
+    covariance = covariance_field(entry, len(NAMES), where)
     shared = None
     if 'shared_loading' in entry:
         shared = array_field(entry, 'shared_loading', (len(NAMES), None), where)
@@ -116,7 +116,7 @@ def landmark_of(entry: Any, patch_of: Callable[[str], ImageArray], where: str) -
     normal = array_field(entry, 'normal', (3,), where)
     if abs(np.linalg.norm(normal) - 1.0) > 1e-3 or abs(normal[2]) > 1e-3:
         raise LandmarkNavError(f'{where}: normal is not horizontal and of length 1')
-    covariance = covariance_field(entry, 'covariance', 3, where)
+    covariance = covariance_field(entry, 3, where)
     loading = array_field(entry, 'shared_loading', (3, None), where)
     own = np.linalg.eigvalsh(covariance - loading @ loading.T)
     if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
@@ -277,7 +277,7 @@ def load_map(folder: Path | str) -> LandmarkMap:
             PoseEstimate(
                 integer_field(entry, 'stamp_ns', f'{path}: panorama_poses[{k}]'),
                 array_field(entry, 'pose', (3,), f'{path}: panorama_poses[{k}]'),
-                covariance_field(entry, 'covariance', 3, f'{path}: panorama_poses[{k}]'),
+                covariance_field(entry, 3, f'{path}: panorama_poses[{k}]'),
             )
             for k, entry in enumerate(list_field(document, 'panorama_poses', where))
         ),

@@ -298,13 +298,13 @@ def array_field(mapping: Any, key: str, shape: tuple[int | None, ...], where: st
     return numbers
 
 
-def covariance_field(mapping: Any, key: str, size: int, where: str) -> FloatArray:
-    """Value of `key`, a covariance matrix (size, size)."""
-    matrix = array_field(mapping, key, (size, size), where)
+def covariance_field(mapping: Any, size: int, where: str) -> FloatArray:
+    """Covariance matrix (size, size) of a mapping."""
+    matrix = array_field(mapping, 'covariance', (size, size), where)
     eigenvalues = np.linalg.eigvalsh(matrix)
     slack = _ROUNDING * max(float(eigenvalues[-1]), 0.0)
     if np.abs(matrix - matrix.T).max() > slack or eigenvalues[0] < -slack:
         raise LandmarkNavError(
-            f'{where}: {key} is no covariance: it must be symmetric without negative eigenvalues'
+            f'{where}: no covariance: it must be symmetric without negative eigenvalues'
         )
     return matrix

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from importlib import import_module
 import os
@@ -30,7 +30,7 @@ NODES: dict[str, tuple[str, dict[str, Any]]] = {
     'sweep_capture': ('SweepCaptureNode', {'robot_file': 'robot'}),
     'panorama_synthesizer': (
         'PanoramaSynthesizerNode',
-        {'robot_file': 'robot', 'room_file': 'room', 'late_frames_s': 0.0},
+        {'robot_file': 'robot', 'room_file': 'room'},
     ),
     'landmark_learner': ('LandmarkLearnerNode', {'room_file': 'room'}),
     'triplet_selector': ('TripletSelectorNode', {'robot_file': 'robot'}),
@@ -41,7 +41,7 @@ NODES: dict[str, tuple[str, dict[str, Any]]] = {
 JOINT = {'robot_file': 'robot', 'estimator': 'joint'}
 CASES = [(name, wanted) for name, (_, wanted) in sorted(NODES.items())]
 CASES += [('odometry_fusion', JOINT), ('triangulation_localizer', JOINT)]
-UNMEASURED = {'robot_file': 'robot', 'late_frames_s': 0.0}
+UNMEASURED = {'robot_file': 'robot'}
 CASES += [('landmark_learner', UNMEASURED), ('panorama_synthesizer', UNMEASURED)]
 MESSAGES_A_NODE = 20
 
@@ -71,6 +71,14 @@ def context() -> Any:
     made.init(domain_id=10 + os.getpid() % 90)
     yield made
     made.try_shutdown()
+
+
+@pytest.fixture(autouse=True, scope='module')
+def _no_late_frames() -> Iterator[None]:
+    """No sweep waits for frames that never come."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr('landmark_nav.nodes.recorded_sweeps._LATE_FRAMES_S', 0.0)
+        yield
 
 
 @pytest.fixture(scope='module')

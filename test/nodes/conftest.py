@@ -1,4 +1,4 @@
-"""A ROS domain of its own for each test, processes that end with it, a client to look in."""
+"""Fixtures of node tests: a ROS domain for each test, processes that end with it, a client."""
 
 from __future__ import annotations
 
@@ -55,9 +55,11 @@ def start(supervisor: Supervisor) -> Callable[..., None]:
 
 
 @pytest.fixture(scope='session')
-def learned_map(recorded: Path) -> Path:
+def learned_map(once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Folder of what is learned of the recorded room."""
-    return recorded / 'map'
+    from harness import BAGS, learn
+
+    return once('learned', lambda out: learn(BAGS, out / 'map')) / 'map'
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""`bag_player` says by its exit status whether it played all there is."""
+"""The exit status of `bag_player` shows whether it played the whole bag."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def recording(tmp_path: Path) -> Path:
 def played(path: Path, domain_id: int) -> tuple[int, str]:
     """Exit status of playing a bag, and its output."""
     done = subprocess.run(
-        node_command('bag_player', bag=str(path), start_delay_s=0.0),
+        node_command('bag_player', bag=str(path)),
         capture_output=True,
         text=True,
         timeout=60,

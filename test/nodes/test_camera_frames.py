@@ -1,4 +1,4 @@
-"""Images of whichever topic has them, and joint states that are kept for them."""
+"""Images of either image topic, and the joint states that are kept for them."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_pan_that_is_reported_within_half_a_turn_has_not_swung_by_a_turn() -> 
     assert frames.pan_range_rad == pytest.approx(2.0 * np.pi - 3.123 - 3.13)
 
 
-def test_a_tilt_that_is_recognized_by_itself_is_waited_for_and_kept() -> None:
+def test_a_tilt_of_another_driver_is_waited_for_and_kept() -> None:
     frames, hear = listening(MOUNT.tilt_joint, MOUNT.pan_joint)
     for k in range(400):
         hear(JointSample(k * 20_000_000, 0.0, 0.001 * k))

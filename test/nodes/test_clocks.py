@@ -1,4 +1,4 @@
-"""What nodes do again and again goes on though somebody sets the system's time."""
+"""Timers continue if the system time is set."""
 
 from __future__ import annotations
 

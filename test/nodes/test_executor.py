@@ -1,4 +1,4 @@
-"""Callbacks in several threads, and `main` of every node in the face of what rclpy throws."""
+"""Callbacks in several threads, and `main` of the nodes when rclpy raises errors."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def test_a_failure_sets_the_status_though_another_callback_takes_longer_than_the
         from rclpy.callback_groups import ReentrantCallbackGroup
         from landmark_nav.errors import LandmarkNavError
         from landmark_nav.ros.node import LandmarkNode
-        from landmark_nav.ros.run import run_node
+        from landmark_nav.ros import run
 
         class Busy(LandmarkNode):
             def __init__(self):
@@ -215,13 +215,13 @@ def test_a_failure_sets_the_status_though_another_callback_takes_longer_than_the
 
             def learn(self):
                 self.work.cancel()
-                time.sleep(3.5)
+                time.sleep(1.0)
 
             def fail(self):
                 self.end(LandmarkNavError('a wheel fell off'))
 
-        sys.argv = ['busy']
-        sys.exit(run_node(Busy, 3))
+        sys.argv, run._GRACE_S = ['busy'], 0.3
+        sys.exit(run.run_node(Busy, 3))
     """
     done = subprocess.run(
         [sys.executable, '-c', textwrap.dedent(script)],

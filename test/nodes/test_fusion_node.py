@@ -1,4 +1,4 @@
-"""What the fusion node makes of messages that come late, not at all, or of a time gone by."""
+"""The fusion node with messages that are late, missing or older than the start."""
 
 from __future__ import annotations
 

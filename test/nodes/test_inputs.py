@@ -1,4 +1,4 @@
-"""What a node says of its inputs: who sends what, what is missing, and what is wrong with it."""
+"""Reports of a node on its inputs: their publishers, what is missing, and what is wrong."""
 
 from __future__ import annotations
 

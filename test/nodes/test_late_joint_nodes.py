@@ -16,7 +16,8 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 import pytest
 
-from landmark_nav.evaluation.metrics import pose_errors, PoseTrack
+from landmark_nav.evaluation.learning_report import truth_of_bag
+from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.storage.setup_files import load_robot
@@ -72,13 +73,6 @@ def localizing(learned_map: Path, start: Callable[..., None], client: RobotClien
     client.wait(lambda: client._node.count_subscribers(images) > 0, 60.0, 'the localizer')
 
 
-def true_places(drive: Bag) -> PoseTrack:
-    return PoseTrack.of(
-        (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
-        for entry in drive.messages([drive.require('ground_truth/odom')])
-    )
-
-
 @pytest.mark.parametrize('arrive_late', [False, True])
 def test_late_joint_states_are_measured_and_images_turned_by_it(
     arrive_late: bool,
@@ -122,7 +116,7 @@ def test_late_joint_states_are_measured_and_images_turned_by_it(
     assert 'ms late, which is put right' in client.status_of('odometry_fusion').reason
     stamps = sorted(fused)
     assert len(stamps) > 100
-    errors = pose_errors(np.array([fused[k].pose for k in stamps]), true_places(drive).at(stamps))
+    errors = pose_errors(np.array([fused[k].pose for k in stamps]), truth_of_bag(drive).at(stamps))
     known = np.isfinite(errors).all(axis=1)
     # A heading that late joint states turned is never claimed to be certain.
     inverse = np.linalg.inv([fused[k].covariance for k in stamps])

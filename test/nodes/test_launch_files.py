@@ -1,4 +1,4 @@
-"""What can be said of the launch files without ROS' launch, which is not in the wheels."""
+"""Launch files without ROS' launch, which is not among the wheels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Paths, markers and the debug image: for who subscribes, bounded, and nothing otherwise."""
+"""Paths, markers and the debug image: bounded, and only for subscribers."""
 
 from __future__ import annotations
 

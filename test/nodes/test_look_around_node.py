@@ -1,4 +1,4 @@
-"""A robot that does not know where it is turns its camera around, unless somebody else does."""
+"""A robot that is lost turns its camera around, unless another node commands the camera."""
 
 from __future__ import annotations
 

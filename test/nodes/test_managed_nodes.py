@@ -1,4 +1,4 @@
-"""Nodes in the hands of a lifecycle manager, and all of them in one process."""
+"""Nodes under a lifecycle manager, and all of them in one process."""
 
 from __future__ import annotations
 

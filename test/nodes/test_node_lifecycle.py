@@ -1,4 +1,4 @@
-"""Nodes are processes that start, say how they are, and end cleanly."""
+"""Nodes as processes start, report their state, and end cleanly."""
 
 from __future__ import annotations
 
@@ -28,9 +28,7 @@ NODES = {
 }
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_all_start_and_end_cleanly(
-    number: signal.Signals,
     start: Callable[..., None],
     supervisor: Supervisor,
     client: RobotClient,
@@ -41,7 +39,7 @@ def test_all_start_and_end_cleanly(
         start(name, **{key: setup_files[key] for key in needed})
     client.wait(lambda: set(NODES) <= client.status.keys(), 60.0, 'the diagnostics of all')
     supervisor.check()
-    assert supervisor.stop(number) == dict.fromkeys(NODES, 0)
+    assert supervisor.stop(signal.SIGINT) == dict.fromkeys(NODES, 0)
     logs = {name: (tmp_path / 'logs' / f'{name}.log').read_text() for name in NODES}
     assert [name for name, text in logs.items() if 'Traceback' in text] == []
     for name, needed in NODES.items():

@@ -1,4 +1,4 @@
-"""When the localizer looks for its place by itself."""
+"""When the localizer searches the pose without a request."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_a_call_is_not_answered_with_a_place_that_was_not_reported(
     assert not reported
 
 
-def test_who_calls_while_a_place_is_looked_for_gets_the_same_answer(
+def test_calls_during_a_search_get_the_same_answer(
     search: PlaceSearch, reported: list[Any], services: dict[str, Any]
 ) -> None:
     first, second = services['relocalize'](), services['relocalize']()
@@ -219,7 +219,7 @@ def test_a_call_is_not_ended_by_a_pose_that_was_asked_for_before(
     call.close()
 
 
-def test_who_calls_together_is_refused_together_and_may_call_again(
+def test_simultaneous_calls_are_refused_together_and_may_be_repeated(
     search: PlaceSearch, services: dict[str, Any]
 ) -> None:
     first, second, third = (services['relocalize']() for _ in range(3))

@@ -10,8 +10,8 @@ from drive_faults import displaced_drive
 import numpy as np
 import pytest
 
-from landmark_nav.evaluation.metrics import pose_errors, PoseTrack
-from landmark_nav.messages import decode
+from landmark_nav.evaluation.learning_report import truth_of_bag
+from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.storage.bags import Bag
 
 if TYPE_CHECKING:
@@ -51,11 +51,7 @@ def test_the_place_found_starts_the_fusion(
     client.wait(lambda: client.fused is not None, 20.0, 'a fused pose')
     assert client.fused is not None
     fused = client.fused
-    truth = PoseTrack.of(
-        (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
-        for entry in drive.messages([drive.require('ground_truth/odom')])
-    )
-    error = pose_errors(fused.pose[None], truth.at([fused.stamp_ns]))[0]
+    error = pose_errors(fused.pose[None], truth_of_bag(drive).at([fused.stamp_ns]))[0]
     assert np.hypot(*error[:2]) < 0.05
     assert abs(error[2]) < np.radians(1.0)
     if any(turned_deg):

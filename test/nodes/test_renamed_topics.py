@@ -1,4 +1,4 @@
-"""A renamed topic serves those who know its former name alone, once, and names them."""
+"""A renamed topic serves nodes that only know its former name, once, with a warning."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def take(received: list[int]) -> Any:
     return lambda message: received.append(message.data)
 
 
-def test_who_subscribes_to_the_former_name_is_served_and_named(graph: Graph) -> None:
+def test_a_subscriber_to_the_former_name_is_served_and_named(graph: Graph) -> None:
     sender, received = watched(graph, 'new'), []
     publisher = sender.create_publisher(Int32, NEW, 10)
     plain(graph, 'old').create_subscription(Int32, FORMER, take(received), 10)
@@ -67,7 +67,7 @@ def test_who_subscribes_to_the_former_name_is_served_and_named(graph: Graph) -> 
     assert NEW in warning
 
 
-def test_who_publishes_by_the_former_name_is_heard_and_named(graph: Graph) -> None:
+def test_a_publisher_of_the_former_name_is_heard_and_named(graph: Graph) -> None:
     listener, received = watched(graph, 'new'), []
     listener.create_subscription(Int32, NEW, take(received), 10)
     publisher = plain(graph, 'old').create_publisher(Int32, FORMER, 10)

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from landmark_nav.calibration import NAMES
-from landmark_nav.evaluation.metrics import error_summary, pose_errors, PoseTrack
+from landmark_nav.evaluation.learning_report import truth_of_bag
+from landmark_nav.evaluation.metrics import error_summary, pose_errors
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.robot_files import load_calibration
@@ -104,10 +105,7 @@ def test_learned_and_localized_as_offline(
             client.start_at(given)
 
     play_all(recorded / 'drive', 1.0, take)
-    truth = PoseTrack.of(
-        (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
-        for entry in drive.messages([drive.require('ground_truth/odom')])
-    )
+    truth = truth_of_bag(drive)
     stamps = sorted(fused)
     # The rest of the drive after the start was given, at least most of it.
     assert stamps[-1] - stamps[0] > 0.8e9 * drive.duration_s

@@ -1,4 +1,4 @@
-"""What a program that conducts the nodes asks them."""
+"""The client of programs that control the nodes."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_a_domain_that_cannot_be_is_refused(text: str, monkeypatch: pytest.Monke
     assert len(str(refused.value)) < 100
 
 
-def test_who_waits_in_vain_is_reported_what_the_nodes_last_reported(
+def test_a_timeout_reports_the_last_diagnostics_of_the_nodes(
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')

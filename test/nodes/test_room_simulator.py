@@ -1,4 +1,4 @@
-"""The simulated robot goes on through commands that make no sense, and times that are set."""
+"""The simulated robot survives invalid commands and changes of the system time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nodes that run go on through what happens to a robot; on the clock of a bag, over DDS."""
+"""Running nodes survive restarts, another map, a replayed bag and a wrong start, over DDS."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from landmark_nav.demo.graph import node_environment
-from landmark_nav.evaluation.metrics import pose_errors, PoseTrack
-from landmark_nav.messages import decode, encode
+from landmark_nav.evaluation.learning_report import truth_of_bag
+from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.messages import encode
 from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.layouts import Layout
 from landmark_nav.storage.bags import Bag
@@ -53,10 +54,7 @@ class Watch:
 
     def __init__(self, client: RobotClient, drive: Bag) -> None:
         self._client = client
-        self._truth = PoseTrack.of(
-            (decode.stamp_ns(entry.message.header), decode.pose_estimate(entry.message).pose)
-            for entry in drive.messages([drive.require('ground_truth/odom')])
-        )
+        self._truth = truth_of_bag(drive)
 
     def wait(self, seconds: float, what: str) -> None:
         """Until a pose comes that claims to be well known, and is."""

@@ -1,4 +1,4 @@
-"""Services and bad input: a reason instead of an end."""
+"""Services and bad input: nodes answer with a reason and go on."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def test_localizer_states_what_it_lacks(
     )
 
 
-def test_who_waits_for_a_place_is_answered_as_the_node_ends(
+def test_a_call_that_waits_for_a_place_is_answered_as_the_node_ends(
     client: RobotClient, domain_id: int, setup_files: dict[str, str]
 ) -> None:
     reporter = 'triangulation_localizer'

@@ -1,4 +1,4 @@
-"""A sweep is taken over DDS of a small robot that turns a camera."""
+"""A sweep of a small simulated robot over DDS."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def measured(small: SmallRobot) -> list[float]:
     return sorted(s.pan_rad for s in decode.sweep_trajectory(small.trajectories[-1], MOUNT))
 
 
-def test_it_is_interrupted_goes_on_begins_anew_and_tells(
+def test_a_sweep_is_interrupted_continued_and_begun_anew(
     robot: Callable[..., SmallRobot],
     start: Callable[..., None],
     client: RobotClient,

@@ -1,4 +1,4 @@
-"""Sweeps reach the synthesizer raw or compressed, one after the other as well."""
+"""Sweeps reach the synthesizer raw or compressed, also one after the other."""
 
 from __future__ import annotations
 

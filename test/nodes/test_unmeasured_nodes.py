@@ -1,4 +1,4 @@
-"""Without a plan on the real graph: sweeps and odometry come, a map is learned and driven by."""
+"""Learning without a plan on the real graph, and a drive in the map."""
 
 from __future__ import annotations
 

@@ -113,11 +113,15 @@ def status(environment: dict[str, str]) -> list[str]:
     return printed.splitlines() if code == 0 else []
 
 
-def test_without_nodes_the_domain_is_named(environment: dict[str, str]) -> None:
-    code, answer = output(['status'], environment)
-    assert code == 1
-    assert environment['ROS_DOMAIN_ID'] in answer
-    assert len(answer.splitlines()) == 1
+def test_without_nodes_the_domain_is_named(
+    domain_id: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    monkeypatch.setattr('landmark_nav.cli.status._NO_NODE_S', 0.5)
+    assert main(['status']) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(domain_id) in line
 
 
 @pytest.mark.parametrize(

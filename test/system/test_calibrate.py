@@ -1,4 +1,4 @@
-"""`landmark-nav calibrate` on the recorded room of bags/: what it writes, and what it refuses."""
+"""`landmark-nav calibrate` on the recorded room of bags/: results and refusals."""
 
 from __future__ import annotations
 
@@ -84,11 +84,14 @@ def test_the_report_states_what_was_shown(
     assert (folder / 'report.html').stat().st_size > 30_000
 
 
-def test_sweeps_alone_show_the_camera_and_not_the_lever(
+def test_a_sweep_alone_shows_the_camera_and_not_the_lever(
     calibrated: tuple[Path, Calibration, Calibration], tmp_path: Path
 ) -> None:
     given, out = str(calibrated[0] / 'given.yaml'), tmp_path / 'robot.yaml'
-    assert main(['calibrate', LEARN, '--room', ROOM, '--robot', given, '--out', str(out)]) == 0
+    sent = [(e.topic, e.message, e.stamp_ns) for e in Bag(LEARN).messages()]
+    ends = next(k for k, one in enumerate(sent) if one[0] == '/sweep/trajectory')
+    bag = str(write_bag(tmp_path / 'sweep', sent[: ends + 1]))
+    assert main(['calibrate', bag, '--room', ROOM, '--robot', given, '--out', str(out)]) == 0
     found = load_calibration(out)
     assert found['axis_x'][1] == pytest.approx(0.02)
     assert found['camera_roll'][1] < 0.002
@@ -108,12 +111,15 @@ def test_what_cannot_be_calibrated_is_reported_in_a_line(
     assert not out.exists()
 
 
-def test_what_a_robot_that_stands_does_not_show_stays_as_given(tmp_path: Path) -> None:
+def test_what_a_robot_that_stands_does_not_show_stays_as_given(
+    recorded: Path, tmp_path: Path
+) -> None:
     """The first third of a second of a drive: nothing of lever and pan zero."""
     sent = [(e.topic, e.message, e.stamp_ns) for e in Bag(BAGS / 'drive').messages()]
     write_bag(tmp_path / 'still', [one for one in sent if one[2] < sent[0][2] + 3 * 10**8])
     robot, out = str(BAGS / 'robot.yaml'), tmp_path / 'out.yaml'
-    args = ['calibrate', LEARN, str(tmp_path / 'still'), '--room', ROOM, '--robot', robot]
+    args = ['calibrate', str(tmp_path / 'still'), '--map', str(recorded / 'map')]
+    args += ['--robot', robot]
     assert main([*args, '--out', str(out), '--json', str(tmp_path / 'c.json')]) == 0
     given, found = load_calibration(robot), load_calibration(out)
     hidden = ('axis_x', 'axis_y', 'axis_yaw')

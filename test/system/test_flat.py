@@ -1,4 +1,4 @@
-"""Real photographs of three places: what fits badly costs landmarks, never the adjustment."""
+"""Photographs of a real flat: bad matches cost landmarks, and the adjustment succeeds."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from landmark_nav.cli.main import main
 from landmark_nav.storage.maps import load_map
 
+pytestmark = pytest.mark.usefixtures('undrawn')
 FLAT = Path(__file__).parents[3] / 'shared' / 'data' / 'flat'
 
 

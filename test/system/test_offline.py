@@ -1,4 +1,4 @@
-"""The offline commands as a user calls them, and what they say of data that is wrong."""
+"""The offline commands as a user calls them, and their errors for wrong data."""
 
 from __future__ import annotations
 

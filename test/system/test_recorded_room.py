@@ -1,4 +1,4 @@
-"""The recorded room of bags/ through the offline commands, against its expected figures."""
+"""The offline commands on the recorded room of bags/, against its expected figures."""
 
 from __future__ import annotations
 
@@ -86,7 +86,9 @@ def test_landmarks_lie_where_things_really_hang_or_stand(
     assert min(np.linalg.norm(k.position - centers[target]) for k in landmarks) < 0.02
 
 
-def test_the_planner_would_have_forereported_it(figures: tuple[dict[str, float], Path]) -> None:
+def test_the_planner_predicts_landmarks_and_sweep_errors(
+    figures: tuple[dict[str, float], Path],
+) -> None:
     sweeps = json.loads((figures[1] / 'learn.json').read_text())['sweeps']
     room, mount = load_room(BAGS / 'room.yaml'), load_robot(BAGS / 'robot.yaml')
     poses = np.array([sweep['pose'] for sweep in sweeps])

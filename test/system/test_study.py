@@ -1,4 +1,4 @@
-"""Learning and localization in a room that no simulator of ours drew."""
+"""Learning and localization in a room that another simulator rendered."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from harness import evaluate, learn, start_of
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.usefixtures('undrawn')
 MOUNT = 'xyz: [0.08, 0.0, 1.1]\n  rpy: [0.0, 0.0, 0.0]'
 
 

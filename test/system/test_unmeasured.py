@@ -17,6 +17,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.setup_files import load_room
 
+pytestmark = pytest.mark.usefixtures('undrawn')
 ROBOT = str(BAGS / 'robot.yaml')
 SCALE = 1.02
 

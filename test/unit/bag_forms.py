@@ -1,4 +1,4 @@
-"""One recording in each form that people have bags in."""
+"""One recording in each file format of bags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Landmarks of which the place alone matters."""
+"""Landmarks without images: only their locations matter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One drive, drawn once; every test spoils it in its own way."""
+"""One drive, rendered once; each test degrades it."""
 
 from __future__ import annotations
 

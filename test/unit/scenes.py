@@ -25,7 +25,6 @@ from landmark_nav.types import (
     ImageArray,
     Landmark,
     Panorama,
-    PoseEstimate,
     Sweep,
 )
 
@@ -291,7 +290,6 @@ def draw_sweep(
     pans_rad: FloatArray,
     *,
     rng: np.random.Generator | None = None,
-    known: PoseEstimate | None = None,
 ) -> Sweep:
     """Frames at pans (n,), a tenth of a second apart."""
     frames = tuple(
@@ -300,7 +298,7 @@ def draw_sweep(
         )
         for k, pan in enumerate(pans_rad)
     )
-    return Sweep(0, frames, known)
+    return Sweep(0, frames)
 
 
 def true_landmark(

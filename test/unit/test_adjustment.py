@@ -125,7 +125,7 @@ def test_landmarks_and_poses_err_as_their_covariances_say(
 def test_the_solution_is_that_of_least_squares() -> None:
     rng = np.random.default_rng(10)
     third = [3.0, 1.2, 1.1, 0.3]
-    # So little noise that nothing is taken for less certain than it says.
+    # So little noise that no measurement is down-weighted.
     world = replace(world_of(rng, 6, flat=True), poses=np.vstack([POSES, [third]]))
     prior = given_poses(world, rng)
     measurements = measurements_of(world, None)
@@ -163,7 +163,7 @@ def test_landmarks_share_what_the_poses_err() -> None:
         hung = world_hung(world, rng)
         found = solve(hung, measurements_of(hung, rng), prior, AS_EXPECTED)
         if found.chi_square.max() > 50.0:
-            continue  # given to be false
+            continue  # a landmark was refused as an outlier
         errors.append(found.positions - hung.points)
         loadings.append(found.shared_loading)
         owns.append(found.own_covariance)
@@ -241,7 +241,7 @@ def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, relief
     rng = np.random.default_rng(8)
     noise, of_landmarks = [], []
     for _ in range(6):
-        # As many as a room gives: expected sigmas count for a few measurements, too.
+        # As many landmarks as in a room: expected sigmas count as a few measurements.
         world = world_of(rng, 150, relief_m=relief)
         prior = given_poses(world, rng)
         measurements = measurements_of(world, rng, (azimuth, tangent))
@@ -257,7 +257,7 @@ def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, relief
     assert 2.0 < np.mean(of_landmarks) < 4.5
 
 
-def test_places_of_panoramas_that_err_more_than_they_state_are_trusted_less() -> None:
+def test_panorama_poses_that_err_more_than_their_sigmas_are_weighted_less() -> None:
     rng = np.random.default_rng(9)
     world = world_of(rng, 100, hanging_m=0.002, relief_m=0.002)
     scales = []
@@ -285,7 +285,7 @@ def test_steps_between_things_do_not_make_good_places_bad() -> None:
     assert max(scales) < 1.5
 
 
-def test_heights_that_err_more_than_they_state_do_not_make_the_plan_uncertain() -> None:
+def test_heights_that_err_more_than_their_sigmas_do_not_inflate_x_and_y() -> None:
     rng = np.random.default_rng(13)
     world = world_of(rng, 100, hanging_m=0.002, relief_m=0.002)
     noise = []
@@ -368,7 +368,7 @@ WITHOUT_WALLS = AdjustmentConfig(
 @pytest.mark.parametrize('config', [CONFIG, WITHOUT_WALLS], ids=['walls', 'without walls'])
 @pytest.mark.parametrize('views', [2, 3, 4])
 @pytest.mark.parametrize('off_rad', [0.01, 1.0])
-def test_a_false_match_stays_its_own_affair(
+def test_a_false_match_affects_no_other_landmark(
     off_rad: float, views: int, config: AdjustmentConfig
 ) -> None:
     for seed in range(6):
@@ -407,7 +407,7 @@ def test_a_covariance_that_is_none_is_refused(value: float) -> None:
         checked_covariance(np.diag([value, 1e-4, 1e-4]), np.ones(3), 'sweep/pose')
 
 
-def test_a_valley_is_followed_down_where_whole_steps_overshoot() -> None:
+def test_levenberg_marquardt_converges_where_full_steps_overshoot() -> None:
     def rosenbrock(x: FloatArray) -> tuple[FloatArray, FloatArray]:
         residuals = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
         return residuals, np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
@@ -461,7 +461,7 @@ def test_ties_join_panoramas_and_are_no_landmarks() -> None:
     assert spread(joined.pose_covariance) < spread(alone.pose_covariance)
 
 
-def test_sweeps_that_lean_otherwise_are_found_to() -> None:
+def test_tilts_that_differ_between_sweeps_are_estimated() -> None:
     rng = np.random.default_rng(33)
     world = world_of(rng, 80, flat=True)
     lean = np.array([[0.006, -0.004], [-0.006, 0.004]])

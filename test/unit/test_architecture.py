@@ -1,4 +1,4 @@
-"""What docs/architecture.md promises about who imports whom."""
+"""The import rules of docs/architecture.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is written appears whole, and what cannot be written is refused before the work."""
+"""Files are written atomically; paths that cannot be written are refused before the work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which patches a neighbouring place could be mistaken for."""
+"""Patches that a neighbouring location could be mistaken for are refused."""
 
 from __future__ import annotations
 

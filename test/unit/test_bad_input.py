@@ -1,8 +1,7 @@
 """
-What goes wrong on a real robot, fed to the localizer: it says so, survives, and comes back.
+Faults on a real robot: the localizer reports them, survives, and recovers.
 
-The start, the place, the map and what hangs on the walls; `test_bad_odometry` and
-`test_bad_camera` have the rest.
+Of the start, the place, the map and the objects on the walls; `test_bad_sensors` has the rest.
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ def test_a_covered_lens_is_reported_and_forgotten_when_free(sensed: list[Sensed]
     check_consistent(moments)
 
 
-def test_a_map_of_another_room_is_not_believed(
+def test_a_map_of_another_room_is_not_accepted(
     sensed: list[Sensed], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried: dict[int, Verification | Refusal] = {}

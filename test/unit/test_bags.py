@@ -1,4 +1,4 @@
-"""Bags in each form that people have are read whole, and what is damaged is reported."""
+"""Bags are read in each file format, and damage is reported."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ def test_damaged_chunks_are_reported(tmp_path, compression):
 
 
 @pytest.mark.parametrize('indexed', [True, False])
-def test_a_byte_that_changed_is_recognized_by_the_checksum(tmp_path, indexed):
+def test_a_changed_byte_is_found_by_the_checksum(tmp_path, indexed):
     path = tmp_path / 'flipped.mcap'
     with foreign_bag(path, compression=CompressionType.NONE, use_statistics=indexed) as add:
         add('/text', TEXT, 'cdr', [HI] * 7)

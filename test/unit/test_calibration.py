@@ -1,4 +1,4 @@
-"""What a sweep shows of camera and mount: mended where it is wrong, left alone where right."""
+"""Calibration by a sweep: errors of camera and mount are corrected, right values are kept."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_a_blank_wall_leaves_the_closure_unknown_and_is_reported(turn: Sweep) ->
     assert 'closure error' in str(whole)
 
 
-def test_frames_that_share_nothing_gives_nothing(turn: Sweep) -> None:
+def test_frames_without_overlap_give_nothing(turn: Sweep) -> None:
     blank = np.full_like(turn.frames[0].image, 128)
     plain = replace(turn, frames=tuple(replace(f, image=blank) for f in turn.frames))
     for sweep in (plain, replace(turn, frames=turn.frames[:2])):

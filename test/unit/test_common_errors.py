@@ -1,4 +1,4 @@
-"""Sweeps that are placed by the same papers err together, and that is known."""
+"""Sweeps located by the same papers have correlated errors."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_what_sweeps_err_together_is_not_taken_for_agreement() -> None:
     assert np.mean(of_poses) < np.mean(if_apart)
 
 
-def test_places_that_are_given_better_than_papers_would_gives_keep_to_themselves() -> None:
+def test_poses_that_are_given_better_than_by_papers_share_no_error() -> None:
     exact = np.diag([1e-4, 1e-4, 5e-3, 5e-5]) ** 2
     panoramas = panoramas_at(POSES, exact)
     places = joint_covariance(panoramas, ROOM, CONFIG)

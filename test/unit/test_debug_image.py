@@ -1,4 +1,4 @@
-"""The image for people: frames where things were found, words that can be read."""
+"""The debug image: frames where landmarks were found, readable labels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Patches in line with both panoramas, placed by how large these show them."""
+"""Patches on the baseline of two panoramas get their depth from their relative size."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_sizes_that_miss_where_depths_are_known_count_for_less() -> None:
 
 
 @pytest.mark.parametrize('before_m', [0.0, 0.03, 0.08, 0.2])
-def test_stereo_gives_how_much_nearer_what_it_sees_in_line_is(before_m: float) -> None:
+def test_stereo_measures_the_relative_size_on_the_baseline(before_m: float) -> None:
     spot = np.array([6.0 - before_m, 2.5, 1.1])
     rng = np.random.default_rng(11)
     camera_image = Board(spot, EAST, 0.6, 0.6, smooth_texture(rng, 0.6, 0.6, 0.03))

@@ -1,4 +1,4 @@
-"""Rows of landmarks in the image, beside each other."""
+"""Image rows of landmarks: wrong heights and tilts are distinguished."""
 
 from __future__ import annotations
 
@@ -128,12 +128,12 @@ def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: Camera
     assert refused <= 3
 
 
-def test_two_heights_do_not_gives_which_is_wrong() -> None:
+def test_two_heights_do_not_show_which_is_wrong() -> None:
     assert not wrong_heights(np.array([0.0, 9.0]), 0.01 * np.eye(2)).any()
 
 
 @pytest.mark.parametrize('camera', [PLAIN, FISHEYE])
-def test_a_tilt_is_recognized_by_all_rows_together_and_not_by_any_single_one(
+def test_a_tilt_is_recognised_by_all_rows_together_and_not_by_any_single_one(
     camera: CameraModel,
 ) -> None:
     model, points = model_of(camera, 0.8)
@@ -158,7 +158,7 @@ def test_a_tilt_is_recognized_by_all_rows_together_and_not_by_any_single_one(
     assert 0.75 < np.mean(squares) < 1.3
 
 
-def test_no_single_thing_on_a_wall_decides_a_lean() -> None:
+def test_no_single_object_on_a_wall_decides_a_tilt() -> None:
     """As if all that is near to each in turn were left out, and all were worked out anew."""
     model, points = model_of(PLAIN, 0.8)
     near = np.linalg.norm(points[:, None] - points, axis=-1) < 0.5

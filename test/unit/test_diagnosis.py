@@ -270,7 +270,7 @@ def test_two_frames_of_one_window_are_kept_apart() -> None:
     assert view.turn(*strips)[0] == pytest.approx(turned_rad, abs=0.01)
 
 
-def test_blank_images_gives_nothing() -> None:
+def test_blank_images_give_nothing() -> None:
     view, rng = StripView(CAMERA, PanTiltMount()), np.random.default_rng(0)
     blank = [view.strip(rng.integers(120, 123, (240, 320), dtype=np.uint8)) for _ in range(2)]
     assert np.isnan(view.turn(*blank)[0])

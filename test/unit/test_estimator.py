@@ -474,7 +474,7 @@ def test_a_kidnapped_robot_is_lost_and_a_right_one_is_not() -> None:
             assert states.index(Status.LOST) <= 70
 
 
-def test_landmarks_that_are_missed_or_hidden_gives_slowly() -> None:
+def test_missed_or_hidden_landmarks_raise_the_suspicion_slowly() -> None:
     integrity, good = Integrity(), PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
     integrity.add(0, driven(simulated(5, seconds=4.0)).updates[-1])
     assert integrity.status(good)[0] is Status.OK

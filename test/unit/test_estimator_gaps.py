@@ -49,7 +49,7 @@ def test_an_image_after_blind_motion_gives_nothing_of_the_mount() -> None:
     """Only motion that is known parts the place of the axis from that of the base."""
     drive = simulated(2, TAPE, seconds=4.0)
     joint = driven(drive).filter
-    before = joint.calibration.sigma_of('axis_x', 2)
+    before = joint.calibration.sigmas_from('axis_x')
     seen = next(e for e in reversed(drive.events) if isinstance(e, ImagePoints) and len(e) > 4)
     wide = replace(
         joint.snapshot,
@@ -58,7 +58,7 @@ def test_an_image_after_blind_motion_gives_nothing_of_the_mount() -> None:
     )
     joint.restore(wide)
     joint.observe(replace(seen, near=drive.poses[-1]))
-    assert joint.calibration.sigma_of('axis_x', 2) == pytest.approx(before, rel=0.02)
+    assert joint.calibration.sigmas_from('axis_x') == pytest.approx(before, rel=0.02)
     assert np.hypot(*(joint.estimate.pose - drive.poses[-1])[:2]) < 0.05
 
 
@@ -71,7 +71,7 @@ def test_a_pose_found_by_the_camera_is_off_by_the_mount() -> None:
     seen = np.sqrt(np.diag(found.expectation.covariance))
     assert seen[:2] == pytest.approx(center, rel=0.2)
     assert seen[2] < 1e-4
-    mount = np.sqrt(np.sum(joint.calibration.sigma_of('axis_x', 2) ** 2))
+    mount = np.sqrt(np.sum(joint.calibration.sigmas_from('axis_x') ** 2))
     base = found.estimate.covariance
     assert np.sqrt(np.trace(base[:2, :2])) > mount
     assert np.sqrt(base[2, 2]) == pytest.approx(joint.calibration['axis_yaw'][1], rel=0.01)

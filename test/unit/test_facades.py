@@ -50,7 +50,7 @@ def test_outline_of_a_room_is_found(corners: FloatArray, seed: int) -> None:
     eyes = EYES.copy()
     eyes[:, :2] = np.array([[1.5, 1.5], [2.5, 1.8]]) @ rotation.T
     points = SeenPoints(xyz, seen(xyz).covariance, np.broadcast_to(eyes[0], xyz.shape))
-    room = room_of(find_facades(points, CONFIG), eyes, CONFIG, 'map')
+    room = room_of(find_facades(points, CONFIG), eyes, CONFIG)
     found = np.array([wall.start for wall in room.walls]) @ rotation
     away = np.linalg.norm(found[:, None] - corners, axis=-1)
     assert len(found) == len(corners)
@@ -110,7 +110,7 @@ def test_front_of_a_cupboard_stands_in_the_room() -> None:
     walls = on_walls(RECTANGLE, rng)
     hidden = (walls[:, 0] > 5.5) & (walls[:, 1] > 2.1)
     facades = find_facades(seen(np.vstack([walls[~hidden], front])), CONFIG)
-    room = room_of(facades, EYES, CONFIG, 'map')
+    room = room_of(facades, EYES, CONFIG)
     assert not room.visible(EYES[0, :2], [5.9, 2.9])
     assert room.visible(EYES[0, :2], [5.38, 2.9])
     assert room.visible(EYES[0, :2], [3.0, 3.9])
@@ -137,14 +137,14 @@ def test_too_few_walls_are_no_room() -> None:
     one = on_walls(RECTANGLE[:2], rng)[:60]
     facades = find_facades(seen(one), CONFIG)
     with pytest.raises(LandmarkNavError, match='make no'):
-        room_of(facades, EYES, CONFIG, 'map')
+        room_of(facades, EYES, CONFIG)
 
 
 @pytest.mark.parametrize('count', [0, 1, 200])
 def test_without_facades_a_room_goes_around_what_is_seen(count: int) -> None:
     rng = np.random.default_rng(8)
     xyz = np.column_stack([rng.uniform(-2, 8, (count, 2)), rng.uniform(0.2, 2.2, count)])
-    room = open_room(seen(xyz), EYES, CONFIG, 'map')
+    room = open_room(seen(xyz), EYES, CONFIG)
     assert room.contains(EYES[:, :2]).all()
     around = EYES[:, :2] + np.array([[0.5, 0.0], [-0.5, 0.0]])[:, None]
     assert room.contains(around).all()

@@ -190,7 +190,7 @@ def along(result: LearningResult) -> FloatArray:
     return np.linalg.norm(result.map.positions[:, :2] - true_places(result, POSES, MOUNT), axis=1)
 
 
-def test_true_rays_shows_errors_along_the_wall_alone(learned: LearningResult) -> None:
+def test_true_rays_show_errors_along_the_wall_alone(learned: LearningResult) -> None:
     assert np.median(along(learned)) < 0.002
     # Posters hang before their walls, and landmarks with them, on the ray that shows them.
     aside = 0.01 * np.ones(len(learned.map.landmarks))
@@ -201,7 +201,7 @@ def test_true_rays_shows_errors_along_the_wall_alone(learned: LearningResult) ->
         np.testing.assert_allclose(off, 0.0, atol=1e-9)
 
 
-def test_figure_8_gives_how_far_landmarks_lie_from_the_true_rays(
+def test_figure_8_shows_how_far_landmarks_are_from_the_true_rays(
     learned: LearningResult, tmp_path: Path
 ) -> None:
     path = tmp_path / 'figure.png'
@@ -213,7 +213,7 @@ def test_figure_8_gives_how_far_landmarks_lie_from_the_true_rays(
     assert 'true rays' not in draw_learned(learned, ROOM, path)
 
 
-def test_figure_5_gives_the_angle_between_the_two_rays(
+def test_figure_5_shows_the_angle_between_the_two_rays(
     learned: LearningResult, tmp_path: Path
 ) -> None:
     path = tmp_path / 'figure.png'
@@ -226,7 +226,7 @@ def test_figure_5_gives_the_angle_between_the_two_rays(
     assert float(angle_deg) == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.6)
 
 
-def test_figure_3_gives_how_frames_overlap(learned: LearningResult, tmp_path: Path) -> None:
+def test_figure_3_shows_how_frames_overlap(learned: LearningResult, tmp_path: Path) -> None:
     # 60 degrees wide, one each 10 degrees: six show a column, and neighbours share 5 / 6.
     camera = CameraModel(200, 160, 100.0 / np.tan(np.radians(30.0)), 173.2, 99.5, 79.5)
     empty = np.zeros((160, 200, 3), np.uint8)

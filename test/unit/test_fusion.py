@@ -1,4 +1,4 @@
-"""What the joint estimator makes of odometry, images and places as they come in a node."""
+"""Fusion of odometry, images and global poses in the order in which a node receives them."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def test_minutes_without_images_cost_no_more_than_a_second(
     assert fusion.status_at()[0] is not Status.OK
 
 
-def test_a_kidnapped_robot_states_that_it_does_not_know_where_it_is() -> None:
+def test_a_kidnapped_robot_is_reported_lost() -> None:
     drive, rng = simulated(11, seconds=24.0), np.random.default_rng(0)
     fusion, images = fused(drive), 0
     for what in arriving(drive):
@@ -361,7 +361,7 @@ def test_a_place_of_before_the_odometry_is_out_of_reach() -> None:
     assert np.trace(estimate.covariance) < 1e-2
 
 
-def test_a_place_found_in_a_swing_is_not_sure_of_its_heading() -> None:
+def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading() -> None:
     pans = PanTrack(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.0, 1.0]))
     start = PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
     prior = Calibration.of_mount(MOUNT, {'axis_yaw': 1e-4})
@@ -378,7 +378,7 @@ def test_a_place_found_in_a_swing_is_not_sure_of_its_heading() -> None:
     assert sigmas[1] == pytest.approx(0.1, rel=0.1)
 
 
-def test_the_level_is_read_off_the_covariance() -> None:
+def test_the_protection_level_follows_from_the_covariance() -> None:
     drive = simulated(5, seconds=6.0)
     fusion = fused(drive)
     for what in arriving(drive):

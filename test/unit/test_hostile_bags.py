@@ -1,4 +1,4 @@
-"""Bags of strangers: whatever they declare, memory and time are bounded, and one line says it."""
+"""Hostile bags: whatever they declare, memory and time are bounded, and the error is one line."""
 
 from __future__ import annotations
 

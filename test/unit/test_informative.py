@@ -58,7 +58,7 @@ def test_landmarks_whose_place_is_uncertain_are_passed_over(worse: int) -> None:
     assert worse not in most_informative(AXIS, LandmarkMap(landmarks), EVERY, SIGMA, 12)
 
 
-def test_what_was_looked_for_before_gives_way_to_what_gives_about_as_much() -> None:
+def test_landmarks_searched_before_yield_to_others_of_similar_information() -> None:
     novelty = np.ones(len(EVERY))
     looked_for: set[int] = set()
     for _ in range(4):

@@ -1,4 +1,4 @@
-"""A signal is heeded where that was asked for, and nowhere else."""
+"""A signal is handled where the program checks for it, and nowhere else."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_signal_in_a_destructor_is_not_lost(number: signal.Signals) -> None:
     assert [signal.getsignal(each) for each in NUMBERS] == handlers
 
 
-def test_what_was_not_heeded_is_raised_at_the_end() -> None:
+def test_a_pending_signal_is_raised_at_the_end() -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupted_at_its_end()
 

@@ -1,4 +1,4 @@
-"""Joint states whose stamps are late, or that stay as they were: reported, and measured."""
+"""Joint states with late stamps or frozen values are reported, and the delay is estimated."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_a_delay_that_is_over_is_taken_back(sensed: list[Sensed], seconds: float
     assert abs(delays[-1]) < max(0.02, 4.0 * localizer.late.sigma_s)
 
 
-def test_joint_states_that_freeze_are_never_believed_for_long(sensed: list[Sensed]) -> None:
+def test_joint_states_that_freeze_are_soon_rejected(sensed: list[Sensed]) -> None:
     stands = pan_rad(FAULT_S)
 
     def frozen(step: Step, frame: CameraFrame | None) -> Sensed:

@@ -229,7 +229,7 @@ def test_an_axis_that_is_tilted_unreported_is_levelled(panoramas: list[Panorama]
 @pytest.mark.parametrize(
     ('rise_m', 'lean_deg'), [(0.04, (0.0, 0.0)), (-0.015, (0.4, 0.0)), (0.1, (-1.0, 2.5))]
 )
-def test_height_and_lean_that_papers_show_are_used(
+def test_height_and_tilt_by_the_papers_are_used(
     rise_m: float, lean_deg: tuple[float, float]
 ) -> None:
     """Panoramas are taken where they are, and say what the mount is, whatever was given."""
@@ -252,7 +252,9 @@ def test_height_and_lean_that_papers_show_are_used(
 
 
 @pytest.mark.parametrize('off', [{'rise_m': 0.5}, {'rise_m': 0.06, 'sigma': 0.0}])
-def test_a_mount_beyond_reason_or_against_a_predict_is_refused(off: dict[str, float]) -> None:
+def test_a_mount_that_is_implausible_or_contradicts_its_sigma_is_refused(
+    off: dict[str, float],
+) -> None:
     x, y, z = MOUNT.axis_xyz
     true = replace(MOUNT, axis_xyz=(x, y, z + off['rise_m']))
     known = Calibration.of_mount(MOUNT)

@@ -1,4 +1,4 @@
-"""Whether all of a patch is the same in two views."""
+"""Displacement of parts of a patch between two views."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_noise_gain_and_offset_displace_nothing(sigma: float) -> None:
 
 
 @pytest.mark.parametrize('shift', [0.5, 1.0])
-def test_a_quarter_that_moved_is_recognized_by_how_far(shift: float) -> None:
+def test_the_displacement_of_a_quarter_is_measured(shift: float) -> None:
     for seed in range(10):
         whole = texture(seed)
         moved = cv2.warpAffine(whole, np.array([[1.0, 0.0, shift], [0.0, 1.0, 0.0]]), (60, 60))

@@ -1,4 +1,4 @@
-"""A camera that does not know where it is looks all around, within the limits of its joint."""
+"""A robot that is lost turns its camera all around, within the joint limits."""
 
 from __future__ import annotations
 

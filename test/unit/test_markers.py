@@ -1,4 +1,4 @@
-"""What RViz and Foxglove are given to draw: where lines end, how large ellipses are."""
+"""Markers for RViz and Foxglove: ends of lines, sizes of ellipses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages whose fields or values are not what they should be are refused where they come in."""
+"""Messages with invalid fields or values are refused when they are decoded."""
 
 from __future__ import annotations
 

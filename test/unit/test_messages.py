@@ -1,4 +1,4 @@
-"""What crosses the stages comes back from its messages, or is refused by name."""
+"""Results of the stages survive encoding and decoding, or are refused by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images and cameras come back from their messages, or are refused by name."""
+"""Images and cameras survive encoding and decoding, or are refused by name."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ def test_frames_are_reduced_to_the_working_resolution_and_keep_their_directions(
         np.testing.assert_allclose(found, [u, v], atol=0.06)
 
 
-def test_a_header_that_predict_too_much_is_refused_before_memory_is_taken():
+def test_a_header_of_absurd_size_is_refused_before_memory_is_taken():
     jpeg = bytearray(cv2.imencode('.jpg', np.zeros((16, 16), np.uint8))[1].tobytes())
     at = jpeg.index(b'\xff\xc0') + 5
     jpeg[at : at + 4] = struct.pack('>HH', 16000, 65000)

@@ -140,7 +140,7 @@ def test_nees_interval_allows_for_errors_that_repeat(kept, of_map):
         assert (np.median(high - low) > 3.0) == (kept > 0.95)
 
 
-def test_hash_gives_results_apart_but_not_rounding():
+def test_the_hash_differs_for_other_results_but_not_for_rounding():
     stamps = np.arange(5, dtype=np.int64)
     fused = np.random.default_rng(1).integers(-9, 9, (5, 3)) * 0.123456
     fixes = fused.copy()

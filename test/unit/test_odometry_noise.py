@@ -99,35 +99,11 @@ class TestTrack:
         assert track.add(sample(6.1, here)) is not None
         assert track.stamps_ns == (0, round(1e9 * (1.0 + 0.05 * 99)))
 
-    def test_time_for_which_it_stands(self) -> None:
-        """On the way until 1 s, then still until 1.5 s, and on the way again."""
-        track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
-        for k in range(1, 11):
-            spot = replace(sample(1.0 + 0.05 * k, here), linear_m_s=0.0, angular_rad_s=0.0)
-            assert track.add(spot) is None
-
-        def still(begin_s: float, end_s: float) -> float:
-            motion = track.motion(round(1e9 * begin_s), round(1e9 * end_s))
-            assert motion.still_seconds <= motion.seconds
-            return motion.still_seconds
-
-        assert still(0.2, 0.9) == 0.0
-        assert still(0.9, 1.3) == pytest.approx(0.3)
-        # To the last bit: then nothing but a stand is in it.
-        assert still(1.1, 1.3) == 0.2
-        assert still(1.37, 1.6) == track.motion(1_370_000_000, 1_600_000_000).seconds
-        # Nothing is known of what comes after the time that a twist predicts.
-        assert still(1.4, 3.0) == pytest.approx(0.1 + HORIZON_S)
-        track.add(sample(1.55))
-        assert still(1.4, 1.6) == pytest.approx(0.1)
-        assert still(0.0, 9.0) == pytest.approx(0.5)
-
-    def test_a_pause_on_the_spot_is_blind_not_still(self) -> None:
+    def test_a_pause_on_the_spot_is_blind(self) -> None:
         track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
         assert track.add(OdometrySample(3 * 10**9, here)) is None
         motion = track.motion(10**9, 3 * 10**9)
         assert motion.blind_seconds == pytest.approx(2.0)
-        assert motion.still_seconds == 0.0
 
     def test_predicts_by_the_last_twist_for_a_while(self) -> None:
         track = circle_track()
@@ -197,7 +173,7 @@ class TestTrack:
         assert refusal is not None
         assert refusal.reason == 'odometry jumped'
 
-    def test_a_jump_after_a_pause_is_bridged_as_far_as_a_twist_tells(self) -> None:
+    def test_a_jump_after_a_pause_is_bridged_as_far_as_a_twist_predicts(self) -> None:
         track = circle_track()
         assert track.add(sample(2.0, np.array([50.0, 0.0, 0.0]))) is not None
         motion = track.motion(1_000_000_000, 2_000_000_000)

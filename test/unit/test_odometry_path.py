@@ -1,4 +1,4 @@
-"""Jumps of an odometry, and paths whose axes do not go with the yaw."""
+"""Jumps of odometry, and paths whose axes disagree with the yaw."""
 
 from __future__ import annotations
 

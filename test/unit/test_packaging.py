@@ -1,4 +1,4 @@
-"""The package's shell: what setup.py, package.xml and the installed prefix say is the same."""
+"""setup.py, package.xml and the installed prefix agree."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def test_grey_frames_give_a_grey_panorama() -> None:
     np.testing.assert_array_equal(view.image, color.image[..., 1:2].repeat(3, axis=-1))
 
 
-def test_the_median_forgets_who_walks_through_two_of_ten_frames() -> None:
+def test_the_median_removes_a_person_in_two_of_ten_frames() -> None:
     pans = np.radians(np.linspace(-12.0, 12.0, 10))
     frames = list(sky_sweep(LENS, pans).frames)
     for k, left in ((3, 60), (4, 75)):

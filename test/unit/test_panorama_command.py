@@ -1,4 +1,4 @@
-"""`landmark-nav panorama`: which sweep it takes, and what it says of what it is given."""
+"""`landmark-nav panorama`: choice of the sweep, warnings and errors."""
 
 from __future__ import annotations
 

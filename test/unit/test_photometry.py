@@ -1,4 +1,4 @@
-"""Exposures and vignetting, found out of overlaps and made up for."""
+"""Exposures and vignetting are estimated from overlaps and corrected."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_grey_frames_and_exposures_alone(even: Sweep) -> None:
     assert even_out(grey, found).frames[4].image.ndim == 2
 
 
-def test_who_walks_through_changes_little(even: Sweep) -> None:
+def test_people_in_the_sweep_change_little(even: Sweep) -> None:
     sweep = taken(even, np.ones(len(PANS)), 0.3)
     frames = list(sweep.frames)
     for k in range(3, 9):

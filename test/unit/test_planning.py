@@ -160,7 +160,7 @@ class TestViews:
 
 
 class TestPrediction:
-    def test_walls_straight_ahead_of_both_places_give_landmarks_if_sizes_give(self) -> None:
+    def test_walls_on_the_baseline_give_landmarks_only_with_depth_from_scale(self) -> None:
         samples = sample_walls(ROOM, 0.05, 1000)
         # Both see the papers in the south and look at the middle of the east wall in line.
         poses = sweep_poses(np.array([[1.0, 2.0], [3.5, 2.0]]), ROOM)
@@ -318,7 +318,9 @@ class TestBadInput:
             ),
         ],
     )
-    def test_is_reported_in_a_line(self, room: Room, count: int, message: str) -> None:
+    def test_what_can_not_be_planned_is_one_line(
+        self, room: Room, count: int, message: str
+    ) -> None:
         with pytest.raises(LandmarkNavError, match=message):
             plan_positions(room, MOUNT, count, CONFIG, np.random.default_rng(0))
 

@@ -1,4 +1,4 @@
-"""What planning predicts to first order, against the stages that will do it."""
+"""First-order predictions of planning against the stages themselves."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def test_localization_sigma_is_that_of_a_triangulation() -> None:
         assert found[k] == pytest.approx(np.sqrt(np.trace(fix.covariance[:2, :2])), rel=1e-6)
 
 
-def test_fewer_than_three_landmarks_gives_nothing() -> None:
+def test_fewer_than_three_landmarks_give_nothing() -> None:
     landmarks = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.5], [0.3, -2.0]])
     gradient = bearing_gradients(np.zeros((3, 2)), landmarks)
     seen = np.array([[1.0, 1.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.0], [0.7, 0.7, 0.7, 0.8]])

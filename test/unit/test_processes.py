@@ -93,7 +93,7 @@ def run(body: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize('number', SIGNALS)
-def test_those_who_wait_are_asked_to_leave(number: signal.Signals) -> None:
+def test_a_signal_asks_the_work_to_end_once(number: signal.Signals) -> None:
     done = run(f"""
         asked = threading.Event()
         with ShutdownGuard(asked.set, 20.0):
@@ -106,7 +106,7 @@ def test_those_who_wait_are_asked_to_leave(number: signal.Signals) -> None:
 
 
 @pytest.mark.parametrize('number', SIGNALS)
-def test_who_does_not_leave_is_ended(number: signal.Signals) -> None:
+def test_a_process_that_does_not_end_is_killed(number: signal.Signals) -> None:
     # The signal comes in another thread, while the main one waits for good.
     done = run(f"""
         with ShutdownGuard(lambda: print('asked', flush=True), 0.2):
@@ -117,7 +117,7 @@ def test_who_does_not_leave_is_ended(number: signal.Signals) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, 'asked\n', '')
 
 
-def test_who_was_asked_to_leave_without_a_signal_is_ended_too() -> None:
+def test_a_process_that_should_end_without_a_signal_is_ended_too() -> None:
     done = run("""
         with ShutdownGuard(lambda: None, 0.2) as signals:
             signals.expect_end()
@@ -126,7 +126,7 @@ def test_who_was_asked_to_leave_without_a_signal_is_ended_too() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
 
 
-def test_who_holds_the_interpreter_is_ended() -> None:
+def test_a_process_that_holds_the_interpreter_is_killed() -> None:
     done = run("""
         import re
         asked = threading.Event()
@@ -187,7 +187,9 @@ def supervisor(tmp_path: Path) -> Supervisor:
     return Supervisor(tmp_path, os.environ, grace_s=0.5)
 
 
-def test_who_died_and_its_last_words(supervisor: Supervisor, tmp_path: Path) -> None:
+def test_a_dead_process_is_reported_with_its_last_lines(
+    supervisor: Supervisor, tmp_path: Path
+) -> None:
     with supervisor:
         supervisor.start('sleeper', SLEEP)
         supervisor.check()
@@ -200,7 +202,7 @@ def test_who_died_and_its_last_words(supervisor: Supervisor, tmp_path: Path) -> 
         assert supervisor.stop()['sleeper'] == -signal.SIGTERM
 
 
-def test_a_killed_one_is_recognized_by_its_signal(supervisor: Supervisor) -> None:
+def test_a_killed_process_is_recognised_by_its_signal(supervisor: Supervisor) -> None:
     killer = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
     with supervisor:
         supervisor.start('short', [sys.executable, '-S', '-c', killer])
@@ -208,7 +210,9 @@ def test_a_killed_one_is_recognized_by_its_signal(supervisor: Supervisor) -> Non
             check_until_something_happens(supervisor)
 
 
-def test_all_end_however_stubborn(supervisor: Supervisor, tmp_path: Path) -> None:
+def test_all_processes_end_even_if_they_ignore_signals(
+    supervisor: Supervisor, tmp_path: Path
+) -> None:
     with supervisor:
         supervisor.start('sleeper', SLEEP)
         supervisor.start('stubborn', STUBBORN)
@@ -238,7 +242,7 @@ def is_running(process_id: int) -> bool:
 
 
 @pytest.mark.skipif(shutil.which('setpriv') is None, reason='no setpriv (util-linux)')
-def test_who_is_killed_leaves_nobody_behind(tmp_path: Path) -> None:
+def test_a_killed_supervisor_leaves_no_process_behind(tmp_path: Path) -> None:
     conductor = (
         'import os, signal, sys, time\n'
         'from pathlib import Path\n'

@@ -1,4 +1,4 @@
-"""Every file is read through one door: bounded, regular, text; what is odd is one line."""
+"""Files are read through one module: bounded, regular, text; an error is one line."""
 
 from __future__ import annotations
 

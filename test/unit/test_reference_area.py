@@ -1,4 +1,4 @@
-"""The papers show the place, in any light, however the camera is mounted."""
+"""Poses of sweeps by papers, in any light and with any mount."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Papers that are hidden, swapped, moved or alike give no wrong place, but a reason."""
+"""Papers that are hidden, swapped, moved or alike give a refusal with a reason, no wrong pose."""
 
 from __future__ import annotations
 

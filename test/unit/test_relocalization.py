@@ -1,4 +1,4 @@
-"""The pose of a robot that knows nothing of it: found, refused, or not unique."""
+"""Global localization: found, refused, or not unique."""
 
 from __future__ import annotations
 
@@ -244,7 +244,9 @@ def test_no_place_is_proposed_behind_a_wall() -> None:
     ('limit', 'words'),
     [({}, 'look around'), ({'max_sigma_m': 1e-6}, 'sigma'), ({'max_sigma_rad': 1e-7}, 'sigma')],
 )
-def test_what_is_seen_must_gives_the_place_well(limit: dict[str, float], words: str) -> None:
+def test_views_that_determine_the_pose_badly_are_refused(
+    limit: dict[str, float], words: str
+) -> None:
     """Or all around is looked for more; six landmarks within 0.6 rad show it hardly."""
     pose = (4.6, 2.0, np.pi) if not limit else (2.4, 1.9, 0.4)
     frames = sweep(SCENE, pose, np.zeros(1) if not limit else PANS[::3])
@@ -349,7 +351,7 @@ def test_one_known_wall_in_a_foreign_room_is_not_the_room() -> None:
     assert 'tracking' not in statuses
 
 
-def test_the_room_itself_is_sure_when_two_walls_were_seen() -> None:
+def test_the_room_itself_is_accepted_when_two_walls_were_seen() -> None:
     statuses, places = reported(sweep(SCENE, POSE, np.radians(np.arange(-180, 180, 30))))
     assert places == 1
     assert statuses[-1] == 'tracking'

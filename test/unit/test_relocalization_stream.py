@@ -1,4 +1,4 @@
-"""A place that is searched for while images and odometry come in."""
+"""Global localization from a stream of images and odometry."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_stream_that_shows_the_same_again_gives_the_same_answer() -> None:
     assert relocalizer.add_frame(replace(dark, stamp_ns=10**8)) is first
 
 
-def test_a_camera_that_froze_shows_nothing_new_wherever_its_joints_state_it_looks() -> None:
+def test_a_frozen_camera_shows_nothing_new_at_any_pan() -> None:
     relocalizer = Relocalizer(MAP, MOUNT)
     frame, turned = sweep(SCENE, (2.4, 1.9, 0.4), PANS[:2])
     for k in range(2):

@@ -1,4 +1,4 @@
-"""Transforms in a recording lead from the map to the pixel that a landmark is seen at."""
+"""Transforms in a recording lead from the map to the pixel of a landmark."""
 
 from __future__ import annotations
 

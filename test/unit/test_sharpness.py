@@ -1,4 +1,4 @@
-"""Blur is seen beside other posters of the same wall, whatever else differs."""
+"""Blur is measured against neighbouring images of the same wall."""
 
 from __future__ import annotations
 

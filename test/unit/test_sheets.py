@@ -129,7 +129,7 @@ def papers(seed: int, size: float = 1.0) -> SheetSource:
     return SheetSource('papers', tracks, LEVER)
 
 
-def test_sheets_of_one_look_are_told_apart_and_false_ones_left_out() -> None:
+def test_sheets_that_look_alike_are_distinguished_and_false_ones_left_out() -> None:
     rng = np.random.default_rng(1)
     sheets = [views(state, rng, names='aaa') for state in STATES]
     for seen in sheets:  # a poster of another size, which both show

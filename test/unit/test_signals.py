@@ -66,7 +66,7 @@ def test_an_executable_of_a_node_ends_quietly(number: int, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize('module', ['__main__', 'nodes.room_simulator'])
-def test_executables_heed_signals_before_they_import_anything_else(module: str) -> None:
+def test_executables_handle_signals_before_they_import_anything_else(module: str) -> None:
     script = """
         import os, signal, sys
         before = set(sys.modules)
@@ -112,7 +112,7 @@ def test_work_that_is_interrupted_cleans_up(number: signal.Signals) -> None:
     assert cleaned == ['first', 'second']
 
 
-def test_signals_held_back_by_the_starter_are_heeded() -> None:
+def test_signals_blocked_by_the_parent_are_handled() -> None:
     script = """
         import os, signal, sys
         from landmark_nav.signals import end_at_once
@@ -131,7 +131,7 @@ def test_signals_held_back_by_the_starter_are_heeded() -> None:
     assert (process.returncode, output, complaint) == (7, '', '')
 
 
-def test_an_executable_holds_signals_back_until_its_program_heeds_them(tmp_path: Path) -> None:
+def test_an_executable_blocks_signals_until_its_program_handles_them(tmp_path: Path) -> None:
     env = ['env', '--block-signal=INT,TERM', 'true']
     if subprocess.run(env, check=False, capture_output=True).returncode:
         pytest.skip('env of this system cannot block signals')

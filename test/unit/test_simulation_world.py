@@ -51,7 +51,7 @@ def test_time_passes_in_whole_steps(world):
     assert world.stamp_ns - start == pytest.approx(1e9, abs=2)
 
 
-def test_an_image_gives_when_and_where_to_it_was_taken(world):
+def test_an_image_has_stamp_and_pan_of_its_exposure(world):
     world.place(POSE, 0.7, 0.1)
     frame = world.camera_frame()
     assert frame.image.shape == (120, 160, 3)
@@ -114,7 +114,7 @@ def test_sweep_and_drive_are_recorded_as_a_robot_would(world, tmp_path):
     assert np.linalg.norm(truth[-1][:2] - truth[0][:2]) > 0.3
 
 
-def test_gaze_looks_at_things_on_walls_within_its_limits():
+def test_the_camera_looks_at_items_on_walls_within_its_limits():
     pan_control = PanControl(SCENE, MOUNT, np.pi, np.random.default_rng(0))
     pans = np.array([pan_control.pan(0.1 * k, POSE) for k in range(200)])
     assert np.abs(pans).max() < np.pi - 0.3

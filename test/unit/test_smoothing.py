@@ -1,4 +1,4 @@
-"""The joint estimator over a whole recording: each pose by what came before and after it."""
+"""Fixed-interval smoothing of a recording by the joint estimator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What others see of a correction: never a jump, and soon all of it."""
+"""Corrections are published without jumps, and completely within their time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A patch of wall is found again from another place, and refused where it is none."""
+"""A patch of a wall is found again from another position, or refused."""
 
 from __future__ import annotations
 
@@ -286,7 +286,7 @@ def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it() -> None:
     assert isinstance(seen, PatchMeasurement)
 
 
-def test_straight_ahead_sizes_gives_and_what_hangs_above_the_camera_has_parallax(
+def test_on_the_baseline_scale_gives_depth_and_above_the_camera_parallax_does(
     panoramas: list[Panorama],
 ) -> None:
     way = CENTERS[1] - CENTERS[0]

@@ -1,4 +1,4 @@
-"""Where sweeps were taken, by poses that are given and by odometry."""
+"""Poses of sweeps from given poses and odometry."""
 
 from __future__ import annotations
 

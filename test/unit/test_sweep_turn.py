@@ -1,4 +1,4 @@
-"""Whether images turn as the pan that is reported: sign, scale, focal length."""
+"""Images turn as the reported pan: sign, scale, focal length."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_pan_that_is_not_that_of_the_images_is_refused(
 
 
 @pytest.mark.parametrize('focal', [0.5, 1.5, 2.0])
-def test_a_focal_length_of_another_image_size_distinguished_from_a_wrong_pan(
+def test_a_focal_length_of_another_image_size_is_distinguished_from_a_wrong_pan(
     turn: Sweep, focal: float
 ) -> None:
     with pytest.raises(LandmarkNavError, match='focal length'):

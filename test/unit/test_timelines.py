@@ -119,7 +119,7 @@ def test_a_driver_that_reports_the_pan_within_half_a_turn(period_ms: int) -> Non
         np.testing.assert_allclose(turned, [-0.3 * RATE, 0.0, 0.3 * RATE], atol=1e-9)
 
 
-def test_a_tilt_that_is_recognized_by_itself_is_interpolated_and_stays() -> None:
+def test_a_tilt_of_another_driver_is_interpolated_and_stays() -> None:
     samples = [JointSample(t * MS, 0.1) for t in range(0, 500, 20)]
     history = JointHistory(samples, [(250 * MS, 0.5), (150 * MS, 0.3)])
     for at_ms, tilt in ((100, 0.3), (150, 0.3), (175, 0.35), (230, 0.46), (400, 0.5)):

@@ -1,4 +1,4 @@
-"""The chosen triplet is in view, within reach, and promises what the fix will have."""
+"""The chosen triplet is in view and within reach, and the fix has the predicted covariance."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
 
 class TestSelection:
-    def test_promised_covariance_is_that_of_the_fix(self) -> None:
+    def test_predicted_covariance_is_that_of_the_fix(self) -> None:
         landmark_map = random_map(40)
         triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
         places = triplet.ids - 100
@@ -50,7 +50,7 @@ class TestSelection:
         ).covariance
         np.testing.assert_allclose(predicted, fix.covariance, rtol=1e-6, atol=1e-12)
 
-    def test_no_other_triplet_in_a_view_predict_much_more(self) -> None:
+    def test_no_other_triplet_in_a_view_is_much_better(self) -> None:
         """Against every triple of visible landmarks, one pan after the other."""
         landmark_map = random_map(25, seed=3)
         triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
@@ -193,7 +193,7 @@ class TestRefusal:
         assert isinstance(found, Refusal)
         assert 'fit one view' in found.reason
 
-    def test_no_use_promising_what_is_useless(self) -> None:
+    def test_a_triplet_above_the_greatest_sigma_is_refused(self) -> None:
         strict = TripletConfig(max_sigma_m=1e-4)
         found = select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, strict)
         assert isinstance(found, Refusal)

@@ -1,4 +1,4 @@
-"""What is visible, how far the camera turns for it, and how exact a fix it makes."""
+"""Visibility, pan motion and accuracy of triplets."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class TestGeometry:
         assert both.shape == (2, 2)
         np.testing.assert_allclose(both[1], one)
 
-    def test_danger_circle_predict_nothing(self) -> None:
+    def test_triplets_on_the_danger_circle_predict_no_pose(self) -> None:
         angles = np.array([0.3, 1.5, 4.0])
         circle = LandmarkMap(
             tuple(

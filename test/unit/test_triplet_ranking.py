@@ -1,4 +1,4 @@
-"""No triplet is ranked too high, by the search or by what turning and uncertainty cost."""
+"""The ranking of triplets is exact, and includes the costs of pan motion and uncertainty."""
 
 from __future__ import annotations
 

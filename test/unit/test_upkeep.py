@@ -181,7 +181,7 @@ def test_a_check_states_what_cannot_be(changes, match):
     assert re.search(match, problems)
 
 
-def test_the_commands_gives_it_with_their_exit_status(tmp_path, capsys):
+def test_the_commands_report_it_by_their_exit_status(tmp_path, capsys):
     a, b, out = (str(tmp_path / name) for name in ('a', 'b', 'out'))
     save_map(make_map(*(landmark(k, p) for k, p in enumerate(PLACES)), stamp_ns=1), a)
     save_map(

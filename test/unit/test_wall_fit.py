@@ -1,4 +1,4 @@
-"""The wall map against patches that stereo placed."""
+"""Walls of the plan against patches located by stereo."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Walls with a sigma: patches move them to where they are, and no farther."""
+"""Walls with a sigma move to their patches, and no farther."""
 
 from __future__ import annotations
 

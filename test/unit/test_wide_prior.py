@@ -1,4 +1,4 @@
-"""A pose that is hardly known: landmarks look otherwise than from there."""
+"""Localization within a wide prior, where landmarks look different from the expected view."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_pose_that_is_known_to_be_far_off_finds_the_same_landmarks(
 
 
 @pytest.mark.parametrize('sigma', [(0.5, 0.5, 0.0), (0.5, 0.0, 0.0), (0.0, 0.0, 0.3)])
-def test_a_prior_that_is_sure_of_one_direction(sigma: tuple[float, ...]) -> None:
+def test_a_prior_that_is_accurate_in_one_direction(sigma: tuple[float, ...]) -> None:
     seen = look(reported(np.array([0.6, 0.6, 0.6]) * sigma, np.array(sigma)))
     assert len(seen.detections) == 4
 

@@ -1,4 +1,4 @@
-"""What stereo asks of drawn panoramas: their greys, and a candidate where a point is seen."""
+"""Grey images of rendered panoramas, and candidates where points are seen."""
 
 from __future__ import annotations
 

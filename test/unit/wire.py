@@ -1,4 +1,4 @@
-"""Messages as they arrive: out of a bag, and in the containers of rclpy."""
+"""Messages as received: from a bag, and in the containers of rclpy."""
 
 from __future__ import annotations
 

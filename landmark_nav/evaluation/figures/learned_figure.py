@@ -120,7 +120,7 @@ def _draw_plan(
         landmark = landmarks.landmarks[k]
         point = landmark.position[:2]
         axes.plot(*np.stack([eye, point], -1), color=FUSED, alpha=0.12, linewidth=0.8, zorder=1)
-        add_ellipse(axes, point, landmark.covariance[:2, :2], 3.0, LANDMARK, _MAGNIFIED)
+        add_ellipse(axes, point, landmark.covariance[:2, :2], LANDMARK, _MAGNIFIED)
     axes.plot(*landmarks.positions[shown, :2].T, 'o', color=LANDMARK, markersize=5, zorder=6)
     if truth is not None:
         axes.plot(

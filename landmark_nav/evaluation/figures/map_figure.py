@@ -46,7 +46,7 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     draw_landmarks(axes, landmarks)
     _draw_certainty(axes, landmarks)
     for place in landmarks.panorama_poses:
-        add_ellipse(axes, place.pose, place.covariance[:2, :2], 3.0, FUSED, _MAGNIFIED)
+        add_ellipse(axes, place.pose, place.covariance[:2, :2], FUSED, _MAGNIFIED)
     draw_sweep_places(axes, [place.pose for place in landmarks.panorama_poses], 'sweep')
     axes.set_title(
         f'{len(landmarks.landmarks)} landmarks learned from '
@@ -105,4 +105,4 @@ def _draw_certainty(axes: Axes, landmarks: LandmarkMap) -> None:
     lines = list(np.stack([feet, feet + _NORMAL_M * landmarks.normals[:, :2]], 1))
     axes.add_collection(LineCollection(lines, colors=LANDMARK, linewidths=1.0, zorder=5))
     for foot, covariance in zip(feet, landmarks.covariances[:, :2, :2], strict=True):
-        add_ellipse(axes, foot, covariance, 3.0, LANDMARK, _MAGNIFIED)
+        add_ellipse(axes, foot, covariance, LANDMARK, _MAGNIFIED)

@@ -152,15 +152,15 @@ def draw_sweep_places(axes: Axes, poses: Iterable[FloatArray], name: str = '') -
 
 
 def add_ellipse(
-    axes: Axes, center: FloatArray, covariance: FloatArray, sigmas: float, color: str, scale: float
+    axes: Axes, center: FloatArray, covariance: FloatArray, color: str, scale: float
 ) -> None:
     """
-    Draw the ellipse of `sigmas` sigmas of a planar covariance (2, 2).
+    Draw the ellipse of three sigmas of a planar covariance (2, 2).
 
     `scale` enlarges it, so that centimetres are visible in a room.
     """
     variances, axes_2d = np.linalg.eigh(covariance)
-    width, height = 2.0 * sigmas * scale * np.sqrt(np.maximum(variances[::-1], 0.0))
+    width, height = 6.0 * scale * np.sqrt(np.maximum(variances[::-1], 0.0))
     angle = np.degrees(np.arctan2(axes_2d[1, 1], axes_2d[0, 1]))
     ellipse = Ellipse(
         (center[0], center[1]), width, height, angle=angle, color=color, alpha=0.35, linewidth=0.8,

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag
 
 from landmark_nav.calibration import NAMES
 from landmark_nav.geometry.angles import wrap_rad
@@ -134,11 +134,12 @@ class NormalEquations:
         own = self.h_xx * (1.0 + by * np.eye(3))
         return replace(self, h_xx=own, h_ss=self.h_ss + by * np.diag(np.diag(self.h_ss)))
 
-    @property
+    @cached_property
     def gain(self) -> FloatArray:
         """Minus the derivative of each landmark by the shared unknowns, (n, 3, m)."""
         return np.asarray(np.linalg.solve(self.h_xx, self.h_xs), dtype=np.float64)
 
+    @cached_property
     def _schur(self) -> FloatArray:
         shared = len(self.h_ss)
         reduction = self.h_xs.reshape(-1, shared).T @ self.gain.reshape(-1, shared)
@@ -148,7 +149,7 @@ class NormalEquations:
         """Steps of landmarks (n, 3) and shared unknowns (m,)."""
         alone = np.linalg.solve(self.h_xx, self.b_x[..., None])[..., 0]
         rhs = self.b_s - np.einsum('nip,ni->p', self.h_xs, alone)
-        shared = solve_positive(self._schur(), rhs)
+        shared = solve_positive(self._schur, rhs)
         return alone - self.gain @ shared, shared
 
     def own_covariance(self) -> FloatArray:
@@ -157,7 +158,7 @@ class NormalEquations:
 
     def shared_covariance(self) -> FloatArray:
         """Covariance (m, m) of the shared unknowns."""
-        return covariance_of(self._schur())
+        return covariance_of(self._schur)
 
 
 class Problem:
@@ -335,9 +336,15 @@ class Problem:
         plan, height, *hanging = spread
         factor = np.where(self._height, height, plan)
         off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
-        places = self._places * np.outer(factor, factor)
-        walls = off_walls + self._given
-        return np.asarray(block_diag(places, walls, self._calibration, self._warp_variance))
+        covariance = np.zeros((len(self.prior), len(self.prior)))
+        for part, block in (
+            (self.pose_part, self._places * np.outer(factor, factor)),
+            (self._walls, off_walls + self._given),
+            (self.calibration_part, self._calibration),
+            (self._warped, self._warp_variance),
+        ):
+            covariance[part, part] = block
+        return covariance
 
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray

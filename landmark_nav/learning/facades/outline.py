@@ -35,9 +35,7 @@ _WIDE_RAD = 2.0
 _OVER_EYE_M, _ABOVE_M = 0.2, 0.3
 
 
-def room_of(
-    facades: Sequence[Facade], eyes: FloatArray, config: FacadesConfig, frame_id: str
-) -> Room:
+def room_of(facades: Sequence[Facade], eyes: FloatArray, config: FacadesConfig) -> Room:
     """
     Build a room from facades.
 
@@ -51,8 +49,6 @@ def room_of(
         Viewpoints of the sweeps, in map.
     config : FacadesConfig
         Height and sigma of walls.
-    frame_id : str
-        Frame of the map.
     """
     tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
     middle = eyes[:, :2].mean(0)
@@ -60,11 +56,11 @@ def room_of(
     height = max([config.wall_height_m, *(f.high_m + _ABOVE_M for f in facades)])
     corners = _corners(tall, which, middle)
     try:
-        room = _closed(corners, height, config, frame_id)
+        room = _closed(corners, height, config)
     except LandmarkNavError:
         # Intersections of uncertain planes may cross; observed parts in their order do not.
         corners = _seen_corners(which, points, middle)
-        room = _closed(corners, height, config, frame_id)
+        room = _closed(corners, height, config)
     if not room.contains(eyes[:, :2]).all():
         raise LandmarkNavError(
             f'the {len(tall)} flat surfaces found do not surround the sweeps: take another sweep '
@@ -77,7 +73,7 @@ def room_of(
     return room
 
 
-def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame_id: str) -> Room:
+def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig) -> Room:
     """
     Room around all points, if facades enclose none; nothing is known about its walls.
 
@@ -90,11 +86,11 @@ def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig, frame
     far = far / np.cos(np.pi / _OPEN_WALLS) + _BEYOND_M
     ends = 2.0 * np.pi * np.arange(_OPEN_WALLS) / _OPEN_WALLS
     corners = [(middle + far * np.array([np.cos(a), np.sin(a)]), -1) for a in ends]
-    return _closed(corners, config.wall_height_m, config, frame_id)
+    return _closed(corners, config.wall_height_m, config)
 
 
 def _closed(
-    corners: Sequence[tuple[FloatArray, int]], height: float, config: FacadesConfig, frame_id: str
+    corners: Sequence[tuple[FloatArray, int]], height: float, config: FacadesConfig
 ) -> Room:
     """Room of corners; `LandmarkNavError` if there are too few or its walls cross."""
     if len(corners) >= 3:
@@ -104,7 +100,7 @@ def _closed(
             for k, ((start, facade), end) in enumerate(zip(corners, ends, strict=True))
         )
         with suppress(LandmarkNavError):
-            return Room(walls, (), frame_id)
+            return Room(walls)
     raise LandmarkNavError(
         'the flat surfaces that were found make no room: take sweeps that see more textured '
         'walls, or give room.yaml'

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import block_diag, eigh, solve_triangular
+from scipy.linalg import eigh
 
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.least_squares import covariance_of, root_of
+from landmark_nav.learning.least_squares import covariance_of, root_of, solve_root
 from landmark_nav.learning.reference_area.model import (
     linearized,
     OF_PAPER,
@@ -131,9 +131,12 @@ def joined(alone: FloatArray, loading: FloatArray) -> FloatArray:
 
     These include the part by shared factors of unit variance with `loading` (v, d, m).
     """
-    shared = loading.reshape(-1, loading.shape[-1])
-    apart = 1.0 - block_diag(*np.ones_like(alone))
-    return np.asarray(block_diag(*alone) + apart * (shared @ shared.T))
+    count, size, factors = loading.shape
+    shared = loading.reshape(count * size, factors)
+    joint = shared @ shared.T
+    own = np.arange(count)
+    joint.reshape(count, size, count, size)[own, :, own] = alone
+    return np.asarray(joint)
 
 
 def _loading(
@@ -145,7 +148,7 @@ def _loading(
         known = panorama.calibration
         mounted = panorama.by_calibration @ root_of(known.covariance)
     loading = np.hstack([mounted, _by_papers(panorama, covariance, room, config)])
-    half = solve_triangular(root_of(covariance), loading, lower=True)
+    half = solve_root(root_of(covariance), loading)
     share = float(np.linalg.norm(half, 2) ** 2)
     return np.asarray(loading * np.sqrt(_MOST / max(share, _MOST)))
 

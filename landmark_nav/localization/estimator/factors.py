@@ -105,12 +105,6 @@ class ImagePoints:
         covariance_px2: FloatArray,
         camera: CameraModel,
         pan_rad: float,
-        tilt_rad: float = 0.0,
-        pan_rate_rad_s: float = 0.0,
-        pan_sigma_rad: float = 0.0,
-        pan_track: PanTrack | None = None,
-        missed: IndexArray | None = None,
-        near: FloatArray | None = None,
         known: CameraModel | None = None,
     ) -> ImagePoints:
         """
@@ -129,12 +123,6 @@ class ImagePoints:
             rays[:, 0],
             by_uv @ covariance_px2 @ by_uv.swapaxes(1, 2),
             np.full(len(columns), pan_rad),
-            tilt_rad,
-            pan_rate_rad_s,
-            pan_sigma_rad,
-            pan_track,
-            missed=np.empty(0, dtype=np.intp) if missed is None else missed,
-            near=near,
         )
 
     @classmethod

@@ -38,16 +38,15 @@ class Motion(NamedTuple):
     A planar motion in the body frame.
 
     `increment` (3,) is forward [m], left [m] and turn [rad] over `seconds`. For `blind_seconds`
-    the odometry was missing or broken, for `still_seconds` it stood. `ahead_s4` is the growth of
-    the fourth power of the extrapolated time [s^4] where the last twist is extrapolated.
-    `jitter_m2` and `jitter_rad2` are variances by white noise of the two poses.
+    the odometry was missing or broken. `ahead_s4` is the growth of the fourth power of the
+    extrapolated time [s^4] where the last twist is extrapolated. `jitter_m2` and `jitter_rad2` are
+    variances by white noise of the two poses.
     """
 
     increment: FloatArray
     seconds: float
     blind_seconds: float = 0.0
     ahead_s4: float = 0.0
-    still_seconds: float = 0.0
     jitter_m2: float = 0.0
     jitter_rad2: float = 0.0
 

@@ -112,13 +112,11 @@ class OdometryTrack:
         self._stamps: list[int] = []
         self._poses: list[FloatArray] = []  # continuous
         self._blind_ns: list[int] = []  # of the time until each
-        self._still_ns: list[int] = []
         self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
         # The last sample with a pose of its own, and the motion by the speeds since then.
         self._agreed: OdometrySample | None = None
         self._claimed, self._staying = 0.0, 0
-        self._still_since_ns: int | None = None
         self._reports_speeds = False
         self._agreeing = 0
         self._jitter = Jitter()
@@ -179,11 +177,8 @@ class OdometryTrack:
             self._jitter.add(increment, seconds)
         if not same_pose:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
-            self._still_since_ns = None
         elif self._freezes(sample, seconds):
             return Refusal('odometry has frozen', 'its pose stays while its speeds say it moves')
-        elif self._still_since_ns is None:
-            self._still_since_ns = last.stamp_ns
         pose = self._poses[-1] if same_pose else compose(self._poses[-1], increment)
         self._append(sample, pose, blind)
         if jumped:
@@ -225,12 +220,10 @@ class OdometryTrack:
         agreed, pose = self._agreed, self._poses[-1]
         assert agreed is not None, 'one came before'
         while len(self._stamps) > 1 and self._stamps[-1] > agreed.stamp_ns:
-            del self._stamps[-1], self._poses[-1], self._blind_ns[-1], self._still_ns[-1]
+            del self._stamps[-1], self._poses[-1], self._blind_ns[-1]
         if self._stamps[-1] < agreed.stamp_ns:
             self._append(agreed, pose, blind=False)
         self._last = agreed
-        if self._still_since_ns == agreed.stamp_ns:
-            self._still_since_ns = None
         return True
 
     def motion(self, from_ns: int, to_ns: int) -> Motion:
@@ -244,34 +237,29 @@ class OdometryTrack:
             for sign, beyond in ((1.0, self._beyond_s(to_ns)), (-1.0, self._beyond_s(from_ns)))
         )
         blind = (self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
-        still = (self._still_until_ns(to_ns) - self._still_until_ns(from_ns)) * 1e-9
-        blind, still = min(blind, _LONGEST_S), min(still, _LONGEST_S)
         jitter = (2.0 * variance for variance in self._jitter.variances)
-        return Motion(increment, seconds, blind, float(ahead), still, *jitter)
+        return Motion(increment, seconds, min(blind, _LONGEST_S), float(ahead), *jitter)
 
     def trim(self, before_ns: int) -> None:
         """Drop samples that are not needed for motions that start at `before_ns` or later."""
         keep = bisect_right(self._stamps, before_ns) - 1
         if keep > 0:
-            for values in (self._stamps, self._poses, self._blind_ns, self._still_ns):
+            for values in (self._stamps, self._poses, self._blind_ns):
                 del values[:keep]
 
     def _append(self, sample: OdometrySample, pose: FloatArray, blind: bool) -> None:
         self._first, self._last = self._first or sample, sample
-        blind_ns = still_ns = 0
+        blind_ns = 0
         if self._stamps:
-            blind_ns, still_ns = self._blind_ns[-1], self._still_ns[-1]
-            spent_ns, stands = sample.stamp_ns - self._stamps[-1], pose is self._poses[-1]
-            blind_ns += spent_ns if blind else 0
-            still_ns += spent_ns if stands and not blind else 0
+            blind_ns = self._blind_ns[-1] + (sample.stamp_ns - self._stamps[-1] if blind else 0)
+            stands = pose is self._poses[-1]
             # Of the samples while the robot stands, only the first and the last are kept.
             if stands and self._blind_ns[-2:-1] == [blind_ns] and self._poses[-2] is pose:
-                self._stamps[-1], self._still_ns[-1] = sample.stamp_ns, still_ns
+                self._stamps[-1] = sample.stamp_ns
                 return
         self._stamps.append(sample.stamp_ns)
         self._poses.append(pose)
         self._blind_ns.append(blind_ns)
-        self._still_ns.append(still_ns)
 
     def _beyond_s(self, stamp_ns: int) -> float:
         """Seconds of extrapolation: after the last sample, or, negative, before the first."""
@@ -300,20 +288,11 @@ class OdometryTrack:
         reach = int(HORIZON_S * 1e9)
         first, last = self._stamps[0] - reach, self._stamps[-1] + reach
         outside = min(stamp_ns - first, 0) + max(stamp_ns - last, 0)
-        return outside + self._until_ns(self._blind_ns, stamp_ns)
-
-    def _still_until_ns(self, stamp_ns: int) -> int:
-        """Standing time until then, including extrapolated time."""
-        ahead = max(self._beyond_s(stamp_ns), 0.0) if self._still_since_ns is not None else 0.0
-        return round(1e9 * ahead) + self._until_ns(self._still_ns, stamp_ns)
-
-    def _until_ns(self, totals: list[int], stamp_ns: int) -> int:
-        """Interpolate `totals` (n,), the cumulative times at the samples."""
         after = bisect_left(self._stamps, stamp_ns)
         if after in (0, len(self._stamps)):
-            return totals[max(after - 1, 0)]
-        since, total = totals[after - 1], totals[after]
-        return since + (stamp_ns - self._stamps[after - 1] if total > since else 0)
+            return outside + self._blind_ns[max(after - 1, 0)]
+        since, total = self._blind_ns[after - 1], self._blind_ns[after]
+        return outside + since + (stamp_ns - self._stamps[after - 1] if total > since else 0)
 
 
 def _is_near_zero(sample: OdometrySample, seconds: float) -> bool:
