@@ -159,7 +159,7 @@ def run(args: argparse.Namespace) -> int:
             _write(bag, messages, 'drive', frames)
         for name, text in (
             ('room.yaml', room_document(given[0])),
-            ('robot.yaml', robot_document(given[1])),
+            ('robot.yaml', robot_document(given[1], measured=not args.exact)),
             ('start.json', start_document(start)),
             ('scene.json', scene_document(scene)),
         ):

@@ -27,8 +27,8 @@ def room_document(room: Room) -> str:
     )
 
 
-def robot_document(mount: PanTiltMount) -> str:
-    """Text of ``robot.yaml``: extrinsics of the camera, and the pan joint."""
+def robot_document(mount: PanTiltMount, measured: bool = False) -> str:
+    """Text of ``robot.yaml``: extrinsics of the camera, exact or `as_measured`, and the joints."""
     document: dict[str, Any] = {
         'base_frame': mount.base_frame,
         'pan_joint': mount.pan_joint,
@@ -36,7 +36,7 @@ def robot_document(mount: PanTiltMount) -> str:
         'pan_axis': {
             'xyz': list(mount.axis_xyz),
             'rpy': list(mount.axis_rpy),
-            'xyz_sigma': _SIGMA_M,
+            'xyz_sigma': [_SIGMA_M, _SIGMA_M, _HEIGHT_M] if measured else _SIGMA_M,
             'rpy_sigma': _SIGMA_RAD,
         },
         'optical_center_offset': list(mount.optical_center_offset),
