@@ -307,15 +307,7 @@ def test_poses_that_jitter_are_weighed_as_such(sensed: list[Sensed]) -> None:
     assert np.max(nees[10:]) < 25.0
 
 
-@pytest.mark.parametrize(
-    'ahead_m',
-    [
-        pytest.param(
-            0.2, marks=pytest.mark.xfail(strict=True, reason='8 cm off for seconds, and tracking')
-        ),
-        -0.2,
-    ],
-)
+@pytest.mark.parametrize('ahead_m', [0.2, -0.2])
 def test_wheels_that_spin_are_not_taken_for_a_turned_camera_alone(
     sensed: list[Sensed], ahead_m: float
 ) -> None:
