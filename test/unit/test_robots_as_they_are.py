@@ -69,6 +69,18 @@ def test_two_prefixed_joints_are_listed(tmp_path):
         pans(rewritten(tmp_path, two))
 
 
+@pytest.mark.parametrize('turns', [-100_000, -1, 0, 1, 100_000])
+def test_whole_turns_that_a_joint_counts_do_not_matter(tmp_path, turns):
+    def counted(topic, message):
+        if topic == '/joint_states':
+            message.position = np.add(message.position, [2.0 * np.pi * turns, 0.0])
+        yield topic, message
+
+    read = np.array(pans(rewritten(tmp_path, counted))[0])
+    assert (np.abs(read) < 4.0 * np.pi).all()
+    np.testing.assert_allclose(np.exp(1j * read), np.exp(1j * PANS), atol=1e-6)
+
+
 def test_the_joints_that_arrive_are_listed(tmp_path):
     def others(topic, message):
         if topic == '/joint_states':
