@@ -89,7 +89,10 @@ def read_table(path: Path) -> list[Row]:
         Path of the file, or of its folder.
     """
     path = path / 'table.csv' if path.is_dir() else path
-    rows = list(csv.DictReader(StringIO(read_text(path))))
+    try:
+        rows = list(csv.DictReader(StringIO(read_text(path), newline=''), strict=True))
+    except csv.Error as error:
+        raise LandmarkNavError(f'{path}: is no table of landmark-nav batch: {error}') from error
     if not rows or 'run' not in rows[0] or 'failure' not in rows[0]:
         raise LandmarkNavError(f'{path}: is no table of landmark-nav batch')
     return [dict(row) for row in rows]
