@@ -201,6 +201,11 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
         for name, xyz in (('pan_axis: xyz', place), ('optical_center_offset', offset)):
             if max(map(abs, xyz)) > _MAX_MOUNT_M:
                 raise LandmarkNavError(f'{name} is {list(xyz)}: lengths are metres')
+        pan, tilt = (
+            name_field(document, name, 'robot', name) for name in ('pan_joint', 'tilt_joint')
+        )
+        if pan == tilt:
+            raise LandmarkNavError(f'robot: pan_joint and tilt_joint are both {pan}: rename one')
         return PanTiltMount(
             axis_xyz=place,
             axis_rpy=_angles(axis, 'rpy', (3,), 'pan_axis') if 'rpy' in axis else (0.0, 0.0, 0.0),
@@ -208,8 +213,8 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
             camera_roll_rad=_angles({'camera_roll': 0.0, **document}, 'camera_roll', (), 'robot'),
             pan_sigma_rad=_sigma(document),
             base_frame=name_field(document, 'base_frame', 'robot', 'base_link'),
-            pan_joint=name_field(document, 'pan_joint', 'robot', 'pan_joint'),
-            tilt_joint=name_field(document, 'tilt_joint', 'robot', 'tilt_joint'),
+            pan_joint=pan,
+            tilt_joint=tilt,
             **{
                 argument: _within(document, key, low, high, unit)
                 for key, (argument, low, high, unit) in _PAN_UNIT.items()
