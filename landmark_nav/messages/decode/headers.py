@@ -160,7 +160,7 @@ def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
     turn = [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
     x, y, z, w = finite(turn, what, stamp, count=4).tolist()
     if x * x + y * y + z * z + w * w < 1e-6:
-        raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s is the zero quaternion')
+        raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s is the zero quaternion: set it')
     if x * x + y * y >= w * w + z * z:
         raise LandmarkNavError(
             f'{what} at {stamp * 1e-9:.3f} s is ({x:.2g}, {y:.2g}, {z:.2g}, {w:.2g}): '

@@ -64,7 +64,9 @@ class JointNames:
         listed = ', '.join(names[:5]) + more
         if could_be := [name for name in names if _is_prefixed(name, pan)]:
             return f'{", ".join(could_be[:5])} could be {pan}: set pan_joint in robot.yaml'
-        return f'{listed or "no joint"} arrive, not {pan}: set pan_joint in robot.yaml'
+        if not names:
+            return 'messages name no joint: publish name and position of each joint'
+        return f'{listed} arrive, not {pan}: set pan_joint in robot.yaml'
 
     @property
     def pan_arrives(self) -> bool:
@@ -154,5 +156,6 @@ def _sample(
 def _check(names: list[str], positions: Any, stamp: int, what: str) -> None:
     if len(positions) < len(names):
         raise LandmarkNavError(
-            f'{what} at {stamp * 1e-9:.3f} s has {len(positions)} values for {len(names)} joints'
+            f'{what} at {stamp * 1e-9:.3f} s has {len(positions)} values for {len(names)} joints: '
+            'publish one each'
         )
