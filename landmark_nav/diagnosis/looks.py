@@ -129,7 +129,8 @@ def look(
             if view is None:
                 camera = setup.camera if setup else seen_by
                 view = StripView(camera, *((setup.mount, setup.tilt_rad) if setup else (mounted,)))
-            kinds[f'{_kind(entry)} {image.shape[1]} x {image.shape[0]}'] = None
+            width, height = decode.published_size(entry.message)
+            kinds[f'{_kind(entry)} {width} x {height}'] = None
             strips[index] = view.strip(image)
             small[index] = _reduced(image, _SMALL)
             sharpness[index] = _sharpness(image)
