@@ -59,8 +59,15 @@ def check_frame(header: Any, frame: str, remedy: str) -> None:
 
 
 def duration_ns(value: Any) -> int:
-    """Convert a builtin_interfaces Duration, which may be negative, to integer nanoseconds."""
-    return _integer(value.sec) * _SECOND_NS + _integer(value.nanosec)
+    """
+    Convert a builtin_interfaces Duration to integer nanoseconds.
+
+    Raises `LandmarkNavError`: it is negative or not a number.
+    """
+    duration = _integer(value.sec) * _SECOND_NS + _integer(value.nanosec)
+    if duration < 0:
+        raise LandmarkNavError(f'time_from_start is {duration * 1e-9:.3f} s: count from the start')
+    return duration
 
 
 def finite(
