@@ -53,6 +53,9 @@ _PAN_UNIT = {
     'pan_acceleration': ('pan_acceleration_rad_s2', 0.01, 1e4, 'radians a second, each second'),
 }
 
+# Frames of REP-105 that are not fixed in a room.
+_MOVING_FRAMES = ('odom', 'base_link', 'base_footprint')
+
 _ROBOT_FIELDS = (
     *('base_frame', 'pan_joint', 'tilt_joint'),
     *('pan_axis', 'optical_center_offset', 'camera_roll', 'pan_sigma'),
@@ -89,6 +92,8 @@ def load_room(path: Path | str) -> Room:
                     f'wall {wall.id} is {wall.height:g} m high: lengths are metres'
                 )
         room = Room(walls, papers, name_field(document, 'frame_id', 'room', 'map'))
+        if room.frame_id in _MOVING_FRAMES:
+            raise LandmarkNavError(f'frame_id is {room.frame_id}, which the robot moves: take map')
         for i, paper in enumerate(papers):
             _check_on_wall(paper, room, f'papers[{i}]')
         return room

@@ -115,6 +115,7 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
                 ('id: east', 'id: south', 'two walls are called south'),
                 ('id: east', 'id: [east]', r"walls\[1\]: id is \['east'\], not a name"),
                 ('reference_area', 'reference_ara', 'reference_ara is no field: write refe'),
+                ('frame_id: hall', 'frame_id: odom', 'frame_id is odom, which the robot moves'),
                 ('frame_id: hall', 'frame_id:', 'frame_id is None, not a name'),
                 ('color: red, ', '', r'papers\[0\]: color is missing'),
                 ('color: red', 'color: beige', r"papers\[0\]: paper colour 'beige' is not known"),
