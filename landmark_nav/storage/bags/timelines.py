@@ -237,7 +237,10 @@ def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
 
 def _check_radians(samples: Sequence[JointSample], where: str) -> None:
     """Refuse a pan whose median rate is not plausible; single steps may be wraps of the angle."""
-    steps = np.diff([(1e-9 * sample.stamp_ns, sample.pan_rad) for sample in samples], axis=0)
+    timed = np.array([(1e-9 * sample.stamp_ns, sample.pan_rad) for sample in samples])
+    # A measurement may be published several times.
+    changed = np.append(True, np.diff(timed[:, 1]) != 0.0)
+    steps = np.diff(timed[changed], axis=0)
     moving = steps[(steps[:, 0] > 0.0) & (np.abs(steps[:, 1]) > _MOVING_RAD)]
     if len(moving) < _ENOUGH_STEPS:
         return
