@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 from bag_writers import FACTORY, MOUNT, SECOND, START, write_drive
 import numpy as np
 import pytest
@@ -67,6 +69,27 @@ def test_two_prefixed_joints_are_listed(tmp_path):
 
     with pytest.raises(LandmarkNavError, match='r1/pan_joint, r2/pan_joint could be pan_joint'):
         pans(rewritten(tmp_path, two))
+
+
+def test_a_measurement_that_is_published_many_times_is_no_fast_pan(tmp_path):
+    def repeated(topic, message):
+        times = 25 if topic == '/joint_states' else 1
+        for k in range(times):
+            again = deepcopy(message)
+            again.header.stamp.nanosec += 2_050_000 * k
+            yield topic, again
+
+    assert pans(rewritten(tmp_path, repeated))[0] == pytest.approx(PANS, abs=0.3 * 0.05)
+
+
+def test_the_joint_without_an_angle_is_named(tmp_path):
+    def without(topic, message):
+        if topic == '/joint_states':
+            message.position = np.array([0.1, np.nan])
+        yield topic, message
+
+    with pytest.raises(LandmarkNavError, match=f'of {MOUNT.tilt_joint} .* is nan'):
+        pans(rewritten(tmp_path, without))
 
 
 @pytest.mark.parametrize('turns', [-100_000, -1, 0, 1, 100_000])
