@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import hashlib
 from itertools import product
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,8 @@ def _grid(given: Any, where: str) -> list[dict[str, Any]]:
                 f'{where}: grid: {shown(name)}: write COMMAND.OPTION or COMMAND.config.NAME'
             )
     columns = [list_field(given, name, f'{where}: grid') for name in given]
+    if math.prod(map(len, columns)) > _MOST_RUNS:
+        raise LandmarkNavError(f'{where}: grid has more than {_MOST_RUNS} combinations')
     return [dict(zip(map(str, given), row, strict=True)) for row in product(*columns)]
 
 
@@ -135,7 +138,10 @@ def _folders(base: Path, entry: Mapping[str, Any], where: str) -> Iterator[Path]
     pattern = name_field(entry, 'folder', where, '.')
     if Path(pattern).is_absolute():
         base, pattern = Path(Path(pattern).anchor), str(Path(pattern).relative_to('/'))
-    folders = [base] if pattern in ('.', '') else sorted(base.glob(pattern))
+    try:
+        folders = [base] if pattern in ('.', '') else sorted(base.glob(pattern))
+    except ValueError as error:  # such as a**
+        raise LandmarkNavError(f'{where}: folder {pattern}: {error}') from error
     folders = [folder for folder in folders if folder.is_dir()]
     if not folders:
         raise LandmarkNavError(f'{where}: no folder is like {pattern} in {base}')
@@ -193,9 +199,11 @@ def _stage(
     version: str,
     where: str,
 ) -> Stage:
-    config = options.pop('config', {})
+    config = options.pop('config', None) or {}
     if isinstance(config, str):
         options['config'] = config
+    elif not isinstance(config, dict):
+        raise LandmarkNavError(f'{where}: config is {shown(config)}: give a file or a mapping')
     after = {}
     for option, sources in COMMANDS[command].items():
         for source, place in sources if option not in options else ():
@@ -207,6 +215,8 @@ def _stage(
     content = hashlib.sha256(version.encode())
     for option, value in options.items():
         words = [str(word) for word in (value if isinstance(value, list) else [value])]
+        if option in _PATHS and value in (None, '', []):
+            raise LandmarkNavError(f'{where}: {option} is {shown(value)}, not a path')
         if option in (*_PATHS, 'config'):
             words = [word if word.startswith('@') else str(folder / word) for word in words]
             for word in words:

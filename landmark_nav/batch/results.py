@@ -49,8 +49,13 @@ def row(run: Run, outcome: Outcome, results: Path) -> Row:
         wanted = _FIGURES.get(stage.command, {})
         report: Mapping[str, Any] = {}
         if wanted and not outcome.reason:
-            text = (results / 'stages' / stage.key / 'result.json').read_text(encoding='utf-8')
-            report = json.loads(text)
+            path = results / 'stages' / stage.key / 'result.json'
+            try:
+                report = json.loads(read_text(path))
+            except ValueError as error:
+                raise LandmarkNavError(
+                    f'{path}: no report: remove its folder, run again'
+                ) from error
         figures |= {name: read(report) if report else None for name, (read, _) in wanted.items()}
     costs = {name: round(getattr(outcome, name), 3) for name in _COSTS}
     return {'run': run.name, **run.values, **figures, **costs, 'failure': outcome.reason}
@@ -89,7 +94,10 @@ def read_table(path: Path) -> list[Row]:
         Path of the file, or of its folder.
     """
     path = path / 'table.csv' if path.is_dir() else path
-    rows = list(csv.DictReader(StringIO(read_text(path))))
+    try:
+        rows = list(csv.DictReader(StringIO(read_text(path), newline=''), strict=True))
+    except csv.Error as error:
+        raise LandmarkNavError(f'{path}: is no table of landmark-nav batch: {error}') from error
     if not rows or 'run' not in rows[0] or 'failure' not in rows[0]:
         raise LandmarkNavError(f'{path}: is no table of landmark-nav batch')
     return [dict(row) for row in rows]

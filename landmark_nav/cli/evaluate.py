@@ -27,7 +27,12 @@ from landmark_nav.evaluation.report import (
     write_video,
 )
 from landmark_nav.evaluation.report.tables import cell, ESTIMATES, nees_range, STATUS
-from landmark_nav.evaluation.run_report import against_truth, integrity_report, run_report
+from landmark_nav.evaluation.run_report import (
+    against_truth,
+    integrity_report,
+    other_frame,
+    run_report,
+)
 from landmark_nav.evaluation.smoothed_run import (
     departures,
     smooth_run,
@@ -224,6 +229,10 @@ def run(args: argparse.Namespace) -> int:
     done, errors, in_frame = against_truth(done, landmarks)
     if not in_frame:
         check_truth_frame(bag, landmarks.frame_id)
+        if other := other_frame(done, errors):
+            bag.warn(
+                f'{bag.path}: ground_truth/odom is in another frame or unit than the map: {other}'
+            )
     if len(done.truth) and np.isnan(errors.fused).all():
         begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
         bag.warn(

@@ -75,7 +75,9 @@ COMMANDS = {
 }
 
 # Options that name output files.
-_OUTPUTS = {'out', 'json', 'report', 'tum', 'video'}
+_OUTPUTS = {'out', 'json', 'report', 'tum', 'video', 'walls_out'}
+# Names and ends of the files that are read of a folder: of a map, or of a bag.
+_READ, _OF_BAGS = ('map.yaml', 'metadata.yaml'), ('.mcap', '.db3', '.bag', '.zstd', '.lz4')
 
 # Module -> distribution, if their names differ.
 _DISTRIBUTIONS = {'cv2': 'opencv-python-headless', 'yaml': 'PyYAML'}
@@ -210,15 +212,27 @@ def _meant(word: str, known: Iterable[str]) -> str:
 
 
 def _check_apart(args: argparse.Namespace) -> None:
-    """Refuse output files that are also read."""
-    given = {name: value for name, value in vars(args).items() if isinstance(value, str | Path)}
-    files = {name: path for name, path in given.items() if os.path.isfile(path)}
-    for output in _OUTPUTS & set(files):
-        for name in set(files) - _OUTPUTS:
+    """Refuse output files that are also read, by themselves or in their folder."""
+    for output in _OUTPUTS:
+        file = getattr(args, output, None)
+        if not isinstance(file, str | Path) or not os.path.isfile(file):
+            continue
+        for name, value in vars(args).items():
             # Some commands may replace their input.
-            replaced = output == 'out' and name == given.get('replaces')
-            if not replaced and os.path.samefile(files[output], files[name]):
-                raise UsageError(f'--{output} {files[output]}: is read, too: take another name')
+            replaced = output == 'out' and name == getattr(args, 'replaces', None)
+            paths = value if isinstance(value, list) else [value]
+            if name not in _OUTPUTS and not replaced and any(_reads(p, file) for p in paths):
+                option = output.replace('_', '-')
+                raise UsageError(f'--{option} {file}: is read, too: take another name')
+
+
+def _reads(given: Any, file: str | Path) -> bool:
+    """Whether a file is what an argument names, or is read of the folder that it names."""
+    if not isinstance(given, str | Path) or not os.path.exists(given):
+        return False
+    name = os.path.basename(file)
+    inside = os.path.isdir(given) and Path(file).resolve().is_relative_to(Path(given).resolve())
+    return os.path.samefile(given, file) or (inside and (name in _READ or name.endswith(_OF_BAGS)))
 
 
 def _flush() -> None:

@@ -126,6 +126,8 @@ class DriveChecks:
             found += _frames(odometry, looks.stream, self._mount)
         if pan is None or len(pan) < 2 or len(looks.stream) < 2:
             return found, Delays(), True
+        if odometry is not None and len(odometry) < 2:
+            return found, Delays(), True
         if any(f.name == COVERED and f.level == 'error' for f in content):
             return found, Delays(), True  # the constant part prevents the measurement of turns
         streams = [pan] if odometry is None else [pan, odometry]

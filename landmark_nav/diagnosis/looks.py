@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -129,7 +129,8 @@ def look(
             if view is None:
                 camera = setup.camera if setup else seen_by
                 view = StripView(camera, *((setup.mount, setup.tilt_rad) if setup else (mounted,)))
-            kinds[f'{_kind(entry)} {image.shape[1]} x {image.shape[0]}'] = None
+            width, height = decode.published_size(entry.message)
+            kinds[f'{_kind(entry)} {width} x {height}'] = None
             strips[index] = view.strip(image)
             small[index] = _reduced(image, _SMALL)
             sharpness[index] = _sharpness(image)
@@ -231,7 +232,7 @@ def _kind(entry: BagMessage) -> str:
     return str(name)[:40] or 'unnamed'
 
 
-def _encoding(failed: list[str], kinds: Iterable[str], tried: int) -> Iterable[Finding]:
+def _encoding(failed: list[str], kinds: Collection[str], tried: int) -> Iterable[Finding]:
     named = ', '.join(list(kinds)[:3])
     if failed:
         level: Level = 'error' if len(failed) == tried else 'warning'
@@ -239,7 +240,9 @@ def _encoding(failed: list[str], kinds: Iterable[str], tried: int) -> Iterable[F
         values = {'failed': len(failed), 'tried': tried}
         yield Finding('images encoding', level, text, failed[0][:110], values, when_read=True)
     elif named:
-        yield Finding('images encoding', 'ok', named)
+        several = len(kinds) > 1
+        advice = 'one camera must publish images of one size and encoding' if several else ''
+        yield Finding('images encoding', 'warning' if several else 'ok', named, advice)
 
 
 def _lens(camera: CameraModel | None) -> Iterable[Finding]:

@@ -41,6 +41,8 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
     angles : tuple of int
         Indices of the columns that are angles.
     """
+    if not len(stream):
+        return None
     # In the order of arrival: stamps may go back.
     order = np.argsort(stream.logged, kind='stable')
     # Repeated values carry no information.

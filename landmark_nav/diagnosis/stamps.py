@@ -27,8 +27,9 @@ _NEEDS = {
     'joint_states': _Need(10.0, 0.5, 'the driver of the joints'),
     'odom': _Need(5.0, 1.5, 'the odometry'),
 }
-# If stamps go back by more, the clock was set back.
-_SET_BACK_S = 0.5
+# If stamps go back by more, the clock was set back; if images pause for longer, it was set
+# forward, or recording was interrupted.
+_SET_BACK_S, _PAUSE_S = 0.5, 60.0
 # Greatest residual of a stamp from the line over times of recording, for messages of one clock.
 _OUT_OF_STEP_S = 0.5
 # Least share of the messages within that residual, for a steady clock.
@@ -89,11 +90,15 @@ def check_stamps(stream: Stream) -> list[Finding]:
             {'rate_hz': rate_hz, 'messages': n},
         )
     )
-    longest_s = float(steps.max())
+    longest, longest_s = int(steps.argmax()), float(steps.max())
     if longest_s > max(need.gap_s, 5.0 * period):
-        at_s = float(stream.seconds[int(steps.argmax())] - stream.seconds[0])
+        since_s, until_s = (stream.logged[longest : longest + 2] - stream.logged[0]).tolist()
+        at_s = since_s
         text = f'none for {longest_s:.2f} s at {at_s:.1f} s'
         advice = f'localization takes {need.gap_s:g} s: look at {need.what} and the recorder'
+        if until_s - since_s < 0.5 * longest_s:
+            text = f'stamps go forward by {longest_s:.4g} s at {at_s:.1f} s, recording does not'
+            advice = 'its clock was set: set clocks before nodes start, by NTP or chrony'
         gap = {'longest_s': longest_s, 'at_s': at_s}
         found.append(Finding(f'{name} gaps', 'warning', text, advice, gap))
     return [*found, *_jitter(stream, need.what), *_order(stream, steps)]
@@ -181,15 +186,15 @@ def in_step(stream: Stream) -> Stream:
 
 
 def longest_part(images: Stream) -> tuple[int, int]:
-    """First and last time of recording, ns, of the longest part whose clock was not set back."""
-    back = np.flatnonzero(np.diff(images.seconds) < -_SET_BACK_S) + 1
-    begins = [int(images.logged_ns[0]), *images.logged_ns[back].tolist()]
+    """First and last time of recording, ns, of the longest part whose clock was not set."""
+    steps = np.diff(images.seconds)
+    broken = np.flatnonzero((steps < -_SET_BACK_S) | (steps > _PAUSE_S)) + 1
+    begins = [int(images.logged_ns[0]), *images.logged_ns[broken].tolist()]
     ends = [*(begin - 1 for begin in begins[1:]), np.iinfo(np.int64).max]
     if len(begins) == 1:
         return 0, ends[0]
-    return max(
-        zip(begins, ends, strict=True), key=lambda p: min(p[1], images.logged_ns[-1]) - p[0]
-    )
+    counts = np.diff([0, *broken, len(images)])
+    return begins[int(counts.argmax())], ends[int(counts.argmax())]
 
 
 def clock_hints(images: Stream, others: Mapping[str, Stream]) -> dict[str, list[Clock]]:

@@ -293,6 +293,7 @@ def result_hash(stamps_ns: npt.NDArray[np.int64], fused: FloatArray, fixes: Floa
     return digest.hexdigest()
 
 
+@np.errstate(invalid='raise')
 def posterior_bound(
     truth: PoseTrack,
     images: Sequence[ImagePoints],
@@ -353,6 +354,6 @@ def posterior_bound(
             ).points
             ideal.observe(replace(seen, points=points, near=None))
             bound[k] = ideal.estimate.covariance
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, FloatingPointError):
         bound[:] = np.nan
     return bound

@@ -216,11 +216,12 @@ def align(poses: FloatArray, truth: FloatArray, scaled: bool) -> Alignment:
     """
     Align poses (n, 3) with the truth (n, 3), by their positions.
 
-    Raises `LandmarkNavError`: too few poses are known in both, or all have one position.
+    Raises `LandmarkNavError`: too few poses are known in both, or all of one have one position.
     """
     known = np.isfinite(poses).all(1) & np.isfinite(truth).all(1)
     own, true = poses[known, :2], truth[known, :2]
-    if len(own) < 2 or np.ptp(own, axis=0).max() < _LEAST_EXTENT_M:
+    extents = [np.ptp(places, axis=0).max() for places in (own, true) if len(places)]
+    if len(own) < 2 or min(extents) < _LEAST_EXTENT_M:
         raise LandmarkNavError('the drive is too short to align its map with ground_truth/odom')
     middle, true_middle = own.mean(0), true.mean(0)
     a, b = own - middle, true - true_middle
@@ -260,6 +261,24 @@ def _likeliest(run: Replay, truth: PoseTrack, poses: FloatArray) -> PoseTrack:
     pull = np.einsum('nki,nkl,nl->i', by_frame, information, errors[known])
     *moved, grown = np.linalg.solve(normal, pull).tolist()
     return truth.seen_from(se2.inverse(np.array(moved)), 1.0 + grown)
+
+
+# The ground truth is in another frame or unit if that explains all but this share of the errors.
+_LEFT = 0.1
+
+
+def other_frame(run: Replay, errors: RunErrors) -> str | None:
+    """Text: what of the ground truth explains the errors of a run, if its frame or unit does."""
+    try:
+        _, after, (pose, scale) = aligned(run, scaled=True)
+    except LandmarkNavError:
+        return None
+    (was, left) = (np.nanmean(np.square(e.fused[:, :2])) for e in (errors, after))
+    if left > _LEFT**2 * was:
+        return None
+    x, y, turn = pose.tolist()
+    unit = '' if abs(np.log(scale)) < _LEFT else f', and lengths are {1.0 / scale:.4g} times those'
+    return f'the map lies at ({x:.2f}, {y:.2f}), {np.degrees(turn):.1f} deg in its frame{unit}'
 
 
 def against_truth(

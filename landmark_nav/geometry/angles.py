@@ -75,6 +75,12 @@ def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDA
     return angles
 
 
+def without_turns(angle_rad: float) -> float:
+    """Angle of a joint without the whole turns that it counts beyond any limit of a joint."""
+    turns = round(angle_rad / (2.0 * np.pi)) if abs(angle_rad) > 2.0 * np.pi else 0
+    return angle_rad - 2.0 * np.pi * turns
+
+
 # Gauss-Hermite nodes of a standard normal variable, and their weights.
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
 _WEIGHTS /= _WEIGHTS.sum()

@@ -14,6 +14,8 @@ from landmark_nav.storage.reading import read_yaml_mapping
 _LOG = logging.getLogger(__name__)
 
 _SECTION = 'ros__parameters'
+# Parameters that rclpy declares for every node.
+_OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 
 def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
@@ -33,7 +35,7 @@ def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Values by full name; of repeated parameters the last one.
+        Values by full name, without those of ROS itself; of repeated parameters the last one.
     """
     path = Path(path)
     document = read_yaml_mapping(path)
@@ -42,14 +44,17 @@ def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
         _LOG.warning('%s: write /**: {ros__parameters: ...} around it, for ROS takes it too', path)
         sections = [('**', document)]
     values: dict[str, Any] = {}
-    for node, parameters in sections:
-        if node in (*nodes, '*', '**'):
-            if not isinstance(parameters, Mapping):
-                raise LandmarkNavError(
-                    f'{path}: {_SECTION} is {shown(parameters)}, not a mapping of parameters'
-                )
-            values |= flat(parameters)
-    return values
+    applied = [section for section in sections if section[0] in (*nodes, '*', '**')]
+    if sections and not applied:
+        others = ', '.join(dict.fromkeys(node for node, _ in sections))
+        _LOG.warning('%s: nothing is for %s, but for %s', path, ', '.join(nodes), others)
+    for _, parameters in applied:
+        if not isinstance(parameters, Mapping):
+            raise LandmarkNavError(
+                f'{path}: {_SECTION} is {shown(parameters)}, not a mapping of parameters'
+            )
+        values |= flat(parameters)
+    return {name: value for name, value in values.items() if not name.startswith(_OF_ROS)}
 
 
 def flat(parameters: Mapping[Any, Any], prefix: str = '') -> dict[str, Any]:

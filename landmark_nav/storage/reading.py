@@ -288,7 +288,7 @@ def array_field(mapping: Any, key: str, shape: tuple[int | None, ...], where: st
     fits = array.ndim == len(shape) and all(
         wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
     )
-    if not fits or (array.dtype.kind not in 'iuf' and array.size):
+    if not fits or (array.dtype.kind not in 'iuf' and array.size) or _holds_boolean(value):
         raise LandmarkNavError(f'{where}: {what}, {kind}')
     numbers = array.astype(np.float64)
     if not np.all(np.isfinite(numbers)):
@@ -296,6 +296,11 @@ def array_field(mapping: Any, key: str, shape: tuple[int | None, ...], where: st
     if np.any(np.abs(numbers) > _LARGEST):
         raise LandmarkNavError(f'{where}: {what}: larger than {_LARGEST:g}')
     return numbers
+
+
+def _holds_boolean(value: Any) -> bool:
+    """Whether a yes or no is among numbers, where NumPy takes it for 1 or 0."""
+    return any(map(_holds_boolean, value)) if isinstance(value, list) else isinstance(value, bool)
 
 
 def covariance_field(mapping: Any, size: int, where: str) -> FloatArray:

@@ -53,6 +53,9 @@ PAN_UNIT = {
     'pan_acceleration': ('pan_acceleration_rad_s2', 0.01, 1e4, 'radians a second, each second'),
 }
 
+# Frames of REP-105 that are not fixed in a room.
+_MOVING_FRAMES = ('odom', 'base_link', 'base_footprint')
+
 _ROBOT_FIELDS = (
     *('base_frame', 'pan_joint', 'tilt_joint'),
     *('pan_axis', 'optical_center_offset', 'camera_roll', 'pan_sigma'),
@@ -89,6 +92,8 @@ def load_room(path: Path | str) -> Room:
                     f'wall {wall.id} is {wall.height:g} m high: lengths are metres'
                 )
         room = Room(walls, papers, name_field(document, 'frame_id', 'room', 'map'))
+        if room.frame_id in _MOVING_FRAMES:
+            raise LandmarkNavError(f'frame_id is {room.frame_id}, which the robot moves: take map')
         for i, paper in enumerate(papers):
             _check_on_wall(paper, room, f'papers[{i}]')
         return room
@@ -201,6 +206,11 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
         for name, xyz in (('pan_axis: xyz', place), ('optical_center_offset', offset)):
             if max(map(abs, xyz)) > _MAX_MOUNT_M:
                 raise LandmarkNavError(f'{name} is {list(xyz)}: lengths are metres')
+        pan, tilt = (
+            name_field(document, name, 'robot', name) for name in ('pan_joint', 'tilt_joint')
+        )
+        if pan == tilt:
+            raise LandmarkNavError(f'robot: pan_joint and tilt_joint are both {pan}: rename one')
         return PanTiltMount(
             axis_xyz=place,
             axis_rpy=_angles(axis, 'rpy', (3,), 'pan_axis') if 'rpy' in axis else (0.0, 0.0, 0.0),
@@ -208,8 +218,8 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
             camera_roll_rad=_angles({'camera_roll': 0.0, **document}, 'camera_roll', (), 'robot'),
             pan_sigma_rad=_sigma(document),
             base_frame=name_field(document, 'base_frame', 'robot', 'base_link'),
-            pan_joint=name_field(document, 'pan_joint', 'robot', 'pan_joint'),
-            tilt_joint=name_field(document, 'tilt_joint', 'robot', 'tilt_joint'),
+            pan_joint=pan,
+            tilt_joint=tilt,
             **{
                 argument: _within(document, key, low, high, unit)
                 for key, (argument, low, high, unit) in PAN_UNIT.items()

@@ -96,6 +96,18 @@ def later(seconds: float) -> Change:
     return stamps(lambda stamp: stamp + round(seconds * NS))
 
 
+def set_forward(seconds: float, after_s: float) -> Change:
+    """The clock of all streams that are changed is set, some time after the first message."""
+    first: list[int] = []
+
+    def shown(stamp: int) -> int:
+        first.append(stamp)
+        late = stamp - first[0] > after_s * NS
+        return stamp + round(seconds * NS) if late else stamp
+
+    return stamps(shown)
+
+
 def drifting(share: float) -> Change:
     first: list[int] = []
 
@@ -203,6 +215,11 @@ def times(scale: float) -> Change:
 
 def added(angle_rad: float, joint: str = 'pan_joint') -> Change:
     return angle(lambda pan: pan + angle_rad, joint)
+
+
+def nameless(message: Any) -> Any:
+    message.name, message.position = [], np.zeros(0)
+    return message
 
 
 def swapped_names(message: Any) -> Any:

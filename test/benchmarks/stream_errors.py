@@ -445,6 +445,21 @@ def of_drives() -> dict[str, dict[str, StreamError]]:
                 change.with_second(1, change.same, 30_000_000), 'images motion', 'repeat'
             ),
         },
+        'eighth': {
+            'all clocks set by 54 years': StreamError(
+                (CAMERA, INFO, JOINTS, ODOMETRY),
+                change.set_forward(1.7e9, 7.0),
+                'odom gaps',
+                'clock was set',
+            ),
+            'odom orientation all zero': odom(
+                change.quaternion(lambda *_: (0.0,) * 4), 'odom values', '280 of 280'
+            ),
+            'images of two sizes': images(
+                change.from_on(35, pictured(lambda i: i[::2, ::2])), 'images encoding', '256 x 256'
+            ),
+            'joint_states without joints': joints(change.nameless, 'joint names', 'no joint'),
+        },
     }
 
 

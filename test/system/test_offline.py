@@ -10,6 +10,7 @@ import re
 import cv2
 from drive_faults import write_bag
 from harness import BAGS, start_of
+from message_changes import at_origin, driven, moved
 import numpy as np
 import pytest
 import yaml
@@ -147,6 +148,30 @@ def test_papers_given_on_the_opposite_wall_are_refused(tmp_path, capsys):
     bag = BAGS / 'learn'
     refused(capsys, learn(bag, tmp_path / 'map', str(path)), 'papers', 'opposite wall')
     assert not (tmp_path / 'map').exists()
+
+
+@pytest.mark.parametrize(
+    ('change', 'reported'),
+    [
+        (moved(3.0, 1.0, 0.5), r'another frame.* lies at .(3\.0|2\.9).*, 28\.. deg'),
+        (driven(1000.0, 1000.0), 'another .* unit .*lengths are 10.. times'),
+        (at_origin, ''),
+    ],
+)
+def test_truth_in_another_frame_or_unit_is_named(
+    recorded, tmp_path, caplog, recwarn, change, reported
+):
+    def of_truth(topic, message, log_ns):
+        return change(message) if topic == '/ground_truth/odom' else message
+
+    bag = rewrite(BAGS / 'drive', tmp_path / 'truth', of_truth)
+    report = tmp_path / 'report.json'
+    assert main([str(a) for a in [*evaluate(bag, recorded / 'map'), '--json', report]]) == 0
+    said = ' '.join(line.getMessage() for line in caplog.records)
+    assert bool(re.search('ground_truth.* frame', said)) == bool(reported)
+    assert re.search(reported, said)
+    assert 'Warning: ' not in said
+    assert json.loads(report.read_text())['frames'] > 60
 
 
 def test_odometry_that_is_no_number_is_left_out(recorded, tmp_path, caplog):

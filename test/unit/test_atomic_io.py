@@ -99,6 +99,34 @@ def test_commands_look_first(
     assert 'file: is a file: take another name' in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ('command', 'output'),
+    [
+        ('evaluate bag --map map --robot robot.yaml --json', 'map/map.yaml'),
+        ('evaluate bag --map map --robot robot.yaml --report', 'bag/drive.mcap'),
+        ('evaluate bag --map link --robot robot.yaml --video', 'map/map.yaml'),
+        ('check bag --json', 'bag/metadata.yaml'),
+        ('calibrate bag bag --robot robot.yaml --out new.yaml --json', 'bag/drive.mcap'),
+        ('learn bag --robot robot.yaml --out new --walls-out', 'robot.yaml'),
+    ],
+)
+def test_what_is_read_is_not_replaced(
+    command: str,
+    output: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ('map/map.yaml', 'bag/drive.mcap', 'bag/metadata.yaml', 'robot.yaml'):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+    (tmp_path / 'link').symlink_to('map')
+    assert main([*command.split(), output]) == 2
+    assert f'{output}: is read, too' in capsys.readouterr().err
+    assert (tmp_path / output).read_text() == output
+
+
 def test_what_a_link_leads_to_is_written(tmp_path: Path) -> None:
     real, link, chain, dangling, new = (
         tmp_path / name for name in ('real', 'link', 'chain', 'dangling', 'new')

@@ -115,12 +115,13 @@ def test_recording_cut_off_in_a_sweep_keeps_the_whole_ones(tmp_path):
     assert any('was cut off' in w for w in warnings)
 
 
-def test_a_folder_of_images_is_a_sweep(tmp_path):
+@pytest.mark.parametrize('comma', [',', ', '])
+def test_a_folder_of_images_is_a_sweep(tmp_path, comma):
     rows = ['file,pan_rad,focal_px,width,height']
     for k, pan in enumerate(full_turn(6)):
         cv2.imwrite(str(tmp_path / f'{k}.png'), camera_image(k * 10))
         rows.append(f'{k}.png,{pan},{50 + k},64,48')
-    (tmp_path / 'frames.csv').write_text('\n'.join(rows))
+    (tmp_path / 'frames.csv').write_text('\n'.join(rows).replace(',', comma))
     sweep = read_sweep_folder(tmp_path)
     np.testing.assert_allclose([f.pan_rad for f in sweep.frames], full_turn(6))
     assert sweep.frames[3].camera == CameraModel(64, 48, 53.0, 53.0, 31.5, 23.5)

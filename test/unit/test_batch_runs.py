@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.batch.jobs import read_runs, Run
-from landmark_nav.batch.results import compare
+from landmark_nav.batch.results import compare, read_table
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError
 
@@ -22,6 +22,8 @@ runs:
 grid:
   evaluate.config.estimator.learning_sigma: [0.5, 1.0]
 """
+HUGE_GRID = {f'simulate.x{k}': list(range(10)) for k in range(9)}
+LONG_FIELD = f'run,failure\na,{"x" * 200_000}'
 
 
 @pytest.fixture
@@ -81,11 +83,22 @@ def test_parameters_of_a_grid_and_contents_of_files_make_a_stage(recordings: Pat
         'runs: [{simulate: {}}]\ngrid: {seed: [1]}',
         'runs: [{simulate: {}}]\ngrid: {simulate.seed: 1}',
         'runs: [{simulate: {}}, {simulate: {seed: 2}}]',
+        'runs: [{folder: a**b, simulate: {}}]',
+        'runs: [{simulate: {config: [1]}}]',
+        'runs: [{learn: {bag: , robot: robot.yaml}}]',
+        f'runs: [{{simulate: {{}}}}]\ngrid: {HUGE_GRID}',
     ],
 )
 def test_a_wrong_file_is_refused_in_a_line(tmp_path: Path, text: str) -> None:
     with pytest.raises(LandmarkNavError):
         runs_of(tmp_path, text)
+
+
+@pytest.mark.parametrize('text', ['', 'a,b', 'run,failure\na,"', LONG_FIELD])
+def test_a_wrong_table_is_refused_in_a_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / 'table.csv').write_text(text, newline='')
+    with pytest.raises(LandmarkNavError, match=r'table\.csv'):
+        read_table(tmp_path)
 
 
 def table(errors_m: Any, failure: str = '') -> list[dict[str, Any]]:

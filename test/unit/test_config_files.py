@@ -65,6 +65,18 @@ def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> No
     assert load(tmp_path, text) == PLAIN
 
 
+def test_parameters_of_ros_itself_are_passed_over(tmp_path: Path) -> None:
+    given = 'use_sim_time: true, qos_overrides: {/odom: {subscription: {depth: 1}}}'
+    assert load(tmp_path, for_all(given)) == PLAIN
+
+
+def test_a_file_for_other_nodes_alone_is_reported(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    load(tmp_path, 'odometry_fuson: {ros__parameters: {map_frame: own}}', 'odometry_fusion')
+    assert 'odometry_fuson' in caplog.text
+
+
 def test_sections_of_other_nodes_do_not_count(tmp_path: Path) -> None:
     text = (
         'amcl: {ros__parameters: {alpha1: 0.2}}\n'

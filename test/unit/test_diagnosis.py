@@ -320,7 +320,8 @@ SOME = (
     *('images 100 ms late', 'truth +30 s', 'pan and tilt exchanged', 'odom x and y exchanged'),
     *('pan stays from half on', 'each second image repeated', 'images turned by 90 deg'),
     *('images of two cameras', 'images black from half on', 'focal length x 0.02'),
-    'image stamps rounded down to 0.4 s',
+    *('image stamps rounded down to 0.4 s', 'all clocks set by 54 years'),
+    *('odom orientation all zero', 'images of two sizes', 'joint_states without joints'),
 )
 
 

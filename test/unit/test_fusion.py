@@ -182,6 +182,28 @@ def test_minutes_without_images_cost_no_more_than_a_second(
     assert fusion.status_at()[0] is not Status.OK
 
 
+@pytest.mark.parametrize('seconds', [3600, 1_000_000, 1_700_000_000])
+def test_a_clock_that_is_set_forward_costs_a_bounded_time(
+    monkeypatch: pytest.MonkeyPatch, seconds: int
+) -> None:
+    drive = simulated(3, seconds=2.0)
+    fusion = fused(drive)
+    for what in arriving(drive):
+        take(fusion, what)
+    moves: list[int] = []
+    move = JointFilter.move
+    monkeypatch.setattr(
+        JointFilter, 'move', lambda self, stamp, by: (moves.append(stamp), move(self, stamp, by))
+    )
+    for k in range(100):
+        fusion.add_odometry(OdometrySample(seconds * NS + k * NS // 20, np.zeros(3)))
+    estimate = fusion.estimate()
+    assert estimate is not None
+    assert len(moves) < 10_000
+    assert np.isfinite(estimate.covariance).all()
+    assert fusion.status_at()[0] is Status.LOST
+
+
 def test_a_kidnapped_robot_is_reported_lost() -> None:
     drive, rng = simulated(11, seconds=24.0), np.random.default_rng(0)
     fusion, images = fused(drive), 0

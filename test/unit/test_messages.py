@@ -193,6 +193,13 @@ def test_a_covariance_comes_with_odometry_and_a_pan_by_its_name():
         )
 
 
+def test_a_trajectory_before_its_start_is_refused():
+    message = over_the_wire(encode.sweep_trajectory(FACTORY, JOINTS, MOUNT))
+    message.points[1].time_from_start.sec = -5
+    with pytest.raises(LandmarkNavError, match='time_from_start'):
+        decode.sweep_trajectory(message, MOUNT)
+
+
 def test_parts_that_do_not_belong_together_are_refused():
     camera_image, info, pose = encode.panorama(FACTORY, some_panorama())
     info.distortion_model = 'plumb_bob'

@@ -22,6 +22,13 @@ def even() -> Sweep:
     return turn_sweep(CAMERA, MOUNT, PANS)
 
 
+def test_frames_that_do_not_overlap_keep_their_exposure(even: Sweep) -> None:
+    """As by a sweep whose angles are not those of its frames: three parts far from each other."""
+    kept = tuple(even.frames[k] for k in (0, 1, 10, 11, 20, 21))
+    found = measure_photometry(replace(even, frames=kept), MOUNT)
+    assert found.gain == pytest.approx(1.0, abs=0.02)
+
+
 def taken(sweep: Sweep, gains: FloatArray, vignetting: float, noise: float = 2.0) -> Sweep:
     """The same with exposures, light lost in the corners as 1 - v r^2, and noise."""
     rng = np.random.default_rng(3)

@@ -260,6 +260,15 @@ def test_images_of_a_long_drive_are_thinned_evenly_to_a_budget(count):
     assert max(strip.jpegs) + 2 * np.diff(list(strip.jpegs))[0] > count - 1
 
 
+def test_a_video_shortens_a_pause(tmp_path):
+    page = page_of(camera=False)
+    times = page['data']['run']['t']
+    page['data']['run']['t'] = [t + (1.7e9 if k > 9 else 0.0) for k, t in enumerate(times)]
+    write_video(tmp_path / 'drive.mp4', page)
+    video = cv2.VideoCapture(str(tmp_path / 'drive.mp4'))
+    assert 30 <= video.get(cv2.CAP_PROP_FRAME_COUNT) < 200
+
+
 @pytest.mark.parametrize('camera', [True, False])
 def test_a_video_shows_the_drive(tmp_path, camera):
     write_video(tmp_path / 'drive.mp4', page_of(camera=camera))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 from bag_writers import FACTORY, MOUNT, SECOND, START, write_drive
 import numpy as np
 import pytest
@@ -67,6 +69,39 @@ def test_two_prefixed_joints_are_listed(tmp_path):
 
     with pytest.raises(LandmarkNavError, match='r1/pan_joint, r2/pan_joint could be pan_joint'):
         pans(rewritten(tmp_path, two))
+
+
+def test_a_measurement_that_is_published_many_times_is_no_fast_pan(tmp_path):
+    def repeated(topic, message):
+        times = 25 if topic == '/joint_states' else 1
+        for k in range(times):
+            again = deepcopy(message)
+            again.header.stamp.nanosec += 2_050_000 * k
+            yield topic, again
+
+    assert pans(rewritten(tmp_path, repeated))[0] == pytest.approx(PANS, abs=0.3 * 0.05)
+
+
+def test_the_joint_without_an_angle_is_named(tmp_path):
+    def without(topic, message):
+        if topic == '/joint_states':
+            message.position = np.array([0.1, np.nan])
+        yield topic, message
+
+    with pytest.raises(LandmarkNavError, match=f'of {MOUNT.tilt_joint} .* is nan'):
+        pans(rewritten(tmp_path, without))
+
+
+@pytest.mark.parametrize('turns', [-100_000, -1, 0, 1, 100_000])
+def test_whole_turns_that_a_joint_counts_do_not_matter(tmp_path, turns):
+    def counted(topic, message):
+        if topic == '/joint_states':
+            message.position = np.add(message.position, [2.0 * np.pi * turns, 0.0])
+        yield topic, message
+
+    read = np.array(pans(rewritten(tmp_path, counted))[0])
+    assert (np.abs(read) < 4.0 * np.pi).all()
+    np.testing.assert_allclose(np.exp(1j * read), np.exp(1j * PANS), atol=1e-6)
 
 
 def test_the_joints_that_arrive_are_listed(tmp_path):

@@ -106,6 +106,7 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
             (load_room, ROOM.replace(old, new, 1), message)
             for old, new, message in (
                 ('start: [0, 0]', 'start: [0]', r'walls\[0\]: start is .*not 2 numbers'),
+                ('start: [0, 0]', 'start: [0, yes]', r'walls\[0\]: start is .*not 2 numbers'),
                 ('height: 2.5', 'height: true', r'walls\[0\]: height is True, not a'),
                 ('height: 2.5', 'height: .nan', r'walls\[0\]: height is nan: not finite'),
                 ('height: 2.5', 'height: 250', 'wall south is 250 m high: lengths are m'),
@@ -114,6 +115,7 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
                 ('id: east', 'id: south', 'two walls are called south'),
                 ('id: east', 'id: [east]', r"walls\[1\]: id is \['east'\], not a name"),
                 ('reference_area', 'reference_ara', 'reference_ara is no field: write refe'),
+                ('frame_id: hall', 'frame_id: odom', 'frame_id is odom, which the robot moves'),
                 ('frame_id: hall', 'frame_id:', 'frame_id is None, not a name'),
                 ('color: red, ', '', r'papers\[0\]: color is missing'),
                 ('color: red', 'color: beige', r"papers\[0\]: paper colour 'beige' is not known"),
@@ -140,6 +142,7 @@ def test_the_study_room_is_read(shared_data: Path) -> None:
                 ('optical_centre_offset: [0, 0, 0]', 'write optical_center_offset'),
                 ('camera_roll: over', "camera_roll is 'over', not a number"),
                 ('camera_roll: 180', 'camera_roll is 180, .* in radians'),
+                ('tilt_joint: pan_joint', 'pan_joint and tilt_joint are both'),
                 ("pan_joint: ''", "pan_joint is '', not a name"),
                 ('pan_min: -90', 'pan_min is -90.*radians'),
                 ('pan_min: 1\npan_max: -1', 'swap'),

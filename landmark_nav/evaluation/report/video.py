@@ -21,20 +21,23 @@ _WIDTH, _HEIGHT, _PLAN, _MARGIN = 1280, 720, 800, 40
 _FUSED, _TRUTH, _ODOMETRY = (178, 114, 0), (34, 34, 34), (0, 94, 213)
 _LANDMARK, _LEVEL, _QUIET = (115, 158, 0), (149, 81, 122), (150, 150, 150)
 _MOST_FPS = 30.0
+# A pause between two images is shown for this time at most.
+_LONGEST_S = 5.0
 # Fractional bits of pixel coordinates: 1/16 pixel.
 _SHIFT = 4
 
 
 def write_video(path: Path, page: Page) -> None:
     """
-    Write a drive as MPEG-4, in real time.
+    Write a drive as MPEG-4, in real time but for pauses, which are shortened.
 
     Raises `LandmarkNavError`: the file cannot be written.
     """
     drive = page['data']['run']
-    span_s = drive['t'][-1] - drive['t'][0]
-    fps = min((len(drive['t']) - 1) / span_s, _MOST_FPS) if span_s > 0.0 else 1.0
-    shown = np.searchsorted(drive['t'], drive['t'][0] + np.arange(1 + int(span_s * fps)) / fps)
+    times_s = np.append(0.0, np.cumsum(np.clip(np.diff(drive['t']), 0.0, _LONGEST_S)))
+    span_s = float(times_s[-1])
+    fps = min((len(times_s) - 1) / span_s, _MOST_FPS) if span_s > 0.0 else 1.0
+    shown = np.searchsorted(times_s, np.arange(1 + int(span_s * fps)) / fps)
     with TemporaryDirectory() as folder:
         raw = Path(folder) / 'drive.mp4'
         fourcc = cv2.VideoWriter.fourcc(*'mp4v')

@@ -201,6 +201,8 @@ def _fit(
         )
         normal = full - by_direction.T @ (by_direction / total[:, None])
         normal[:count, :count] += np.mean(np.diag(normal)[:count])
+        # What no overlap determines stays near 0, with a large variance.
+        normal += 1e-9 * np.mean(np.diag(normal)) * np.eye(size)
         right = np.concatenate([np.bincount(frame, weight * centred, count), weighted.T @ centred])
         try:
             values = np.linalg.solve(normal, right)

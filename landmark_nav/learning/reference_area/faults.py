@@ -534,6 +534,8 @@ _WORDS = {
         'the focal length of camera_info is {} too large',
     ),
 }
+# What an exchange of the first and third channel makes of red and blue.
+_OF_CHANNELS = {('red', 'blue'), ('blue', 'red')}
 
 
 def _fault(hypothesis: _Hypothesis, solution: _Solution, room: Room) -> PaperFault:
@@ -548,9 +550,12 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, room: Room) -> PaperFau
     if kind == 'lean':
         text, mount = lean_text(solution.values), MountError(tilt_roll_rad=solution.values)
     elif kind == 'swapped' and hypothesis.room is not None:
-        pairs = zip(hypothesis.room.papers, room.papers, strict=True)
-        other = [f'{h.color} where {p.color} should hang' for h, p in pairs if h.color != p.color]
-        text = f'the papers seem swapped, {", ".join(other)}'
+        both = zip(hypothesis.room.papers, room.papers, strict=True)
+        pairs = {(h.color, p.color): None for h, p in both if h.color != p.color}
+        other = ', '.join(f'{hangs} where {given} should hang' for hangs, given in pairs)
+        # An encoding of bgr8 for rgb8 does that, too.
+        images = ', or red and blue of the images,' if pairs.keys() <= _OF_CHANNELS else ''
+        text = f'the papers{images} seem swapped, {other}'
     elif kind in _ALONE:
         text = _ALONE[kind].format(color)
     else:

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 from landmark_nav.localization.estimator.factors import ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter, Update
-from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
+from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack, steps_ns
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
 # Motion is compounded in steps of about this.
@@ -27,9 +27,7 @@ def move_to(stamp_ns: int, joint: JointFilter, track: OdometryTrack) -> None:
     begin = joint.snapshot.stamp_ns
     if stamp_ns <= begin:
         return
-    steps = max(1, round((stamp_ns - begin) / _STEP_NS))
-    times = [begin + (stamp_ns - begin) * k // steps for k in range(steps + 1)]
-    for since, until in pairwise(times):
+    for since, until in pairwise(steps_ns(begin, stamp_ns, _STEP_NS)):
         joint.move(until, track.motion(since, until))
 
 

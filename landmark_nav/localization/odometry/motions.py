@@ -16,7 +16,7 @@ from landmark_nav.localization.odometry.noise import (
     motion_variances,
     OdometryNoiseConfig,
 )
-from landmark_nav.localization.odometry.track import OdometryTrack
+from landmark_nav.localization.odometry.track import OdometryTrack, steps_ns
 from landmark_nav.types import FloatArray, OdometrySample, PlaceChain
 
 # Motion is compounded in arcs of about this duration.
@@ -61,11 +61,7 @@ def motions_between(
     for sample in odometry:
         track.add(sample)
     parts = [
-        _between(
-            np.linspace(begin, end, 1 + max(1, round((end - begin) / _STEP_NS)), dtype=np.int64),
-            track,
-            config,
-        )
+        _between(steps_ns(begin, end, _STEP_NS), track, config)
         for begin, end in pairwise(stamps_ns.tolist())
     ]
     increment, by_bias, covariance = (np.array(part) for part in zip(*parts, strict=True))
@@ -73,11 +69,11 @@ def motions_between(
 
 
 def _between(
-    times_ns: npt.NDArray[np.int64], track: OdometryTrack, config: OdometryNoiseConfig
+    times_ns: Sequence[int], track: OdometryTrack, config: OdometryNoiseConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Increment (3,), its derivative by the biases (3, 4) and its covariance (3, 3)."""
     poses, steps, variances = [np.zeros(3)], [], []
-    for begin, end in pairwise(times_ns.tolist()):
+    for begin, end in pairwise(times_ns):
         motion = track.motion(begin, end)
         variance = motion_variances(motion, config)
         variance[1] = left_variance(motion, config)

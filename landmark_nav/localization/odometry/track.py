@@ -79,6 +79,18 @@ HORIZON_S = 0.25
 # loses the digits of what is known.
 _LONGEST_S = 3600.0
 
+# Motion is compounded in at most this number of steps.
+_MOST_STEPS = 3000
+
+
+def steps_ns(begin_ns: int, end_ns: int, step_ns: int) -> list[int]:
+    """Times from the first to the last, about `step_ns` apart, to compound motion between."""
+    span_ns = min(end_ns - begin_ns, round(1e9 * _LONGEST_S))
+    steps = min(max(1, round(span_ns / step_ns)), _MOST_STEPS)
+    since_ns = end_ns - span_ns
+    return [begin_ns, *(since_ns + span_ns * k // steps for k in range(1, steps + 1))]
+
+
 # A pose is frozen if it is exactly the same in this number of samples, while their speeds add up
 # to this motion (m or rad). Coarse encoders repeat a pose over less. Lower speeds than the last
 # value are noise.

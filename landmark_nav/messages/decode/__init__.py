@@ -13,7 +13,12 @@ from landmark_nav.messages.decode.headers import (
     set_stamp,
     stamp_ns,
 )
-from landmark_nav.messages.decode.images import BitDepth, camera_image, image
+from landmark_nav.messages.decode.images import (
+    BitDepth,
+    camera_image,
+    image,
+    published_size,
+)
 from landmark_nav.messages.decode.joints import (
     joint_sample,
     JointNames,
@@ -52,6 +57,7 @@ __all__ = [
     'odometry',
     'panorama',
     'pose_estimate',
+    'published_size',
     'same_frame',
     'set_stamp',
     'stamp_ns',

@@ -59,8 +59,15 @@ def check_frame(header: Any, frame: str, remedy: str) -> None:
 
 
 def duration_ns(value: Any) -> int:
-    """Convert a builtin_interfaces Duration, which may be negative, to integer nanoseconds."""
-    return _integer(value.sec) * _SECOND_NS + _integer(value.nanosec)
+    """
+    Convert a builtin_interfaces Duration to integer nanoseconds.
+
+    Raises `LandmarkNavError`: it is negative or not a number.
+    """
+    duration = _integer(value.sec) * _SECOND_NS + _integer(value.nanosec)
+    if duration < 0:
+        raise LandmarkNavError(f'time_from_start is {duration * 1e-9:.3f} s: count from the start')
+    return duration
 
 
 def finite(
@@ -160,7 +167,7 @@ def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
     turn = [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
     x, y, z, w = finite(turn, what, stamp, count=4).tolist()
     if x * x + y * y + z * z + w * w < 1e-6:
-        raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s is the zero quaternion')
+        raise LandmarkNavError(f'{what} at {stamp * 1e-9:.3f} s is the zero quaternion: set it')
     if x * x + y * y >= w * w + z * z:
         raise LandmarkNavError(
             f'{what} at {stamp * 1e-9:.3f} s is ({x:.2g}, {y:.2g}, {z:.2g}, {w:.2g}): '

@@ -132,7 +132,7 @@ def camera_image(
 
     Raises `LandmarkNavError`: see `image`; or the calibration is for images of another size.
     """
-    width, height = _size(msg)
+    width, height = published_size(msg)
     full = info.for_image(width, height)
     camera = full.reduced
     # A JPEG is decoded faster at a half, quarter or eighth of its size; that is exact only if the
@@ -157,7 +157,7 @@ def image_bgra(msg: Any) -> ImageArray:
     return np.asarray(_buffer(msg)[0], dtype=np.uint8)
 
 
-def _size(msg: Any) -> tuple[int, int]:
+def published_size(msg: Any) -> tuple[int, int]:
     """Width and height of a raw or compressed image, without decoding it."""
     if hasattr(msg, 'encoding'):
         return int(msg.width), int(msg.height)

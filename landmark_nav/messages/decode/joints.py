@@ -64,7 +64,9 @@ class JointNames:
         listed = ', '.join(names[:5]) + more
         if could_be := [name for name in names if _is_prefixed(name, pan)]:
             return f'{", ".join(could_be[:5])} could be {pan}: set pan_joint in robot.yaml'
-        return f'{listed or "no joint"} arrive, not {pan}: set pan_joint in robot.yaml'
+        if not names:
+            return 'messages name no joint: publish name and position of each joint'
+        return f'{listed} arrive, not {pan}: set pan_joint in robot.yaml'
 
     @property
     def pan_arrives(self) -> bool:
@@ -112,8 +114,7 @@ def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
         return None
     what = 'joint_states position'
     _check(names, msg.position, stamp, what)
-    tilt = finite(msg.position[names.index(mount.tilt_joint)], what, stamp, _MAX_RAD)
-    return stamp, float(tilt)
+    return stamp, _angle(names, msg.position, mount.tilt_joint, stamp, what)
 
 
 def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
@@ -145,14 +146,20 @@ def _sample(
     names: list[str], positions: Any, stamp: int, mount: PanTiltMount, what: str
 ) -> JointSample:
     _check(names, positions, stamp, what)
-    pan = positions[names.index(mount.pan_joint)]
-    tilt = positions[names.index(mount.tilt_joint)] if mount.tilt_joint in names else 0.0
-    pan_rad, tilt_rad = finite([pan, tilt], what, stamp, _MAX_RAD).tolist()
+    pan_rad = _angle(names, positions, mount.pan_joint, stamp, what)
+    with_tilt = mount.tilt_joint in names
+    tilt_rad = _angle(names, positions, mount.tilt_joint, stamp, what) if with_tilt else 0.0
     return JointSample(stamp, pan_rad, tilt_rad)
+
+
+def _angle(names: list[str], positions: Any, joint: str, stamp: int, what: str) -> float:
+    what = f'{what} of {joint}'
+    return float(finite(positions[names.index(joint)], what, stamp, _MAX_RAD))
 
 
 def _check(names: list[str], positions: Any, stamp: int, what: str) -> None:
     if len(positions) < len(names):
         raise LandmarkNavError(
-            f'{what} at {stamp * 1e-9:.3f} s has {len(positions)} values for {len(names)} joints'
+            f'{what} at {stamp * 1e-9:.3f} s has {len(positions)} values for {len(names)} joints: '
+            'publish one each'
         )

@@ -30,7 +30,8 @@ def read_sweep_folder(folder: Path | str) -> Sweep:
     folder = Path(folder)
     path = folder / 'frames.csv'
     try:
-        rows = list(csv.DictReader(StringIO(read_text(path, _MAX_LIST_BYTES), newline='')))
+        lines = StringIO(read_text(path, _MAX_LIST_BYTES), newline='')
+        rows = list(csv.DictReader(lines, skipinitialspace=True))
     except csv.Error as error:
         raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
     missing = [name for name in _COLUMNS if not rows or rows[0].get(name) is None]

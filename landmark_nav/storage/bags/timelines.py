@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import PanTrack, unwrap_joint
+from landmark_nav.geometry.angles import PanTrack, unwrap_joint, without_turns
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.messages.decode import JointNames
@@ -67,20 +67,21 @@ class JointHistory:
         rate = self._rate(later)
         if rate is not None and beyond_ns <= _SAME_TIME_NS:
             share = (stamp_ns - first.stamp_ns) / gap_ns
+            pan_rad = without_turns(first.pan_rad)
             return JointSample(
                 stamp_ns,
-                first.pan_rad + share * (self._pans_rad[later] - self._pans_rad[later - 1]),
+                pan_rad + share * (self._pans_rad[later] - self._pans_rad[later - 1]),
                 self._tilt_rad(
                     stamp_ns, first.tilt_rad + share * (second.tilt_rad - first.tilt_rad)
                 ),
                 rate,
                 abs(share * (1.0 - share)) * gap_ns * 1e-9 * self._rate_change(later, rate),
-                self._track(stamp_ns, first.pan_rad - self._pans_rad[later - 1]),
+                self._track(stamp_ns, pan_rad - self._pans_rad[later - 1]),
             )
         nearest = min(first, second, key=lambda sample: abs(sample.stamp_ns - stamp_ns))
         if abs(nearest.stamp_ns - stamp_ns) <= _SAME_TIME_NS:
             tilt_rad = self._tilt_rad(stamp_ns, nearest.tilt_rad)
-            return JointSample(stamp_ns, nearest.pan_rad, tilt_rad)
+            return JointSample(stamp_ns, without_turns(nearest.pan_rad), tilt_rad)
         if stamp_ns > second.stamp_ns:
             return Refusal(f'joint_states are {beyond_ns * 1e-6:.0f} ms behind')
         if stamp_ns < first.stamp_ns:
@@ -236,7 +237,10 @@ def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
 
 def _check_radians(samples: Sequence[JointSample], where: str) -> None:
     """Refuse a pan whose median rate is not plausible; single steps may be wraps of the angle."""
-    steps = np.diff([(1e-9 * sample.stamp_ns, sample.pan_rad) for sample in samples], axis=0)
+    timed = np.array([(1e-9 * sample.stamp_ns, sample.pan_rad) for sample in samples])
+    # A measurement may be published several times.
+    changed = np.append(True, np.diff(timed[:, 1]) != 0.0)
+    steps = np.diff(timed[changed], axis=0)
     moving = steps[(steps[:, 0] > 0.0) & (np.abs(steps[:, 1]) > _MOVING_RAD)]
     if len(moving) < _ENOUGH_STEPS:
         return
