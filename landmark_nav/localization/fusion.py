@@ -196,7 +196,7 @@ class Fusion:
             return _WRONG_START
         if ends is not None and seen.stamp_ns - ends[1] > REACH_NS:
             return Refusal('detections are ahead', f'{1e-9 * (seen.stamp_ns - ends[1]):.1f} s')
-        update = line.add_image(seen)
+        update = line.add_image(replace(seen, lost=self._integrity.contradicted))
         self._update = update if isinstance(update, Update) else None
         # From an unknown pose nothing is expected, so that nothing is missed.
         unknown = is_unknown(line.filter.predicted.covariance[:3, :3])

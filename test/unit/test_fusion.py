@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from wire import FACTORY, over_the_wire
 
-from landmark_nav.calibration import Calibration
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.se2 import compose
@@ -226,6 +226,27 @@ def test_a_kidnapped_robot_is_reported_lost() -> None:
     assert np.trace(expected.covariance[:2, :2]) < 0.1
     fusion.place(replace(estimate, covariance=1e-4 * np.eye(3)))
     assert fusion.status_at()[0] is not Status.LOST
+
+
+def test_a_lost_robot_assumes_no_zoom() -> None:
+    drive = simulated(
+        11, seconds=24.0, prior=Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4))
+    )
+    fusion, rng, images = fused(drive), np.random.default_rng(0), 0
+    for what in arriving(drive):
+        if not isinstance(what, OdometrySample):
+            images += 1
+            if images > 60:
+                # First nothing fits; then what another focal length would explain.
+                shown = what[0].points / 1.1
+                random = rng.uniform(-0.4, 0.4, shown.shape)
+                what = replace(what[0], points=random if images <= 80 else shown), what[1]
+        take(fusion, what)
+        if images == 80:
+            assert fusion.status_at()[0] is Status.LOST
+        if images == 85:
+            break
+    assert abs(fusion.calibration['focal_scale'][0]) < 0.01
 
 
 def test_a_pose_that_is_lost_without_odometry_leaves_the_calibration() -> None:

@@ -75,6 +75,8 @@ class ImagePoints:
         point, not a measurement.
     sizes : ndarray, shape (m, 2), optional
         Width and height of the templates: one of a wrong scale fits at any of its points.
+    lost : bool
+        Whether the pose was lost before: then no step is assumed, as another place is likelier.
     """
 
     stamp_ns: int
@@ -91,6 +93,7 @@ class ImagePoints:
     delay_step_s: float = LEAST_STEP_S
     near: FloatArray | None = None
     sizes: FloatArray | None = None
+    lost: bool = False
 
     def __len__(self) -> int:
         """Return how many there are."""

@@ -416,7 +416,7 @@ class JointFilter:
             return _nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         after, update = self._corrected(prior, seen)
-        if update.surprising:
+        if update.surprising and not seen.lost:
             # After a knock the pose is open, and many slips in a row would close it wrongly.
             known = prior.covariance[2, 2] < _OPEN_RAD**2
             hypotheses = [_Hypothesis(prior, after, update)]
