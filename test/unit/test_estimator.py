@@ -485,6 +485,17 @@ def test_missed_or_hidden_landmarks_raise_the_suspicion_slowly() -> None:
     assert integrity.status(good)[0] is Status.LOST
 
 
+def test_where_nothing_is_expected_the_last_evidence_stands() -> None:
+    run, integrity = driven(simulated(3, seconds=8.0)), Integrity()
+    good = PoseEstimate(8 * NS, np.zeros(3), 1e-6 * np.eye(3))
+    for update in run.updates:
+        integrity.add(update.stamp_ns, update)
+    assert integrity.status(good)[0] is Status.OK
+    for missed in (8, 0):
+        integrity.add(8 * NS, None, missed)
+        assert integrity.status(good)[0] is Status.DEGRADED
+
+
 def test_the_protection_level_holds() -> None:
     inside, ratios = [], []
     for seed in range(8):

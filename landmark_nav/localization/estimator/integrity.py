@@ -129,6 +129,8 @@ class Integrity:
         found = 0 if update is None else len(update.columns)
         if self._found_ns is None:
             self._found_ns = stamp_ns
+        if not found and not missed:
+            return  # nothing was expected: the last evidence stands
         gained = max(-_MOST_MISSED, missed * MISSED)
         if update is not None and found:
             self._found_ns = max(self._found_ns, stamp_ns)
