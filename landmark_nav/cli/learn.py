@@ -161,6 +161,8 @@ def run(args: argparse.Namespace) -> int:
             result = learn_from_panoramas(panoramas, room, config, shown)
         else:
             result = learn_located(located, config, config.unmeasured, shown)
+        # Walls with a sigma were moved to their patches.
+        room = replace(room, walls=result.map.walls)
         learned = result.map.calibration or given
         if off := learned.surprises(given):
             _LOG.warning('%s: the sweeps show, and use, %s more than it gives', args.robot, off)
