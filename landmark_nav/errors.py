@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 import reprlib
 
-# Largest length of a line, and smallest length to which a path or value in it is shortened.
-_LINE_LENGTH, _PART_LENGTH = 200, 60
+# Largest length of a line, and smallest lengths to which its values and paths are shortened.
+_LINE_LENGTH, _PART_LENGTH, _PATH_LENGTH = 200, 60, 24
 # Longer texts are cut off.
 _MAX_LENGTH = 10_000
 
@@ -64,14 +64,16 @@ def shown(value: object) -> str:
 
 def one_line(text: str) -> str:
     """Text as one line of at most 200 printable characters."""
-    # Paths, values and lists between colons are shortened, the longest first.
+    # Between colons, paths are shortened first, then values and lists, the longest first.
     parts = _printable(text).split(': ')
-    while (excess := len(': '.join(parts)) - _LINE_LENGTH) > 0:
-        k = max(range(len(parts)), key=lambda i: len(parts[i]))
-        if len(parts[k]) <= _PART_LENGTH:
-            return ': '.join(parts)[: _LINE_LENGTH - 1] + '…'
-        parts[k] = _shortened(parts[k], max(_PART_LENGTH, len(parts[k]) - excess))
-    return ': '.join(parts)
+    for least in (_PATH_LENGTH, _PART_LENGTH):
+        for k in sorted(range(len(parts)), key=lambda i: -len(parts[i])):
+            excess = len(': '.join(parts)) - _LINE_LENGTH
+            is_path = '/' in parts[k] and ' ' not in parts[k]
+            if excess > 0 and (is_path or least == _PART_LENGTH):
+                parts[k] = _shortened(parts[k], max(least, len(parts[k]) - excess))
+    line = ': '.join(parts)
+    return line if len(line) <= _LINE_LENGTH else line[: _LINE_LENGTH - 1] + '…'
 
 
 def _printable(text: str) -> str:

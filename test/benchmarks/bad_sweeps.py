@@ -365,7 +365,7 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
         yield f'sweep/pose with covariance {name}', wrong, f'sweep/pose has {text}'
     posed = given.posed(poses, np.diag([0.01, 0.01, 0.005]) ** 2)
     wrong = replace(posed, mount=replace(mount, axis_rpy=(0.0, 0.0, 5.0)))
-    yield 'rpy yaw 5, with sweep/pose', wrong, 'yaw of pan_axis'
+    yield 'rpy yaw 5, with sweep/pose', wrong, 'pan_axis.*radians'
     # Written down before any was tried.
     first, last, paper = colors[0], colors[-1], papers[0]
     wrong = given.paper(0, width=paper.height, height=paper.width)
@@ -375,9 +375,9 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
     yield 'own: all papers 4 % larger', given.redrawn(sheets=1.04), 'papers look .* smaller'
     x, y, z = mount.axis_xyz
     higher = replace(given, mount=replace(mount, axis_xyz=(x, y, z + 0.12)))
-    yield 'own: camera 12 cm higher', higher, 'camera is .* lower'
+    yield 'own: camera 12 cm higher', higher, 'height -11'
     tilted = replace(given, mount=replace(mount, axis_rpy=(0.05, 0.0, 0.0)))
-    yield 'own: axis rolled by 3 deg', tilted, 'pan axis tilts'
+    yield 'own: axis rolled by 3 deg', tilted, 'axis_roll -2.8'
     normal = given.room.walls[int(given.room.nearest_wall(np.array(paper.center[:2])))].normal
     before = np.add(paper.center[:2], 0.01 * normal[:2])
     across = max(given.room.raycast(before, np.arctan2(normal[1], normal[0]))[0], 0.0)
