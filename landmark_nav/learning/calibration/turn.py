@@ -94,7 +94,7 @@ def check_turn(sweep: Sweep, mount: PanTiltMount) -> None:
     if turn.full_turn is None:
         raise LandmarkNavError(f'{focal}, or else {scale}: check image size, ROI, binning, joint')
     if abs(turn.full_turn - 1.0) < _MOST_OFF:
-        raise LandmarkNavError(f'{focal}: check its image size, ROI and binning, or calibrate')
+        raise LandmarkNavError(f'{focal}: check its size, ROI and binning')
     raise LandmarkNavError(f'{scale}: fix the scale of the joint')
 
 
