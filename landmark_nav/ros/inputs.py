@@ -23,6 +23,8 @@ _ALTERNATION_S = 5.0
 _CLOCK_S, _FASTEST_PLAY = 5.0, 20.0
 # Type of pan and tilt; the ROS wheels have no tf2_msgs.
 _JOINTS = 'sensor_msgs/msg/JointState'
+# Name of a node while the graph knows its publisher alone, by rmw; and what is shown then.
+_UNNAMED, _UNKNOWN = '_NODE_NAME_UNKNOWN_', 'an unknown node'
 # Largest number of names in a text.
 _LISTED = 3
 # Topics, besides streams, without which a node that subscribes to them cannot work.
@@ -196,8 +198,12 @@ class Input:
     def _name_of(self, source: bytes) -> str:
         """Full name of the node of a publisher."""
         if source not in self._names:
-            self._names |= {bytes(one.endpoint_gid): _full_name(one) for one in self._endpoints()}
-        unknown = 'an unknown node' if source else _listed(self._names.values())
+            self._names |= {
+                bytes(one.endpoint_gid): name
+                for one in self._endpoints()
+                if (name := _full_name(one)) != _UNKNOWN
+            }
+        unknown = _UNKNOWN if source else _listed(self._names.values())
         return self._names.get(source, unknown)
 
     def _endpoints(self) -> list[Any]:
@@ -301,6 +307,8 @@ def _fits(offered: QoSProfile, asked: QoSProfile) -> bool:
 
 
 def _full_name(endpoint: Any) -> str:
+    if endpoint.node_name == _UNNAMED:
+        return _UNKNOWN
     return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
 
 
