@@ -423,17 +423,17 @@ class JointFilter:
             for causes, step in self._config.steps:
                 if not (known or step.calibration):
                     continue
-                evidence = max(
-                    cause.log_odds
-                    + self._corrected(self._stepped(prior, cause), seen)[1].log_evidence
-                    for cause in causes
-                )
                 stepped = self._stepped(prior, step)
                 freed, alternative = self._corrected(stepped, seen)
                 agree = int(np.sum(alternative.weight > _INLIER))
                 # A knock is no slip: many sigmas of it cost less than the prior of a knock.
                 unlike = alternative.surprising and not step.calibration
                 if agree >= _WITNESSES and not unlike:
+                    evidence = max(
+                        cause.log_odds
+                        + self._corrected(self._stepped(prior, cause), seen)[1].log_evidence
+                        for cause in causes
+                    )
                     alternative = alternative._replace(
                         log_evidence=evidence, stepped=bool(step.calibration)
                     )
