@@ -24,8 +24,6 @@ from landmark_nav.localization.localizer import LocalizationConfig, Localization
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 SECONDS = 12.0
-
-
 FAULT_S = 3.2
 
 # The mount is measured well, and may be displaced.
@@ -40,8 +38,6 @@ def pan_rad(seconds: float) -> float:
 
 
 Sensed = tuple[Step, CameraFrame | None]
-
-
 Change = Callable[[Step, CameraFrame | None], Sensed]
 
 
@@ -60,7 +56,7 @@ def sensed_drive() -> list[Sensed]:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """After an image: seconds since the fault, verdict, error, and sigmas of the pose."""
+    """After an image: time since the fault, verdict, error, sigmas, odometry refused by then."""
 
     after_s: float
     status: str
@@ -68,6 +64,7 @@ class Moment:
     error: FloatArray
     sigma: FloatArray
     update: LocalizationUpdate
+    refused: int
 
     @property
     def nees(self) -> float:
@@ -85,18 +82,20 @@ def run(
     calibration: Calibration = KNOWN,
 ) -> Iterator[Moment]:
     """
-    Drive with what `change` makes of each moment after the fault begins.
+    Drive with what `change` makes of each moment after the fault begins; odometry may be None.
 
     Images come after so many samples of odometry that are newer.
     """
     on_the_way: deque[Sensed] = deque()
+    refused = 0
     localizer = Localizer(landmarks, calibration, config or LocalizationConfig())
     localizer.initialize(PoseEstimate(0, start, np.diag(START_SIGMA**2)))
     for step, frame in sensed:
         seconds = step.stamp_ns * 1e-9 - FAULT_S
         if seconds >= 0.0:
             step, frame = change(step, frame)
-        localizer.add_odometry(step.odometry)
+        if step.odometry is not None:
+            refused += localizer.add_odometry(step.odometry) is not None
         on_the_way.append((step, frame))
         if len(on_the_way) <= late:
             continue
@@ -109,7 +108,7 @@ def run(
         assert np.isfinite(update.fused.pose).all()
         error = error_of(update.fused, step.pose)
         sigma = np.sqrt(np.diag(update.fused.covariance))
-        yield Moment(seconds, update.status, update.reason, error, sigma, update)
+        yield Moment(seconds, update.status, update.reason, error, sigma, update, refused)
 
 
 def untouched(step: Step, frame: CameraFrame | None) -> Sensed:

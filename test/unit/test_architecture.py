@@ -118,10 +118,6 @@ def test_ros_stays_behind_its_door() -> None:
     assert not {str(m): name for m in outside for name in IMPORTS[m] if is_ros(name)}
 
 
-def test_modules_state_what_they_are_for() -> None:
-    assert not [str(module) for module, tree in TREES.items() if not ast.get_docstring(tree)]
-
-
 def test_every_part_has_its_place() -> None:
     assert {part(module) for module in MODULES} - {'__init__'} <= set(BELOW)
 

@@ -83,23 +83,6 @@ def test_places_that_cannot_be_written_are_refused(
 
 
 @pytest.mark.parametrize(
-    'command',
-    [
-        ['evaluate', 'nowhere', '--map', 'm', '--robot', 'r', '--json'],
-        ['evaluate', 'nowhere', '--map', 'm', '--robot', 'r', '--tum'],
-        ['learn', 'nowhere', '--room', 'r', '--robot', 'r', '--out', 'm', '--json'],
-        ['plan', '--room', 'r', '--robot', 'r', '--positions', '2', '--out'],
-    ],
-)
-def test_commands_look_first(
-    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / 'file').touch()
-    assert main([*command, str(tmp_path / 'file' / 'e.json')]) == 1
-    assert 'file: is a file: take another name' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
     ('command', 'output'),
     [
         ('evaluate bag --map map --robot robot.yaml --json', 'map/map.yaml'),

@@ -142,16 +142,3 @@ def test_a_folder_of_images_is_a_sweep(tmp_path, comma):
     (tmp_path / 'frames.csv').write_text('file,pan\n1.png,0')
     with pytest.raises(LandmarkNavError, match='lacks pan_rad, focal_px, width, height'):
         read_sweep_folder(tmp_path)
-
-
-def test_study_bags_are_read(shared_data):
-    learn = list(read_sweeps(Bag(shared_data / 'study' / 'learn'), MOUNT))
-    assert [len(s.frames) for s in learn] == [72, 72]
-    assert learn[0].frames[0].image.shape == (512, 512, 3)
-    bag = Bag(shared_data / 'study' / 'drive')
-    assert bag.counts['/camera/image_raw/compressed'] == 184
-
-
-@pytest.mark.parametrize('name', ['grail', 'parrington'])
-def test_photographed_sweeps_are_read(shared_data, name):
-    assert len(read_sweep_folder(shared_data / 'pan_sweeps' / name).frames) == 18

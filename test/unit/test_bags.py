@@ -17,16 +17,14 @@ from bag_forms import (
 from bag_writers import FACTORY, foreign_bag, MOUNT, odometry, SECOND, START, write_drive
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
-import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 import yaml
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.messages import decode, encode
+from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagWriter, container, sensor_events
-from landmark_nav.storage.bags.topics import relative_name
 from landmark_nav.types import CameraFrame
 
 TEXT = ('std_msgs/msg/String', 'ros2msg', b'string data\n')
@@ -118,15 +116,6 @@ def test_foreign_encodings_matter_only_if_they_are_asked_for(tmp_path):
         _ = bad.message
 
 
-def test_types_come_from_the_bag_itself(tmp_path):
-    path = tmp_path / 'own.mcap'
-    with foreign_bag(path) as add:
-        pair = ('my_msgs/msg/Pair', 'ros2msg', b'int32 a\nint32 b\n')
-        add('/pair', pair, 'cdr', [b'\0\1\0\0\7\0\0\0\x09\0\0\0'])
-    (entry,) = Bag(path).messages()
-    assert (entry.message.a, entry.message.b) == (7, 9)
-
-
 def test_nothing_half_written_is_left(tmp_path):
     def interrupted():
         with BagWriter(tmp_path / 'bag') as bag:
@@ -140,19 +129,6 @@ def test_nothing_half_written_is_left(tmp_path):
     (tmp_path / 'bag' / 'metadata.yaml').touch()
     with pytest.raises(LandmarkNavError, match='there already'), BagWriter(tmp_path / 'bag'):
         pass
-
-
-@pytest.mark.parametrize(
-    ('topic', 'name'),
-    [
-        ('/odom', 'odom'),
-        ('/robot1/ground_truth/odom', 'ground_truth/odom'),
-        ('/a/b/camera/image_raw/compressed', 'camera/image_raw/compressed'),
-        ('/radodom', 'radodom'),
-    ],
-)
-def test_contract_names_are_found_under_any_namespace(topic, name):
-    assert relative_name(topic) == name
 
 
 def test_missing_ambiguous_and_wrong_topics_are_reported(tmp_path):
@@ -171,25 +147,6 @@ def test_missing_ambiguous_and_wrong_topics_are_reported(tmp_path):
         bag.require('camera/camera_info')
     with pytest.raises(LandmarkNavError, match='nav_msgs/msg/Odometry, not sensor_msgs'):
         bag.find('joint_states')
-
-
-def test_what_could_be_the_missing_topic_is_reported(tmp_path):
-    with BagWriter(tmp_path / 'bag') as bag:
-        for name in ('/wheels', '/visual/odometry', '/ground_truth/odom'):
-            bag.write(name, odometry(START, [0, 0, 0]), START)
-        camera_image = encode.compressed_image(FACTORY, np.zeros((4, 4), np.uint8), START, 'cam')
-        bag.write('/usb_cam/image_raw/compressed', camera_image, START)
-    bag = Bag(tmp_path / 'bag')
-    with pytest.raises(LandmarkNavError) as reported:
-        bag.require('odom')
-    # Of the truth it is known that it is no odometry.
-    assert 'give --topic odom=/visual/odometry or --topic odom=/wheels;' in str(reported.value)
-    with pytest.raises(LandmarkNavError) as reported:
-        bag.require('camera/image_raw', 'camera/image_raw/compressed')
-    name = 'camera/image_raw/compressed'
-    assert f'--topic {name}=/usb_cam/image_raw/compressed;' in str(reported.value)
-    with pytest.raises(LandmarkNavError, match='joint_states is missing: record it; there are'):
-        bag.require('joint_states')
 
 
 @pytest.mark.parametrize(

@@ -196,16 +196,6 @@ def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
     assert 1.0 + focal_of(aligned) == pytest.approx(np.exp(plain.common[0]), rel=4e-3)
 
 
-def test_right_angles_stay() -> None:
-    sweep = turn_sweep(FOLDER, MOUNT, FEW)
-    aligned = align_sweep(sweep, MOUNT)
-    assert aligned.quality.residual_px < 0.05
-    assert abs(focal_of(aligned)) < 1e-3
-    for before, after in zip(sweep.frames, aligned.sweep.frames, strict=True):
-        assert abs(after.pan_rad - before.pan_rad) < 3e-4
-        assert abs(after.roll_rad) < 3e-4
-
-
 def test_too_few_frames_or_no_texture_is_reported() -> None:
     with pytest.raises(LandmarkNavError, match='2 frames are too few to align'):
         align_sweep(turn_sweep(FOLDER, MOUNT, FEW[:2]), MOUNT)

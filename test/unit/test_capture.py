@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from turning_robot import (
-    AZIMUTH,
     check_sweep,
     FakeImage,
     inspect,
@@ -20,10 +19,8 @@ from turning_robot import (
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.capture import begin_or_resume, CaptureConfig, describe_sweep, Shot
-from landmark_nav.learning.capture.frames import FrameLog
-from landmark_nav.learning.capture.joints import JointTrack
-from landmark_nav.types import JointSample, OdometrySample
+from landmark_nav.learning.capture import begin_or_resume, CaptureConfig
+from landmark_nav.types import OdometrySample
 
 
 @pytest.mark.parametrize('every', [1, 2, 11])
@@ -43,17 +40,6 @@ def test_keeps_one_still_frame_at_every_angle(every, late_ns):
     stamps = [kept.joints.stamp_ns for kept in robot.sweep.kept]
     assert stamps == sorted(set(stamps))
     assert not robot.sweep.refused
-
-
-def test_a_step_of_a_coarse_encoder_does_not_keep_it_from_settling():
-    class Coarse(Robot):
-        def tick(self):
-            fine = self.pan
-            self.pan += 0.0015 * (self.k % 2)
-            super().tick()
-            self.pan = fine if self.stuck else self.pan - 0.0015 * ((self.k - 1) % 2)
-
-    assert Coarse().run().done
 
 
 @pytest.mark.parametrize('seed', range(12))
@@ -111,29 +97,6 @@ def test_a_driver_that_reports_the_pan_within_half_a_turn(beyond_rad):
     np.testing.assert_allclose(taken, wanted, atol=2e-3)
 
 
-def test_a_robot_slower_than_the_clock_gets_its_time():
-    class Behind(Robot):
-        """Ten seconds of the clock are one of the robot's."""
-
-        @property
-        def now(self):
-            return 10 * self.k * STEP_NS
-
-        def tick(self):
-            self.k += 1
-            command = self.sweep.command(self.now)
-            self.target = self.target if command is None else command
-            self.turn()
-            stamp = self.k * STEP_NS
-            self.sweep.add_frame(Shot(FakeImage(self.pan, self.k), stamp - 1, b'%d' % self.k), 0)
-            self.sweep.add_joints(JointSample(stamp, self.pan), self.now)
-            self.sweep.check(self.now)
-
-    robot = Behind(replace(SHORT, retake_pause_s=0.0))
-    assert robot.run(20_000).done
-    assert robot.now > SHORT.step_timeout_s * 1e9 * len(robot.sweep.kept)
-
-
 @pytest.mark.parametrize(('start_deg', 'step_deg'), [(30.0, 15.0), (300.0, -15.0)])
 def test_any_start_and_direction_make_a_full_turn(start_deg, step_deg):
     config = replace(TURN, start_rad=np.radians(start_deg), step_rad=np.radians(step_deg))
@@ -189,16 +152,6 @@ def test_no_angle_within_the_limits_is_refused():
         CaptureConfig(start_rad=1.0, frames=3, pan_min_rad=-0.5, pan_max_rad=0.5)
     with pytest.raises(LandmarkNavError, match='frames'):
         CaptureConfig(frames=0)
-
-
-def test_what_is_covered_is_reported():
-    half = float(AZIMUTH[-1])
-    assert describe_sweep(Robot(TURN).run(), half) == 'the full turn'
-    reported = describe_sweep(Robot(TURN, limits=(-2.5, 1.9)).run(), half)
-    assert reported == (
-        'a partial sweep, nothing is seen from pan 130 to 200 deg; '
-        'the pan joint stops at -143.2 and 108.9 deg'
-    )
 
 
 class Faulty(Robot):
@@ -277,17 +230,6 @@ def test_frames_that_stay_bad_interrupt_it_with_the_reason(bad, reason):
     check_sweep(robot.run())
 
 
-def test_a_camera_frozen_from_the_start_leaves_no_frame():
-    class Frozen(Robot):
-        def camera_image(self):
-            return FakeImage(0.0, 0), self.now - 7_000_000
-
-    robot = Frozen()
-    with pytest.raises(LandmarkNavError, match='refused, the last as frozen'):
-        robot.run()
-    assert not robot.sweep.kept
-
-
 def test_blank_walls_dark_and_noiseless_views_are_taken():
     class Blank(Robot):
         def camera_image(self):
@@ -323,18 +265,6 @@ def test_people_who_pass_do_not_keep_it_from_ending(seed):
     robot = Crowded(TURN)
     check_sweep(robot.run(), -np.pi + np.pi / 12 * np.arange(24))
     assert sum(robot.sweep.refused.values()) < 24
-
-
-@pytest.mark.parametrize('shown', [-1.0, 0.5], ids=['outran its joints', 'pan never known'])
-def test_an_image_that_comes_before_its_joint_states_is_not_frozen(shown):
-    log, track = FrameLog(CaptureConfig()), JointTrack(CaptureConfig())
-    track.add(JointSample(0, -0.9))
-    assert not log.seen_at_other_pan(b'image', 200_000_000, track)
-    for stamp_ns in (10_000_000_000, 10_020_000_000):
-        track.add(JointSample(stamp_ns, shown))
-        assert not log.seen_at_other_pan(b'image', stamp_ns, track)
-    track.add(JointSample(20_000_000_000, -0.8))
-    assert log.seen_at_other_pan(b'image', 20_000_000_000, track)
 
 
 @pytest.mark.parametrize('lost', ['joints', 'images'])

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from landmark_nav.cli.lines import NBSP, wrapped
 from landmark_nav.cli.main import COMMANDS, main
 from landmark_nav.errors import LandmarkNavError
 
@@ -124,22 +123,6 @@ def test_help_loads_nothing_heavy() -> None:
     assert result.returncode == 0, result.stderr
 
 
-def test_long_lines_go_on_below_and_keep_their_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    words = [f'word-{k}' for k in range(60)]
-    table = f'{"name":<14}{"cm":>9}{"deg":>9}'
-    text = wrapped([table, '  ' + ' '.join(words), '/a/path/' + 120 * 'x'])
-    first, *middle, last = text.split('\n')
-    monkeypatch.setenv('COLUMNS', '70')
-    assert 68 <= max(map(len, wrapped(['a ' * 200]).split('\n'))) <= 70
-    assert first == table
-    assert ' '.join(middle).split() == words
-    assert max(map(len, middle)) <= 99
-    assert [line[: len(line) - len(line.lstrip())] for line in middle[:2]] == ['  ', '      ']
-    assert last == '/a/path/' + 120 * 'x'
-    counted = wrapped([', '.join(f'wall{NBSP}{k}' for k in range(60))])
-    assert all(line.rstrip(',')[-1].isdigit() for line in counted.split('\n'))
-
-
 @pytest.mark.parametrize(
     ('arguments', 'complaint'),
     [
@@ -167,16 +150,6 @@ def test_arguments_that_cannot_be_are_status_2_and_one_line(
     line = capsys.readouterr().err.splitlines()[-1]
     assert complaint in line
     assert len(line) <= 200
-
-
-@pytest.mark.parametrize(('flag', 'shown'), [('-q', False), ('--quiet', False), ('-v', True)])
-def test_a_command_gets_its_arguments_and_flags_and_gives_its_status(
-    flag: str, shown: bool, command: types.ModuleType
-) -> None:
-    seen = []
-    command.run = lambda args: seen.append((args.bag, args.verbosity > 0)) or 1  # type: ignore[attr-defined]
-    assert main(['learn', 'folder', flag]) == main([flag, 'learn', 'folder']) == 1
-    assert seen == [('folder', shown)] * 2
 
 
 @pytest.mark.parametrize('name', COMMANDS)

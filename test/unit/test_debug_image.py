@@ -72,30 +72,6 @@ def test_what_is_drawn_lies_where_it_was_searched(frame: ImageArray) -> None:
     assert changed[:, : scale * 30].sum() == changed[:16, : scale * 30].sum()
 
 
-def test_a_match_is_framed_where_it_was_found(frame: ImageArray) -> None:
-    at, moved = (
-        colored(draw_observation(frame, observation({4: off}, {}))) for off in ((0, 0), (9, 5))
-    )
-    scale = at.shape[1] // frame.shape[1]
-    # The left side of the template, between its corners.
-    side = scale * np.array([45, 120])
-    assert at[side[1], side[0]]
-    assert not moved[side[1] - 4, side[0]]
-    assert moved[side[1] + scale * 5, side[0] + scale * 9]
-
-
-def test_found_chosen_and_refused_differ_in_colour(frame: ImageArray) -> None:
-    images = [
-        draw_observation(frame, observation({4: (0.0, 0.0)}, {})),
-        draw_observation(frame, observation({4: (0.0, 0.0)}, {}), [4]),
-        draw_observation(frame, observation({}, {4: 'low correlation'})),
-    ]
-    hues = [image[colored(image)].mean(axis=0) for image in images]
-    for k, hue in enumerate(hues):
-        for other in hues[:k]:
-            assert np.abs(hue - other).max() > 20
-
-
 def test_an_image_that_was_not_searched_is_drawn_and_the_input_stays() -> None:
     image = np.full((480, 700, 3), 90, np.uint8)
     nothing = observation({}, {})

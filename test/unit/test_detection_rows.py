@@ -78,37 +78,6 @@ def rows_of(model: RowModel, own_px: float, sigma: FloatArray = POSE_SIGMA) -> F
     return model.covariance(np.diag(sigma**2), none, none) + own_px**2 * np.eye(8)
 
 
-def test_rows_vary_with_pose_camera_and_points() -> None:
-    model, points = model_of(PLAIN, 0.8)
-    rng = np.random.default_rng(7)
-    own_sigma = np.array([0.002, 0.004, 0.001])
-    shared = 0.003 * rng.normal(size=(8, 3, 2))
-    points_covariance = np.diag(own_sigma**2) + shared @ shared.swapaxes(1, 2)
-    claimed = model.covariance(np.diag(POSE_SIGMA**2), points_covariance, shared)
-    expected = rows_at(POSE, points, 0.0)
-    off = np.array(
-        [
-            rows_at(
-                POSE + POSE_SIGMA * rng.normal(size=3),
-                points + own_sigma * rng.normal(size=(8, 3)) + shared @ rng.normal(size=2),
-                0.01 * rng.normal(),
-            )
-            - expected
-            for _ in range(4000)
-        ]
-    )
-    scale = np.sqrt(np.diag(claimed))
-    np.testing.assert_allclose(
-        np.cov(off.T) / np.outer(scale, scale), claimed / np.outer(scale, scale), atol=0.07
-    )
-
-
-def rows_at(pose: FloatArray, points: FloatArray, higher_m: float) -> FloatArray:
-    """Rows (n,) of points seen by a camera that hangs higher than was measured."""
-    rotation, center = MOUNT.camera_pose_map(pose, PAN, TILT)
-    return PLAIN.project((points - center - [0.0, 0.0, higher_m]) @ rotation)[:, 1]
-
-
 @pytest.mark.parametrize('camera', [PLAIN, FISHEYE])
 def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: CameraModel) -> None:
     model, _ = model_of(camera, 0.8)
@@ -156,34 +125,6 @@ def test_a_tilt_is_recognised_by_all_rows_together_and_not_by_any_single_one(
     assert reported == runs
     assert level + mistaken <= 2
     assert 0.75 < np.mean(squares) < 1.3
-
-
-def test_no_single_object_on_a_wall_decides_a_tilt() -> None:
-    """As if all that is near to each in turn were left out, and all were worked out anew."""
-    model, points = model_of(PLAIN, 0.8)
-    near = np.linalg.norm(points[:, None] - points, axis=-1) < 0.5
-    assert 1 < near.sum(axis=1).max() < 5
-    shared = rows_of(model, 0.0)
-    rng = np.random.default_rng(11)
-    reported = []
-    for _ in range(100):
-        covariance = shared + np.diag(rng.uniform(0.1, 1.0, 8))
-        off = rng.multivariate_normal(model.by_tilt_roll @ [0.0, 0.014], covariance)
-        heights = RowResiduals(off, model.by_tilt_roll, covariance, points)
-        left = [estimate_camera_tilt(heights.chosen(~out)) for out in near]
-        camera_tilt = estimate_camera_tilt(heights)
-        if (
-            camera_tilt.matches < 8
-            or [one.matches for one in left] != np.sum(~near, axis=1).tolist()
-        ):
-            continue
-        reported.append(camera_tilt.sure)
-        rolls = np.array([one[1:3] for one in left])
-        agree = np.all(rolls[:, 0] * np.sign(camera_tilt.roll_rad) > 3.0 * rolls[:, 1])
-        assert camera_tilt.sure == (
-            agree and abs(camera_tilt.roll_rad) > 3.0 * camera_tilt.roll_sigma_rad
-        )
-    assert 15 < sum(reported) < len(reported) - 15
 
 
 def test_a_poster_that_was_exchanged_is_no_tilt() -> None:

@@ -8,7 +8,7 @@ from drawn_drives import driven, MOUNT, NS, simulated
 import numpy as np
 import pytest
 
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import filter, ImagePoints, Integrity, JointFilter, Status
 from landmark_nav.localization.estimator.timeline import Timeline
@@ -60,36 +60,6 @@ def test_an_image_after_blind_motion_gives_nothing_of_the_mount() -> None:
     joint.observe(replace(seen, near=drive.poses[-1]))
     assert joint.calibration.sigmas_from('axis_x') == pytest.approx(before, rel=0.02)
     assert np.hypot(*(joint.estimate.pose - drive.poses[-1])[:2]) < 0.05
-
-
-def test_a_pose_found_by_the_camera_is_off_by_the_mount() -> None:
-    joint = driven(simulated(2, TAPE, seconds=4.0)).filter
-    exact = 1e-10 * np.eye(3)
-    found = joint.placed(PoseEstimate(0, np.array([2.0, 1.0, 0.7]), exact), 0.0)
-    center = joint.calibration['center_x'][1]
-    # The camera is where it was found; the base, by as much as is not known between them.
-    seen = np.sqrt(np.diag(found.expectation.covariance))
-    assert seen[:2] == pytest.approx(center, rel=0.2)
-    assert seen[2] < 1e-4
-    mount = np.sqrt(np.sum(joint.calibration.sigmas_from('axis_x') ** 2))
-    base = found.estimate.covariance
-    assert np.sqrt(np.trace(base[:2, :2])) > mount
-    assert np.sqrt(base[2, 2]) == pytest.approx(joint.calibration['axis_yaw'][1], rel=0.01)
-
-
-def test_a_wide_prior_needs_only_to_know_where_to_begin() -> None:
-    drive = simulated(5, seconds=4.0, noise=0.0, pixel_sigma=1e-6, map_sigma_m=0.0)
-    exact = Calibration.of_mount(replace(MOUNT, pan_sigma_rad=0.0), dict.fromkeys(NAMES, 0.0))
-    at, seen = next(
-        (k, e)
-        for k, e in enumerate(e for e in drive.events if isinstance(e, ImagePoints))
-        if len(e) > 4
-    )
-    truth = drive.poses[at]
-    start = PoseEstimate(0, np.add(truth, [1.0, -0.7, 1.0]), np.eye(3))
-    joint = JointFilter(drive.landmark_map, exact, start)
-    joint.observe(replace(seen, near=np.add(truth, [0.05, 0.05, -0.03])))
-    assert joint.estimate.pose == pytest.approx(truth, abs=0.01)
 
 
 def test_an_image_without_what_should_be_seen_degrades_at_once() -> None:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 from bare_landmarks import bare_landmark
@@ -14,9 +13,7 @@ from landmark_nav.evaluation.figures import (
     draw_map,
     draw_panorama,
     draw_trajectory,
-    run_figures,
 )
-from landmark_nav.evaluation.figures.style import free_labels
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
@@ -74,17 +71,6 @@ def test_map_shows_its_landmarks(tmp_path):
     assert share_of(full, (0xC0, 0x20, 0x80)) > 0.0
 
 
-def test_labels_that_are_kept_do_not_overlap_and_those_left_out_lie_on_one_kept():
-    rng = np.random.default_rng(2)
-    corners, sizes = rng.uniform(0.0, 10.0, (60, 2)), rng.uniform(0.5, 1.5, (60, 2))
-    kept = free_labels(corners, sizes)
-    low, high = corners[:, None], corners[:, None] + sizes[:, None]
-    meet = np.all((low < high.swapaxes(0, 1)) & (low.swapaxes(0, 1) < high), axis=2)
-    assert 1 < kept.sum() < 60
-    assert np.array_equal(meet[kept][:, kept], np.eye(kept.sum(), dtype=bool))
-    assert meet[~kept][:, kept].any(axis=1).all()
-
-
 @pytest.mark.parametrize('column', [100.0, 1.0, 399.0])
 def test_panorama_marks_what_was_elected(tmp_path, column):
     view = a_panorama()
@@ -122,21 +108,6 @@ def a_run(truth=True, fixed=True):
     odometry = PoseTrack(stamps, poses + 0.03)
     start = PoseEstimate(0, poses[0], np.eye(3))
     return Replay(start, (), tuple(updates), np.full(30, 0.01), odometry, known, 1.0)
-
-
-def test_lines_follow_odometry_where_images_are_far_apart(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(run_figures, 'save', lambda figure, _path: drawn.append(figure))
-    run = a_run()
-    # Half a circle out of sight.
-    stamps = np.arange(0, 29 * 10**8 + 1, 10**7)
-    angle = np.pi * stamps / stamps[-1]
-    arc = np.column_stack([1.0 - np.cos(angle), np.sin(angle), 0.5 * np.pi - angle])
-    run = replace(run, odometry=PoseTrack(stamps, arc), updates=run.updates[::29])
-    draw_trajectory(run, a_map(), tmp_path / 'trajectory.png')
-    (fused,) = (line for line in drawn[0].axes[0].lines if line.get_label() == 'fused')
-    way_m = np.hypot(*np.diff(fused.get_xydata(), axis=0).T)
-    assert np.sum(way_m[:-1]) == pytest.approx(np.pi, abs=0.02)
 
 
 @pytest.mark.parametrize(('truth', 'fixed'), [(True, True), (False, True), (True, False)])

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from wire import FACTORY, over_the_wire
 
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import ImagePoints, JointFilter, Status
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.noise import Motion
-from landmark_nav.localization.odometry.track import Ahead, ClockStep, ClockWatch, Distrusted
+from landmark_nav.localization.odometry.track import Ahead, Distrusted
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.types import (
@@ -143,45 +143,6 @@ def test_one_sample_far_ahead_is_held_back_and_a_pause_is_not() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ('stamps_s', 'steps'),
-    [
-        ([0.1, 0.05, 0.2], ['NONE', 'NONE', 'NONE']),
-        ([0.1, -9.0], ['NONE', 'BACK']),
-        ([30.0, 0.1], ['AHEAD', 'NONE']),
-        ([30.0, 30.1], ['AHEAD', 'NONE']),
-        ([-0.9, -0.8, -0.7, -0.6, -0.5], ['NONE'] * 4 + ['BACK']),
-        ([-0.5, -0.6, -0.7, -0.8, -0.9], ['NONE'] * 5),
-    ],
-)
-def test_stamps_state_whether_a_clock_was_set(stamps_s: list[float], steps: list[str]) -> None:
-    watch, newest = ClockWatch(), 100 * NS
-    for seconds, step in zip(stamps_s, steps, strict=True):
-        stamp = 100 * NS + round(seconds * NS)
-        verdict = watch.judge(stamp, newest, newest, 2 * NS)
-        assert verdict is ClockStep[step]
-        newest = max(newest, stamp) if verdict is ClockStep.NONE else newest
-
-
-def test_minutes_without_images_cost_no_more_than_a_second(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    drive = simulated(3, seconds=2.0)
-    fusion = fused(drive)
-    for k in range(3000):
-        fusion.add_odometry(OdometrySample(k * NS // 10, np.array([1e-3 * k, 0.0, 0.0]), 0.01))
-    moves: list[int] = []
-    move = JointFilter.move
-    monkeypatch.setattr(
-        JointFilter, 'move', lambda self, stamp, by: (moves.append(stamp), move(self, stamp, by))
-    )
-    estimate = fusion.estimate()
-    assert estimate is not None
-    assert len(moves) < 40
-    assert estimate.pose[0] - drive.start.pose[0] == pytest.approx(3.0, abs=0.2)
-    assert fusion.status_at()[0] is not Status.OK
-
-
 @pytest.mark.parametrize('seconds', [3600, 1_000_000, 1_700_000_000])
 def test_a_clock_that_is_set_forward_costs_a_bounded_time(
     monkeypatch: pytest.MonkeyPatch, seconds: int
@@ -228,27 +189,6 @@ def test_a_kidnapped_robot_is_reported_lost() -> None:
     assert fusion.status_at()[0] is not Status.LOST
 
 
-def test_a_lost_robot_assumes_no_zoom() -> None:
-    drive = simulated(
-        11, seconds=24.0, prior=Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4))
-    )
-    fusion, rng, images = fused(drive), np.random.default_rng(0), 0
-    for what in arriving(drive):
-        if not isinstance(what, OdometrySample):
-            images += 1
-            if images > 60:
-                # First nothing fits; then what another focal length would explain.
-                shown = what[0].points / 1.1
-                random = rng.uniform(-0.4, 0.4, shown.shape)
-                what = replace(what[0], points=random if images <= 80 else shown), what[1]
-        take(fusion, what)
-        if images == 80:
-            assert fusion.status_at()[0] is Status.LOST
-        if images == 85:
-            break
-    assert abs(fusion.calibration['focal_scale'][0]) < 0.01
-
-
 def test_a_pose_that_is_lost_without_odometry_leaves_the_calibration() -> None:
     drive = simulated(11, seconds=24.0, prior=Calibration.of_mount(MOUNT))
     fusion = fused(drive)
@@ -284,19 +224,6 @@ def test_a_wrong_start_teaches_nothing() -> None:
     off = fusion.calibration.values - drive.true.values
     assert (np.abs(off) < 5.0 * fusion.calibration.sigmas).all()
     assert np.abs(error(fusion, drive)[:2]).max() < 0.03
-
-
-@pytest.mark.parametrize('seed', [5, 8])
-def test_a_wrong_start_is_not_taken_for_a_wrong_mount(seed: int) -> None:
-    drive = simulated(seed, seconds=16.0, prior=Calibration.of_mount(MOUNT))
-    fusion = fused(drive)
-    off = drive.start.pose + np.array([0.8, 0.6, 0.0])
-    fusion.initialize(replace(drive.start, pose=off, covariance=1e-4 * np.eye(3)))
-    lost = False
-    for what in arriving(drive):
-        take(fusion, what)
-        lost |= fusion.status_at()[0] is Status.LOST
-    assert lost
 
 
 @pytest.mark.parametrize('aside_m', [0.0, 0.1, 1.0])
@@ -389,19 +316,6 @@ def test_a_start_that_is_no_pose_is_refused_and_changes_nothing() -> None:
     assert before is not None
     assert after is not None
     assert after.pose == pytest.approx(before.pose)
-
-
-def test_a_place_of_before_the_odometry_is_out_of_reach() -> None:
-    fusion = Fusion(LandmarkMap(()), Calibration.exact(MOUNT))
-    assert fusion.reaches(0)
-    for k in range(40):
-        fusion.add_odometry(OdometrySample(20 * NS + k * NS // 20, np.zeros(3)))
-    assert not fusion.reaches(19 * NS)
-    assert fusion.reaches(20 * NS)
-    fusion.place(PoseEstimate(20 * NS, np.zeros(3), 1e-6 * np.eye(3)))
-    estimate = fusion.estimate()
-    assert estimate is not None
-    assert np.trace(estimate.covariance) < 1e-2
 
 
 def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading() -> None:

@@ -49,13 +49,6 @@ def test_what_is_behind_or_folds_back_has_no_pixel(camera: CameraModel) -> None:
     assert np.isnan(pixels).all()
 
 
-def test_shapes_are_kept_and_nothing_stays_nothing() -> None:
-    camera = CAMERAS['plumb_bob']
-    assert camera.unproject(np.full((2, 3, 2), 100.0)).shape == (2, 3, 3)
-    assert camera.project(np.ones((2, 3, 3))).shape == (2, 3, 2)
-    assert camera.unproject(np.empty((0, 2))).shape == (0, 3)
-
-
 @pytest.mark.parametrize('camera', CAMERAS.values(), ids=CAMERAS)
 def test_ray_grid_holds_the_ray_of_each_pixel(camera: CameraModel) -> None:
     grid = camera.ray_grid
@@ -174,16 +167,6 @@ def test_optical_center_turns_with_the_camera(pan: float, tilt: float) -> None:
     # Forward, left and up of the camera are z, -x and -y of its optical frame.
     offset = rotation @ np.array([-0.02, -0.03, 0.05])
     np.testing.assert_allclose(center, np.array([0.1, 0.0, 1.0]) + offset, atol=1e-12)
-
-
-def test_many_angles_at_once_equal_one_by_one() -> None:
-    mount = PanTiltMount(axis_rpy=(0.01, -0.02, 0.3), optical_center_offset=(0.05, 0.0, 0.0))
-    pans, tilts = np.linspace(-3, 3, 5), np.linspace(-0.3, 0.3, 5)
-    rotations, centers = mount.camera_pose_base(pans, tilts)
-    for k in range(5):
-        rotation, center = mount.camera_pose_base(pans[k], tilts[k])
-        np.testing.assert_allclose(rotations[k], rotation)
-        np.testing.assert_allclose(centers[k], center)
 
 
 def test_camera_pose_in_map_is_that_in_the_base_moved_with_it():

@@ -172,9 +172,3 @@ def test_a_database_with_odd_values_is_one_line(tmp_path):
             [entry.message for entry in Bag(path).messages()]
         assert '\n' not in str(error.value)
     base.close()
-
-
-def test_a_bag_without_messages_states_what_is_missing(tmp_path):
-    (tmp_path / 'none.mcap').write_bytes(mcap())
-    with pytest.raises(LandmarkNavError, match=r'camera/image_raw is missing'):
-        list(sensor_events(Bag(tmp_path / 'none.mcap'), MOUNT))

@@ -80,10 +80,3 @@ def test_bad_data_is_refused(data: bytes) -> None:
         decode_image(data)
     with pytest.raises(LandmarkNavError):
         decode_image(np.frombuffer(data, np.uint8))
-
-
-def test_what_is_encoded_is_decoded() -> None:
-    deep = np.random.default_rng(4).integers(0, 65535, (20, 30)).astype(np.uint16)
-    back = decode_image(encode_image(deep, '.png'), cv2.IMREAD_UNCHANGED)
-    assert back.dtype == np.uint16
-    assert np.array_equal(back, deep)

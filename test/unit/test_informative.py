@@ -4,7 +4,6 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-import pytest
 from scenes import rectangle_room, textured_room, true_landmark
 
 from landmark_nav.localization.observer import most_informative
@@ -42,20 +41,6 @@ def test_three_are_nearly_as_good_as_the_best_three() -> None:
     nothing = float(np.linalg.slogdet(np.linalg.inv(AXIS.covariance))[1])
     gains = [information(np.array(three)) - nothing for three in combinations(EVERY, 3)]
     assert information(chosen) - nothing > 0.95 * max(gains)
-
-
-def test_what_is_not_more_than_asked_for_is_taken_as_it_is() -> None:
-    some = np.array([5, 2, 9])
-    np.testing.assert_array_equal(most_informative(AXIS, LANDMARKS, some, SIGMA, 3), some)
-    none = np.array([], dtype=np.intp)
-    assert len(most_informative(AXIS, LANDMARKS, none, SIGMA, 3)) == 0
-
-
-@pytest.mark.parametrize('worse', [0, 7])
-def test_landmarks_whose_place_is_uncertain_are_passed_over(worse: int) -> None:
-    suspect = replace(LANDMARKS.landmarks[worse], covariance=np.eye(3))
-    landmarks = tuple(suspect if k == worse else LANDMARKS.landmarks[k] for k in EVERY)
-    assert worse not in most_informative(AXIS, LandmarkMap(landmarks), EVERY, SIGMA, 12)
 
 
 def test_landmarks_searched_before_yield_to_others_of_similar_information() -> None:

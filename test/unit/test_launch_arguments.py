@@ -131,20 +131,6 @@ def test_what_is_handed_on_under_its_name_has_a_default_where_it_had_one(path: P
         assert {name for name in handed_on & optional if not own[name]} == set()
 
 
-def test_rviz_is_started_where_it_is_asked_for_with_a_layout_that_is_installed() -> None:
-    objects = described(LAUNCH_FILES[0].with_name('bringup.launch.py'))
-    (rviz,) = [item for item in objects if item.named.get('executable') == 'rviz2']
-    assert used(rviz.named['condition']) == {'rviz'}
-    assert used(rviz.named['namespace']) == {'namespace'}
-    layout = Path(rviz.named['arguments'][1])
-    assert layout.parent == Path('/share/landmark_nav/rviz')
-    assert (REPOSITORY / 'config' / 'rviz' / layout.name).is_file()
-
-
-def test_some_file_includes_another() -> None:
-    assert [path.name for path in LAUNCH_FILES if list(included(described(path)))]
-
-
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
 def test_nodes_are_executables_of_the_package(path: Path) -> None:
     executables = {file.name for file in (REPOSITORY / 'resource' / 'executables').iterdir()}

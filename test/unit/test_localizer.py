@@ -13,14 +13,11 @@ from rendered_drives import (
     LENS,
     MAP,
     MOUNT,
-    ROOM,
     START,
     start_of,
-    START_SIGMA,
 )
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.estimator import EstimatorConfig
 from landmark_nav.localization.localizer import (
     LocalizationConfig,
@@ -34,7 +31,6 @@ from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
-    LandmarkMap,
     PoseEstimate,
     Refusal,
     Triplet,
@@ -121,50 +117,6 @@ def test_the_fix_comes_from_the_bearings_alone() -> None:
         assert np.abs(error_of(fix, found[0].pose) / sigma).max() < 0.7
 
 
-def test_every_landmark_in_view_is_found_or_refused_with_a_reason() -> None:
-    prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
-    seen = observer().look(camera_image(START, 0.2), expected(prior))
-    assert not set(seen.detections.ids.tolist()) & set(seen.refused)
-    assert len(seen.detections) + len(seen.refused) >= 4
-    assert all(refusal.reason for refusal in seen.refused.values())
-
-
-def test_where_most_is_found_few_are_looked_for_and_all_once_they_are_not() -> None:
-    prior = PoseEstimate(0, START, np.diag(START_SIGMA**2))
-    looks = observer(LookingConfig(detection=DetectionConfig(target_count=3)))
-    frame = camera_image(START, 0.2)
-    blank = replace(frame, image=np.full_like(frame.image, 90))
-
-    def looked_for(k: int, frame: CameraFrame) -> int:
-        given = expected(replace(prior, stamp_ns=k))
-        seen = looks.look(replace(frame, stamp_ns=k), given)
-        return len(seen.detections) + len(seen.refused)
-
-    frames = (frame, frame, blank, blank, frame, frame)
-    counts = [looked_for(k, frame) for k, frame in enumerate(frames)]
-    assert counts[0] > 3
-    assert counts == [counts[0], 3, counts[0], counts[0], counts[0], 3]
-
-
-def test_a_blank_image_gives_no_fix_and_odometry_goes_on() -> None:
-    rng = np.random.default_rng(3)
-    localizer = Localizer(MAP, EXACT, LocalizationConfig())
-    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
-    dark = np.zeros((LENS.height, LENS.width, 3), np.uint8)
-    for step in drive(rng, 2.0):
-        localizer.add_odometry(step.odometry)
-        if step.stamp_ns % FRAME_NS:
-            continue
-        update = localizer.add_frame(CameraFrame(step.stamp_ns, dark, LENS, 0.0))
-        assert isinstance(update, LocalizationUpdate)
-        assert isinstance(update.observation.fix, Refusal)
-        assert len(update.observation.detections) == 0
-        assert update.observation.refused
-        assert not update.used
-    error = error_of(update.fused, step.pose)
-    assert np.abs(error / np.sqrt(np.diag(update.fused.covariance))).max() < 3.0
-
-
 def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
     rng = np.random.default_rng(4)
     localizer = Localizer(MAP, EXACT, LocalizationConfig())
@@ -190,11 +142,3 @@ def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
     assert all(issubclass(kind, Refusal) for kind in kinds[: after - 1])
     assert set(kinds[after:]) == {LocalizationUpdate}
     assert np.hypot(*error_of(outcomes[-1].fused, step.pose)[:2]) < 0.03
-
-
-def test_a_map_without_landmarks_gives_refusals() -> None:
-    localizer = Localizer(LandmarkMap((), walls=ROOM.walls), EXACT, LocalizationConfig())
-    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
-    update = localizer.add_frame(camera_image(START, 0.0))
-    assert isinstance(update, LocalizationUpdate)
-    assert isinstance(update.observation.fix, Refusal)

@@ -62,18 +62,6 @@ def test_it_goes_on_where_the_joint_is_stuck() -> None:
     assert max(stuck) > 1.0
 
 
-def test_it_can_be_turned_off() -> None:
-    assert run(LookAround(LookAroundConfig(enabled=False), FULL), 20.0) == []
-
-
-def test_the_wait_begins_anew_after_the_pose_was_known() -> None:
-    around = LookAround(LookAroundConfig(after_s=2.0), FULL)
-    assert around.pan_at(0.0, 0.0, FOV) is None
-    assert around.pan_at(2.0, 0.0, FOV) is not None
-    around.end()
-    assert around.pan_at(5.0, 0.0, FOV) is None
-
-
 @pytest.mark.parametrize(
     ('sigma', 'known'),
     [((0.1, 0.1, 0.1), True), ((0.4, 0.4, 0.1), False), ((0.1, 0.1, 0.6), False)],

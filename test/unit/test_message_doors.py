@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_messages import some_map, some_panorama
+from test_messages import some_map
 from wire import FACTORY, MOUNT, over_the_wire, STAMP
 
 from landmark_nav.errors import LandmarkNavError
@@ -261,32 +260,3 @@ def test_a_landmark_that_can_not_be_is_refused(changed):
     with pytest.raises(LandmarkNavError) as refused:
         decode.landmark_map(*landmarks(**changed))
     assert len(str(refused.value)) < 200
-
-
-def test_patches_that_fill_the_memory_are_refused():
-    msg, atlas = landmarks()
-    kinds = unpack_cloud(msg, LANDMARKS).dtype
-    lengths = {name: kinds[name].shape[0] for name in LANDMARKS.repeated}
-    rows = np.frombuffer(msg.data.tobytes(), LANDMARKS.sized(**lengths)).copy()
-    rows['atlas_x'] = rows['atlas_y'] = 0
-    rows['atlas_width'], rows['atlas_height'] = atlas.width, atlas.height
-    with pytest.raises(LandmarkNavError, match='do not fit an atlas'):
-        decode.landmark_map(pack_cloud(FACTORY, HEAD, rows), atlas)
-
-
-def test_panoramas_of_another_size_or_shape_are_refused():
-    messages = encode.panorama(FACTORY, some_panorama())
-    decode.panorama(*messages)
-    for attribute, value in (
-        ('width', 2**32 - 1),
-        ('height', 2**32 - 1),
-        ('width', 0),
-        ('k', np.full(9, np.nan)),
-        ('k', np.full(9, 1e300)),
-        ('k', np.zeros(9)),
-        ('k', np.zeros(4)),
-    ):
-        camera_image, info, pose = deepcopy(messages)
-        setattr(info, attribute, value)
-        with pytest.raises(LandmarkNavError):
-            decode.panorama(camera_image, info, pose)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import struct
 import tracemalloc
 
@@ -29,15 +28,6 @@ def raw(pixels, encoding, padding=0, big=False):
         is_bigendian=int(big),
         data=rows.reshape(-1),
     )
-
-
-@both
-@pytest.mark.parametrize('shape', [(5, 7), (5, 7, 3)])
-def test_image_comes_back(deliver, shape):
-    camera_image = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
-    msg = deliver(encode.image(FACTORY, camera_image, STAMP, 'cam'))
-    assert decode.stamp_ns(msg.header) == STAMP
-    np.testing.assert_array_equal(decode.image(msg), camera_image)
 
 
 @both
@@ -197,14 +187,6 @@ def test_a_png_of_sixteen_bits_is_read_as_such():
     np.testing.assert_array_equal(decode.image(msg, grey=True), words >> 2)
 
 
-def test_a_mosaic_in_a_png_is_coloured():
-    bgr = quarters()
-    mosaic = packed(bgr, 'bayer_gbrg8')
-    data = cv2.imencode('.png', np.asarray(mosaic.data).reshape(32, 32))[1]
-    found = decode.image(compressed(data, 'bayer_gbrg8; png compressed bayer_gbrg8'))
-    assert np.abs(found[5:10, 5:10].astype(int) - bgr[5:10, 5:10]).max() <= 8
-
-
 def test_an_orientation_tag_turns_nothing():
     wide = np.zeros((32, 64, 3), np.uint8)
     wide[:, 32:] = 255
@@ -359,16 +341,6 @@ def test_camera_of_the_image_that_is_published(msg, image, expected):
     np.testing.assert_allclose(camera.project(POINTS), true.project(POINTS), atol=1e-6)
 
 
-def test_what_cannot_be_decided_is_taken_as_ros_defines_it_and_reported(caplog):
-    roi = (60, 0, 1220, 960)
-    info = decode.camera_info(message(roi=roi))
-    with caplog.at_level(logging.WARNING, logger='landmark_nav'):
-        camera = info.for_image(1220, 960)
-    assert (camera.cx, camera.cy) == (595.0, 470.0)
-    decode.camera_info(message(roi=roi)).for_image(1220, 960)
-    assert len(caplog.records) <= 1
-
-
 @pytest.mark.parametrize('image', [(640, 360), (1279, 960), (1920, 1440), (1, 1), (65000, 16000)])
 def test_an_image_of_another_size_is_refused_with_both_sizes(image):
     with pytest.raises(
@@ -406,11 +378,3 @@ def test_a_tilted_sensor_and_a_skew_are_refused():
         decode.camera_info(skewed)
     skewed.k[1] = 0.5
     assert decode.camera_model(skewed).fx == 900.0
-
-
-def test_a_lens_that_folds_is_reported_once(caplog):
-    msg = message(d=np.array([-0.4, 0.0, 0.0, 0.0, 0.0]))
-    with caplog.at_level(logging.WARNING, logger='landmark_nav'):
-        for _ in range(3):
-            decode.camera_model(msg)
-    assert [('folds back' in r.getMessage()) for r in caplog.records] == [True]

@@ -27,10 +27,6 @@ def written(path: Path, document: object) -> Path:
     return file
 
 
-def test_holds_the_mount() -> None:
-    assert Calibration.of_mount(MOUNT).mount == MOUNT
-
-
 def test_a_file_without_sigmas_stays_valid(tmp_path: Path) -> None:
     found = load_calibration(written(tmp_path, ROBOT))
     assert found.mount.axis_xyz == (0.1, 0.02, 1.2)
@@ -126,19 +122,6 @@ def test_takes_numbers_only(degraded: float) -> None:
         Calibration(np.full(len(NAMES), degraded), good.covariance, MOUNT)
     with pytest.raises(LandmarkNavError):
         Calibration(good.values, -good.covariance, MOUNT)
-
-
-def test_names_what_was_not_observed_and_what_contradicts() -> None:
-    prior = Calibration.of_mount(MOUNT, {'axis_z': 0.0})
-    shrunk = prior.covariance.copy()
-    shrunk[0, 0] *= 0.01
-    found = Calibration(prior.values.copy(), shrunk, MOUNT).with_values(axis_x=0.3, axis_z=1.3)
-    assert 'axis_x' not in found.unobserved(prior)
-    assert 'axis_z' not in found.unobserved(prior)
-    assert 'axis_yaw' in found.unobserved(prior)
-    assert set(found.contradictions(prior)) == {'axis_x', 'axis_z'}
-    row = found.differences(prior)['axis_x']
-    assert (row['prior'], row['value'], row['observed']) == (0.1, 0.3, True)
 
 
 def test_what_errs_together_survives_its_file(tmp_path: Path) -> None:

@@ -78,10 +78,3 @@ def test_bad_files_are_named(
         read_mrclam(folder, 2, SIGMA)
     with pytest.raises(LandmarkNavError, match='no folder there'):
         read_mrclam(folder / 'nothing', 2, SIGMA)
-
-
-def test_the_data_set_itself(shared_data: Path) -> None:
-    log = read_mrclam(shared_data / 'mrclam', 1, SIGMA)
-    assert len(log.landmark_map.landmarks) == 15
-    assert sum(len(seen) for seen in log.detections) == 1534
-    assert log.unknown == 1

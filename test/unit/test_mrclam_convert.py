@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-import shlex
 
 import numpy as np
 import pytest
@@ -131,23 +130,6 @@ def test_evaluated_smoothed_and_exported(
     assert rmse == pytest.approx(report['smoothed']['position_rmse_m'], abs=1e-9)
 
 
-def test_the_line_that_is_printed_evaluates_what_was_converted(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bag = tmp_path / 'a run'
-    assert main(['convert', 'mrclam', str(log), '--robot', '1', '--out', str(bag)]) == 0
-    program, *arguments = shlex.split(capsys.readouterr().out.splitlines()[-1])
-    assert program == 'landmark-nav'
-    assert '--config' in arguments
-    assert main([*arguments, '--out', str(tmp_path)]) == 0
-    assert 'availability 1.000' in capsys.readouterr().out
-    # A delay that is given counts.
-    words = ['convert', 'mrclam', str(log), '--robot', '1', '--command-delay', '0.5']
-    assert main([*words, '--out', str(tmp_path / 'late')]) == 0
-    first = decode.odometry(next(iter(Bag(tmp_path / 'late').messages(['/odom']))).message)
-    assert first.stamp_ns == round((BEGIN_S + 0.5) * 1e3) * 1_000_000
-
-
 @pytest.mark.parametrize(
     ('arguments', 'status'),
     [
@@ -162,18 +144,6 @@ def test_wrong_arguments(log: Path, tmp_path: Path, arguments: list[str], status
     out = tmp_path / 'bag'
     assert main(['convert', 'mrclam', str(log), '--out', str(out), *arguments]) == status
     assert not out.exists()
-
-
-def test_a_bag_in_the_way_stays(
-    log: Path, converted: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = sorted(path.stat().st_mtime_ns for path in converted.rglob('*'))
-    assert main(['convert', 'mrclam', str(log), '--robot', '1', '--out', str(converted)]) == 1
-    assert 'is there already' in capsys.readouterr().err
-    assert before == sorted(path.stat().st_mtime_ns for path in converted.rglob('*'))
-    again = ['convert', 'mrclam', str(log), '--robot', '1', '--out', str(converted)]
-    assert main([*again, '--overwrite']) == 0
-    assert before != sorted(path.stat().st_mtime_ns for path in converted.rglob('*'))
 
 
 def test_points_without_an_image_cross_all_borders(

@@ -24,13 +24,6 @@ def test_constant_commands_make_an_arc_that_starts_later() -> None:
     assert (samples[7].linear_m_s, samples[7].angular_rad_s) == (0.3, 0.5)
 
 
-def test_each_command_lasts_until_the_next() -> None:
-    stamps = np.array([0, 1_000_000_000, 1_500_000_000])
-    commands = np.array([[1.0, 0.0], [0.0, np.pi], [9.0, 9.0]])
-    poses = [sample.pose_odom_base for sample in integrate_commands(stamps, commands, 0.0)]
-    np.testing.assert_allclose(poses, [[0, 0, 0], [1, 0, 0], [1, 0, np.pi / 2]], atol=1e-12)
-
-
 def late_robot(delay_s: float) -> tuple[np.ndarray, np.ndarray, list[Detections]]:
     """A robot that turns to and fro, at random, `delay_s` after the command, 4 m from posts."""
     rng = np.random.default_rng(3)

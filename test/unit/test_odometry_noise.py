@@ -88,23 +88,6 @@ class TestTrack:
             track.motion(0, 16 * 10**8).increment, whole.motion(0, 16 * 10**8).increment
         )
 
-    def test_a_robot_that_stands_has_not_frozen(self) -> None:
-        track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
-        for k in range(1, 100):
-            still = replace(sample(1.0 + 0.05 * k, here), linear_m_s=0.01, angular_rad_s=-0.01)
-            assert track.add(still) is None
-        # Speeds may show a start before the pose does.
-        assert track.add(sample(6.0, here)) is None
-        assert track.add(sample(6.05, here)) is None
-        assert track.add(sample(6.1, here)) is not None
-        assert track.stamps_ns == (0, round(1e9 * (1.0 + 0.05 * 99)))
-
-    def test_a_pause_on_the_spot_is_blind(self) -> None:
-        track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
-        assert track.add(OdometrySample(3 * 10**9, here)) is None
-        motion = track.motion(10**9, 3 * 10**9)
-        assert motion.blind_seconds == pytest.approx(2.0)
-
     def test_predicts_by_the_last_twist_for_a_while(self) -> None:
         track = circle_track()
         motion = track.motion(1_000_000_000, 1_100_000_000)
@@ -126,9 +109,6 @@ class TestTrack:
         assert known.ahead_s4 == 0.0
         assert track.motion(0, 1_500_000_000).blind_seconds == pytest.approx(1 - HORIZON_S)
         assert track.motion(0, 500_000_000).blind_seconds == pytest.approx(0.5)
-
-    def test_nothing_is_known_without_odometry(self) -> None:
-        assert OdometryTrack(CONFIG).motion(0, 10**9).blind_seconds == 1.0
 
     def test_jump_is_bridged_by_the_twist(self) -> None:
         track = circle_track()
@@ -159,28 +139,6 @@ class TestTrack:
         expected = twist_motion(SPEED, RATE, 79 * period_s)
         np.testing.assert_allclose(relative(expected, motion.increment), 0.0, atol=1e-9)
         assert motion.blind_seconds == 0.0
-
-    def test_poses_that_never_go_as_their_speeds_do_not_jump(self) -> None:
-        track = OdometryTrack(CONFIG)
-        for k in range(50):
-            # A base that drives sideways, which its forward speed leaves out.
-            assert track.add(sample(0.1 * k, np.array([0.0, 0.08 * k, 0.0]))) is None
-
-    def test_a_turn_that_no_robot_makes_is_a_jump(self) -> None:
-        track = circle_track()
-        turned = compose(twist_motion(SPEED, RATE, 1.05), [0.0, 0.0, 2.5])
-        refusal = track.add(sample(1.05, turned))
-        assert refusal is not None
-        assert refusal.reason == 'odometry jumped'
-
-    def test_a_jump_after_a_pause_is_bridged_as_far_as_a_twist_predicts(self) -> None:
-        track = circle_track()
-        assert track.add(sample(2.0, np.array([50.0, 0.0, 0.0]))) is not None
-        motion = track.motion(1_000_000_000, 2_000_000_000)
-        np.testing.assert_allclose(
-            motion.increment, twist_motion(SPEED, RATE, HORIZON_S), atol=1e-9
-        )
-        assert motion.blind_seconds == pytest.approx(1.0)
 
     @pytest.mark.parametrize(
         ('seconds', 'x', 'reason'),
@@ -236,11 +194,3 @@ def test_a_source_that_gives_no_speeds_goes_on_as_its_poses_did() -> None:
     expected, motion = informed.motion(*ahead), uninformed.motion(*ahead)
     np.testing.assert_allclose(motion.increment, expected.increment, atol=2e-3)
     assert motion.ahead_s4 == expected.ahead_s4
-
-
-def test_a_source_that_has_reported_speeds_stands_where_it_gives_none() -> None:
-    track = OdometryTrack(CONFIG)
-    for k, speed in enumerate([0.0, 0.5, 0.0]):
-        track.add(OdometrySample(k * 10**8, np.array([0.02 * k, 0.0, 0.0]), speed))
-    motion = track.motion(2 * 10**8, 3 * 10**8)
-    np.testing.assert_array_equal(motion.increment, np.zeros(3))

@@ -10,7 +10,7 @@ from wall_views import candidate_at, greys_of
 from landmark_nav.geometry import se2
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again
-from landmark_nav.learning.stereo.own_plane import Depths, depths_of, match_freely
+from landmark_nav.learning.stereo.own_plane import Depths, match_freely
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
@@ -83,29 +83,6 @@ def test_a_wall_that_is_reported_too_near_or_too_far_is_found_where_it_is(east_m
     for patch in own:
         assert patch.position[0] == pytest.approx(6.0, abs=0.04)
         assert patch.wall == 1
-
-
-def test_features_around_a_patch_say_how_far_it_is() -> None:
-    center = np.array([4.4, 2.9, 1.1])
-    furnished = replace(SCENE, boards=(*SCENE.boards, board((4.4, 2.9, 1.1), EAST, 8)))
-    panoramas = views_of(furnished, furnished)
-    around = center + np.array([[0.0, y, z] for y in (-0.05, 0.05) for z in (-0.05, 0.05)])
-    depths = depths_of(around, panoramas[0])
-    found = freely(panoramas, center, depths)
-    assert not isinstance(found, Refusal)
-    assert found[0].position == pytest.approx(center, abs=0.03)
-    azimuth, tangent, distance = depths
-    # Nothing is there at another distance, and nothing is looked for where no feature is.
-    assert isinstance(freely(panoramas, center, (azimuth, tangent, 2.0 * distance)), Refusal)
-    assert isinstance(freely(panoramas, center, (azimuth + 1.0, tangent, distance)), Refusal)
-
-
-def test_what_hangs_on_a_wall_hangs_on_it() -> None:
-    panoramas = views_of(SCENE, SCENE)
-    points = ((6.0, 1.2, 1.1), (6.0, 2.4, 1.3), (3.6, 5.0, 1.2), (4.4, 5.0, 1.0))
-    candidates = [[candidate_at(panoramas[0], np.array(point), 30) for point in points], []]
-    found = find_again(panoramas, candidates, greys_of(panoramas), ROOM, CONFIG)
-    assert all(patch.on_wall for patch in found.patches)
 
 
 def test_what_is_gone_is_found_at_no_depth() -> None:

@@ -78,11 +78,6 @@ def depends() -> set[str]:
     return {str(element.text) for element in MANIFEST.iter('exec_depend')}
 
 
-def test_the_manifest_is_format_3_for_ament_python() -> None:
-    assert MANIFEST.get('format') == '3'
-    assert MANIFEST.findtext('export/build_type') == 'ament_python'
-
-
 def test_name_version_and_licence_are_the_same_everywhere(setup_arguments: dict[str, Any]) -> None:
     for field in ('name', 'version', 'license', 'description'):
         assert MANIFEST.findtext(field) == setup_arguments[field]
@@ -123,12 +118,6 @@ def test_the_extra_has_the_ros_dependencies(setup_arguments: dict[str, Any]) -> 
     assert {f'ros-{key.replace("_", "-")}' for key in ros} == wheels
 
 
-def test_the_oldest_versions_are_those_declared(setup_arguments: dict[str, Any]) -> None:
-    pins = (REPOSITORY / 'test' / 'oldest.txt').read_text(encoding='utf-8')
-    for requirement in setup_arguments['install_requires']:
-        assert re.search(rf'^{re.escape(requirement.replace(">=", "=="))}\b', pins, re.MULTILINE)
-
-
 def test_every_executable_has_a_main(setup_arguments: dict[str, Any]) -> None:
     for script in setup_arguments['entry_points']['console_scripts']:
         _, module, function = re.split(r' = |:', script)
@@ -147,16 +136,6 @@ def test_every_node_can_be_found_by_ros2_run(setup_arguments: dict[str, Any]) ->
         assert os.access(REPOSITORY / file, os.X_OK)
 
 
-def test_config_and_launch_files_are_installed(setup_arguments: dict[str, Any]) -> None:
-    data_files = dict(setup_arguments['data_files'])
-    assert data_files['share/ament_index/resource_index/packages'] == ['resource/landmark_nav']
-    viewers = [(path.name, f'config/{path.name}/*') for path in (REPOSITORY / 'config').glob('*/')]
-    installed = [('config', 'config/*.*'), ('launch', 'landmark_nav/launch/*.py'), *viewers]
-    for folder, pattern in installed:
-        there = {str(path.relative_to(REPOSITORY)) for path in REPOSITORY.glob(pattern)}
-        assert set(data_files[f'share/landmark_nav/{folder}']) == there
-
-
 def test_the_prefix_holds_what_ros_looks_for(
     installed: Distribution, setup_arguments: dict[str, Any]
 ) -> None:
@@ -170,14 +149,3 @@ def test_the_prefix_holds_what_ros_looks_for(
     for executable in (prefix / 'lib' / 'landmark_nav').iterdir():
         assert os.access(executable, os.X_OK)
         assert os.access(prefix / 'bin' / executable.name, os.X_OK)
-
-
-def test_make_has_what_the_documents_name() -> None:
-    makefile = (REPOSITORY / 'Makefile').read_text(encoding='utf-8')
-    targets = set(re.findall(r'^([a-z-]+):', makefile, re.MULTILINE))
-    for name in ('README.md', 'CONTRIBUTING.md'):
-        reported = set(
-            re.findall(r'`make ([a-z-]+)', (REPOSITORY / name).read_text(encoding='utf-8'))
-        )
-        assert reported
-        assert reported <= targets

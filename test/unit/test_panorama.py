@@ -77,32 +77,6 @@ def test_what_no_frame_looked_at_is_not_in_the_mask(blend: str) -> None:
     assert errors(view).max() < 8.0
 
 
-@pytest.mark.parametrize('count', [1, 2])
-def test_few_frames_make_a_panorama_too(count: int) -> None:
-    view = synthesize_cylinder(
-        sky_sweep(LENS, np.array([3.1, -2.9])[:count]), MOUNT, PanoramaConfig()
-    )
-    assert 0.1 < view.mask.mean() < 0.3
-    assert errors(view).max() < 8.0
-
-
-def test_a_tilted_camera_raises_the_cylinder() -> None:
-    level = synthesize_cylinder(sky_sweep(LENS, TURN), MOUNT, PanoramaConfig())
-    raised = synthesize_cylinder(sky_sweep(LENS, TURN, 0.3), MOUNT, PanoramaConfig())
-    assert raised.cylinder.tangent(0) > level.cylinder.tangent(0) + 0.2
-    assert raised.cylinder.tangent(raised.cylinder.height - 1) > level.cylinder.tangent(
-        level.cylinder.height - 1
-    )
-
-
-def test_grey_frames_give_a_grey_panorama() -> None:
-    sweep = sky_sweep(LENS, TURN)
-    grey = tuple(replace(f, image=f.image[..., 1].copy()) for f in sweep.frames)
-    view = synthesize_cylinder(replace(sweep, frames=grey), MOUNT, PanoramaConfig())
-    color = synthesize_cylinder(sweep, MOUNT, PanoramaConfig())
-    np.testing.assert_array_equal(view.image, color.image[..., 1:2].repeat(3, axis=-1))
-
-
 def test_the_median_removes_a_person_in_two_of_ten_frames() -> None:
     pans = np.radians(np.linspace(-12.0, 12.0, 10))
     frames = list(sky_sweep(LENS, pans).frames)

@@ -99,21 +99,6 @@ def test_a_blob_is_found_once_across_the_seam() -> None:
     assert (np.abs(off) < 0.006).sum(axis=0).tolist() == [1, 1]
 
 
-def test_pale_dark_thin_and_ragged_things_are_no_papers() -> None:
-    image = wall_with(
-        [
-            (color_of('red', saturation=30), 100.0, 40.0, 20.0, 28.0),
-            (color_of('red', value=10), 300.0, 40.0, 20.0, 28.0),
-            (color_of('red'), 500.0, 20.0, 120.0, 6.0),
-            (color_of('red'), 700.0, 40.0, 4.0, 4.0),
-            # An L.
-            (color_of('red'), 900.0, 20.0, 8.0, 60.0),
-            (color_of('red'), 900.0, 72.0, 50.0, 8.0),
-        ]
-    )
-    assert len(search_in(image).blobs('red').misfit) == 0
-
-
 @pytest.mark.parametrize(
     ('color', 'hue'),
     [('#ff8000', 30.1), ('hsv(210, 80%, 70%)', 210.0), (' Green ', NAMED_HUES_DEG['green'])],

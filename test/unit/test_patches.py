@@ -6,7 +6,7 @@ import numpy as np
 from patch_texels import patch_points
 import pytest
 
-from landmark_nav.geometry.patches import patch_axes, patch_corners, rays_to_patch
+from landmark_nav.geometry.patches import patch_axes, rays_to_patch
 from landmark_nav.geometry.se2 import rotation_rpy
 
 BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -76,23 +76,3 @@ def test_rays_meet_the_patch_where_the_plane_states(
     np.testing.assert_allclose(found[:2] / found[2], expected, rtol=1e-8, atol=1e-9)
     # In front of the camera the scale is positive: what lies behind is distinguished by its sign.
     assert found[2] > 0.0
-
-
-def test_patches_are_worked_on_together() -> None:
-    normal = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
-    position = np.array([[0.0, 1.0, 1.0], [2.0, 4.0, 1.2], [6.0, 2.0, 0.8]])
-    center = np.array([3.0, 2.0, 1.0])
-    rotation = rotation_rpy([0.0, 0.0, 0.4]) @ BODY_FROM_OPTICAL
-    together = rays_to_patch(position, normal, rotation, center)
-    for k in range(3):
-        alone = rays_to_patch(position[k : k + 1], normal[k : k + 1], rotation, center)
-        np.testing.assert_allclose(together[k], alone[0])
-
-
-def test_corners_lie_half_a_size_from_the_centre() -> None:
-    centre, normal = np.array([[1.0, 2.0, 1.5]]), np.array([[0.0, 1.0, 0.0]])
-    corners = patch_corners(centre, normal, np.array([[0.4, 0.2]]))[0] - centre
-    # Its right is that of who looks at it, along -y: -x, so the upper left is at +x.
-    np.testing.assert_allclose(
-        corners, [[0.2, 0.0, 0.1], [-0.2, 0.0, 0.1], [-0.2, 0.0, -0.1], [0.2, 0.0, -0.1]]
-    )

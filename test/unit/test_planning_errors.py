@@ -17,7 +17,7 @@ from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.prediction import landmark_errors, localization_sigma, Predictor
-from landmark_nav.planning.views import free_floor, look, papers_seen, sample_walls
+from landmark_nav.planning.views import free_floor, look, sample_walls
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
 CONFIG = PlanConfig()
@@ -80,13 +80,6 @@ class TestPaperPose:
             moved.T / sigma[:, None], -by_papers / sigma[:, None], atol=0.05
         )
 
-    def test_papers_are_seen_from_before_them_and_not_too_near(self) -> None:
-        eye = np.array([[3.1, 2.0, 1.1], [3.1, 0.6, 1.1], [0.2, 0.4, 1.1], [3.1, -2.0, 1.1]])
-        seen = papers_seen(eye, ROOM, CONFIG)
-        assert seen[0].all()
-        assert not seen[1, 1]
-        assert not seen[2:].any()
-
 
 def panoramas(poses: FloatArray, covariance: FloatArray) -> list[Panorama]:
     """Of x, y and heading; heights are known."""
@@ -144,25 +137,6 @@ def test_landmark_errors_are_those_of_the_adjustment() -> None:
     np.testing.assert_allclose(joint(own, loading), expected, rtol=2e-2, atol=5e-7)
 
 
-def test_two_landmarks_at_a_point_are_worth_two() -> None:
-    rng = np.random.default_rng(8)
-    azimuth, reach = rng.uniform(-3.0, 3.0, (2, 10)), rng.uniform(1.0, 4.0, (2, 10))
-    normal = np.tile([[1.0, 0.0]], (10, 1))
-    spread = np.diag([1e-5, 1e-5, 1e-6] * 2)
-    weight = np.full((2, 10), 1e6)
-    twice = [np.concatenate([a, a], -1) for a in (azimuth, reach, weight)]
-    config = AdjustmentConfig()
-    wall = np.zeros(20, np.intp)
-    _, one = landmark_errors(
-        azimuth, reach, weight, normal, wall[:10], np.full(10, 2.0), spread, config
-    )
-    _, two = landmark_errors(*twice, np.tile(normal, (2, 1)), wall, np.ones(20), spread, config)
-    first = two[:10].reshape(20, -1)
-    np.testing.assert_allclose(
-        one.reshape(20, -1) @ one.reshape(20, -1).T, first @ first.T, rtol=1e-6, atol=1e-12
-    )
-
-
 def test_localization_sigma_is_that_of_a_triangulation() -> None:
     rng = np.random.default_rng(4)
     landmarks = rng.uniform((-4.0, 2.0), (4.0, 10.0), (9, 2))
@@ -189,17 +163,6 @@ def test_localization_sigma_is_that_of_a_triangulation() -> None:
         assert found[k] == pytest.approx(np.sqrt(np.trace(fix.covariance[:2, :2])), rel=1e-6)
 
 
-def test_fewer_than_three_landmarks_give_nothing() -> None:
-    landmarks = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.5], [0.3, -2.0]])
-    gradient = bearing_gradients(np.zeros((3, 2)), landmarks)
-    seen = np.array([[1.0, 1.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.0], [0.7, 0.7, 0.7, 0.8]])
-    sigma = localization_sigma(
-        gradient, seen, np.tile(1e-6 * np.eye(2), (4, 1, 1)), np.zeros((4, 2, 2)), 1e-3
-    )
-    assert np.isinf(sigma[:2]).tolist() == [True, False]
-    assert np.isinf(sigma[2])
-
-
 class TestPredictor:
     def predictor(self, poses: FloatArray) -> Predictor:
         samples = sample_walls(ROOM, 0.3, 1000)
@@ -223,11 +186,3 @@ class TestPredictor:
         assert nothing.landmark_sigma_m == np.inf
         assert np.isinf(nothing.sigma_m).all()
         assert nothing.cost_m == pytest.approx(0.05)
-
-    def test_no_more_landmarks_than_a_map_may_hold(self) -> None:
-        poses = np.array([[2.0, 2.0, 0.0], [4.0, 2.2, 0.0], [3.0, 3.0, 0.0], [2.5, 2.8, 0.0]])
-        prediction = self.predictor(poses).predict(np.arange(4))
-        assert prediction.landmarks.sum() <= CONFIG.election.max_count + 1e-9
-        assert prediction.landmarks.sum() > 0.5 * CONFIG.election.max_count
-        other = self.predictor(poses).predict(np.array([2, 0, 3, 1]))
-        np.testing.assert_allclose(prediction.sigma_m, other.sigma_m, rtol=1e-6)

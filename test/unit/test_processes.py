@@ -16,8 +16,6 @@ import pytest
 
 from landmark_nav.demo.supervisor import ProcessEndedError, Supervisor
 from landmark_nav.ros.executor import LatestOnlyWorker
-from landmark_nav.ros.latency import Latency
-from landmark_nav.ros.shutdown_guard import ShutdownGuard
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -64,16 +62,6 @@ def test_the_thread_ends_after_what_it_is_at() -> None:
     assert done == [0]
 
 
-def test_ages_by_another_clock_are_none() -> None:
-    latency = Latency()
-    assert latency.values() == {}
-    latency.note(10**18)
-    assert latency.values() == {}
-    for age_ms in range(1, 101):
-        latency.note(age_ms * 10**6)
-    assert latency.values() == {'latency_median_ms': '50', 'latency_p95_ms': '95'}
-
-
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 
 
@@ -117,15 +105,6 @@ def test_a_process_that_does_not_end_is_killed(number: signal.Signals) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, 'asked\n', '')
 
 
-def test_a_process_that_should_end_without_a_signal_is_ended_too() -> None:
-    done = run("""
-        with ShutdownGuard(lambda: None, 0.2) as signals:
-            signals.expect_end()
-            threading.Event().wait()
-    """)
-    assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
-
-
 def test_a_process_that_holds_the_interpreter_is_killed() -> None:
     done = run("""
         import re
@@ -136,19 +115,6 @@ def test_a_process_that_holds_the_interpreter_is_killed() -> None:
             re.match('(a|a)*c', 'a' * 60 + 'b')
     """)
     assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
-
-
-def test_afterwards_signals_are_what_they_were() -> None:
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    asked: list[int] = []
-    for _ in range(3):
-        with ShutdownGuard(lambda: asked.append(1), 0.0):
-            pass
-    assert {number: signal.getsignal(number) for number in SIGNALS} == before
-    if callable(before[signal.SIGINT]):
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-    assert asked == []
 
 
 SLEEP = [*(sys.executable, '-S', '-c'), 'import time; print("up", flush=True); time.sleep(60)']
@@ -220,17 +186,6 @@ def test_all_processes_end_even_if_they_ignore_signals(
             wait_for(tmp_path / f'{name}.log', 'up')
         statuses = supervisor.stop()
     assert statuses == {'sleeper': -signal.SIGTERM, 'stubborn': -signal.SIGKILL}
-
-
-def test_leaving_the_block_ends_them(tmp_path: Path) -> None:
-    with Supervisor(tmp_path, os.environ) as supervisor:
-        supervisor.start(
-            'sleeper',
-            [*SLEEP[:-1], 'import os, time; print(os.getpid(), flush=True); time.sleep(60)'],
-        )
-        wait_for(tmp_path / 'sleeper.log', '\n')
-    with pytest.raises(ProcessLookupError):
-        os.kill(int((tmp_path / 'sleeper.log').read_text().split()[0]), 0)
 
 
 def is_running(process_id: int) -> bool:

@@ -10,7 +10,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.cli.evaluate import run_summary
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import error_summary
-from landmark_nav.evaluation.replay import replay, shifts_by_odometry
+from landmark_nav.evaluation.replay import replay
 from landmark_nav.evaluation.report.tables import drive_tables, drive_verdict
 from landmark_nav.evaluation.run_report import run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import smooth_run, write_tum_files
@@ -86,38 +86,6 @@ def test_without_a_landmark_in_view_odometry_is_all_there_is():
     np.testing.assert_allclose(np.hypot(*errors.odometry[:, :2].T), expected, atol=1e-9)
     np.testing.assert_allclose(errors.fused, errors.odometry, atol=1e-6)
     assert done.fused_covariances.shape == (16, 3, 3)
-
-
-@pytest.mark.parametrize('exact', [0, 2, 4])
-@pytest.mark.parametrize('own_m', [1e-3, 0.0])
-def test_what_poses_owe_to_a_map_is_reported_where_it_is_exact_too(exact, own_m):
-    """Poses that follow known shares of the landmarks' errors owe them that much variance."""
-    loading = np.array([[1e-4], [2e-4], [0.0]])
-    learned = a_map()
-    landmarks = tuple(
-        replace(k, shared_loading=certain * loading,
-                covariance=certain * (own_m**2 * np.eye(3) + loading @ loading.T))
-        for k in learned.landmarks for certain in [float(k.id >= exact)]
-    )  # fmt: skip
-    known = replace(learned, landmarks=landmarks)
-    done = run(drive())
-    joint = known.joint_covariance_xy
-    shares = np.random.default_rng(1).normal(size=(len(done.updates), 3, len(joint)))
-    updates = tuple(
-        replace(update, with_landmarks=by_landmarks @ joint)
-        for update, by_landmarks in zip(done.updates, shares, strict=True)
-    )
-    by_map = replace(done, updates=updates).by_map(known).reshape(3 * len(updates), -1)
-    shares = shares.reshape(len(by_map), -1)
-    owed = shares @ joint @ shares.T
-    np.testing.assert_allclose(by_map @ by_map.T, owed, rtol=1e-6, atol=1e-9 * owed.max())
-
-
-def test_the_odometry_alone_starts_where_the_run_starts():
-    done = run(drive(), pose=(2.0, 2.0, -3.0))
-    np.testing.assert_allclose(done.odometry.poses[0], [2.0, 2.0, -3.0])
-    expected = se2.compose([2.0, 2.0, -3.0], [1.26, 0.0, 0.0])
-    np.testing.assert_allclose(done.odometry.poses[-1], expected)
 
 
 def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
@@ -213,12 +181,6 @@ def test_a_clock_that_was_set_back_is_no_error_of_the_pose(first):
     truth, odometry = (run_errors(run).odometry for run in (good, done))
     np.testing.assert_allclose(odometry, truth, atol=1e-6)
     np.testing.assert_allclose(run_errors(done).fused[-5:], run_errors(good).fused[-5:], atol=0.15)
-
-
-def test_stamps_that_go_back_alone_or_a_little_stay():
-    truth = np.array([10, 20, 15, 30, 40]) * SECOND // 100
-    assert not shifts_by_odometry([5, 900, 7], [-1, 2, 4], truth).any()
-    assert shifts_by_odometry([5, 7], [-1, -1], []).tolist() == [0, 0]
 
 
 def test_an_image_that_came_late_is_smoothed_in_its_time():

@@ -11,16 +11,13 @@ import pytest
 from test_figures import a_map, a_panorama, a_run
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.evaluation.learning_report import NO_WALL
 from landmark_nav.evaluation.report import (
-    drawn_panoramas,
     drive_page,
     FrameStrip,
     panoramas,
     write_report,
     write_video,
 )
-from landmark_nav.evaluation.report.tables import learning_verdict
 from landmark_nav.evaluation.report.write import page_html
 from landmark_nav.evaluation.run_report import pose_report, run_errors, spells
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -214,30 +211,6 @@ def test_pages_work_whatever_is_missing(opened, given):
     assert chrome.get_log('browser') == []
 
 
-def test_panoramas_that_learn_drew_beside_the_map_are_shown(opened, tmp_path):
-    for number in (1, 2):
-        picture = np.full((60, 100 * number, 3), 90, np.uint8)
-        cv2.imwrite(str(tmp_path / f'panorama_{number}.png'), picture)
-    page = page_of()
-    page['data']['panoramas'] = drawn_panoramas(tmp_path)
-    assert [one['size'] for one in page['data']['panoramas']] == [[100, 60], [200, 60]]
-    chrome = opened(page)
-    assert chrome.execute_async_script(WIDTHS, '.panorama image') == [100, 200]
-    assert drawn_panoramas(tmp_path / 'nowhere') == []
-
-
-def test_a_page_that_is_not_laid_out_has_no_error_and_a_figure_is_explained(opened):
-    chrome = opened(page_of())
-    chrome.execute_script("document.querySelector('tbody .term').focus()")
-    shown = 'return getComputedStyle(document.activeElement.nextElementSibling).display'
-    assert chrome.execute_script(shown) == 'block'
-    hide = "document.querySelector('.stage').style.display = arguments[0]"
-    for display in ('none', ''):
-        chrome.execute_script(hide, display)
-        chrome.execute_async_script('requestAnimationFrame(() => setTimeout(arguments[0], 50))')
-    assert chrome.get_log('browser') == []
-
-
 def test_a_page_needs_no_network_and_holds_no_number_that_is_none():
     html = page_html(page_of(truth=False), 'a drive', 'landmark-nav evaluate', INPUTS)
     assert not re.search(r'(?:src|href)="(?!data:)', html)
@@ -260,15 +233,6 @@ def test_images_of_a_long_drive_are_thinned_evenly_to_a_budget(count):
     assert max(strip.jpegs) + 2 * np.diff(list(strip.jpegs))[0] > count - 1
 
 
-def test_a_video_shortens_a_pause(tmp_path):
-    page = page_of(camera=False)
-    times = page['data']['run']['t']
-    page['data']['run']['t'] = [t + (1.7e9 if k > 9 else 0.0) for k, t in enumerate(times)]
-    write_video(tmp_path / 'drive.mp4', page)
-    video = cv2.VideoCapture(str(tmp_path / 'drive.mp4'))
-    assert 30 <= video.get(cv2.CAP_PROP_FRAME_COUNT) < 200
-
-
 @pytest.mark.parametrize('camera', [True, False])
 def test_a_video_shows_the_drive(tmp_path, camera):
     write_video(tmp_path / 'drive.mp4', page_of(camera=camera))
@@ -281,10 +245,3 @@ def test_a_video_shows_the_drive(tmp_path, camera):
     moved = [np.abs(frames[k] - frames[k + 2]).sum((0, 2)) for k in (2, 12, 22)]
     middles = [float(np.average(np.arange(800), weights=one > 500)) for one in moved]
     assert middles == sorted(middles)
-
-
-def test_landmarks_on_planes_of_their_own_count_no_wall():
-    sweeps = [{'sigma': [1e-3, 1e-3, 1e-3]}]
-    report = {'elected': 7, 'sweeps': sweeps, 'landmarks_per_wall': {'a': 2, 'b': 2, NO_WALL: 3}}
-    (walls,) = re.findall(r'on (\d+) walls', learning_verdict(report, '')['text'])
-    assert int(walls) == 2

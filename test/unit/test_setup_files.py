@@ -86,13 +86,6 @@ def test_the_pan_unit_is_described(tmp_path: Path) -> None:
     assert (mount.pan_max_rad, mount.pan_rate_rad_s) == (1.0, 0.5)
 
 
-def test_the_study_room_is_read(shared_data: Path) -> None:
-    room = load_room(shared_data / 'study' / 'room.yaml')
-    assert len(room.walls) == 4
-    assert [paper.color for paper in room.papers] == ['red', 'green', 'blue']
-    assert load_robot(shared_data / 'study' / 'robot.yaml').axis_xyz == (0.08, 0.0, 1.1)
-
-
 @pytest.mark.parametrize(
     ('load', 'text', 'message'),
     [

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -63,16 +61,6 @@ def test_neighbours_are_as_sharp_as_each_other(seed, mount):
         here = look_at(view(wall, pan, rng, mount, gain=0.8), CAMERA)
         there = look_at(view(wall, pan + STEP, rng, mount), CAMERA)
         # Upside down the camera turns the other way, and the pan is given as the joint has it.
-        assert 0.8 < relative_sharpness(here, there, -STEP) < 1.25
-
-
-def test_a_camera_that_is_rolled_over_is_known_to_be():
-    rng = np.random.default_rng(0)
-    wall, rolled = texture(rng, blank=0.5), replace(LEVEL, camera_roll_rad=np.pi)
-    for pan in np.radians(np.arange(-120.0, 120.0, 20.0)):
-        here, there = (
-            look_at(view(wall, at, rng, rolled), CAMERA, np.pi) for at in (pan, pan + STEP)
-        )
         assert 0.8 < relative_sharpness(here, there, -STEP) < 1.25
 
 

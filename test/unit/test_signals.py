@@ -55,16 +55,6 @@ def test_a_node_ends_quietly(number: int, after_s: float, tmp_path: Path) -> Non
     assert signalled(command, number, after_s) == (0, '')
 
 
-@pytest.mark.parametrize('number', NUMBERS)
-def test_an_executable_of_a_node_ends_quietly(number: int, tmp_path: Path) -> None:
-    pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-    script = tmp_path / 'room_simulator'
-    script.write_text(
-        'from landmark_nav.nodes.room_simulator import main\nraise SystemExit(main())'
-    )
-    assert signalled([sys.executable, str(script)], number, 0.05) == (0, '')
-
-
 @pytest.mark.parametrize('module', ['__main__', 'nodes.room_simulator'])
 def test_executables_handle_signals_before_they_import_anything_else(module: str) -> None:
     script = """
@@ -81,14 +71,6 @@ def test_executables_handle_signals_before_they_import_anything_else(module: str
     loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     parents = ['landmark_nav', f'landmark_nav.{module.partition(".")[0]}', 'landmark_nav.signals']
     assert loaded == parents
-
-
-def test_importing_nodes_leaves_signals_alone() -> None:
-    pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-    before = [signal.getsignal(number) for number in NUMBERS]
-    import landmark_nav.nodes  # noqa: F401
-
-    assert [signal.getsignal(number) for number in NUMBERS] == before
 
 
 @pytest.mark.parametrize('number', NUMBERS)

@@ -126,10 +126,3 @@ def test_a_tilt_of_another_driver_is_interpolated_and_stays() -> None:
         found = history.at(at_ms * MS)
         assert isinstance(found, JointSample)
         assert found.tilt_rad == pytest.approx(tilt, abs=1e-6)
-
-
-def test_a_joint_state_of_the_same_moment_needs_no_other() -> None:
-    for known in (turning(100), turning(100, 1300), turning(100, 100)):
-        found = known.at(101 * MS)
-        assert isinstance(found, JointSample)
-        assert found.pan_rad == pytest.approx(0.1 * RATE)

@@ -62,29 +62,6 @@ def test_two_landmarks_in_one_line_with_the_robot(second: list[float]) -> None:
         np.testing.assert_allclose(found, pose, atol=1e-12)
 
 
-def test_works_on_arrays_of_any_shape() -> None:
-    rng = np.random.default_rng(1)
-    landmarks = rng.uniform(-5.0, 5.0, (4, 7, 3, 2))
-    seen = rng.uniform(-np.pi, np.pi, (4, 7, 3))
-    poses = triangulate_three(landmarks, seen)
-    assert poses.shape == (4, 7, 3)
-    one = triangulate_three(landmarks[2, 3], seen[2, 3])
-    np.testing.assert_array_equal(poses[2, 3], one)
-    shared = triangulate_three(landmarks[0, 0], seen)
-    assert shared.shape == (4, 7, 3)
-
-
-def test_opposite_bearing_satisfies_the_equations_and_shows_in_the_residuals() -> None:
-    landmarks = np.array([[3.0, 0.5], [0.0, 4.0], [-3.0, -1.0]])
-    pose = np.array([0.3, -0.2, 1.0])
-    seen = bearings(pose, landmarks)
-    seen[1] = wrap_rad(seen[1] + np.pi)
-    found = triangulate_three(landmarks, seen)
-    np.testing.assert_allclose(found[:2], pose[:2], atol=1e-9)
-    residual = np.abs(bearing_residuals(found, landmarks, seen))
-    assert residual.max() == pytest.approx(np.pi, abs=1e-6)
-
-
 def test_distance_from_the_danger_circle_and_from_the_line() -> None:
     circle = 2.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
     distance, relative = danger_distance([0.5, 0.0], circle)

@@ -28,7 +28,7 @@ from landmark_nav.localization.triplet import CameraState, TripletConfig, visibl
 from landmark_nav.localization.triplet.ranking import LandmarkVisibility
 from landmark_nav.localization.triplet.search import pair_tables, position_variance
 from landmark_nav.localization.triplet.visibility import landmark_visibilities
-from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
+from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
 
 
 class TestSelection:
@@ -104,16 +104,6 @@ class TestSelection:
         assert abs(wrap_rad(triplet.pan_rad - np.pi)) < 0.1
         assert set(triplet.ids) == {100, 101, 102}
 
-    def test_fixed_pan(self) -> None:
-        landmark_map = random_map(40)
-        for pan in (-2.0, 0.0, 1.0):
-            camera_state = CameraState(pan, limits_rad=(pan, pan))
-            found = select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, camera_state)
-            if isinstance(found, Triplet):
-                assert found.pan_rad == pan
-                view = visible_landmarks(PRIOR, landmark_map, CAMERA, MOUNT, pan, 0.0, CONFIG)
-                assert set(found.ids) <= set(landmark_map.ids[view])
-
     def test_hysteresis(self) -> None:
         landmark_map = random_map(40)
         first = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
@@ -148,29 +138,6 @@ class TestSelection:
         )
         view = visible_landmarks(PRIOR, landmark_map, CAMERA, mount, triplet.pan_rad, 0.05, CONFIG)
         assert set(triplet.ids) <= set(landmark_map.ids[view])
-
-    def test_too_near_and_too_far(self) -> None:
-        near = landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2)
-        landmark_map = LandmarkMap((replace(near, viewpoint=np.array([WIDTH - 1.0, 2.0, 1.1])),))
-        reported = [
-            int(
-                landmark_visibilities(np.array([WIDTH - range_m, 2.0, 1.1]), landmark_map, config)[
-                    0
-                ]
-            )
-            for range_m, config in (
-                (0.6, CONFIG),
-                (0.4, CONFIG),
-                (1.5, CONFIG),
-                (1.5, TripletConfig(max_range_m=1.4)),
-            )
-        ]
-        assert reported == [
-            LandmarkVisibility.USABLE,
-            LandmarkVisibility.OUT_OF_RANGE,
-            LandmarkVisibility.USABLE,
-            LandmarkVisibility.OUT_OF_RANGE,
-        ]
 
 
 class TestRefusal:

@@ -13,19 +13,16 @@ from triplet_room import (
     CAMERA,
     chosen,
     CONFIG,
-    landmark,
     MOUNT,
     PRIOR,
     random_map,
-    select_triplet,
-    WIDTH,
 )
 
 from landmark_nav.localization.triplet import CameraState, rank_triplets, TripletConfig
 from landmark_nav.localization.triplet.planning_scene import travel_s
-from landmark_nav.localization.triplet.ranking import LandmarkVisibility, Ranking, Verdict
+from landmark_nav.localization.triplet.ranking import LandmarkVisibility, Verdict
 from landmark_nav.localization.triplet.search import best_triplets, mean_variance, pair_tables
-from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
+from landmark_nav.types import LandmarkMap, PoseEstimate
 
 UP = np.array([0.0, 0.0, 0.3])
 
@@ -51,14 +48,6 @@ class TestSearch:
         np.testing.assert_allclose(scores, score[order], rtol=1e-9)
         assert {tuple(t) for t in triplets} == {tuple(t) for t in every[order]}
         assert len(scores) == min(10, np.isfinite(score).sum())
-
-    @pytest.mark.parametrize('seed', range(3))
-    def test_nothing_good_is_left_out_of_many(self, seed: int) -> None:
-        """With closer bounds, by groups of third landmarks."""
-        tables = pair_tables(PRIOR.pose[None, :2], random_map(90, seed), np.arange(90), 4e-4)
-        scores, _ = best_triplets(tables, np.ones(90), np.ones((90, 90)), 300)
-        every = np.array(list(combinations(range(90), 3)))
-        np.testing.assert_allclose(scores, np.sort(mean_variance(tables, every))[:300], rtol=1e-9)
 
     @pytest.mark.filterwarnings('error')
     def test_landmarks_one_above_the_other_are_as_good_as_one(self) -> None:
@@ -146,38 +135,3 @@ class TestRanking:
             PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(0.0, limits_rad=(-0.5, 0.5))
         )
         assert limited.excluded()[LandmarkVisibility.BEYOND_LIMITS.words] > 10
-
-    def test_none_is_called_chosen_where_none_is_accurate_enough(self) -> None:
-        strict = TripletConfig(max_sigma_m=1e-4)
-        ranking = rank_triplets(PRIOR, random_map(40), CAMERA, MOUNT, strict)
-        assert isinstance(ranking.chosen, Refusal)
-        assert ranking.sigma_m[0] > strict.max_sigma_m
-        assert ranking.verdicts()[0] is Verdict.LESS_ACCURATE
-        accepted = rank_triplets(PRIOR, random_map(40), CAMERA, MOUNT, CONFIG)
-        assert ranking.verdicts()[1:] == accepted.verdicts()[1:]
-
-    def test_a_rival_lost_by_what_it_is_worst_in(self) -> None:
-        count = 6
-        covariances = np.tile(np.diag([1e-4, 1e-4, 1e-6]), (count, 1, 1))
-        covariances[1] *= 2.0
-        chance, travel_s = np.full(count, 0.9), np.zeros(count)
-        chance[2], travel_s[3] = 0.5, 1.0
-        score = np.array([1.0, 2.0, 1.8, 2.0, 1.01, 0.9])
-        triplet = chosen(select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, CONFIG))
-        ids = np.tile(triplet.ids, (count, 1))
-        ranking = Ranking(
-            triplet, np.zeros(40, np.int8), ids, covariances, chance, travel_s, chance * 0.0, score
-        )
-        assert ranking.verdicts() == [
-            Verdict.CHOSEN,
-            Verdict.LESS_ACCURATE,
-            Verdict.LESS_LIKELY,
-            Verdict.LONGER_TURN,
-            Verdict.SLIGHTLY_WORSE,
-            Verdict.NOT_BETTER_ENOUGH,
-        ]
-
-    def test_a_landmark_above_the_image_is_cut(self) -> None:
-        high = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 3.9), *random_map(9).landmarks))
-        ranking = rank_triplets(PRIOR, high, CAMERA, MOUNT, CONFIG)
-        assert ranking.visibility[0] == LandmarkVisibility.CUT

@@ -10,7 +10,6 @@ from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
-    wall_residuals,
     wall_warnings,
     WallResidual,
 )
@@ -179,13 +178,3 @@ def test_things_that_hang_differently_far_flag_no_wall() -> None:
     assert not warning([3.0, 0.2, 1.0, 0.4], hanging_m=0.03)
     assert not warning([3.0, 0.2, 1.0, 0.4], shared_m=0.02)
     assert not wall_warnings([], 0.001, AdjustmentConfig())
-
-
-def test_walls_with_few_patches_are_reported_too() -> None:
-    few = placed(np.array([0.14, 0.15, 0.145]), np.array([0.6, 3.0, 5.0]))
-    walls = [0, 0, 0, *[2] * 8]
-    check_walls(few, walls, ROOM, AdjustmentConfig())
-    residuals = wall_residuals(few, walls, ROOM, AdjustmentConfig())
-    assert {r.wall_id: r.patches for r in residuals} == {'south': 3, 'north': 8}
-    reported = wall_warnings(residuals, 0.01, AdjustmentConfig())
-    assert '14.5 cm before south' in reported
