@@ -7,7 +7,6 @@ from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import PanTiltMount
@@ -61,24 +60,6 @@ def test_they_reach_back_however_fast_they_come(step_ns: int) -> None:
         assert joints.pan_rad == pytest.approx(1e-9 * (last_ns - before_ns) * RATE_RAD_S)
         assert joints.pan_rate_rad_s == pytest.approx(RATE_RAD_S)
     assert frames.pan_range_rad == pytest.approx(3.0 * RATE_RAD_S, abs=0.02)
-
-
-def test_a_clock_step_takes_nothing_from_a_thread_that_reads_meanwhile() -> None:
-    frames, hear = listening()
-    hear(JointSample(5 * 10**9, 0.1))
-    before = frames._joints
-    hear(JointSample(3 * 10**9, 0.2))
-    assert [sample.pan_rad for sample in before] == [0.1]
-    assert (frames.pan_rad, frames.pan_range_rad) == (0.2, 0.0)
-    assert frames.reaches(3 * 10**9)
-    assert not frames.reaches(4 * 10**9)
-
-
-def test_a_pan_that_is_reported_within_half_a_turn_has_not_swung_by_a_turn() -> None:
-    frames, hear = listening()
-    for k, pan_rad in enumerate([3.13, 3.14, -3.133, -3.123]):
-        hear(JointSample(k * 20_000_000, pan_rad))
-    assert frames.pan_range_rad == pytest.approx(2.0 * np.pi - 3.123 - 3.13)
 
 
 def test_a_tilt_of_another_driver_is_waited_for_and_kept() -> None:
@@ -180,11 +161,3 @@ def test_the_first_that_delivers_stays() -> None:
     late('raw')
     assert images == ['jpeg']
     assert list(node.heard) == [COMPRESSED]
-
-
-def test_a_source_that_two_threads_close_is_closed() -> None:
-    node: Any = Listener()
-    source = ImageSource(node, RAW, lambda _: None)
-    node.meanwhile = source.close
-    source.close()
-    assert not node.heard

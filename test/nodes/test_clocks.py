@@ -36,9 +36,3 @@ def test_choices_keep_to_the_time_of_a_bag_and_diagnostics_do_not(
     selector = graph.make(TripletSelectorNode, robot_file=robot, use_sim_time=True)
     assert len(periods(selector, ClockType.ROS_TIME)) == 2
     assert periods(selector, ClockType.STEADY_TIME) == pytest.approx([1.0])
-
-
-def test_the_simulated_robot_needs_no_clock_of_a_bag(graph: Graph) -> None:
-    robot = graph.make(RoomSimulatorNode, use_sim_time=True)
-    assert len(periods(robot, ClockType.STEADY_TIME)) == 2
-    assert robot._world.stamp_ns > 0

@@ -91,31 +91,6 @@ def test_a_node_that_died_is_reported_and_the_others_end(
     assert processes(tmp_path) == {}
 
 
-def test_a_signal_ends_all_nodes_of_the_domain(
-    demo: subprocess.Popen[str], tmp_path: Path, domain_id: int
-) -> None:
-    wait(lambda: len(processes(tmp_path)) == NODES, 60.0)
-    for node in processes(tmp_path).values():
-        variables = Path(f'/proc/{node}/environ').read_text().split('\0')
-        assert f'ROS_DOMAIN_ID={domain_id}' in variables
-    # They run by then.
-    log = tmp_path / 'demo' / 'logs' / 'sweep_capture.log'
-    wait(lambda: log.is_file() and 'ready' in log.read_text(), 60.0)
-    demo.send_signal(signal.SIGINT)
-    _, complaint = demo.communicate(timeout=30)
-    assert demo.returncode == 130, complaint
-    assert 'Traceback' not in complaint
-    assert processes(tmp_path) == {}
-
-
-def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / 'letter.txt').write_text('dear')
-    done = subprocess.run([*DEMO, str(tmp_path)], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 1
-    assert 'letter.txt' in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ['letter.txt']
-
-
 def test_learns_drives_and_stays_exact(tmp_path: Path, domain_id: int) -> None:
     folder, parameters = tmp_path / 'demo', tmp_path / 'short.yaml'
     parameters.write_text(SHORT_SWEEP)

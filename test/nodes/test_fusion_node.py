@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.layouts import GlobalPose
 from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
@@ -62,16 +61,6 @@ def fusion(graph: Graph, tmp_path: Path) -> Fusion:
     robot = tmp_path / 'robot.yaml'
     robot.write_text('pan_axis:\n  xyz: [0.0, 0.0, 1.1]\n')
     return Fusion(graph, str(robot))
-
-
-def test_nothing_is_written_where_the_drive_has_shown_nothing(
-    fusion: Fusion, tmp_path: Path
-) -> None:
-    fusion.start(0, 0.0)
-    fusion.odometry(0)
-    with pytest.raises(LandmarkNavError, match='drive'):
-        fusion.node._calibrate()
-    assert [file.name for file in tmp_path.iterdir()] == ['robot.yaml']
 
 
 def test_a_late_sample_does_not_set_back_what_is_reported(fusion: Fusion) -> None:

@@ -146,14 +146,6 @@ def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(
     context.try_shutdown()
 
 
-def test_a_pan_that_is_only_in_transforms_is_asked_for_as_joint_states(graph: Robot) -> None:
-    graph.listener.fails = True
-    # Whatever the type: the ROS wheels have no tf2_msgs.
-    graph.publisher('robot_state_publisher', '/tf', 'std_msgs/msg/String')
-    words = '/robot/joint_states (nobody publishes it; angles in /tf are not read: publish a'
-    graph.until(graph.reports(words), int)
-
-
 def test_what_is_awaited_is_logged_and_once_that_it_is_there(
     graph: Robot, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,17 +180,6 @@ def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph: Robot) ->
         lambda: bool(graph.listener.odometry), lambda: wheels.publish(odometry(NOW_NS, 1.0))
     )
     assert graph.listener.odometry[0].pose_odom_base[0] == 1.0
-
-
-def test_bytes_that_are_no_message_end_nothing(graph: Robot) -> None:
-    wheels, rng = graph.publisher('wheels', '/robot/odom'), np.random.default_rng(1)
-    graph.until(
-        lambda: bool(graph.listener.odometry),
-        lambda: [
-            wheels.publish(b'\x00\x01\x00\x00' + rng.bytes(60)),
-            wheels.publish(odometry(NOW_NS)),
-        ],
-    )
 
 
 def test_joints_of_other_names_are_listed_until_the_pan_comes(graph: Robot) -> None:

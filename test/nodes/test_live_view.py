@@ -17,7 +17,7 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.observer import Observation
 from landmark_nav.messages import decode
 from landmark_nav.nodes import live_pose, live_view
-from landmark_nav.nodes.live_pose import LivePose, ThinnedPath
+from landmark_nav.nodes.live_pose import LivePose
 from landmark_nav.nodes.live_view import LiveView
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -55,22 +55,6 @@ def estimate(k: int, x: float, y: float = 0.0) -> PoseEstimate:
 
 def odometry(k: int, x: float) -> OdometrySample:
     return OdometrySample(k * PERIOD_NS, np.array([x, 5.0, 0.1]))
-
-
-def test_a_path_follows_the_drive_and_stays_bounded() -> None:
-    path, step_m = ThinnedPath('map'), 0.01
-    for k in range(200_000):
-        path.add(k, np.array([step_m * k, 0.0, 0.0]))
-    message = path.message()
-    x = np.array([one.pose.position.x for one in message.poses])
-    assert len(x) <= live_pose._MOST_POINTS
-    assert np.all(np.diff(x) > 0.0)
-    assert x[0] == 0.0
-    # Evenly along the way, and near its end.
-    assert np.diff(x).max() < 4.0 * x[-1] / len(x)
-    assert x[-1] > step_m * 200_000 - np.diff(x).max()
-    assert message.header.stamp == message.poses[-1].header.stamp
-    assert not path.changed
 
 
 def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(

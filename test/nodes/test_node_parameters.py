@@ -14,7 +14,6 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from graph import Graph
 from rclpy.context import Context
 from rclpy.parameter import Parameter
-import yaml
 
 from landmark_nav.configuration import Configuration, READS
 from landmark_nav.configuration import LIVE as LIVE_OF_NODES
@@ -102,15 +101,6 @@ def test_what_is_live_may_be_set_and_what_it_may_not_be_is_refused(context: Cont
     assert node.get_parameter('kind').value == 'fast'
 
 
-def test_values_come_from_a_file(context: Context, tmp_path: Path) -> None:
-    path = tmp_path / 'config.yaml'
-    values = {'count': 7, 'section': {'rate_hz': 2.5, 'names': ['x']}}
-    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
-    arguments = ['--ros-args', '--params-file', str(path)]
-    node = ConfiguredNode(Whole(), context=context, cli_args=arguments)
-    assert node.config == Whole(count=7, section=Section(2.5, ('x',)))
-
-
 @pytest.mark.parametrize(
     ('name', 'value', 'words'),
     [
@@ -155,12 +145,6 @@ def test_former_names_are_taken_or_go_to_the_robot_or_are_ignored(
     assert node.robot == {'joint_delay': 0.02, 'pan_min': -1.0, 'odometry': odometry}
     reported = capfd.readouterr().err
     assert all(name in reported for name in given)
-
-
-def test_values_that_contradict_each_other(context: Context) -> None:
-    overrides = [Parameter('kind', value='slow'), Parameter('section.rate_hz', value=9.0)]
-    with pytest.raises(LandmarkNavError, match='contradict'):
-        ConfiguredNode(Whole(), context=context, parameter_overrides=overrides)
 
 
 @pytest.mark.parametrize('name', sorted(READS))

@@ -175,50 +175,6 @@ def test_a_call_is_answered_with_the_place_it_reported(
     assert len(reported) == 1
 
 
-def test_a_call_is_not_answered_with_a_place_that_was_not_reported(
-    search: PlaceSearch, reported: list[Any], services: dict[str, Any]
-) -> None:
-    """The search of a lost robot finds the place as the call begins another."""
-    call = services['relocalize']()
-    search.consider(SECOND)
-    search._relocalizer = cast(Relocalizer, Finder(lambda: call.send(None)))
-    search.look(frame_at(SECOND))
-    with pytest.raises(LandmarkNavError, match='no image came'):
-        answer(call)
-    assert not reported
-
-
-def test_calls_during_a_search_get_the_same_answer(
-    search: PlaceSearch, reported: list[Any], services: dict[str, Any]
-) -> None:
-    first, second = services['relocalize'](), services['relocalize']()
-    first.send(None)
-    search._relocalizer = cast(Relocalizer, Finder())
-    second.send(None)
-    search.look(frame_at(SECOND))
-    assert answer(first) == answer(second) == 'found at (1.00, 2.00) m, 28.6 deg'
-    assert len(reported) == 1
-
-
-def test_a_call_is_not_ended_by_a_pose_that_was_asked_for_before(
-    search: PlaceSearch,
-    services: dict[str, Any],
-    prior: ExpectedPoses,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    call = services['relocalize']()
-
-    def fused(stamp_ns: int, within_s: float) -> PoseEstimate | None:
-        call.send(None)
-        return prior.recent(stamp_ns, within_s)
-
-    fuse(prior, 0, SURE)
-    monkeypatch.setattr(search, '_fused', fused)
-    search.consider(0)
-    assert search.active
-    call.close()
-
-
 def test_simultaneous_calls_are_refused_together_and_may_be_repeated(
     search: PlaceSearch, services: dict[str, Any]
 ) -> None:

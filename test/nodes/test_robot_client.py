@@ -70,28 +70,6 @@ def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(
         assert node.asked == 1
 
 
-def test_a_destroyed_node_is_finalized_and_its_name_free(domain_id: int) -> None:
-    with counting(domain_id) as (node, _):
-        assert node.is_active
-    assert node.state == 'finalized'
-    with counting(domain_id) as (again, executor):
-        for _ in range(40):
-            executor.spin_once(timeout_sec=0.05)
-        assert again.get_node_names().count('counter') == 1
-
-
-def test_the_domain_is_that_of_the_environment(
-    domain_id: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    with (
-        counting(domain_id) as (_, executor),
-        RobotClient(watch=lambda: executor.spin_once(timeout_sec=0.0)) as client,
-    ):
-        assert client.call('/deep/down/count', 10.0) == 'asked 1 times'
-
-
 def test_a_service_that_is_not_there_is_not_waited_for_until_its_answer_would_be_late(
     domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,8 +17,6 @@ from graph import Graph
 from landmark_nav.messages.decode import stamp_ns
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
 from landmark_nav.ros.factory import ros_factory
-from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.storage.setup_files import load_camera
 
 CAMERA = Path(__file__).resolve().parents[1] / 'setups' / 'camera_quarter_vga.yaml'
 
@@ -62,14 +60,6 @@ def test_commands_that_are_not_finite_are_dropped_and_reported(robot: RoomSimula
     assert np.isfinite(world.odometry_sample().pose_odom_base).all()
     assert world.joint_sample().pan_rad == pytest.approx(0.4, abs=0.01)
     assert world.camera_frame().image.any()
-
-
-def test_the_room_and_camera_are_those_of_simulate(graph: Graph) -> None:
-    node = graph.make(RoomSimulatorNode, seed=7, camera_file=str(CAMERA))
-    # So a map that was learned of what `simulate` writes is valid here.
-    assert node._world.scene == generate_scene(7)
-    assert node._world.camera == load_camera(CAMERA)
-    assert node._world.camera_frame().image.shape == (240, 320, 3)
 
 
 class Clocks:
@@ -121,17 +111,3 @@ def test_stamps_follow_a_system_time_that_is_set(
     for reported in stamps.values():
         assert reported[-1] == pytest.approx(5003.0 + set_by_s, abs=0.02)
     assert len(stamps['joints']) == 60
-
-
-def test_a_slow_machine_is_late_until_it_catches_up_or_leaves_time_out(
-    clocks: Clocks, robot: RoomSimulatorNode, stamps: dict[str, list[float]]
-) -> None:
-    for seconds in (1.0, 5.0):
-        clocks.pass_by(seconds)
-        robot._tick()
-    np.testing.assert_allclose(np.diff(stamps['joints']), 1.0 / 60.0, rtol=1e-4)
-    clocks.pass_by(30.0)
-    robot._tick()
-    clocks.pass_by(0.1)
-    robot._tick()
-    assert stamps['joints'][-1] == pytest.approx(5036.1, abs=0.02)

@@ -26,7 +26,7 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.robot_client import RobotClient, ServiceDiscovery
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import JointSample, Landmark, LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.types import JointSample, Landmark, LandmarkMap
 
 
 def small_map() -> LandmarkMap:
@@ -75,17 +75,6 @@ def test_learner_states_what_is_missing(
     shutil.rmtree(folder)
     assert client.call('save_map', 10.0).startswith('4 landmarks saved')
     assert len(load_map(folder).landmarks) == 4
-
-
-def test_a_learner_that_is_to_load_a_map_that_is_not_there_can_still_learn_one(
-    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str], tmp_path: Path
-) -> None:
-    folder, node = str(tmp_path / 'map'), 'landmark_learner'
-    start(node, room_file=setup_files['room_file'], map_folder=folder, load_on_start=True)
-    client.wait(lambda: 'no map loaded' in client.status_of(node).reason, 30.0, 'word of no map')
-    assert f'{folder}: no map there' in client.status_of(node).reason
-    with pytest.raises(LandmarkNavError, match='two panoramas from different places'):
-        client.call('learn_landmarks', 30.0)
 
 
 @pytest.mark.parametrize(
@@ -198,70 +187,3 @@ def test_a_call_that_waits_for_a_place_is_answered_as_the_node_ends(
     finally:
         node.kill()
         node.wait()
-
-
-def test_fusion_goes_on_through_bad_input(
-    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
-) -> None:
-    start('odometry_fusion', robot_file=setup_files['robot_file'])
-    client.wait(lambda: client.status_of('odometry_fusion').lost, 30.0, 'the word lost')
-    odometry = client.advertise('odom')
-    stamp = 1_000_000_000_000
-    sent = 0
-
-    def send(x: float) -> None:
-        nonlocal sent
-        sent += 1
-        sample = OdometrySample(stamp + sent * 50_000_000, np.array([x, 0.0, 0.0]))
-        odometry.publish(encode.odometry(ros_factory, sample))
-
-    def after(condition: Callable[[], bool], x: float) -> Callable[[], bool]:
-        def check() -> bool:
-            send(x)
-            return condition()
-
-        return check
-
-    estimate = PoseEstimate(stamp, np.array([2.0, 1.0, 0.0]), 1e-4 * np.eye(3))
-    client.wait(odometry.get_subscription_count, 20.0, 'the fusion')
-    send(0.0)
-    client.start_at(estimate)
-    client.wait(after(lambda: client.fused is not None, 0.0), 20.0, 'a fused pose')
-
-    def complains() -> bool:
-        return 'not a number' in client.status_of('odometry_fusion').reason
-
-    client.wait(after(complains, float('nan')), 20.0, 'a complaint about NaN')
-    client.fused = None
-    client.wait(after(lambda: client.fused is not None, 0.0), 20.0, 'another fused pose')
-    fused: Any = client.fused
-    np.testing.assert_allclose(fused.pose, [2.0, 1.0, 0.0], atol=0.01)
-
-
-def test_start_in_another_frame_is_refused(
-    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
-) -> None:
-    start('odometry_fusion', robot_file=setup_files['robot_file'])
-    publisher = client.advertise('initialpose')
-    client.wait(publisher.get_subscription_count, 20.0, 'the fusion')
-    client.wait(lambda: 'odometry_fusion' in client.status, 20.0, 'its diagnostics')
-    message = encode.pose(ros_factory, PoseEstimate(1, np.zeros(3), np.eye(3)), 'odom')
-    log = client_log(setup_files)
-
-    def refused() -> bool:
-        # A subscription that does not know its publisher yet misses the message.
-        publisher.publish(message)
-        return "conductor dropped: it is in frame 'odom'" in log.read_text()
-
-    client.wait(refused, 20.0, 'it')
-    landmarks = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
-    elsewhere = replace(small_map(), frame_id='hall')
-    cloud, atlas, _ = encode.landmark_map(ros_factory, elsewhere, 1)
-    for publisher, message in zip(landmarks, (cloud, atlas), strict=True):
-        publisher.publish(message)
-    client.wait(lambda: "dropped: it is in frame 'hall'" in log.read_text(), 20.0, 'a warning')
-    assert client.status_of('odometry_fusion').values['landmarks'] == '0'
-
-
-def client_log(setup_files: dict[str, str]) -> Path:
-    return Path(setup_files['robot_file']).parent / 'logs' / 'odometry_fusion.log'

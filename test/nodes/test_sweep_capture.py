@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import copy
-from pathlib import Path
 from threading import Thread
 from typing import Any
 
@@ -16,7 +15,6 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode, encode
@@ -236,35 +234,3 @@ def test_a_sweep_is_interrupted_continued_and_begun_anew(
     client.wait(lambda: len(small.trajectories) == 2, 20.0, 'the trajectory')
     np.testing.assert_allclose(measured(small), STEP_RAD * np.arange(-2, 3), atol=0.01)
     client.wait(lambda: 'partial' in client.status_of('sweep_capture').reason, 20.0, 'its word')
-
-
-def test_a_frozen_camera_is_named_and_a_stop_in_a_sweep_is_clean(
-    robot: Callable[..., SmallRobot],
-    start: Callable[..., None],
-    client: RobotClient,
-    supervisor: Supervisor,
-    setup_files: dict[str, str],
-    tmp_path: Path,
-) -> None:
-    command = 'JointState'
-    start('sweep_capture', **sweep_parameters(setup_files), **{'command.type': command})
-    small = robot('compressed', command)
-    small.frozen = True
-    with pytest.raises(LandmarkNavError, match='frames refused, the last as frozen'):
-        client.call('capture_sweep', 60.0)
-    assert not small.trajectories
-    small.frozen = False
-    assert client.call('capture_sweep', 60.0).startswith(f'{FRAMES} frames')
-    check_frames(small, client)
-
-    class StoppedError(Exception):
-        """The node was asked to stop."""
-
-    def stop() -> None:
-        if len(small.images) > FRAMES + 2:
-            assert supervisor.stop() == {'sweep_capture': 0}
-            raise StoppedError
-
-    with pytest.raises(StoppedError):
-        client.call('capture_sweep', 60.0, stop)
-    assert 'Traceback' not in (tmp_path / 'logs' / 'sweep_capture.log').read_text()

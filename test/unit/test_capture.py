@@ -230,6 +230,17 @@ def test_frames_that_stay_bad_interrupt_it_with_the_reason(bad, reason):
     check_sweep(robot.run())
 
 
+def test_a_camera_frozen_from_the_start_leaves_no_frame():
+    class Frozen(Robot):
+        def camera_image(self):
+            return FakeImage(0.0, 0), self.now - 7_000_000
+
+    robot = Frozen()
+    with pytest.raises(LandmarkNavError, match='refused, the last as frozen'):
+        robot.run()
+    assert not robot.sweep.kept
+
+
 def test_blank_walls_dark_and_noiseless_views_are_taken():
     class Blank(Robot):
         def camera_image(self):

@@ -10,6 +10,7 @@ import re
 from typing import Any
 
 import cv2
+from message_changes import nothing
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -326,6 +327,15 @@ def test_degrees_as_the_mount_of_a_camera_are_refused(tmp_path: Path) -> None:
     robot = tmp_path / 'robot.yaml'
     robot.write_text('pan_axis:\n  xyz: [0.0, 0.0, 1.0]\n  rpy: [0, 0, 5]\n')
     assert main(['check', str(BAGS / 'drive'), '--robot', str(robot)]) == 1
+
+
+def test_a_bag_without_images_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    error = StreamError(('camera/image_raw/compressed',), nothing, 'images')
+    bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error)
+    assert main(['check', str(bag)]) == 1
+    assert 'camera/image_raw' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(('frame', 'fits'), [('base_footprint', True), ('laser', False)])

@@ -63,3 +63,9 @@ def test_a_clock_set_back_begins_anew(track: ExpectedPoses) -> None:
     found = track.at(600_000_000)
     assert isinstance(found, PoseEstimate)
     assert found.pose[0] == 8.0
+
+
+def test_nothing_known() -> None:
+    empty = ExpectedPoses(0.5)
+    assert isinstance(empty.at(0), Refusal)
+    assert not empty.reaches(0)

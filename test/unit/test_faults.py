@@ -201,7 +201,7 @@ def test_a_wrong_start_is_noticed_and_put_right(
     moments = list(run(sensed, untouched, start=START + np.array(offset)))
     found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
     assert found.after_s + FAULT_S <= (2.0 if offset[0] > -1.0 else 6.0)
-    before = [m for m in moments if 2.0 < m.after_s + FAULT_S and m.after_s < found.after_s]
+    before = [m for m in moments if m.after_s + FAULT_S > 2.0 and m.after_s < found.after_s]
     assert 'tracking' not in {m.status for m in before}
     later = [m for m in moments if found.after_s < m.after_s < 6.0]
     assert {m.status for m in later} == {'tracking'}

@@ -10,11 +10,14 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 from rosbags.interfaces import Nodetype
+from test_markers import MAP, POSE, view
 import yaml
 
 from landmark_nav.demo.recorded_run import RECORDED_TOPICS
-from landmark_nav.messages.factory import default_typestore
+from landmark_nav.messages import encode
+from landmark_nav.messages.factory import default_typestore, rosbag_factory
 from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.types import Triplet
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 TYPES = {**TOPIC_TYPES, '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'}
@@ -93,6 +96,23 @@ def test_rviz_shows_topics_of_the_types_that_its_displays_take() -> None:
     for kind, topic in shown:
         # Relative: RViz runs in the namespace of the nodes.
         assert TOPIC_TYPES[topic] == RVIZ[kind]
+
+
+def test_rviz_shows_the_namespaces_that_the_markers_have() -> None:
+    triplet = Triplet(0, MAP.ids[:3], *(MAP.positions[:3, 0],) * 2, POSE.covariance, 0.0)
+    factory = rosbag_factory()
+    made = {
+        'landmarks/markers': encode.landmark_markers(factory, MAP, 0),
+        'odometry_fusion/markers': encode.pose_markers(factory, POSE, POSE),
+    }
+    names = {topic: {m.ns for m in message.markers[1:]} for topic, message in made.items()}
+    names['triangulation_localizer/markers'] = set(view([10], [0.0], triplet))
+    shown = {
+        item['Topic']['Value']: set(item['Namespaces'])
+        for item in rviz()['Displays']
+        if 'Namespaces' in item
+    }
+    assert shown == names
 
 
 def test_foxglove_shows_topics_of_the_types_that_its_panels_take() -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_messages import some_map
+from test_messages import some_map, some_panorama
 from wire import FACTORY, MOUNT, over_the_wire, STAMP
 
 from landmark_nav.errors import LandmarkNavError
@@ -260,3 +261,21 @@ def test_a_landmark_that_can_not_be_is_refused(changed):
     with pytest.raises(LandmarkNavError) as refused:
         decode.landmark_map(*landmarks(**changed))
     assert len(str(refused.value)) < 200
+
+
+def test_panoramas_of_another_size_or_shape_are_refused():
+    messages = encode.panorama(FACTORY, some_panorama())
+    decode.panorama(*messages)
+    for attribute, value in (
+        ('width', 2**32 - 1),
+        ('height', 2**32 - 1),
+        ('width', 0),
+        ('k', np.full(9, np.nan)),
+        ('k', np.full(9, 1e300)),
+        ('k', np.zeros(9)),
+        ('k', np.zeros(4)),
+    ):
+        camera_image, info, pose = deepcopy(messages)
+        setattr(info, attribute, value)
+        with pytest.raises(LandmarkNavError):
+            decode.panorama(camera_image, info, pose)

@@ -88,6 +88,17 @@ class TestTrack:
             track.motion(0, 16 * 10**8).increment, whole.motion(0, 16 * 10**8).increment
         )
 
+    def test_a_robot_that_stands_has_not_frozen(self) -> None:
+        track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
+        for k in range(1, 100):
+            still = replace(sample(1.0 + 0.05 * k, here), linear_m_s=0.01, angular_rad_s=-0.01)
+            assert track.add(still) is None
+        # Speeds may show a start before the pose does.
+        assert track.add(sample(6.0, here)) is None
+        assert track.add(sample(6.05, here)) is None
+        assert track.add(sample(6.1, here)) is not None
+        assert track.stamps_ns == (0, round(1e9 * (1.0 + 0.05 * 99)))
+
     def test_predicts_by_the_last_twist_for_a_while(self) -> None:
         track = circle_track()
         motion = track.motion(1_000_000_000, 1_100_000_000)

@@ -27,6 +27,7 @@ ROOM = rectangle_room(papers=EAST)
 # Along the east wall, as seen from inside, left is +y.
 LEFT = np.array([0.0, 1.0, 0.0])
 SIGMA_RAD = 5e-4
+NONE = PaperOutlines(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4)))
 
 
 def outlines_of(paper: Paper, pose: FloatArray, rng: np.random.Generator) -> PaperOutlines:
@@ -134,6 +135,11 @@ def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished() -> N
     turned = replace(EAST[1], width=EAST[1].height, height=EAST[1].width)
     found = judged((EAST[0], turned, EAST[2])).faults[0]
     assert (found.kind, found.paper) == ('turned', 1)
+
+
+def test_two_papers_or_nothing_seen_give_no_fault() -> None:
+    assert judged(EAST, replace(ROOM, papers=EAST[:2])).fits
+    assert paper_faults([PaperView({p.color: NONE for p in EAST}, EYE_M)], ROOM, CONFIG).fits
 
 
 def test_papers_are_outlined_in_drawn_sweeps_wherever_they_hang() -> None:

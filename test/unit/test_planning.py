@@ -215,6 +215,15 @@ class TestPlan:
         np.testing.assert_allclose(same.sigma_m, plan.best.sigma_m, rtol=1e-6)
         assert same.landmarks.sum() == pytest.approx(plan.best.landmarks.sum())
 
+    def test_blank_walls_above_the_image_give_nothing(self, plan: Plan) -> None:
+        config = replace(CONFIG, texture_low_m=3.9, texture_high_m=4.0)
+        tall = rectangle_room(5.0, 4.0, PAPERS, height=4.0)
+        (nothing,) = forecast([plan.best.poses_map_base], plan.best.floor_xy, tall, MOUNT, config)
+        assert nothing.landmarks.sum() == 0.0
+        assert np.isinf(nothing.sigma_m).all()
+        with pytest.raises(LandmarkNavError, match='no 2 places see the same walls'):
+            plan_positions(tall, MOUNT, 2, config, np.random.default_rng(0))
+
 
 class TestBadInput:
     @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ import pytest
 
 from landmark_nav.demo.supervisor import ProcessEndedError, Supervisor
 from landmark_nav.ros.executor import LatestOnlyWorker
+from landmark_nav.ros.latency import Latency
+from landmark_nav.ros.shutdown_guard import ShutdownGuard
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -60,6 +62,16 @@ def test_the_thread_ends_after_what_it_is_at() -> None:
     assert done == [0]
     time.sleep(0.3)
     assert done == [0]
+
+
+def test_ages_by_another_clock_are_none() -> None:
+    latency = Latency()
+    assert latency.values() == {}
+    latency.note(10**18)
+    assert latency.values() == {}
+    for age_ms in range(1, 101):
+        latency.note(age_ms * 10**6)
+    assert latency.values() == {'latency_median_ms': '50', 'latency_p95_ms': '95'}
 
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
@@ -115,6 +127,19 @@ def test_a_process_that_holds_the_interpreter_is_killed() -> None:
             re.match('(a|a)*c', 'a' * 60 + 'b')
     """)
     assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
+
+
+def test_afterwards_signals_are_what_they_were() -> None:
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    asked: list[int] = []
+    for _ in range(3):
+        with ShutdownGuard(lambda: asked.append(1), 0.0):
+            pass
+    assert {number: signal.getsignal(number) for number in SIGNALS} == before
+    if callable(before[signal.SIGINT]):
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert asked == []
 
 
 SLEEP = [*(sys.executable, '-S', '-c'), 'import time; print("up", flush=True); time.sleep(60)']

@@ -14,6 +14,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.furnishing import generate_scene, hang_tags
+from landmark_nav.simulation.people import Person
 from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M
 from landmark_nav.simulation.scene import Box, Scene
 from landmark_nav.simulation.setup_documents import (
@@ -127,6 +128,35 @@ class TestPainterOrder:
                     hits.append((t[good].min(), rank[k]))
             ranks = [r for _, r in sorted(hits)]
             assert ranks == sorted(ranks, reverse=True)
+
+    def test_a_person_is_painted_after_the_wall_behind(self):
+        wall, person = np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[1.5, 1.0], [1.0, 1.0]])
+        assert back_to_front([person, wall], np.array([1.2, 2.5]), -np.pi / 2) == [1, 0]
+
+
+class TestLightAndPosters:
+    @pytest.mark.parametrize('kind', ['photo', 'poster', 'shelf', 'blinds', 'door', 'target'])
+    def test_images_have_texture_and_come_out_of_their_seed(self, kind):
+        first = draw_item(kind, 1, (160, 120))
+        assert first.shape == (160, 120, 3)
+        assert first.dtype == np.uint8
+        assert first.std() > 12.0
+        assert np.array_equal(first, draw_item(kind, 1, (160, 120)))
+        assert (kind == 'target') == np.array_equal(first, draw_item(kind, 2, (160, 120)))
+
+    def test_people_walk_where_there_is_space(self, scenes):
+        scene = scenes[2]
+        robot = choose_sweep_places(scene).poses[0, :2]
+        people = [Person(scene, robot, child) for child in np.random.default_rng(0).spawn(3)]
+        seen = []
+        for _ in range(300):
+            for person in people:
+                person.step(0.1, robot)
+            seen.append([person.solid(robot).footprint.mean(axis=0) for person in people])
+        seen = np.array(seen)
+        assert np.ptp(seen, axis=0).max(axis=-1).min() > 0.5
+        assert scene.distance_to_obstacles(seen).min() > 0.1
+        assert np.linalg.norm(seen - robot, axis=-1).min() > 0.6
 
 
 def test_documents_are_read_back(tmp_path, scenes):
