@@ -1,12 +1,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
-import pytest
 from triplet_room import CAMERA, CONFIG, MOUNT, PRIOR, random_map
 
 from landmark_nav.localization.triplet import CameraState
-from landmark_nav.localization.triplet.selection import ActiveCamera, FoundRecord
+from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.types import Detections, Triplet
 
 
@@ -21,22 +19,6 @@ def camera_image(found: list[int], missed: list[int] | None = None) -> Detection
         np.zeros((n, 2)),
         missed=np.array(missed or [], dtype=np.int64),
     )
-
-
-class TestFoundRecord:
-    def test_rate_follows_what_happens(self) -> None:
-        rng = np.random.default_rng(4)
-        record = FoundRecord(2)
-        start = record.rate.copy()
-        for _ in range(300):
-            found: npt.NDArray[np.bool_] = rng.random(2) < [0.9, 0.2]
-            record.note(~found, found)
-        assert np.all((start > 0.9) & (start < 1.0))
-        assert record.rate == pytest.approx([0.9, 0.2], abs=0.15)
-        for _ in range(200):
-            record.note(np.array([True, False]), np.array([False, True]))
-        assert record.rate[0] < 0.1
-        assert 0.95 < record.rate[1] < 1.0
 
 
 class TestOneView:

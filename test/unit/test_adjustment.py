@@ -10,14 +10,12 @@ from hung_rooms import (
     AS_EXPECTED,
     COMMON,
     CONFIG,
-    draw,
     given_poses,
     measurements_of,
     nees,
     panoramas_at,
     places_of,
     POSES,
-    PRIOR,
     ROOM,
     solve,
     total_covariance,
@@ -43,11 +41,10 @@ from landmark_nav.learning.adjustment.problem import Problem, wall_stretches
 from landmark_nav.learning.least_squares import (
     checked_covariance,
     covariance_of,
-    levenberg_marquardt,
     root_of,
     solve_positive,
 )
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray
 
 
@@ -153,37 +150,6 @@ def test_the_solution_is_that_of_least_squares() -> None:
     np.testing.assert_allclose(position, found.positions, atol=3e-6)
 
 
-def test_landmarks_share_what_the_poses_err() -> None:
-    rng = np.random.default_rng(2)
-    world = world_of(rng, 10, flat=True)
-    errors, loadings, owns = [], [], []
-    for _ in range(160):
-        # What hangs there is fixed: what varies is what a map of this world would.
-        prior = given_poses(world, rng)
-        hung = world_hung(world, rng)
-        found = solve(hung, measurements_of(hung, rng), prior, AS_EXPECTED)
-        if found.chi_square.max() > 50.0:
-            continue  # a landmark was refused as an outlier
-        errors.append(found.positions - hung.points)
-        loadings.append(found.shared_loading)
-        owns.append(found.own_covariance)
-    error = np.array(errors).reshape(len(errors), -1)
-    assert len(error) > 140
-    measured = error.T @ error / len(error)
-    loading = np.mean(loadings, axis=0).reshape(len(world.points) * 3, -1)
-    predicted = loading @ loading.T
-    for k, own in enumerate(np.mean(owns, axis=0)):
-        part = slice(3 * k, 3 * k + 3)
-        predicted[part, part] += own
-    sigma = np.sqrt(np.diag(predicted))
-    assert np.abs(np.sqrt(np.diag(measured)) / sigma - 1.0).max() < 0.25
-    # As correlations, the difference of 160 draws is about 1 / sqrt(160).
-    difference = (measured - predicted) / np.outer(sigma, sigma)
-    assert np.sqrt(np.mean(difference**2)) < 0.1
-    correlation = predicted / np.outer(sigma, sigma)
-    assert np.abs(correlation - np.diag(np.diag(correlation))).max() > 0.5
-
-
 def test_a_calibration_that_is_off_is_found_and_errs_as_it_states() -> None:
     """The optical centre is off: things seem aside and nearer, the more the nearer they are."""
     rng = np.random.default_rng(5)
@@ -257,66 +223,6 @@ def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, relief
     assert 2.0 < np.mean(of_landmarks) < 4.5
 
 
-def test_panorama_poses_that_err_more_than_their_sigmas_are_weighted_less() -> None:
-    rng = np.random.default_rng(9)
-    world = world_of(rng, 100, hanging_m=0.002, relief_m=0.002)
-    scales = []
-    for factor in (0.3, 1.0, 3.0):
-        found = []
-        for _ in range(6):
-            given = given_poses(world, rng, factor)
-            found.append(solve(world, measurements_of(world, rng), given).noise[3])
-        scales.append(np.median(found))
-    # Those that agree may share what they err.
-    assert scales[0] == 1.0 <= scales[1] < 1.6 < scales[2] < 4.5
-
-
-@pytest.mark.parametrize(
-    ('figure', 'off', 'least', 'most'),
-    [
-        ('walls', 5e-4, 0.0, 3e-3),
-        ('walls', 0.02, 0.01, 0.04),
-        ('hanging', 0.001, 0.0006, 0.0017),
-        ('hanging', 0.01, 0.006, 0.017),
-    ],
-)
-def test_how_far_things_are_off_is_estimated_from_the_room(
-    figure: str, off: float, least: float, most: float
-) -> None:
-    rng = np.random.default_rng(13)
-    hung = {'hanging_m': off, 'relief_m': 5e-4} if figure == 'hanging' else {}
-    noise = []
-    for _ in range(6):
-        world = world_of(rng, 100, **({'hanging_m': 0.002, 'relief_m': 0.002} | hung))
-        if figure == 'walls':
-            world = off_walls(world, rng.normal(0.0, off, len(ROOM.walls)))
-        given = given_poses(world, rng, 0.2)
-        panoramas = panoramas_at(given, PRIOR * (0.2**2 if figure == 'walls' else 1.0))
-        measurements = measurements_of(world, rng, (3e-5, 1e-4) if hung else COMMON)
-        noise.append(adjusted(world, measurements, world.points, panoramas).noise[6:])
-    found = dict(zip(('walls', 'hanging'), np.median(noise, axis=0), strict=True))
-    assert least <= found[figure] <= most
-
-
-def test_furniture_before_the_walls_does_not_bend_the_rest() -> None:
-    # Three of five things seen stand 15 to 40 cm before the walls, which pulls all one way.
-    rng = np.random.default_rng(7)
-    on_wall = np.arange(40) % 5 < 2
-    of_poses, kept, refused = [], [], []
-    for _ in range(10):
-        world = world_of(rng, 40)
-        off = np.where(on_wall, 0.0, rng.uniform(0.15, 0.4, 40))
-        furnished = replace(world, points=world.points + off[:, None] * ROOM.normals[world.walls])
-        found = draw(rng, furnished)
-        of_poses.append(nees(pose_errors(found, world), found.pose_covariance).mean())
-        kept.append((found.chi_square < 13.8)[on_wall].mean())
-        refused.append((found.chi_square > 13.8)[~on_wall].mean())
-    assert np.mean(of_poses) / 4.0 < 1.5
-    # Election distinguishes them by their misfit.
-    assert np.mean(kept) > 0.9
-    assert np.mean(refused) > 0.9
-
-
 MORE = np.array([[3.0, 1.2, 1.1, 0.3], [1.2, 3.9, 1.1, 1.0]])
 
 
@@ -368,21 +274,6 @@ def test_a_covariance_that_is_none_is_refused(value: float) -> None:
         checked_covariance(np.diag([value, 1e-4, 1e-4]), np.ones(3), 'sweep/pose')
 
 
-def test_levenberg_marquardt_converges_where_full_steps_overshoot() -> None:
-    def rosenbrock(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        residuals = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
-        return residuals, np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
-
-    def flat(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return np.arctan(x), np.diag(1.0 / (1.0 + x**2))
-
-    state, cost, _ = levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]))
-    assert cost < 1.0
-    # Undamped, arctan runs off from here.
-    state, cost, _ = levenberg_marquardt(flat, np.array([3.0]))
-    assert abs(state[0]) < 0.1
-
-
 def test_what_hangs_on_no_wall_is_where_its_bearings_meet() -> None:
     rng = np.random.default_rng(31)
     errors, covariances = [], []
@@ -401,25 +292,6 @@ def test_what_hangs_on_no_wall_is_where_its_bearings_meet() -> None:
         covariances.append(total_covariance(found))
     mean = np.mean([nees(e, c).mean() for e, c in zip(errors, covariances, strict=True)])
     assert 0.6 < mean / 3.0 < 1.4
-
-
-def test_ties_join_panoramas_and_are_no_landmarks() -> None:
-    rng = np.random.default_rng(32)
-    world = world_of(rng, 5)
-    prior = given_poses(world, rng)
-    views = panoramas_at(prior)
-    many = world_of(rng, 150)
-    ties = Ties(many.points, measurements_of(many, rng))
-    measurements = measurements_of(world, rng)
-    start, places = world.points, places_of(views)
-    alone = adjust(measurements, world.walls, start, views, places, ROOM, CONFIG)
-    joined = adjust(measurements, world.walls, start, views, places, ROOM, CONFIG, ties=ties)
-    assert len(joined.positions) == len(joined.own_covariance) == len(joined.chi_square) == 5
-
-    def spread(found: FloatArray) -> float:
-        return float(np.trace(found, axis1=1, axis2=2).sum())
-
-    assert spread(joined.pose_covariance) < spread(alone.pose_covariance)
 
 
 def test_tilts_that_differ_between_sweeps_are_estimated() -> None:

@@ -42,19 +42,6 @@ def runs_of(folder: Path, text: str) -> list[Run]:
     return read_runs(file, '1')
 
 
-def test_a_grid_over_folders_shares_what_it_does_not_change(recordings: Path) -> None:
-    runs = runs_of(recordings, RUN)
-    assert len(runs) == len({run.name for run in runs}) == 4
-    keys = [[stage.key for stage in run.stages] for run in runs]
-    assert len({learn for learn, _ in keys}) == 2
-    assert len({evaluate for _, evaluate in keys}) == 4
-    for run in runs:
-        learn, evaluate = run.stages
-        assert evaluate.after == (learn.key,)
-        assert f'@{learn.key}/out' in evaluate.arguments
-        assert evaluate.arguments[0].endswith('drive')
-
-
 def test_parameters_of_a_grid_and_contents_of_files_make_a_stage(recordings: Path) -> None:
     robot, path = recordings / 'bare.yaml', recordings / 'config.yaml'
     robot.write_text('pan_axis: {xyz: [0, 0, 1]}')

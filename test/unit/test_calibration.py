@@ -16,7 +16,6 @@ from landmark_nav.learning.calibration import (
     calibrate_sweep,
     SweepCalibration,
 )
-from landmark_nav.learning.calibration.overlap_fit import COMMON, OverlapProblem, track_overlaps
 from landmark_nav.types import CameraFrame, FloatArray, Sweep
 
 MOUNT = PanTiltMount((0.1, 0.0, 1.0))
@@ -154,11 +153,6 @@ FOLDER = CameraModel(200, 240, 300.0, 300.0, 99.5, 119.5, 'plumb_bob', (-0.06, 0
 FEW = -np.pi + np.radians(20.0) * np.arange(18)
 
 
-def focal_of(found: SweepCalibration) -> float:
-    """Relative correction of the focal length of a lens without distortion."""
-    return next(t.value for t in found.quality.calibration if t.name == 'focal_length')
-
-
 def test_rough_angles_of_frames_and_the_focal_length_are_aligned() -> None:
     rng = np.random.default_rng(1)
     true = turn_sweep(FOLDER, MOUNT, FEW, 0.01, -0.015)
@@ -178,22 +172,6 @@ def test_rough_angles_of_frames_and_the_focal_length_are_aligned() -> None:
     angles = np.array([(frame.pan_rad, frame.roll_rad) for frame in aligned.sweep.frames])
     assert np.std(angles[:, 0] - FEW) < 2e-4
     assert np.abs(angles[:, 1] + 0.015).max() < 2e-3
-
-
-@pytest.mark.parametrize('k1', [0.0, -0.14])
-def test_the_focal_length_does_not_hang_on_the_distortion(k1: float) -> None:
-    given = replace(FOLDER, fx=1.02 * FOLDER.fx, fy=1.02 * FOLDER.fx, distortion=())
-    frames = turn_sweep(replace(FOLDER, distortion=(k1,)), MOUNT, FEW).frames
-    sweep = Sweep(0, tuple(replace(frame, camera=given) for frame in frames))
-    aligned = align_sweep(sweep, MOUNT)
-    lens = aligned.sweep.frames[0].camera
-    assert lens.fx == pytest.approx(FOLDER.fx, rel=2e-3)
-    found = lens.distortion[0] if lens.distortion else 0.0
-    assert found == pytest.approx(k1, abs=0.01) if k1 else found == 0.0
-    # What is given is what a lens without distortion would need for the turn to close.
-    problem = OverlapProblem(track_overlaps(aligned.sweep, MOUNT, True), sweep, MOUNT)
-    plain = problem.fit([COMMON.index('focal_length')], (0.03, 0.01, 0.01))
-    assert 1.0 + focal_of(aligned) == pytest.approx(np.exp(plain.common[0]), rel=4e-3)
 
 
 def test_too_few_frames_or_no_texture_is_reported() -> None:

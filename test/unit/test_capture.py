@@ -18,7 +18,6 @@ from turning_robot import (
 )
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.learning.capture import begin_or_resume, CaptureConfig
 from landmark_nav.types import OdometrySample
 
@@ -79,24 +78,6 @@ def test_whatever_comes_every_kept_frame_is_right(seed):
     assert robot.sweep.refused
 
 
-@pytest.mark.parametrize('beyond_rad', [-5e-4, 0.0])
-def test_a_driver_that_reports_the_pan_within_half_a_turn(beyond_rad):
-    class Wrapped(Robot):
-        """Half a turn is reported as either, as it happens."""
-
-        def measured(self):
-            noise = 2e-4 * (-1.0) ** self.k
-            return float(wrap_rad(self.pan + beyond_rad + noise))
-
-    sweep = Wrapped(replace(TURN, step_timeout_s=5.0)).run()
-    assert sweep.done
-    off = wrap_rad([kept.frame.pan - kept.joints.pan_rad for kept in sweep.kept])
-    np.testing.assert_allclose(off, -beyond_rad, atol=2e-3)
-    taken = np.sort([kept.frame.pan for kept in sweep.kept])
-    wanted = TURN.start_rad + TURN.step_rad * np.arange(24)
-    np.testing.assert_allclose(taken, wanted, atol=2e-3)
-
-
 @pytest.mark.parametrize(('start_deg', 'step_deg'), [(30.0, 15.0), (300.0, -15.0)])
 def test_any_start_and_direction_make_a_full_turn(start_deg, step_deg):
     config = replace(TURN, start_rad=np.radians(start_deg), step_rad=np.radians(step_deg))
@@ -104,18 +85,6 @@ def test_any_start_and_direction_make_a_full_turn(start_deg, step_deg):
     assert sweep.total == 24
     turned = np.sort(np.mod(np.degrees(pans(sweep)) - start_deg, 360.0) + 3.0) % 360.0
     np.testing.assert_allclose(np.sort(turned), 3.0 + 15.0 * np.arange(24), atol=0.6)
-
-
-@pytest.mark.parametrize(('low', 'high'), [(-2.62, 2.62), (0.5, 2.5)])
-def test_limits_by_parameter_leave_steps_out(low, high):
-    robot = Robot(replace(TURN, pan_min_rad=low, pan_max_rad=high), limits=(low, high))
-    robot.pan = 1.0
-    sweep = robot.run()
-    wanted = -np.pi + np.pi / 12 * np.arange(24)
-    check_sweep(sweep, wanted[(wanted > low) & (wanted < high)])
-    assert not sweep.reach.stops_rad
-    # Where it is sent to rest.
-    assert sweep.reach.nearest(0.0) == max(low, 0.0)
 
 
 def test_limits_are_found_where_the_joint_stops(caplog):
@@ -249,18 +218,6 @@ def test_blank_walls_dark_and_noiseless_views_are_taken():
     robot = Blank()
     assert robot.run().done
     assert not robot.sweep.refused
-
-
-def test_a_view_that_stays_less_sharp_is_taken_in_the_end():
-    class Foggy(Robot):
-        def camera_image(self):
-            fog = 0.2 if 0.4 < self.pan < 0.6 else 1.0
-            return FakeImage(self.pan, self.k, fog), self.now - 7_000_000
-
-    sweep = Foggy().run()
-    assert sweep.done
-    assert len(sweep.kept) == 9
-    assert 0 < sweep.refused['blurred or covered'] < 10
 
 
 @pytest.mark.parametrize('seed', range(4))

@@ -72,18 +72,6 @@ def test_what_sweeps_err_together_is_not_taken_for_agreement() -> None:
     assert np.mean(of_poses) < np.mean(if_apart)
 
 
-def test_poses_that_are_given_better_than_by_papers_share_no_error() -> None:
-    exact = np.diag([1e-4, 1e-4, 5e-3, 5e-5]) ** 2
-    panoramas = panoramas_at(POSES, exact)
-    places = joint_covariance(panoramas, ROOM, CONFIG)
-    np.testing.assert_allclose(places[:4, :4], exact, rtol=1e-5, atol=1e-11)
-    assert np.linalg.eigvalsh(places).min() > 0.0
-    sigma = np.sqrt(np.diag(places))
-    correlation = places / np.outer(sigma, sigma)
-    assert np.abs(correlation[np.ix_([0, 1, 3], [4, 5, 7])]).max() < 0.05
-    assert correlation[2, 6] == pytest.approx(0.9, abs=0.01)
-
-
 @pytest.mark.parametrize('papers', [(), PAPERS[:1], PAPERS[:2]])
 def test_without_three_papers_only_the_height_is_shared(papers: tuple[Paper, ...]) -> None:
     places = joint_covariance(panoramas_at(POSES), replace(ROOM, papers=papers), CONFIG)

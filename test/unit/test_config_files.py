@@ -74,17 +74,6 @@ def test_a_file_for_other_nodes_alone_is_reported(
     assert 'odometry_fuson' in caplog.text
 
 
-def test_sections_of_other_nodes_do_not_count(tmp_path: Path) -> None:
-    text = (
-        'amcl: {ros__parameters: {alpha1: 0.2}}\n'
-        '/robot/odometry_fusion: {ros__parameters: {map_frame: own}}\n'
-        'robot: {triangulation_localizer: {ros__parameters: {map_frame: other}}}\n'
-    )
-    assert load(tmp_path, text, 'odometry_fusion').map_frame == 'own'
-    assert load(tmp_path, text, 'triangulation_localizer').map_frame == 'other'
-    assert load(tmp_path, text, 'landmark_learner').map_frame == 'map'
-
-
 def test_a_file_of_the_last_release_is_taken_with_warnings(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

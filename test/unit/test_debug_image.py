@@ -70,19 +70,3 @@ def test_what_is_drawn_lies_where_it_was_searched(frame: ImageArray) -> None:
     assert rows.max() + 20 <= scale * (130 + 8) + 20
     changed = np.any(drawn != draw_observation(frame, observation({}, {})), axis=2)
     assert changed[:, : scale * 30].sum() == changed[:16, : scale * 30].sum()
-
-
-def test_an_image_that_was_not_searched_is_drawn_and_the_input_stays() -> None:
-    image = np.full((480, 700, 3), 90, np.uint8)
-    nothing = observation({}, {})
-    drawn = draw_observation(image, nothing)
-    assert drawn.shape == image.shape
-    assert (image == 90).all()
-    # What lies outside the image does no harm.
-    outside = Observation(
-        nothing.detections,
-        {3: Refusal('late')},
-        lambda: Refusal('none'),
-        expected={3: expected(-40.0, 900.0)},
-    )
-    assert draw_observation(image, outside).shape == image.shape

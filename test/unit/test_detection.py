@@ -1,10 +1,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from east_wall import (
-    CONFIG,
     detect,
     EAST,
     errors_of,
@@ -25,32 +23,7 @@ import pytest
 from scenes import Board, draw_frame, flat_texture, Scene, textured_room, true_landmark
 
 from landmark_nav.geometry.patches import PatchView
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
-
-
-def test_landmarks_are_found_where_they_are() -> None:
-    frame = draw_frame(SCENE, LENS, MOUNT, HERE, 0.05)
-    result = detect(frame, HERE)
-    assert sorted(result.detections.ids) == [1, 2, 3, 4]
-    assert not result.refused
-    assert result.detections.stamp_ns == frame.stamp_ns
-    assert result.detections.score.min() > 0.97
-    # A pixel is 2.5 mrad here.
-    assert np.abs(errors_of(result, HERE)).max() < 2e-4
-
-
-@pytest.mark.parametrize('over', [{'camera_roll_rad': np.pi}, {'axis_rpy': (np.pi, 0.0, 0.0)}])
-@pytest.mark.parametrize('config', [PATCH, VIRTUAL], ids=['patch', 'virtual view'])
-def test_a_camera_that_hangs_upside_down_finds_them_too(
-    over: dict[str, Any], config: DetectionConfig
-) -> None:
-    mount = replace(MOUNT, **over)
-    frame = draw_frame(SCENE, LENS, mount, HERE, 0.05)
-    prior = PoseEstimate(0, HERE, PRIOR)
-    result = detect_landmarks(frame, prior, LANDMARKS, mount, config, np.arange(4))
-    assert sorted(result.detections.ids) == [1, 2, 3, 4]
-    assert np.abs(errors_of(result, HERE)).max() < 2e-4
+from landmark_nav.types import FloatArray, LandmarkMap
 
 
 def test_a_camera_that_looks_aside_and_up_measures_the_same_bearings() -> None:
@@ -190,15 +163,3 @@ def test_what_is_out_of_view_is_refused() -> None:
     assert len(result.detections) == 0
     reasons = {refusal.reason for refusal in result.refused.values()}
     assert reasons <= {'out of view', 'too small or cut off'}
-
-
-def test_only_the_landmarks_asked_for_are_searched() -> None:
-    frame = draw_frame(SCENE, LENS, MOUNT, HERE)
-    estimate = PoseEstimate(0, HERE, PRIOR)
-    some = detect_landmarks(frame, estimate, LANDMARKS, MOUNT, CONFIG, np.array([2]))
-    assert list(some.detections.ids) == [3]
-    nothing = np.array([], dtype=np.intp)
-    none = detect_landmarks(frame, estimate, LANDMARKS, MOUNT, CONFIG, nothing)
-    assert len(none.detections) == 0
-    assert none.detections.uv_px.shape == (0, 2)
-    assert not none.refused

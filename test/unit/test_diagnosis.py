@@ -28,7 +28,6 @@ from landmark_nav.diagnosis.motion import (
     Clock,
     driven_again,
     explained,
-    fit,
     IMAGES,
     JOINTS,
     linear,
@@ -45,7 +44,6 @@ from landmark_nav.diagnosis.parts import (
     staying_values,
 )
 from landmark_nav.diagnosis.sources import two_sources
-from landmark_nav.diagnosis.stamps import by_arrival
 from landmark_nav.diagnosis.streams import Stream
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -202,19 +200,6 @@ def test_what_no_single_fault_explains_is_undecided(drive: Motion) -> None:
     assert not judged.fits
 
 
-def test_regression_withstands_mistaken_images() -> None:
-    rng = np.random.default_rng(2)
-    columns = rng.normal(size=(120, 2))
-    turns = columns @ [0.7, -1.3] + rng.normal(0.0, 0.003, 120)
-    turns[::8] += rng.uniform(-1.0, 1.0, 15)
-    found = fit(turns, np.column_stack([columns, np.zeros(120)]))
-    assert np.abs(found.values[:2] - [0.7, -1.3]).max() < 4.0 * found.sigmas[:2].max() < 0.01
-    assert found.values[2] == 0.0
-    assert found.sigmas[2] == np.inf
-    # What one of two equal columns contributes is unknown.
-    assert fit(turns, np.column_stack([columns, columns[:, :1]])).sigmas[[0, 2]].min() > 1.0
-
-
 def strip_of(view: StripView, wall: FloatArray, pan_rad: float, mount: PanTiltMount) -> Strip:
     """Strip of a wall around the camera, 500 pixels per radian, that is seen at a pan."""
     pixels = np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), -1)
@@ -352,18 +337,6 @@ def test_odometry_may_be_of_the_footprint(frame: str, fits: bool, tmp_path: Path
     kept = [e for e in sensor_events(bag, mount) if isinstance(e, OdometrySample)]
     whole = [e for e in sensor_events(Bag(BAGS / 'drive'), mount) if isinstance(e, OdometrySample)]
     assert len(kept) == len(whole)
-
-
-@pytest.mark.parametrize('rate', [1.0, 0.5])
-def test_rounded_stamps_give_way_to_times_of_recording(rate: float) -> None:
-    logged = np.arange(0.0, 30.0, 0.2)
-    true = 100.0 + rate * logged
-    rounded = np.floor(true / 0.5) * 0.5
-    to_ns = [np.round(1e9 * times).astype(np.int64) for times in (rounded, logged)]
-    given = Stream('images', 'images', *to_ns, np.empty((len(logged), 0)))
-    mended = by_arrival(given)
-    assert np.std(mended.seconds - true) < 0.05
-    assert by_arrival(replace(given, stamps_ns=to_ns[1])).stamps_ns is to_ns[1]
 
 
 def test_a_path_that_curves_is_not_laid_to_the_camera(drive: Motion) -> None:

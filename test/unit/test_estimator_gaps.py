@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from drawn_drives import driven, MOUNT, NS, simulated
+from drawn_drives import driven, NS, simulated
 import numpy as np
 import pytest
 
-from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.localization.estimator import filter, ImagePoints, Integrity, JointFilter, Status
+from landmark_nav.localization.estimator import filter, Integrity, JointFilter, Status
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
-
-TAPE = Calibration.of_mount(MOUNT)
 
 
 @pytest.mark.parametrize('gap_s', [0.5, 1.5, 4.0])
@@ -43,23 +38,6 @@ def test_odometry_that_stops_and_comes_back_does_no_harm(gap_s: float) -> None:
         assert error @ np.linalg.solve(found.covariance, error) < 31.8
         image += 1
     assert np.hypot(*error[:2]) < 0.02
-
-
-def test_an_image_after_blind_motion_gives_nothing_of_the_mount() -> None:
-    """Only motion that is known parts the place of the axis from that of the base."""
-    drive = simulated(2, TAPE, seconds=4.0)
-    joint = driven(drive).filter
-    before = joint.calibration.sigmas_from('axis_x')
-    seen = next(e for e in reversed(drive.events) if isinstance(e, ImagePoints) and len(e) > 4)
-    wide = replace(
-        joint.snapshot,
-        covariance=joint.snapshot.covariance
-        + np.diag([1.0] * 3 + [0.0] * (len(joint.snapshot.mean) - 3)),
-    )
-    joint.restore(wide)
-    joint.observe(replace(seen, near=drive.poses[-1]))
-    assert joint.calibration.sigmas_from('axis_x') == pytest.approx(before, rel=0.02)
-    assert np.hypot(*(joint.estimate.pose - drive.poses[-1])[:2]) < 0.05
 
 
 def test_an_image_without_what_should_be_seen_degrades_at_once() -> None:

@@ -17,7 +17,7 @@ from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import ImagePoints, JointFilter, Status
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.noise import Motion
-from landmark_nav.localization.odometry.track import Ahead, Distrusted
+from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.types import (
@@ -126,23 +126,6 @@ def test_a_clock_that_was_set_back_goes_on_from_the_last_pose() -> None:
     assert fusion.status_at()[0] is not Status.LOST
 
 
-def test_one_sample_far_ahead_is_held_back_and_a_pause_is_not() -> None:
-    drive = simulated(3, seconds=2.0)
-    fusion = fused(drive)
-    for what in arriving(drive):
-        take(fusion, what)
-    known = fusion.estimate()
-    assert isinstance(fusion.add_odometry(OdometrySample(60 * NS, np.ones(3))), Ahead)
-    assert isinstance(fusion.add_odometry(OdometrySample(200 * NS, np.ones(3))), Ahead)
-    after = fusion.estimate()
-    assert known is not None
-    assert after is not None
-    assert after.stamp_ns == known.stamp_ns
-    assert not isinstance(
-        fusion.add_odometry(OdometrySample(200 * NS + NS // 20, np.ones(3))), Ahead
-    )
-
-
 @pytest.mark.parametrize('seconds', [3600, 1_000_000, 1_700_000_000])
 def test_a_clock_that_is_set_forward_costs_a_bounded_time(
     monkeypatch: pytest.MonkeyPatch, seconds: int
@@ -187,20 +170,6 @@ def test_a_kidnapped_robot_is_reported_lost() -> None:
     assert np.trace(expected.covariance[:2, :2]) < 0.1
     fusion.place(replace(estimate, covariance=1e-4 * np.eye(3)))
     assert fusion.status_at()[0] is not Status.LOST
-
-
-def test_a_pose_that_is_lost_without_odometry_leaves_the_calibration() -> None:
-    drive = simulated(11, seconds=24.0, prior=Calibration.of_mount(MOUNT))
-    fusion = fused(drive)
-    for what in arriving(drive):
-        take(fusion, what)
-    before, stamp = fusion.calibration, 40 * NS
-    for later_ns in (0, NS // 20):
-        fusion.add_odometry(OdometrySample(stamp + later_ns, np.zeros(3)))
-    assert fusion.status_at()[0] is Status.LOST
-    fusion.place(PoseEstimate(stamp, drive.poses[-1], 1e-4 * np.eye(3)))
-    assert fusion.status_at()[0] is not Status.LOST
-    assert fusion.calibration['axis_yaw'] == pytest.approx(before['axis_yaw'], abs=5e-3)
 
 
 def test_a_wrong_start_teaches_nothing() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import struct
 import subprocess
 import sys
@@ -155,20 +154,3 @@ def test_an_index_that_is_wrong_is_done_without(tmp_path):
         assert len(list(sensor_events(bag, MOUNT))) == 90
         assert bag.counts['/odom'] == 40
         assert warnings == []
-
-
-def test_a_database_with_odd_values_is_one_line(tmp_path):
-    path = tmp_path / 'odd.db3'
-    base = sqlite3.connect(path)
-    base.execute('CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)')
-    base.execute('CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)')
-    base.execute("INSERT INTO topics VALUES (1, '/odom', 'nav_msgs/msg/Odometry', 'cdr')")
-    base.commit()
-    for values in (('abc', 'text'), (None, None), (5, 7), (2**62, b'\0')):
-        base.execute('DELETE FROM messages')
-        base.execute('INSERT INTO messages VALUES (1, 1, ?, ?)', values)
-        base.commit()
-        with pytest.raises(LandmarkNavError) as error:
-            [entry.message for entry in Bag(path).messages()]
-        assert '\n' not in str(error.value)
-    base.close()

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -41,17 +40,3 @@ def test_three_are_nearly_as_good_as_the_best_three() -> None:
     nothing = float(np.linalg.slogdet(np.linalg.inv(AXIS.covariance))[1])
     gains = [information(np.array(three)) - nothing for three in combinations(EVERY, 3)]
     assert information(chosen) - nothing > 0.95 * max(gains)
-
-
-def test_landmarks_searched_before_yield_to_others_of_similar_information() -> None:
-    novelty = np.ones(len(EVERY))
-    looked_for: set[int] = set()
-    for _ in range(4):
-        chosen = most_informative(AXIS, LANDMARKS, EVERY, SIGMA, 4, novelty=novelty)
-        looked_for |= set(chosen.tolist())
-        novelty[chosen] *= 0.5
-    assert len(looked_for) >= 10
-    # But not to what shows next to nothing.
-    suspect = replace(LANDMARKS.landmarks[0], covariance=np.eye(3))
-    landmarks = LandmarkMap((suspect, *LANDMARKS.landmarks[1:]))
-    assert 0 not in most_informative(AXIS, landmarks, EVERY, SIGMA, 4, novelty=novelty)

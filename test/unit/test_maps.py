@@ -81,17 +81,6 @@ def test_a_map_is_replaced_as_a_whole_and_what_the_user_keeps_beside_it_stays(tm
     assert [p.name for p in tmp_path.iterdir()] == ['map']
 
 
-def test_an_old_map_outlives_a_failure_and_nothing_half_written_is_left(tmp_path):
-    folder = tmp_path / 'map'
-    save_map(make_map(count=2), folder)
-    good = make_map(count=2)
-    broken = replace(good, landmarks=(replace(good.landmarks[0], patch=np.empty((0, 0))),))
-    with pytest.raises(Exception, match=r'.'):
-        save_map(broken, folder)
-    assert len(load_map(folder).landmarks) == 2
-    assert [p.name for p in tmp_path.iterdir()] == ['map']
-
-
 def test_folders_that_are_no_maps_are_not_touched(tmp_path):
     (tmp_path / 'photo.png').write_text('precious')
     with pytest.raises(LandmarkNavError, match='other files'):

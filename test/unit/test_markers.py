@@ -6,7 +6,6 @@ from typing import Any
 
 from bare_landmarks import bare_landmark
 import numpy as np
-import pytest
 from wire import over_the_wire
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -60,19 +59,6 @@ def view(ids: list[int], bearings: Any, triplet: Triplet | None) -> dict[str, li
     return drawn(
         encode.view_markers(FACTORY, POSE, MAP, MOUNT, CAMERA, 0.2, found, triplet, 'map')
     )
-
-
-def test_a_true_bearing_ends_at_its_landmark_and_another_beside_it() -> None:
-    axis = MOUNT.axis_pose_map(POSE.pose)
-    away = POSITIONS[:2, :2] - axis[:2]
-    true = np.arctan2(away[:, 1], away[:, 0]) - axis[2]
-    # The map no longer holds a landmark 98.
-    bearings = [true[0], true[1] + 0.1, 0.0]
-    ends = points(view([10, 11, 98], bearings, None)['bearings']).reshape(2, 2, 3)
-    np.testing.assert_allclose(ends[:, 0], [[*axis[:2], 1.1]] * 2)
-    np.testing.assert_allclose(ends[0, 1], POSITIONS[0])
-    aside = 2.0 * np.hypot(*away[1]) * np.sin(0.05)
-    assert np.linalg.norm(ends[1, 1] - POSITIONS[1]) == pytest.approx(aside)
 
 
 def test_ellipses_are_three_sigma_and_the_protection_level() -> None:

@@ -49,29 +49,6 @@ def test_interpolation_follows_the_arc_of_a_constant_twist(start, forward, turn,
     np.testing.assert_allclose(error, 0.0, atol=1e-7)
 
 
-def test_interpolation_wraps_and_knows_its_ends():
-    track = PoseTrack.of([(SECOND, [0.0, 0.0, 3.1]), (0, [0.0, 0.0, 3.0]), (SECOND, [1, 0, -3.1])])
-    assert len(track) == 2
-    found = track.at([-1, 0, SECOND // 2, SECOND, SECOND + 1])
-    assert np.isnan(found[[0, 4]]).all()
-    np.testing.assert_allclose(found[1], [0.0, 0.0, 3.0])
-    np.testing.assert_allclose(found[3], [1.0, 0.0, -3.1])
-    assert abs(found[2, 2]) > 3.0
-    assert np.isnan(PoseTrack.of([]).at([1])).all()
-    np.testing.assert_allclose(PoseTrack.of([(5, np.ones(3))]).at([5, 6])[0], 1.0)
-
-
-def test_poses_are_carried_on_as_odometry_moves():
-    odometry = PoseTrack(np.arange(2, 10), np.column_stack([np.arange(8.0), np.zeros((8, 2))]))
-    # Images come late, and one before there is odometry.
-    seen = [(6, [5.0, 1.0, np.pi / 2]), (4, [3.0, 0.0, 0.0]), (1, [0.0, 0.0, 0.0])]
-    line = odometry.carry(PoseTrack.of(seen))
-    assert line.stamps_ns.tolist() == [1, 2, 3, 4, 5, 6]
-    assert np.isnan(line.poses[1:3]).all()
-    expected = [[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [4.0, 0.0, 0.0], [5.0, 1.0, np.pi / 2]]
-    np.testing.assert_allclose(line.poses[[0, 3, 4, 5]], expected, atol=1e-12)
-
-
 # Figures of errors
 
 
@@ -201,16 +178,3 @@ def test_bound_of_a_standing_robot_is_the_inverse_of_its_information(lever):
     for k, found in enumerate(bound):
         information = np.linalg.inv(prior) + (k + 1) * jacobian.T @ jacobian / 1e-6
         np.testing.assert_allclose(found, np.linalg.inv(information), rtol=1e-3, atol=1e-10)
-
-
-def test_bound_knows_what_landmarks_share_and_is_unknown_without_truth():
-    shift = np.zeros((3, 2))
-    shift[0, 0] = shift[1, 1] = 0.01
-    _, _, bound = bound_of_standing_robot(1e-12 * np.eye(3), shift, times=12)
-    np.testing.assert_allclose(np.diag(bound[-1])[:2], 1e-4, rtol=0.02)
-    start, mount = PoseEstimate(0, np.zeros(3), np.eye(3)), PanTiltMount()
-    world, known = landmarks(1e-6 * np.eye(3), np.zeros((3, 1))), Calibration.of_mount(mount)
-    seen = image(SECOND, 1e-6, mount, np.zeros(3))
-    for truth in (PoseTrack.of([]), PoseTrack.of([(9 * SECOND, np.zeros(3))])):
-        bound = posterior_bound(truth, [seen], world, known, LocalizationConfig(), start)
-        assert np.isnan(bound).all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,31 +33,6 @@ def test_a_file_without_sigmas_stays_valid(tmp_path: Path) -> None:
     assert found['axis_yaw'] == (0.0, 0.017)
     assert found['focal_scale'] == (0.0, 0.01)
     assert found['joint_delay'] == (0.0, 0.03)
-
-
-def test_sigmas_are_one_number_or_one_an_axis(tmp_path: Path) -> None:
-    document = {
-        'pan_axis': {'xyz': [0.1, 0.0, 1.0], 'xyz_sigma': 0.005, 'rpy_sigma': [0.0, 0.01, 0.02]},
-        'joint_delay': 0.04,
-        'joint_delay_sigma': 0.0,
-    }
-    found = load_calibration(written(tmp_path, document))
-    assert [found[f'axis_{k}'][1] for k in 'xyz'] == [0.005] * 3
-    assert [found[f'axis_{k}'][1] for k in ('roll', 'pitch', 'yaw')] == [0.0, 0.01, 0.02]
-    assert found['joint_delay'] == (0.04, 0.0)
-
-
-def test_noise_of_the_wheels_is_of_the_robot_and_survives_its_file(tmp_path: Path) -> None:
-    plain = OdometryNoiseConfig()
-    document = {'pan_axis': {'xyz': [0, 0, 1]}, 'odometry': {'along_m_per_sqrt_m': 0.02}}
-    path = written(tmp_path, document)
-    assert load_odometry(path, plain) == replace(plain, along_m_per_sqrt_m=0.02)
-    noise = {'along_m_per_sqrt_m': 0.03, 'max_gap_s': 2}
-    save_calibration(Calibration.of_mount(MOUNT), tmp_path / 'robot.yaml', noise)
-    assert load_odometry(tmp_path / 'robot.yaml', plain).max_gap_s == 2.0
-    former = {'odometry': {'along_m_per_sqrt_m': 0.5, 'max_speed_m_s': 1.0}}
-    found = load_odometry(tmp_path / 'robot.yaml', plain, former)
-    assert (found.along_m_per_sqrt_m, found.max_speed_m_s) == (0.03, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -130,22 +130,6 @@ def test_evaluated_smoothed_and_exported(
     assert rmse == pytest.approx(report['smoothed']['position_rmse_m'], abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'status'),
-    [
-        (['--robot', '9'], 2),
-        (['--robot', '1', '--bearing-sigma', '-1'], 2),
-        (['--robot', '1', '--landmark-sigma', '1e200'], 2),
-        (['--robot', '1', '--command-delay', '1e9'], 2),
-        (['--robot', '2'], 1),
-    ],
-)
-def test_wrong_arguments(log: Path, tmp_path: Path, arguments: list[str], status: int) -> None:
-    out = tmp_path / 'bag'
-    assert main(['convert', 'mrclam', str(log), '--out', str(out), *arguments]) == status
-    assert not out.exists()
-
-
 def test_points_without_an_image_cross_all_borders(
     converted: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -99,28 +99,6 @@ class TestTrack:
         assert track.add(sample(6.1, here)) is not None
         assert track.stamps_ns == (0, round(1e9 * (1.0 + 0.05 * 99)))
 
-    def test_predicts_by_the_last_twist_for_a_while(self) -> None:
-        track = circle_track()
-        motion = track.motion(1_000_000_000, 1_100_000_000)
-        np.testing.assert_allclose(motion.increment, twist_motion(SPEED, RATE, 0.1), atol=1e-9)
-        later = track.motion(1_000_000_000, 4_000_000_000)
-        np.testing.assert_allclose(
-            later.increment, twist_motion(SPEED, RATE, HORIZON_S), atol=1e-9
-        )
-        assert later.blind_seconds == pytest.approx(3.0 - HORIZON_S)
-
-    def test_before_the_first_sample_its_twist_leads_back_and_then_nothing_is_known(self) -> None:
-        track, whole = OdometryTrack(CONFIG), circle_track(until=2.0)
-        for k in range(20, 41):
-            track.add(sample(0.05 * k))
-        near, known = (t.motion(850_000_000, 1_500_000_000) for t in (track, whole))
-        np.testing.assert_allclose(near.increment, known.increment, atol=1e-9)
-        assert near.blind_seconds == 0.0
-        assert near.ahead_s4 == pytest.approx(0.15**4)
-        assert known.ahead_s4 == 0.0
-        assert track.motion(0, 1_500_000_000).blind_seconds == pytest.approx(1 - HORIZON_S)
-        assert track.motion(0, 500_000_000).blind_seconds == pytest.approx(0.5)
-
     def test_jump_is_bridged_by_the_twist(self) -> None:
         track = circle_track()
         jump = np.array([5.0, -3.0, 1.0])
@@ -150,17 +128,6 @@ class TestTrack:
         expected = twist_motion(SPEED, RATE, 79 * period_s)
         np.testing.assert_allclose(relative(expected, motion.increment), 0.0, atol=1e-9)
         assert motion.blind_seconds == 0.0
-
-    @pytest.mark.parametrize(
-        ('seconds', 'x', 'reason'),
-        [(1.0, 0.0, 'repeated'), (0.9, 0.0, 'back in time'), (1.05, np.nan, 'not a number')],
-    )
-    def test_drops_what_it_cannot_use(self, seconds: float, x: float, reason: str) -> None:
-        track = circle_track()
-        refusal = track.add(sample(seconds, [x, 0.0, 0.0]))
-        assert refusal is not None
-        assert reason in str(refusal)
-        assert track.stamps_ns == (0, 10**9)
 
     def test_a_stand_takes_no_room_and_changes_no_motion(self) -> None:
         """A way until 0.78 s, nothing until 2 s, then ten minutes on the spot."""

@@ -65,18 +65,6 @@ def test_a_cylinder_shows_what_the_frames_saw(
     assert error.max() < 8.0
 
 
-@pytest.mark.parametrize('blend', ['mean', 'median', 'feather'])
-def test_what_no_frame_looked_at_is_not_in_the_mask(blend: str) -> None:
-    pans = np.radians([60.0, 80.0, 100.0, 120.0])
-    view = synthesize_cylinder(sky_sweep(LENS, pans), MOUNT, PanoramaConfig(blend))
-    azimuth = view.cylinder.azimuth_rad(np.arange(view.cylinder.width))
-    row = round(view.cylinder.cy)
-    off = np.abs(np.degrees(azimuth) - 90.0)
-    assert view.mask[row, off < 50.0].all()
-    assert not view.mask[:, off > 65.0].any()
-    assert errors(view).max() < 8.0
-
-
 def test_the_median_removes_a_person_in_two_of_ten_frames() -> None:
     pans = np.radians(np.linspace(-12.0, 12.0, 10))
     frames = list(sky_sweep(LENS, pans).frames)

@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from paper_sweeps import CONFIG, EAST, MOUNT, scene_of, sweep_at
+from paper_sweeps import CONFIG, EAST
 import pytest
 from scenes import rectangle_room
 
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.reference_area import (
     paper_faults,
     PaperFaults,
-    PaperRecord,
     PaperView,
-    view_papers,
 )
 from landmark_nav.learning.reference_area.edges import PaperOutlines
 from landmark_nav.types import FloatArray
@@ -140,16 +137,3 @@ def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished() -> N
 def test_two_papers_or_nothing_seen_give_no_fault() -> None:
     assert judged(EAST, replace(ROOM, papers=EAST[:2])).fits
     assert paper_faults([PaperView({p.color: NONE for p in EAST}, EYE_M)], ROOM, CONFIG).fits
-
-
-def test_papers_are_outlined_in_drawn_sweeps_wherever_they_hang() -> None:
-    papers = hung(1, up_m=0.08)
-    record = PaperRecord(ROOM, CONFIG)
-    for pose in POSES[:1]:
-        sweep = sweep_at(scene_of(ROOM, papers), pose)
-        view = synthesize_cylinder(sweep, MOUNT, PanoramaConfig())
-        assert all(len(found) for found in view_papers(view, ROOM, EYE_M).outlines.values())
-        record.add(view, EYE_M)
-    best = record.faults().faults[0]
-    assert (best.kind, best.paper) == ('height', 1)
-    assert best.value == pytest.approx(0.08, abs=max(4.0 * best.sigma, 0.01))

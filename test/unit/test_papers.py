@@ -159,17 +159,6 @@ def test_edges_in_jpeg_with_halved_colours_are_unbiased(blur_px: float, side: in
     assert abs(np.mean(color)) < 0.05
 
 
-def test_a_response_curve_moves_edges_and_its_inverse_moves_them_back() -> None:
-    # By brightness, that is: JPEG blurs colours again after they were coded.
-    image = wall_with([(color_of('red'), 200.3, 40.0, 40.0, 40.0)])
-    soft = cv2.GaussianBlur(image, (0, 0), 0.8)
-    coded = 255.0 * (soft / 255.0) ** (1.0 / 2.0)
-    away = edges_of(coded, 200.3, 0.0, 0.0, 0)[0].mean(axis=1)
-    back = edges_of(coded, 200.3, 0.0, 0.0, 0, gamma=2.0)[0].mean(axis=1)
-    assert (away < [-0.04, -0.12]).all()
-    assert abs(back[1]) < 0.03
-
-
 def test_where_there_is_no_paper_there_is_no_edge() -> None:
     assert np.isnan(edges_of(wall_with([]), 200.0, 0.6, 0.0, 0)[0]).all()
     far = wall_with([(color_of('red'), 230.0, 40.0, 40.0, 40.0)])

@@ -3,44 +3,11 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-from patch_texels import patch_points
-import pytest
 
 from landmark_nav.geometry.patches import patch_axes, rays_to_patch
 from landmark_nav.geometry.se2 import rotation_rpy
 
 BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-
-
-@pytest.mark.parametrize(
-    ('normal', 'right'),
-    [
-        # Who looks east has south to the right, and so on round the room.
-        ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
-        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-        ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0)),
-        ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)),
-    ],
-)
-def test_right_and_down_are_those_of_somebody_inside(
-    normal: tuple[float, ...], right: tuple[float, ...]
-) -> None:
-    found_right, found_down = patch_axes(normal)
-    np.testing.assert_allclose(found_right, right)
-    np.testing.assert_allclose(found_down, [0.0, 0.0, -1.0])
-
-
-@given(st.floats(-np.pi, np.pi), st.integers(1, 9), st.integers(1, 9))
-def test_texels_are_square_and_centred(azimuth: float, rows: int, columns: int) -> None:
-    normal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    center = np.array([1.0, -2.0, 0.5])
-    points = patch_points(center, normal, (rows, columns), 0.01)
-    assert points.shape == (rows, columns, 3)
-    np.testing.assert_allclose(points.mean(axis=(0, 1)), center, atol=1e-12)
-    np.testing.assert_allclose((points - center) @ normal, 0.0, atol=1e-12)
-    for axis in range(2):
-        step = np.linalg.norm(np.diff(points, axis=axis), axis=-1)
-        np.testing.assert_allclose(step, 0.01, atol=1e-12)
 
 
 @given(

@@ -13,7 +13,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import (
@@ -22,15 +21,12 @@ from landmark_nav.planning.planner import (
     Plan,
     plan_positions,
 )
-from landmark_nav.planning.prediction import Predictor
 from landmark_nav.planning.views import (
     ahead_rad,
     free_floor,
     is_free,
     look,
     sample_walls,
-    sweep_poses,
-    turns_rad,
 )
 
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
@@ -101,43 +97,6 @@ class TestViews:
         assert not views.share[0, (x < 0.01) & (y > 4.8) & (samples.normal[:, 0] > 0.5)].any()
         assert not views.share[0, (x > 3.01) & (samples.normal[:, 1] < -0.5)].any()
         assert np.all(views.proposed[views.share == 0.0] == 0.0)
-
-    @pytest.mark.parametrize('reversed_pan', [False, True])
-    def test_a_unit_that_does_not_turn_all_round_sees_an_arc(self, reversed_pan: bool) -> None:
-        config = PlanConfig(pan_min_rad=0.5, pan_max_rad=1.7, candidates=90)
-        mount = replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0)) if reversed_pan else MOUNT
-        poses = sweep_poses(np.array([[2.5, 2.0]]), ROOM, turns_rad(mount, config)[0])
-        samples = sample_walls(ROOM, 0.05, 1000)
-        views = look(poses, samples, ROOM, mount, config)
-        off = np.abs(wrap_rad(views.azimuth_rad[0] - ahead_rad(poses[:, :2], ROOM)))
-        half_fov = np.arctan(0.5 * config.width_px / config.focal_px)
-        reach = 0.6 + half_fov
-        assert not views.share[0, off > reach + 0.05].any()
-        assert views.share[0, off < reach - 0.05].all()
-        # Turned a quarter of the circle on, it does not see the papers.
-        poses[:, 2] += 0.5 * np.pi
-        assert not len(look(poses, samples, ROOM, mount, config))
-
-
-class TestPrediction:
-    def test_walls_on_the_baseline_give_landmarks_only_with_depth_from_scale(self) -> None:
-        samples = sample_walls(ROOM, 0.05, 1000)
-        # Both see the papers in the south and look at the middle of the east wall in line.
-        poses = sweep_poses(np.array([[1.0, 2.0], [3.5, 2.0]]), ROOM)
-        poses[:, :2] -= look(poses, samples, ROOM, MOUNT, CONFIG).eye[:, :2] - poses[:, :2]
-        views = look(poses, samples, ROOM, MOUNT, CONFIG)
-        assert len(views) == 2
-        wall = samples.normal[:, 0] < -0.5
-        ahead = wall & (np.abs(samples.xy[:, 1] - 2.0) < 0.1)
-        expected = []
-        for nearness in (CONFIG.adjustment.nearness_sigma, 0.1):
-            config = replace(CONFIG, adjustment=AdjustmentConfig(nearness_sigma=nearness))
-            predictor = Predictor(views, samples, views.eye[:, :2], ROOM, config)
-            expected.append(predictor.predict(np.array([0, 1])).landmarks)
-        assert expected[0][ahead].min() > 0.0
-        assert not expected[1][ahead].any()
-        beside = wall & (np.abs(samples.xy[:, 1] - 3.0) < 0.1)
-        np.testing.assert_allclose(expected[0][beside], expected[1][beside], rtol=1e-6)
 
 
 class TestSearch:

@@ -13,12 +13,10 @@ from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.reference_area import joined, joint_covariance, pose_errors
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
-from landmark_nav.localization.triangulation import triangulate
-from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.prediction import landmark_errors, localization_sigma, Predictor
+from landmark_nav.planning.prediction import landmark_errors, Predictor
 from landmark_nav.planning.views import free_floor, look, sample_walls
-from landmark_nav.types import FloatArray, Panorama, Refusal
+from landmark_nav.types import FloatArray, Panorama
 
 CONFIG = PlanConfig()
 MOUNT = PanTiltMount((0.0, 0.0, 1.1))
@@ -135,32 +133,6 @@ def test_landmark_errors_are_those_of_the_adjustment() -> None:
     )
     expected = joint(done.own_covariance[:, :2, :2], done.shared_loading[:, :2])
     np.testing.assert_allclose(joint(own, loading), expected, rtol=2e-2, atol=5e-7)
-
-
-def test_localization_sigma_is_that_of_a_triangulation() -> None:
-    rng = np.random.default_rng(4)
-    landmarks = rng.uniform((-4.0, 2.0), (4.0, 10.0), (9, 2))
-    places = rng.uniform(-1.0, 1.0, (5, 2))
-    half = rng.normal(0.0, 3e-3, (9, 2, 2))
-    own = half @ half.swapaxes(1, 2)
-    loading = rng.normal(0.0, 4e-3, (9, 2, 7))
-    joint = np.einsum('iap,jbp->iajb', loading, loading)
-    for k in range(9):
-        joint[k, :, k] += own[k]
-    seen = np.ones((5, 9))
-    seen[:, 7:] = 0.0
-    gradient = bearing_gradients(places, landmarks)
-    found = localization_sigma(gradient, seen, own, loading, 5e-4)
-    for k, place in enumerate(places):
-        delta = landmarks[:7] - place
-        fix = triangulate(
-            landmarks[:7],
-            np.arctan2(delta[:, 1], delta[:, 0]),
-            np.full(7, 5e-4**2),
-            joint[:7, :, :7].reshape(14, 14),
-        )
-        assert not isinstance(fix, Refusal)
-        assert found[k] == pytest.approx(np.sqrt(np.trace(fix.covariance[:2, :2])), rel=1e-6)
 
 
 class TestPredictor:

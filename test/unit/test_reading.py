@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_image_codec import jpeg_of_size, png_of_size
-from test_maps import make_map
 
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.storage.bags import Bag, read_sweep_folder
-from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.storage.reading import read_bytes, read_text, read_yaml_mapping
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
@@ -122,18 +120,6 @@ def test_only_regular_files_of_bounded_size_are_read(
             read_text(path)
     with pytest.raises(LandmarkNavError, match='cannot be read'):
         read_bytes(tmp_path / 'nul\0')
-
-
-@pytest.mark.parametrize('data', [png_of_size(30_000, 30_000), jpeg_of_size(65_000, 16_000), b''])
-def test_images_in_folders_are_bounded(data: bytes, tmp_path: Path) -> None:
-    save_map(make_map(), tmp_path / 'map')
-    (tmp_path / 'map' / 'patches' / '007.png').write_bytes(data)
-    with pytest.raises(LandmarkNavError, match=r'007\.png: '):
-        load_map(tmp_path / 'map')
-    (tmp_path / '0.png').write_bytes(data)
-    (tmp_path / 'frames.csv').write_text('file,pan_rad,focal_px,width,height\n0.png,0,60,64,48\n')
-    with pytest.raises(LandmarkNavError, match=r'frames\.csv: line 2: .*0\.png: '):
-        read_sweep_folder(tmp_path)
 
 
 @pytest.mark.parametrize(

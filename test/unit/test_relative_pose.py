@@ -123,20 +123,6 @@ def test_panoramas_of_one_place_are_refused_whatever_odometry_states() -> None:
         relative_poses(seen, [odometry(POSES[:2])], LEVER, CONFIG)
 
 
-@pytest.mark.parametrize('tilt', [(0.012, -0.008), (0.03, 0.02)])
-def test_tilt_of_a_sweep_is_found(tilt: tuple[float, float]) -> None:
-    """Upright, the directions of most features would be off by more than matches may be."""
-    rng = np.random.default_rng(9)
-    tilts = np.array([(0.0, 0.0), tilt])
-    seen = features(POSES[:2], room_points(rng, 300), rng, tilt=tilts)
-    result = relative_poses(seen, [odometry(POSES[:2])], LEVER, CONFIG)
-    assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.3
-    assert len(result.pairs[0].rays) > 240
-    tilted = result.states[1, 4:] - result.states[0, 4:]
-    assert tilted @ tilt > 0.5 * tilts[1] @ tilts[1]
-    assert np.abs(tilted - tilt).max() < 0.4 * np.hypot(*tilt)
-
-
 def test_misses_are_zero_for_true_poses_and_their_slopes_are_right() -> None:
     rng = np.random.default_rng(10)
     states = np.zeros((2, 6))

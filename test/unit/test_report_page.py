@@ -138,31 +138,6 @@ def test_the_slider_moves_the_robot_and_every_image_loads(opened):
     assert chrome.get_log('browser') == []
 
 
-def test_keys_charts_and_links_go_through_the_drive(opened):
-    page = page_of()
-    chrome, poses = opened(page), page['data']['run']['pose']
-    press(chrome, 'ArrowRight')
-    assert robot_at(chrome) == pytest.approx(poses[1][:2])
-    press(chrome, 'ArrowRight', shiftKey=True)
-    assert robot_at(chrome) == pytest.approx(poses[11][:2])
-    press(chrome, 'End')
-    assert robot_at(chrome) == pytest.approx(poses[-1][:2])
-    chrome.execute_script("location.hash = 't=0.5'")
-    chrome.execute_async_script('requestAnimationFrame(() => requestAnimationFrame(arguments[0]))')
-    assert robot_at(chrome) == pytest.approx(poses[5][:2])
-    chrome.execute_script(
-        "const chart = document.querySelectorAll('#charts .chart:not(.sample)')[1];"
-        'const box = chart.getBoundingClientRect();'
-        "chart.dispatchEvent(new PointerEvent('pointerdown', {bubbles: true,"
-        'clientX: box.left + 46 + (box.width - 54) * 20 / 29, clientY: box.top + 20}))'
-    )
-    assert robot_at(chrome) == pytest.approx(poses[20][:2])
-    press(chrome, 'Home')
-    press(chrome, ' ')
-    chrome.execute_async_script('setTimeout(arguments[0], 600)')
-    assert robot_at(chrome)[0] > poses[0][0]
-
-
 @pytest.mark.parametrize('dark', [False, True])
 def test_on_a_phone_nothing_is_cut(opened, dark):
     chrome = opened(page_of(), 390, dark, 'a_bag_with_a_name_' * 8)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
-
 from bag_writers import FACTORY, MOUNT, SECOND, START, write_drive
 import numpy as np
 import pytest
@@ -57,29 +55,6 @@ def test_a_prefixed_joint_is_taken_if_it_is_the_only_one(tmp_path, name):
     np.testing.assert_allclose(found, PANS)
     assert len(warnings) == 1
     assert f'{name} for pan_joint' in warnings[0]
-
-
-def test_two_prefixed_joints_are_listed(tmp_path):
-    def two(topic, message):
-        if topic == '/joint_states':
-            for robot in ('r1', 'r2'):
-                yield topic, joint_message(f'{robot}/pan_joint', 0.1, stamp_of(message))
-        else:
-            yield topic, message
-
-    with pytest.raises(LandmarkNavError, match='r1/pan_joint, r2/pan_joint could be pan_joint'):
-        pans(rewritten(tmp_path, two))
-
-
-def test_a_measurement_that_is_published_many_times_is_no_fast_pan(tmp_path):
-    def repeated(topic, message):
-        times = 25 if topic == '/joint_states' else 1
-        for k in range(times):
-            again = deepcopy(message)
-            again.header.stamp.nanosec += 2_050_000 * k
-            yield topic, again
-
-    assert pans(rewritten(tmp_path, repeated))[0] == pytest.approx(PANS, abs=0.3 * 0.05)
 
 
 def test_the_joint_without_an_angle_is_named(tmp_path):

@@ -75,17 +75,6 @@ def test_robot_as_written_and_defaults(tmp_path: Path) -> None:
     assert load_robot(written(tmp_path, robot_document(rolled))) == rolled
 
 
-def test_the_pan_unit_is_described(tmp_path: Path) -> None:
-    unit = 'pan_min: -1.5\npan_max: 2.0\npan_rate: 0.5\npan_acceleration: 3\n'
-    mount = load_robot(written(tmp_path, ROBOT + unit))
-    assert mount.pan_limits_rad == (-1.5, 2.0)
-    assert (mount.pan_rate_rad_s, mount.pan_acceleration_rad_s2) == (0.5, 3.0)
-    # A parameter of the last release counts where the file says nothing.
-    former = {'pan_max': 1.0, 'pan_rate': 0.1}
-    mount = load_robot(written(tmp_path, ROBOT + 'pan_rate: 0.5\n'), former)
-    assert (mount.pan_max_rad, mount.pan_rate_rad_s) == (1.0, 0.5)
-
-
 @pytest.mark.parametrize(
     ('load', 'text', 'message'),
     [

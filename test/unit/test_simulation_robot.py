@@ -3,9 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel
-from landmark_nav.geometry.se2 import compose
 from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour
 from landmark_nav.simulation.furnishing import generate_scene
@@ -52,17 +50,6 @@ def drive(config: DriveConfig, seed: int = 0, free=lambda xy: True) -> Different
 
 
 class TestDifferentialDrive:
-    def test_odometry_without_errors_is_the_truth(self):
-        base = drive(EXACT)
-        start = base.pose_map_base
-        for k in range(600):
-            base.command(0.5 * np.sin(0.02 * k), np.cos(0.013 * k))
-            base.step(DT)
-        believed = compose(start, base.pose_odom_base)
-        assert believed[:2] == pytest.approx(base.pose_map_base[:2], abs=1e-9)
-        assert wrap_rad(believed[2] - base.pose_map_base[2]) == pytest.approx(0.0, abs=1e-9)
-        assert base.measured_twist == pytest.approx(base.twist, abs=1e-9)
-
     def test_errors_have_the_size_that_was_asked_for(self):
         # Wheels of one size and no slip: over 4 m straight on, the scale error alone remains.
         config = DriveConfig(scale_sigma=0.01, track_sigma=0.0, slip_sigma_m=0.0)

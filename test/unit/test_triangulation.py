@@ -104,33 +104,6 @@ class TestCovariance:
         nees = np.mean([e @ np.linalg.solve(c, e) for e, c in zip(errors, claimed, strict=True)])
         assert nees == pytest.approx(3.0, abs=0.25)
 
-    @pytest.mark.parametrize('n', [4, 5, 6])
-    def test_covariance_without_some_is_that_of_the_others(self, n: int) -> None:
-        bearing, joint = bearings(POSE, LANDMARKS[:n]), joint_map_covariance(n)
-        fix = expect_fix(triangulate(LANDMARKS[:n], bearing, variances(n), joint))
-        without = np.arange(n) == 1
-        keep = np.flatnonzero(~without)
-        rows = np.stack([2 * keep, 2 * keep + 1], -1).reshape(-1)
-        rest = expect_fix(
-            triangulate(
-                LANDMARKS[keep], bearing[keep], variances(n - 1), joint[np.ix_(rows, rows)]
-            )
-        )
-        np.testing.assert_allclose(
-            fix.solution.covariance_without(without), rest.covariance, rtol=1e-4
-        )
-
-    @given(st.floats(0.7, 5.4), st.floats(0.7, 3.4), st.integers(0, 2))
-    def test_without_one_of_three_the_pose_is_open(self, x: float, y: float, one: int) -> None:
-        pose = np.array([x, y, 0.3])
-        start = PoseEstimate(0, pose, 1e-4 * np.eye(3))
-        fix = triangulate(
-            LANDMARKS[:3], bearings(pose, LANDMARKS[:3]), variances(3), 1e-8 * np.eye(6), start
-        )
-        if isinstance(fix, Fix):
-            covariance = fix.solution.covariance_without(np.arange(3) == one)
-            assert np.trace(covariance[:2, :2]) > 100.0 * np.trace(fix.covariance[:2, :2])
-
 
 class TestRefusal:
     def test_fewer_than_three(self) -> None:

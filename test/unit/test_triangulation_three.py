@@ -60,14 +60,3 @@ def test_two_landmarks_in_one_line_with_the_robot(second: list[float]) -> None:
         pose = np.array([0.0, 0.0, 2.9])
         found = triangulate_three(landmarks[order], bearings(pose, landmarks[order]))
         np.testing.assert_allclose(found, pose, atol=1e-12)
-
-
-def test_distance_from_the_danger_circle_and_from_the_line() -> None:
-    circle = 2.0 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
-    distance, relative = danger_distance([0.5, 0.0], circle)
-    assert distance == pytest.approx(1.5)
-    assert relative == pytest.approx(0.75)
-    line = np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0]])
-    distance, relative = danger_distance([1.0, 4.0], line)
-    assert distance == pytest.approx(4.0)
-    assert relative > 0.8

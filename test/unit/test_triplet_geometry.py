@@ -76,22 +76,6 @@ class TestGeometry:
                 assert limits[0] <= pan <= limits[1]
                 assert np.all(np.abs(wrap_rad(pan - azimuth[triple])) <= reach[triple] + 1e-12)
 
-    @settings(max_examples=60)
-    @given(st.integers(0, 10_000))
-    def test_a_triplet_costs_the_most_of_its_pairs(self, seed: int) -> None:
-        rng = np.random.default_rng(seed)
-        azimuth, reach = rng.uniform(-np.pi, np.pi, 8), rng.uniform(0.05, 0.4, 8)
-        limits, now = (-np.pi, rng.uniform(1.0, 4.0)), rng.uniform(-3.0, 1.0)
-        windows = PanWindows.around(azimuth, reach, limits, now, CONFIG)
-        triples = np.array(list(combinations(range(len(windows.place)), 3)), dtype=np.intp)
-        i, j, k = (triples := triples.reshape(-1, 3)).T
-        place, pairs, tours = windows.place, windows.costs(), windows.tours(triples)
-        distinct = (place[i] != place[j]) & (place[i] != place[k]) & (place[j] != place[k])
-        most = np.maximum(np.maximum(pairs[i, j], pairs[i, k]), pairs[j, k])
-        np.testing.assert_allclose(tours.cost[distinct], most[distinct])
-        off = np.abs(wrap_rad(tours.pan_rad[:, None] - azimuth[place[triples]]))
-        assert np.all((off <= reach[place[triples]] + 1e-12)[np.isfinite(tours.cost) & distinct])
-
     def test_variance_against_the_inverse_matrix(self) -> None:
         landmark_map = random_map(12)
         axis = np.array([3.1, 2.2])
@@ -109,15 +93,3 @@ class TestGeometry:
             inverse = np.linalg.inv(np.column_stack([gradient, -np.ones(3)]))
             covariance = inverse @ noise @ inverse.T
             assert trace == pytest.approx(np.trace(covariance[:2, :2]), rel=1e-6)
-
-    def test_triplets_on_the_danger_circle_predict_no_pose(self) -> None:
-        angles = np.array([0.3, 1.5, 4.0])
-        circle = LandmarkMap(
-            tuple(
-                landmark(k, (2.0 * np.cos(a), 2.0 * np.sin(a)), (1.0, 0.0), 1.2)
-                for k, a in enumerate(angles)
-            )
-        )
-        there = 2.0 * np.array([np.cos(2.6), np.sin(2.6)])
-        seen = pair_tables(there, circle, np.arange(3), 1e-3)
-        assert position_variance(seen, *np.array([[0], [1], [2]]))[0] > 1e6

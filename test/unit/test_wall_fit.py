@@ -117,24 +117,6 @@ def test_a_wall_that_is_elsewhere_is_named_with_its_residuals(
         check(south, along)
 
 
-@pytest.mark.parametrize(
-    ('off_m', 'words'),
-    [
-        (0.21, '21.0 cm before'),
-        (0.4, '40.0 cm before .* furniture hides it'),
-        (1.0, '100.0 cm before'),
-        (-0.3, '30.0 cm behind'),
-        (-1.0, '100.0 cm behind'),
-    ],
-)
-def test_a_wall_that_is_far_elsewhere_is_reported_no_less(off_m: float, words: str) -> None:
-    # With boxes before it, too.
-    for boxes in (0, 2):
-        south = np.append(off_m + NOISE * 0.1, off_m + np.array([0.3, 0.5])[:boxes])
-        with pytest.raises(LandmarkNavError, match=f'south has its 12 patches {words}'):
-            check(south, np.append(ALONG, [2.5, 4.0][:boxes]))
-
-
 def test_fronts_of_furniture_are_not_the_wall() -> None:
     # Along less than half of a wall with nothing on it a shelf is likelier; it may be the wall.
     reported = check(np.full(24, 0.35), np.linspace(1.0, 3.9, 24))
