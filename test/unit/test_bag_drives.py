@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.messages import encode
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.types import CameraFrame
@@ -20,6 +21,15 @@ def recorded(path):
 
 def frames_of(path, warn=print):
     return [e for e in sensor_events(Bag(path, warn), MOUNT) if isinstance(e, CameraFrame)]
+
+
+def test_ground_truth_in_another_frame_than_the_map_is_reported(tmp_path, caplog):
+    bag = Bag(write_drive(tmp_path / 'drive'))
+    check_truth_frame(bag, 'map')
+    assert not caplog.messages
+    check_truth_frame(bag, 'hall')
+    (words,) = caplog.messages
+    assert 'ground_truth/odom is in frame map, the map in hall' in words
 
 
 def test_raw_images_are_preferred_to_compressed_ones(tmp_path):

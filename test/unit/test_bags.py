@@ -116,6 +116,15 @@ def test_foreign_encodings_matter_only_if_they_are_asked_for(tmp_path):
         _ = bad.message
 
 
+def test_types_come_from_the_bag_itself(tmp_path):
+    path = tmp_path / 'own.mcap'
+    with foreign_bag(path) as add:
+        pair = ('my_msgs/msg/Pair', 'ros2msg', b'int32 a\nint32 b\n')
+        add('/pair', pair, 'cdr', [b'\0\1\0\0\7\0\0\0\x09\0\0\0'])
+    (entry,) = Bag(path).messages()
+    assert (entry.message.a, entry.message.b) == (7, 9)
+
+
 def test_nothing_half_written_is_left(tmp_path):
     def interrupted():
         with BagWriter(tmp_path / 'bag') as bag:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from turning_robot import (
+    AZIMUTH,
     check_sweep,
     FakeImage,
     inspect,
@@ -18,7 +19,7 @@ from turning_robot import (
 )
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.capture import begin_or_resume, CaptureConfig
+from landmark_nav.learning.capture import begin_or_resume, CaptureConfig, describe_sweep
 from landmark_nav.types import OdometrySample
 
 
@@ -121,6 +122,16 @@ def test_no_angle_within_the_limits_is_refused():
         CaptureConfig(start_rad=1.0, frames=3, pan_min_rad=-0.5, pan_max_rad=0.5)
     with pytest.raises(LandmarkNavError, match='frames'):
         CaptureConfig(frames=0)
+
+
+def test_what_is_covered_is_reported():
+    half = float(AZIMUTH[-1])
+    assert describe_sweep(Robot(TURN).run(), half) == 'the full turn'
+    reported = describe_sweep(Robot(TURN, limits=(-2.5, 1.9)).run(), half)
+    assert reported == (
+        'a partial sweep, nothing is seen from pan 130 to 200 deg; '
+        'the pan joint stops at -143.2 and 108.9 deg'
+    )
 
 
 class Faulty(Robot):

@@ -10,7 +10,7 @@ import re
 from typing import Any
 
 import cv2
-from message_changes import nothing
+from message_changes import each_second, no_number, nothing
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -44,6 +44,7 @@ from landmark_nav.diagnosis.parts import (
     staying_values,
 )
 from landmark_nav.diagnosis.sources import two_sources
+from landmark_nav.diagnosis.stamps import check_stamps
 from landmark_nav.diagnosis.streams import Stream
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -339,6 +340,14 @@ def test_odometry_may_be_of_the_footprint(frame: str, fits: bool, tmp_path: Path
     assert len(kept) == len(whole)
 
 
+def test_damaged_messages_are_counted(tmp_path: Path) -> None:
+    error = StreamError(('joint_states',), each_second(no_number), 'reading')
+    bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
+    found = diagnose(bag, load_robot(BAGS / 'robot.yaml'))
+    assert 'reading' in [finding.name for finding in found.warnings]
+    assert not found.errors
+
+
 def test_a_path_that_curves_is_not_laid_to_the_camera(drive: Motion) -> None:
     assert drive.odometry is not None
     curved = replace(drive, odometry=driven_again(drive.odometry, curve_rad_m=0.15))
@@ -408,3 +417,13 @@ def test_images_that_are_covered_blurred_or_flicker_are_named() -> None:
     assert covered.level == 'warning'
     assert 'side left' in covered.measured
     assert not check_content(seen([images[0]] * 40)), 'a camera that stands shows no cover'
+
+
+@pytest.mark.parametrize(('unit_ns', 'named'), [(1, None), (1000, 'microseconds')])
+def test_nanoseconds_of_another_unit_are_named(unit_ns: int, named: str | None) -> None:
+    logged = np.arange(0, 10**10, 2 * 10**8)
+    stamps = logged // 10**9 * 10**9 + logged % 10**9 // unit_ns
+    found = check_stamps(Stream('images', '', stamps, logged, np.empty((len(logged), 0))))
+    units = [f.measured for f in found if f.name == 'images stamps']
+    assert len(units) == (named is not None)
+    assert named is None or named in units[0]

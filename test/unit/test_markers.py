@@ -6,6 +6,7 @@ from typing import Any
 
 from bare_landmarks import bare_landmark
 import numpy as np
+import pytest
 from wire import over_the_wire
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -59,6 +60,17 @@ def view(ids: list[int], bearings: Any, triplet: Triplet | None) -> dict[str, li
     return drawn(
         encode.view_markers(FACTORY, POSE, MAP, MOUNT, CAMERA, 0.2, found, triplet, 'map')
     )
+
+
+def test_the_triplet_is_joined_to_the_axis_and_the_view_is_as_wide_as_the_cameras() -> None:
+    triplet = Triplet(0, np.array([12, 10, 99]), np.zeros(3), np.zeros(3), np.eye(3), 0.0)
+    found = view([], [], triplet)
+    np.testing.assert_allclose(points(found['triplet'])[1::2], POSITIONS[[2, 0]])
+    fan = points(found['field_of_view'])
+    sides = fan[[1, -2], :2] - fan[0, :2]
+    azimuths = np.arctan2(sides[:, 1], sides[:, 0])
+    assert azimuths[1] - azimuths[0] == pytest.approx(2.0 * CAMERA.half_fov_rad)
+    assert azimuths.mean() == pytest.approx(0.4 + 0.3 + 0.2)
 
 
 def test_ellipses_are_three_sigma_and_the_protection_level() -> None:

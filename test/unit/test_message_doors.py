@@ -248,6 +248,17 @@ def test_a_landmark_that_can_not_be_is_refused(changed):
     assert len(str(refused.value)) < 200
 
 
+def test_patches_that_fill_the_memory_are_refused():
+    msg, atlas = landmarks()
+    kinds = unpack_cloud(msg, LANDMARKS).dtype
+    lengths = {name: kinds[name].shape[0] for name in LANDMARKS.repeated}
+    rows = np.frombuffer(msg.data.tobytes(), LANDMARKS.sized(**lengths)).copy()
+    rows['atlas_x'] = rows['atlas_y'] = 0
+    rows['atlas_width'], rows['atlas_height'] = atlas.width, atlas.height
+    with pytest.raises(LandmarkNavError, match='do not fit an atlas'):
+        decode.landmark_map(pack_cloud(FACTORY, HEAD, rows), atlas)
+
+
 def test_panoramas_of_another_size_or_shape_are_refused():
     messages = encode.panorama(FACTORY, some_panorama())
     decode.panorama(*messages)

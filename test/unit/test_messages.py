@@ -16,7 +16,7 @@ from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
-from landmark_nav.messages.layouts import DETECTIONS, GlobalPose, Layout
+from landmark_nav.messages.layouts import DETECTIONS, GLOBAL_POSE, GlobalPose, Layout
 from landmark_nav.types import (
     Detections,
     JointSample,
@@ -212,3 +212,14 @@ def test_parts_that_do_not_belong_together_are_refused():
     atlas.header = pose.header
     with pytest.raises(LandmarkNavError, match='different maps'):
         decode.landmark_map(cloud, atlas)
+
+
+def test_a_found_place_names_landmarks():
+    head, nothing = encode.header(FACTORY, STAMP, 'map'), np.zeros(0, dtype=GLOBAL_POSE.fields)
+    with pytest.raises(LandmarkNavError, match='names no landmark'):
+        decode.global_pose(pack_cloud(FACTORY, head, nothing))
+
+
+def test_factory_refuses_fields_that_do_not_exist():
+    with pytest.raises(TypeError, match='colour'):
+        FACTORY('sensor_msgs/msg/Image', colour=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import struct
 import tracemalloc
 
@@ -349,6 +350,16 @@ def test_camera_of_the_image_that_is_published(msg, image, expected):
     np.testing.assert_allclose(camera.project(POINTS), true.project(POINTS), atol=1e-6)
 
 
+def test_what_cannot_be_decided_is_taken_as_ros_defines_it_and_reported(caplog):
+    roi = (60, 0, 1220, 960)
+    info = decode.camera_info(message(roi=roi))
+    with caplog.at_level(logging.WARNING, logger='landmark_nav'):
+        camera = info.for_image(1220, 960)
+    assert (camera.cx, camera.cy) == (595.0, 470.0)
+    decode.camera_info(message(roi=roi)).for_image(1220, 960)
+    assert len(caplog.records) <= 1
+
+
 @pytest.mark.parametrize('image', [(640, 360), (1279, 960), (1920, 1440), (1, 1), (65000, 16000)])
 def test_an_image_of_another_size_is_refused_with_both_sizes(image):
     with pytest.raises(
@@ -386,3 +397,11 @@ def test_a_tilted_sensor_and_a_skew_are_refused():
         decode.camera_info(skewed)
     skewed.k[1] = 0.5
     assert decode.camera_model(skewed).fx == 900.0
+
+
+def test_a_lens_that_folds_is_reported_once(caplog):
+    msg = message(d=np.array([-0.4, 0.0, 0.0, 0.0, 0.0]))
+    with caplog.at_level(logging.WARNING, logger='landmark_nav'):
+        for _ in range(3):
+            decode.camera_model(msg)
+    assert [('folds back' in r.getMessage()) for r in caplog.records] == [True]

@@ -178,3 +178,16 @@ def test_bound_of_a_standing_robot_is_the_inverse_of_its_information(lever):
     for k, found in enumerate(bound):
         information = np.linalg.inv(prior) + (k + 1) * jacobian.T @ jacobian / 1e-6
         np.testing.assert_allclose(found, np.linalg.inv(information), rtol=1e-3, atol=1e-10)
+
+
+def test_bound_knows_what_landmarks_share_and_is_unknown_without_truth():
+    shift = np.zeros((3, 2))
+    shift[0, 0] = shift[1, 1] = 0.01
+    _, _, bound = bound_of_standing_robot(1e-12 * np.eye(3), shift, times=12)
+    np.testing.assert_allclose(np.diag(bound[-1])[:2], 1e-4, rtol=0.02)
+    start, mount = PoseEstimate(0, np.zeros(3), np.eye(3)), PanTiltMount()
+    world, known = landmarks(1e-6 * np.eye(3), np.zeros((3, 1))), Calibration.of_mount(mount)
+    seen = image(SECOND, 1e-6, mount, np.zeros(3))
+    for truth in (PoseTrack.of([]), PoseTrack.of([(9 * SECOND, np.zeros(3))])):
+        bound = posterior_bound(truth, [seen], world, known, LocalizationConfig(), start)
+        assert np.isnan(bound).all()

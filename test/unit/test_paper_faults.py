@@ -124,6 +124,15 @@ def test_a_room_in_feet_is_named() -> None:
     assert [fault.kind for fault in judged(EAST, in_unit(0.3048)).faults] == ['feet']
 
 
+def test_a_paper_that_nobody_sees_is_not_laid_to_others_colours() -> None:
+    # Two faults: green is covered, blue and red hang on each other's places.
+    papers = (replace(EAST[0], color='blue'), replace(EAST[2], color='red'))
+    views = [PaperView({'green': NONE, **view.outlines}, EYE_M) for view in views_of(papers)]
+    found = paper_faults(views, ROOM, CONFIG)
+    assert not found.fits
+    assert 'swapped' not in [fault.kind for fault in found.faults]
+
+
 def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished() -> None:
     larger = replace(EAST[1], width=1.414 * EAST[1].width, height=1.414 * EAST[1].height)
     found = judged((EAST[0], larger, EAST[2])).faults[0]

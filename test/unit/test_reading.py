@@ -9,13 +9,14 @@ from pathlib import Path
 import socket
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.storage.bags import Bag, read_sweep_folder
-from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.maps import load_map, patch_reader
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.storage.reading import read_bytes, read_text, read_yaml_mapping
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
@@ -122,6 +123,15 @@ def test_only_regular_files_of_bounded_size_are_read(
         read_bytes(tmp_path / 'nul\0')
 
 
+def test_all_patches_of_a_map_together_are_bounded(tmp_path: Path) -> None:
+    (tmp_path / '0.png').write_bytes(cv2.imencode('.png', np.zeros((1000, 1000)))[1].tobytes())
+    patch_of = patch_reader(tmp_path)
+    for _ in range(100):
+        assert patch_of('0.png').shape == (1000, 1000)
+    with pytest.raises(LandmarkNavError, match='patches have over 100 million pixels'):
+        patch_of('0.png')
+
+
 @pytest.mark.parametrize(
     'rows',
     [
@@ -162,4 +172,15 @@ def test_a_hostile_log_is_refused(data: bytes, packed: bool, tmp_path: Path) -> 
     (tmp_path / 'Barcodes.dat').write_bytes(b'\xef\xbb\xbf6 63\r\n7 25\r\n')
     path.write_bytes(gzip.compress(data) if packed else data)
     with pytest.raises(LandmarkNavError, match='Landmark_Groundtruth'):
+        read_mrclam(tmp_path, 1, 0.01)
+
+
+@pytest.mark.parametrize(
+    'data',
+    [b'\x1f\x8b', gzip.compress(b'1 2')[:-9], gzip.compress(b' ' * 40_000_000), b'plain'],
+    ids=['cut in the header', 'cut at the end', 'grows', 'not packed'],
+)
+def test_a_packed_log_that_is_damaged_or_grows_is_refused(data: bytes, tmp_path: Path) -> None:
+    (tmp_path / 'Barcodes.dat.gz').write_bytes(data)
+    with pytest.raises(LandmarkNavError, match='Barcodes'):
         read_mrclam(tmp_path, 1, 0.01)

@@ -10,7 +10,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.cli.evaluate import run_summary
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import error_summary
-from landmark_nav.evaluation.replay import replay
+from landmark_nav.evaluation.replay import replay, shifts_by_odometry
 from landmark_nav.evaluation.report.tables import drive_verdict
 from landmark_nav.evaluation.run_report import run_errors, run_report
 from landmark_nav.evaluation.smoothed_run import smooth_run, write_tum_files
@@ -157,6 +157,12 @@ def test_a_clock_that_was_set_back_is_no_error_of_the_pose(first):
     truth, odometry = (run_errors(run).odometry for run in (good, done))
     np.testing.assert_allclose(odometry, truth, atol=1e-6)
     np.testing.assert_allclose(run_errors(done).fused[-5:], run_errors(good).fused[-5:], atol=0.15)
+
+
+def test_stamps_that_go_back_alone_or_a_little_stay():
+    truth = np.array([10, 20, 15, 30, 40]) * SECOND // 100
+    assert not shifts_by_odometry([5, 900, 7], [-1, 2, 4], truth).any()
+    assert shifts_by_odometry([5, 7], [-1, -1], []).tolist() == [0, 0]
 
 
 def test_an_image_that_came_late_is_smoothed_in_its_time():

@@ -73,6 +73,14 @@ def test_executables_handle_signals_before_they_import_anything_else(module: str
     assert loaded == parents
 
 
+def test_importing_nodes_leaves_signals_alone() -> None:
+    pytest.importorskip('rclpy', reason='ROS 2 is not installed')
+    before = [signal.getsignal(number) for number in NUMBERS]
+    import landmark_nav.nodes  # noqa: F401
+
+    assert [signal.getsignal(number) for number in NUMBERS] == before
+
+
 @pytest.mark.parametrize('number', NUMBERS)
 def test_work_that_is_interrupted_cleans_up(number: signal.Signals) -> None:
     cleaned = []

@@ -126,3 +126,12 @@ def test_nearer_things_cover_farther_ones(renderer):
     cv2.fillConvexPoly(inside, np.rint(hull).astype(np.int32), 1)
     assert changed[cv2.dilate(inside, np.ones((7, 7))) == 0].sum() == 0
     assert changed[cv2.erode(inside, np.ones((7, 7))) == 1].mean() > 0.95
+
+
+def test_a_camera_of_two_million_pixels_shows_the_same_as_a_small_one() -> None:
+    small = CameraModel(480, 270, 300.0, 300.0, 239.5, 134.5)
+    rotation, center = MOUNT.camera_pose_map(np.array([2.0, 2.2, 0.4]), 0.3)
+    views = [Renderer(SCENE, camera).render(rotation, center) for camera in (
+        small, small.resized(1920, 1080))]  # fmt: skip
+    reduced = cv2.resize(views[1], (480, 270), interpolation=cv2.INTER_AREA)
+    assert np.abs(views[0].astype(float) - reduced).mean() < 4.0

@@ -5,7 +5,7 @@ import pytest
 
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
-from landmark_nav.simulation.drive_path import PathFollower, plan_tour
+from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.simulation.renderer import CameraEffects, CameraEffectsConfig
@@ -91,6 +91,16 @@ class TestCameraEffects:
             assert images.var() == pytest.approx(9.0 + 0.2 * level + 1.0 / 12.0, rel=0.05)
             assert not np.array_equal(images[0], images[1])
 
+    def test_a_lens_mixes_light(self):
+        config = CameraEffectsConfig(
+            vignetting=0.0, auto_exposure=0.0, blur_sigma_px=1.0, read_noise=0.0, shot_noise=0.0
+        )
+        stripes = np.tile(np.array([0, 255], np.uint8), (96, 64))
+        effects = CameraEffects(CAMERA, config, np.random.default_rng(0))
+        mixed = effects.apply(np.repeat(stripes[..., None], 3, axis=2))
+        # Half the light is a value of 188 in sRGB.
+        assert mixed[10:-10, 10:-10].mean() == pytest.approx(188.0, abs=1.0)
+
 
 class TestDrivePath:
     scene = generate_scene(4)
@@ -115,3 +125,8 @@ class TestDrivePath:
         assert follower.finished
         assert max(off) < 0.25
         assert np.linalg.norm(base.pose_map_base[:2] - path[-1]) < 0.2
+
+    def test_way_leads_from_place_to_place(self):
+        way = plan_way(self.scene, (3.5, 2.5), (5.5, 3.5))
+        assert way[0] == pytest.approx([3.5, 2.5], abs=0.1)
+        assert way[-1] == pytest.approx([5.5, 3.5], abs=0.1)

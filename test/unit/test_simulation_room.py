@@ -13,7 +13,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.simulation.furnishing import generate_scene, hang_tags
+from landmark_nav.simulation.furnishing import generate_scene, hang_tags, move_one_box
 from landmark_nav.simulation.people import Person
 from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M
 from landmark_nav.simulation.scene import Box, Scene
@@ -81,6 +81,12 @@ class TestRooms:
         paper = Paper('red', (0.5, 0.0, 1.5), 0.2, 0.3)
         with pytest.raises(LandmarkNavError, match='no two places'):
             generate_scene(0, replace(small, papers=(paper,)))
+
+    def test_one_box_moves(self, scenes):
+        scene = next(scene for scene in scenes if len(scene.boxes) > 2)
+        boxes = move_one_box(scene, np.random.default_rng(0))
+        assert len(boxes) == len(scene.boxes)
+        assert len(set(boxes) - set(scene.boxes)) == 1
 
 
 class TestScene:

@@ -9,6 +9,7 @@ from triplet_room import (
     CAMERA,
     chosen,
     CONFIG,
+    DEPTH,
     landmark,
     MOUNT,
     PRIOR,
@@ -126,6 +127,18 @@ class TestRefusal:
         assert 'fewer than three' in found.reason
         view = visible_landmarks(PRIOR, LandmarkMap(()), CAMERA, MOUNT, 0.0, 0.0, CONFIG)
         assert len(view) == 0
+
+    def test_three_that_fit_no_view(self) -> None:
+        spread = LandmarkMap(
+            (
+                landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),
+                landmark(1, (3.0, DEPTH), (0.0, -1.0), 1.2),
+                landmark(2, (0.0, 2.0), (1.0, 0.0), 1.2),
+            )
+        )
+        found = select_triplet(PRIOR, spread, CAMERA, MOUNT, CONFIG)
+        assert isinstance(found, Refusal)
+        assert 'fit one view' in found.reason
 
     def test_a_triplet_above_the_greatest_sigma_is_refused(self) -> None:
         strict = TripletConfig(max_sigma_m=1e-4)
