@@ -14,6 +14,8 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import unwrap_joint, wrap_rad
 from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.patches import patch_axes, rays_to_patch
+from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Room, Wall
 
 ANGLES = st.floats(-1e3, 1e3)
@@ -263,3 +265,41 @@ def test_walls_that_run_clockwise_are_refused() -> None:
 def test_a_wall_that_is_none_is_refused(wall: Wall, message: str) -> None:
     with pytest.raises(LandmarkNavError, match=message):
         Room((wall, *outline(CORNERS)[1:]))
+
+
+BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@given(
+    azimuth=st.floats(-np.pi, np.pi),
+    off=st.floats(-1.2, 1.2),
+    reach=st.floats(0.4, 9.0),
+    rpy=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.5, 0.5)),
+    ray=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
+)
+def test_rays_meet_the_patch_where_the_plane_states(
+    azimuth: float,
+    off: float,
+    reach: float,
+    rpy: tuple[float, float, float],
+    ray: tuple[float, float],
+) -> None:
+    normal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    position = np.array([2.0, -3.0, 1.4])
+    direction = np.array([np.cos(azimuth + off), np.sin(azimuth + off), 0.05])
+    center = position + reach * direction
+    facing = rotation_rpy([0.0, 0.0, azimuth + off + np.pi]) @ rotation_rpy(rpy)
+    rotation = facing @ BODY_FROM_OPTICAL
+    # Metres on the patch, by meeting of ray and plane.
+    out = rotation @ np.array([*ray, 1.0])
+    if out @ normal > -0.05:
+        return  # along the wall, or away from it
+    point = center + ((position - center) @ normal) / (out @ normal) * out
+    right, down = patch_axes(normal)
+    expected = np.array([(point - position) @ right, (point - position) @ down])
+
+    homography = rays_to_patch(position[None], normal[None], rotation, center)[0]
+    found = homography @ np.array([*ray, 1.0])
+    np.testing.assert_allclose(found[:2] / found[2], expected, rtol=1e-8, atol=1e-9)
+    # In front of the camera the scale is positive: what lies behind is distinguished by its sign.
+    assert found[2] > 0.0

@@ -1,13 +1,24 @@
 from __future__ import annotations
 
 import gzip
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.localization.odometry.noise import twist_motion
+from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
+from landmark_nav.messages import decode, encode
+from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.mrclam import read_mrclam
+from landmark_nav.types import PoseEstimate
 
 SIGMA = np.radians(0.5)
 
@@ -78,3 +89,132 @@ def test_bad_files_are_named(
         read_mrclam(folder, 2, SIGMA)
     with pytest.raises(LandmarkNavError, match='no folder there'):
         read_mrclam(folder / 'nothing', 2, SIGMA)
+
+
+BEGIN_S = 1_248_444_187.0
+STEP_S = 0.05
+DELAY_STEPS = 4
+POSTS = np.array(
+    [[2.0, 0.3], [0.4, 2.1], [-2.0, 0.2], [0.1, -2.2], [2.5, 2.5], [-2.5, 2.4], [3, -2.0]]
+)
+CODES = [63, 81, 7, 70, 45, 27, 18]
+
+EXACT = """
+pan_axis: {xyz: [0, 0, 0], xyz_sigma: 0.0001, rpy_sigma: 0.0001}
+optical_center_offset_sigma: 0.0001
+camera_roll_sigma: 0.0001
+focal_scale_sigma: 0.0001
+joint_delay_sigma: 0.0001
+pan_sigma: 0.003
+odometry: {slip_m_per_rad: 0.005}
+"""
+
+
+@pytest.fixture(scope='module')
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two minutes of a robot that wanders and does 5 % less than commanded, 0.2 s later."""
+    folder = tmp_path_factory.mktemp('mrclam')
+    rng = np.random.default_rng(1)
+    turns = np.repeat(rng.uniform(-0.4, 0.5, 60), 40)
+    count = len(turns)
+    truth = [np.array([0.5, -0.4, 0.3])]
+    for k in range(count - 1):
+        turn = turns[k - DELAY_STEPS] if k >= DELAY_STEPS else 0.0
+        truth.append(se2.compose(truth[-1], twist_motion(0.08, turn, STEP_S)))
+    times = BEGIN_S + STEP_S * np.arange(count)
+    seen = []
+    for time, pose in zip(times[2::5], truth[2::5], strict=True):
+        bearing = se2.bearings(pose, POSTS)
+        bearing += rng.normal(0.0, 0.008, len(POSTS))
+        for k in np.flatnonzero(np.abs(bearing) < 0.8):
+            # One reading in fifty is mistaken for another post.
+            code = CODES[k] if rng.random() > 0.02 else CODES[(k + 2) % len(CODES)]
+            seen.append(f'{time:.3f} \t {code} \t 1.0 \t {bearing[k]:.3f}')
+        seen.append(f'{time:.3f} \t 14 \t 1.0 \t 0.1')  # robot 2
+    texts = {
+        'Barcodes': [f'{k + 1} {c}' for k, c in enumerate([5, 14, 41, 32, 23, *CODES])],
+        'Landmark_Groundtruth': [
+            f'{k + 6} {x} {y} 0.0001 0.0001' for k, (x, y) in enumerate(POSTS)
+        ],
+        'Robot1_Groundtruth': [
+            f'{t - 0.01:.3f} {x:.6f} {y:.6f} {h:.6f}'
+            for t, (x, y, h) in zip(times, truth, strict=True)
+        ],
+        'Robot1_Odometry': [
+            f'{t:.3f} 0.085 {1.05 * w:.3f}' for t, w in zip(times, turns, strict=True)
+        ],
+        'Robot1_Measurement': seen,
+    }
+    for name, lines in texts.items():
+        (folder / f'{name}.dat').write_text('# head\n' + '\n'.join(lines) + '\n')
+    return folder
+
+
+@pytest.fixture(scope='module')
+def converted(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    bag = tmp_path_factory.mktemp('out') / 'run'
+    assert main(['convert', 'mrclam', str(log), '--robot', '1', '--out', str(bag)]) == 0
+    return bag
+
+
+def test_what_a_bag_of_it_holds(converted: Path, log: Path) -> None:
+    bag = Bag(converted)
+    assert set(bag.types) == {'/detections', '/odom', '/ground_truth/odom'}
+    detections = [decode.detections(m.message) for m in bag.messages(['/detections'])]
+    ids = np.concatenate([seen.ids for seen in detections])
+    assert set(ids.tolist()) <= set(range(6, 13))
+    truth = next(iter(bag.messages(['/ground_truth/odom']))).message
+    assert truth.header.frame_id == 'map'
+    # The delay shows in the stamps of the odometry.
+    first = decode.odometry(next(iter(bag.messages(['/odom']))).message)
+    assert first.stamp_ns * 1e-9 - BEGIN_S == pytest.approx(0.2, abs=0.03)
+    start = json.loads(converted.with_name('run_start.json').read_text())['pose']
+    np.testing.assert_allclose(start, [0.5, -0.4, 0.3], atol=0.05)
+
+
+def test_evaluated_smoothed_and_exported(
+    converted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start = json.loads(converted.with_name('run_start.json').read_text())['pose']
+    config = tmp_path / 'config.yaml'
+    config.write_text('/**: {ros__parameters: {estimator: {learning_sigma: 0.0}}}\n')
+    arguments = ['evaluate', str(converted), '--map', f'{converted}_map', '--robot']
+    robot = tmp_path / 'robot.yaml'
+    robot.write_text(EXACT)
+    arguments += [str(robot), '--start', *map(str, start), '--smooth']
+    arguments += ['--config', str(config), '--tum', str(tmp_path / 'tum')]
+    arguments += ['--report', str(tmp_path / 'run.html')]
+    arguments += ['--out', str(tmp_path)]
+    assert main([*arguments, '--json', str(tmp_path / 'run.json')]) == 0
+    report = json.loads((tmp_path / 'run.json').read_text())
+    assert report['odometry']['position_rmse_m'] > 3 * report['fused']['position_rmse_m']
+    assert report['fused']['position_rmse_m'] < 0.03
+    assert report['smoothed']['position_rmse_m'] < report['fused']['position_rmse_m']
+    assert report['availability'] == 1.0
+    assert report['fixes'] > 0
+    assert 'smoothed' in capsys.readouterr().out
+    assert 'smoothed' in (tmp_path / 'run.html').read_text()
+    assert (tmp_path / 'trajectory.png').stat().st_size > 10_000
+    rows = {k: np.loadtxt(tmp_path / 'tum' / f'{k}.tum') for k in ('truth', 'fused', 'smoothed')}
+    assert len(rows['fused']) == report['frames']
+    away = rows['smoothed'][:, 1:3] - rows['truth'][:, 1:3]
+    rmse = np.sqrt(np.mean(np.sum(away**2, axis=1)))
+    assert rmse == pytest.approx(report['smoothed']['position_rmse_m'], abs=1e-9)
+
+
+def test_points_without_an_image_cross_all_borders(
+    converted: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They are kept and sent like other landmarks, but no camera is to look for a texture."""
+    assert main(['map', 'diff', f'{converted}_map', f'{converted}_map']) == 0
+    assert 'no landmark moved or changed' in capsys.readouterr().out
+    points = load_map(f'{converted}_map')
+    np.testing.assert_allclose(points.positions[:, :2], POSTS)
+    cloud, atlas, _ = encode.landmark_map(rosbag_factory(), points, 5)
+    sent = decode.landmark_map(cloud, atlas)
+    assert sent.ids.tolist() == points.ids.tolist()
+    assert all(not landmark.patch.size for landmark in sent.landmarks)
+    camera = CameraModel(640, 480, 400.0, 400.0, 319.5, 239.5)
+    prior = PoseEstimate(0, np.array([0.0, 0.2, 0.0]), 1e-4 * np.eye(3))
+    view = visible_landmarks(prior, points, camera, PanTiltMount(), 0.0, 0.0, TripletConfig())
+    assert not len(view)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
+import pytest
 from triplet_room import (
     CAMERA,
     chosen,
@@ -14,16 +18,31 @@ from triplet_room import (
     MOUNT,
     PRIOR,
     random_map,
+    ROOM,
     select_triplet,
     WIDTH,
 )
 
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.walls import Wall
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import axis_from_base
-from landmark_nav.localization.triplet import CameraState, TripletConfig, visible_landmarks
-from landmark_nav.localization.triplet.search import pair_tables, position_variance
-from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
+from landmark_nav.localization.triplet import (
+    CameraState,
+    rank_triplets,
+    TripletConfig,
+    visible_landmarks,
+)
+from landmark_nav.localization.triplet.planning_scene import PanWindows, travel_s
+from landmark_nav.localization.triplet.ranking import LandmarkVisibility, Verdict
+from landmark_nav.localization.triplet.search import (
+    best_triplets,
+    mean_variance,
+    pair_tables,
+    position_variance,
+)
+from landmark_nav.localization.triplet.selection import ActiveCamera
+from landmark_nav.types import Detections, LandmarkMap, PoseEstimate, Refusal, Triplet
 
 
 class TestSelection:
@@ -145,3 +164,175 @@ class TestRefusal:
         found = select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, strict)
         assert isinstance(found, Refusal)
         assert 'accurate enough' in found.reason
+
+
+def camera_image(found: list[int], missed: list[int] | None = None) -> Detections:
+    n = len(found)
+    return Detections(
+        0,
+        np.array(found, dtype=np.int64),
+        np.zeros(n),
+        np.full(n, 1e-6),
+        np.ones(n),
+        np.zeros((n, 2)),
+        missed=np.array(missed or [], dtype=np.int64),
+    )
+
+
+class TestOneView:
+    def test_an_image_that_hangs_no_more_is_given_up(self) -> None:
+        camera = ActiveCamera(random_map(40), MOUNT, CONFIG)
+        first = camera.choose(PRIOR, CAMERA, CameraState(0.0)).chosen
+        assert isinstance(first, Triplet)
+        gone = int(first.ids[0])
+        for _ in range(60):
+            camera.saw(camera_image([], [gone]))
+        later = camera.choose(PRIOR, CAMERA, CameraState(0.0)).chosen
+        assert isinstance(later, Triplet)
+        assert gone not in later.ids
+
+
+class TestVisibility:
+    def test_wall_between(self) -> None:
+        behind = landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2)
+        behind = replace(behind, viewpoint=np.array([4.25, 2.2, 1.1]))
+        prior = PoseEstimate(0, np.array([2.0, 2.0, 0.0]), PRIOR.covariance)
+        view = (CAMERA, MOUNT, 0.0, 0.0, CONFIG)
+        assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=ROOM), *view)) == 1
+        corners = [
+            (0.0, 0.0), (4.0, 0.0), (4.0, 2.5), (4.2, 2.5), (4.2, 0.0), (WIDTH, 0.0),
+            (WIDTH, DEPTH), (0.0, DEPTH),
+        ]  # fmt: skip
+        walls = tuple(
+            Wall(str(k), corners[k], corners[(k + 1) % len(corners)], 2.6)
+            for k in range(len(corners))
+        )
+        assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=walls), *view)) == 0
+
+    def test_patch_must_be_whole_in_the_image(self) -> None:
+        landmark_map = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),))
+        prior = PoseEstimate(0, np.array([3.0, 2.0, 0.0]), PRIOR.covariance)
+        seen = [
+            len(visible_landmarks(prior, landmark_map, CAMERA, MOUNT, pan, 0.0, CONFIG))
+            for pan in (0.0, 0.36, 0.41, np.pi)
+        ]
+        assert seen == [1, 1, 0, 0]
+        high = visible_landmarks(prior, landmark_map, CAMERA, MOUNT, 0.0, -0.5, CONFIG)
+        assert len(high) == 0
+
+
+class TestGeometry:
+    @settings(max_examples=60)
+    @given(st.integers(0, 10_000), st.integers(3, 9))
+    def test_tours_in_one_view_against_a_grid_of_pans(self, seed: int, n: int) -> None:
+        rng = np.random.default_rng(seed)
+        azimuth = rng.uniform(-np.pi, np.pi, n)
+        reach = rng.uniform(-0.1, 0.6, n)
+        limits = (-1.5, 2.0)
+        windows = PanWindows.around(azimuth, reach, limits, 0.3, CONFIG)
+        copies = np.array(list(combinations(range(len(windows.place)), 3)), dtype=np.intp)
+        copies = copies.reshape(-1, 3)
+        tours = windows.tours(copies)
+        triples = np.array(list(combinations(range(n), 3)))
+        pans = np.linspace(*limits, 20001)
+        inside = np.abs(wrap_rad(pans[:, None] - azimuth)) <= reach
+        for triple in triples:
+            # A grid of pans misses views that hardly exist.
+            views = pans[inside[:, triple].all(axis=1)]
+            mine = (np.sort(windows.place[copies], axis=1) == triple).all(axis=1)
+            cost = np.min(tours.cost[mine], initial=np.inf)
+            if len(views):
+                way = float(np.abs(views - 0.3).min())
+                assert cost == pytest.approx(1.0 + travel_s(way, 1.0, 8.0), abs=0.02)
+            if np.isfinite(cost):
+                pan = tours.pan_rad[mine][np.argmin(tours.cost[mine])]
+                assert limits[0] <= pan <= limits[1]
+                assert np.all(np.abs(wrap_rad(pan - azimuth[triple])) <= reach[triple] + 1e-12)
+
+    def test_variance_against_the_inverse_matrix(self) -> None:
+        landmark_map = random_map(12)
+        axis = np.array([3.1, 2.2])
+        triples = np.array(list(combinations(range(12), 3)))
+        seen = pair_tables(axis, landmark_map, np.arange(12), 4e-4)
+        traces = position_variance(seen, *triples.T)
+        for triple, trace in list(zip(triples, traces, strict=True))[::17]:
+            gradient = seen.gradient.T[triple]
+            rows = np.stack([2 * triple, 2 * triple + 1], -1).reshape(-1)
+            joint = landmark_map.joint_covariance_xy[np.ix_(rows, rows)]
+            derivative = np.zeros((3, 6))
+            for k in range(3):
+                derivative[k, 2 * k : 2 * k + 2] = -gradient[k]
+            noise = 4e-4**2 * np.eye(3) + derivative @ joint @ derivative.T
+            inverse = np.linalg.inv(np.column_stack([gradient, -np.ones(3)]))
+            covariance = inverse @ noise @ inverse.T
+            assert trace == pytest.approx(np.trace(covariance[:2, :2]), rel=1e-6)
+
+
+class TestSearch:
+    @settings(max_examples=30)
+    @given(st.integers(0, 10_000), st.integers(3, 80), st.sampled_from([0.01, 0.3]))
+    def test_pruned_is_exhaustive(self, seed: int, n: int, spread_m: float) -> None:
+        rng = np.random.default_rng(seed)
+        landmark_map = random_map(n, seed)
+        points = PRIOR.pose[:2] + spread_m * rng.normal(size=(4, 2))
+        tables = pair_tables(points, landmark_map, np.arange(n), 4e-4)
+        factor = 1.0 / rng.uniform(0.2, 1.0, n)
+        cost = 1.0 + rng.exponential(size=(n, n))
+        cost[rng.random((n, n)) < 0.3] = np.inf
+        cost = np.maximum(cost, cost.T)
+        scores, triplets = best_triplets(tables, factor, cost, 10)
+        every = np.array(list(combinations(range(n), 3)))
+        i, j, k = every.T
+        most = np.maximum(np.maximum(cost[i, j], cost[i, k]), cost[j, k])
+        score = mean_variance(tables, every) * factor[every].prod(axis=1) * most
+        order = np.argsort(score)[: len(scores)]
+        np.testing.assert_allclose(scores, score[order], rtol=1e-9)
+        assert {tuple(t) for t in triplets} == {tuple(t) for t in every[order]}
+        assert len(scores) == min(10, np.isfinite(score).sum())
+
+
+class TestRanking:
+    def test_the_spread_of_the_prior_counts(self) -> None:
+        """A small one changes next to nothing, a wide one makes near landmarks a gamble."""
+
+        def scores(sigma_m: float) -> tuple[float, set[int]]:
+            prior = PoseEstimate(0, PRIOR.pose, np.diag([sigma_m, sigma_m, 0.005]) ** 2)
+            # Without margins for it, so that the same views remain.
+            config = TripletConfig(margin_sigmas=0.0)
+            ranking = rank_triplets(prior, random_map(40), CAMERA, MOUNT, config)
+            return float(ranking.score[0]), set(chosen(ranking.chosen).ids.tolist())
+
+        exact, ids = scores(1e-6)
+        for sigma_m in (0.01, 0.04, 0.06):
+            score, others = scores(sigma_m)
+            assert score == pytest.approx(exact, rel=0.02)
+            assert others == ids
+        assert scores(0.4)[0] > 1.1 * exact
+
+    def test_turning_costs(self) -> None:
+        landmark_map = random_map(40)
+        hasty = TripletConfig(dwell_time_s=0.05)
+        for pan in (-2.0, 0.0, 2.0):
+            free = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG)
+            near = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, hasty, CameraState(pan))
+            assert near.travel_s[0] <= travel_s(abs(chosen(free.chosen).pan_rad - pan), 1.0, 8.0)
+            assert abs(chosen(near.chosen).pan_rad - pan) < 1.0
+
+    def test_reasons(self) -> None:
+        landmark_map = random_map(40)
+        ranking = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(0.0))
+        verdicts = ranking.verdicts()
+        assert verdicts[0] is Verdict.CHOSEN
+        assert Verdict.CHOSEN not in verdicts[1:]
+        assert all(verdict.words for verdict in verdicts)
+        assert len(verdicts) == len(ranking.score) > 3
+        assert ranking.table()['reason'].tolist() == verdicts
+        reported = ranking.landmark_table(landmark_map.ids)
+        assert dict(zip(reported['id'], reported['reason'], strict=True)) == dict(
+            zip(landmark_map.ids, ranking.visibility, strict=True)
+        )
+        assert sum(ranking.excluded().values()) == np.count_nonzero(ranking.visibility)
+        limited = rank_triplets(
+            PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(0.0, limits_rad=(-0.5, 0.5))
+        )
+        assert limited.excluded()[LandmarkVisibility.BEYOND_LIMITS.words] > 10
