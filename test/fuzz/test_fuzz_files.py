@@ -48,7 +48,7 @@ CAMERA_YAML = {
 CONFIG = {'/**': {'ros__parameters': {'capture': {'frames': 3}, 'triplet': {'views': 'one'}}}}
 
 
-def read_config(path: Path) -> Any:
+def read_config(path):
     """Read parameters of all nodes, for a robot of which nothing is known."""
     robot = path.with_name('any_robot.yaml')
     robot.write_text('pan_axis: {xyz: [0, 0, 1]}', encoding='utf-8')
@@ -67,7 +67,7 @@ YAML_FILES: dict[str, tuple[Any, Callable[[Path], Any]]] = {
 @pytest.mark.parametrize('name', sorted(YAML_FILES))
 @FUZZ
 @given(data=st.data())
-def test_yaml_files(name: str, data: st.DataObject, scratch: Path) -> None:
+def test_yaml_files(name, data, scratch):
     document, read = YAML_FILES[name]
     path = scratch / name
     if data.draw(st.booleans()):
@@ -80,7 +80,7 @@ def test_yaml_files(name: str, data: st.DataObject, scratch: Path) -> None:
 
 @FUZZ
 @given(data=st.data())
-def test_maps(data: st.DataObject, scratch: Path) -> None:
+def test_maps(data, scratch):
     folder = scratch / 'map'
     if not folder.exists():
         save_map(corpus.landmark_map(), folder)
@@ -101,7 +101,7 @@ def test_maps(data: st.DataObject, scratch: Path) -> None:
 
 @FUZZ
 @given(data=st.data())
-def test_sweep_folders(data: st.DataObject, scratch: Path) -> None:
+def test_sweep_folders(data, scratch):
     image = np.random.default_rng(0).integers(0, 255, (12, 16, 3), dtype=np.uint8)
     jpeg = cv2.imencode('.jpg', image)[1].tobytes()
     rows = [f'{k}.jpg,{0.5 * k},20.0,16,12' for k in range(3)]
@@ -129,7 +129,7 @@ MRCLAM = {
 
 @FUZZ
 @given(data=st.data())
-def test_mrclam_logs(data: st.DataObject, scratch: Path) -> None:
+def test_mrclam_logs(data, scratch):
     for name, text in MRCLAM.items():
         (scratch / name).write_text(text, encoding='utf-8')
     name = data.draw(st.sampled_from(sorted(MRCLAM)))
@@ -138,14 +138,14 @@ def test_mrclam_logs(data: st.DataObject, scratch: Path) -> None:
 
 
 @cache
-def robot_messages() -> dict[str, Any]:
+def robot_messages():
     with tempfile.TemporaryDirectory() as folder:
         robot = Path(folder) / 'robot.yaml'
         robot.write_text(yaml.safe_dump(corpus.ROBOT_YAML), encoding='utf-8')
         return corpus.messages(rosbag_factory(), robot)
 
 
-def write_bag(path: Path, kind: str, messages: dict[str, Any]) -> Path:
+def write_bag(path, kind, messages):
     """Write one message of each topic three times; returns the file that holds them."""
     stamps = range(10 * corpus.SECOND_NS, 13 * corpus.SECOND_NS, corpus.SECOND_NS)
     store = default_typestore()
@@ -170,7 +170,7 @@ def write_bag(path: Path, kind: str, messages: dict[str, Any]) -> Path:
     return next(file for file in path.iterdir() if file.name != 'metadata.yaml')
 
 
-def read_all(path: Path) -> None:
+def read_all(path):
     """Read all messages; what is passed over is said in one line."""
     warnings: list[str] = []
     bag = Bag(path, warnings.append)
@@ -185,7 +185,7 @@ def read_all(path: Path) -> None:
 @pytest.mark.parametrize('kind', ['mcap', 'db3', 'ros1'])
 @FUZZ
 @given(data=st.data())
-def test_bags(kind: str, data: st.DataObject, scratch: Path) -> None:
+def test_bags(kind, data, scratch):
     path = scratch / ('bag.bag' if kind == 'ros1' else 'bag')
     copy = scratch / 'valid'
     if not path.exists():
@@ -207,7 +207,7 @@ def test_bags(kind: str, data: st.DataObject, scratch: Path) -> None:
     enter(lambda: read_all(path))
 
 
-def check_bag(path: Path) -> None:
+def check_bag(path):
     """What `landmark-nav check`, `learn` and `evaluate` begin with."""
     found = diagnose(Bag(path, lambda _: None), PanTiltMount(), None, QUICK)
     assert all(finding.line().isprintable() for finding in found.findings), found
@@ -215,7 +215,7 @@ def check_bag(path: Path) -> None:
 
 @FUZZ
 @given(data=st.data())
-def test_bags_of_hostile_messages(data: st.DataObject, scratch: Path) -> None:
+def test_bags_of_hostile_messages(data, scratch):
     path = scratch / 'bag'
     shutil.rmtree(path, ignore_errors=True)
     messages = dict(robot_messages())
@@ -231,7 +231,7 @@ def test_bags_of_hostile_messages(data: st.DataObject, scratch: Path) -> None:
 
 @FUZZ
 @given(data=st.data())
-def test_checks_of_hostile_drives(data: st.DataObject, scratch: Path) -> None:
+def test_checks_of_hostile_drives(data, scratch):
     path = scratch / 'bag'
     shutil.rmtree(path, ignore_errors=True)
     messages, store = dict(robot_messages()), default_typestore()
@@ -255,7 +255,7 @@ SWEEP_TOPICS = ('sweep/image/compressed', 'sweep/camera_info', 'sweep/trajectory
 
 @FUZZ
 @given(data=st.data())
-def test_hostile_sweeps(data: st.DataObject, scratch: Path) -> None:
+def test_hostile_sweeps(data, scratch):
     path = scratch / 'bag'
     shutil.rmtree(path, ignore_errors=True)
     messages, store = robot_messages(), default_typestore()

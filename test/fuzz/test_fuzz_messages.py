@@ -1,12 +1,8 @@
 """What decodes a message: each type with hostile values gives a value or a refusal."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 import tempfile
-from typing import Any
 
 from bounds import enter, FUZZ
 import corpus
@@ -16,7 +12,6 @@ from hypothesis import strategies as st
 import pytest
 import yaml
 
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.storage.bags.topics import TOPIC_TYPES
@@ -24,14 +19,14 @@ from landmark_nav.storage.setup_files import load_robot
 
 
 @cache
-def prepared() -> tuple[dict[str, Any], PanTiltMount]:
+def prepared():
     with tempfile.TemporaryDirectory() as folder:
         robot = Path(folder) / 'robot.yaml'
         robot.write_text(yaml.safe_dump(corpus.ROBOT_YAML), encoding='utf-8')
         return corpus.messages(rosbag_factory(), robot), load_robot(robot)
 
 
-def _decoders() -> dict[str, Callable[[Any], Any]]:
+def _decoders():
     valid, mount = prepared()
     joints = partial(decode.joint_sample, mount=mount)
     tilt = partial(decode.lone_tilt, mount=mount)
@@ -61,13 +56,13 @@ def _decoders() -> dict[str, Callable[[Any], Any]]:
 
 
 @pytest.mark.parametrize('topic', sorted(_decoders()))
-def test_valid_messages_pass(topic: str) -> None:
+def test_valid_messages_pass(topic):
     _decoders()[topic](prepared()[0][topic])
 
 
 @pytest.mark.parametrize('topic', sorted(_decoders()))
 @FUZZ
 @given(data=st.data())
-def test_hostile_messages(topic: str, data: st.DataObject) -> None:
+def test_hostile_messages(topic, data):
     message = data.draw(changed_message(TOPIC_TYPES[topic], prepared()[0][topic]))
     enter(lambda: _decoders()[topic](message))

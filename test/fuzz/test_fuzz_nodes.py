@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from importlib import import_module
 import os
@@ -46,7 +45,7 @@ CASES += [('landmark_learner', UNMEASURED), ('panorama_synthesizer', UNMEASURED)
 MESSAGES_A_NODE = 20
 
 
-def as_ros(type_name: str, message: Any) -> Any:
+def as_ros(type_name, message):
     """Copy of a message in rclpy's classes."""
     made = message_class(type_name)()
     for name, kind in made.get_fields_and_field_types().items():
@@ -66,7 +65,7 @@ def as_ros(type_name: str, message: Any) -> Any:
 
 
 @pytest.fixture(scope='module')
-def context() -> Any:
+def context():
     made = Context()
     made.init(domain_id=10 + os.getpid() % 90)
     with pytest.MonkeyPatch.context() as patch:
@@ -77,7 +76,7 @@ def context() -> Any:
 
 
 @pytest.fixture(autouse=True, scope='module')
-def _no_late_frames() -> Iterator[None]:
+def _no_late_frames():
     """No sweep waits for frames that never come."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('landmark_nav.nodes.recorded_sweeps._LATE_FRAMES_S', 0.0)
@@ -85,14 +84,14 @@ def _no_late_frames() -> Iterator[None]:
 
 
 @pytest.fixture(scope='module')
-def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp('files')
     for name, document in (('robot', corpus.ROBOT_YAML), ('room', corpus.ROOM_YAML)):
         (folder / f'{name}.yaml').write_text(yaml.safe_dump(document), encoding='utf-8')
     return {name: str(folder / f'{name}.yaml') for name in ('robot', 'room')}
 
 
-def callbacks(node: Any) -> dict[str, Callable[[Any], None]]:
+def callbacks(node):
     """What a node does with each topic that it reads, by the topic's name in the contract."""
     listened = {entry.topic_name.lstrip('/'): entry.callback for entry in node.subscriptions}
     return {topic: listened[topic] for topic in listened if topic in TOPIC_TYPES}
@@ -102,13 +101,7 @@ def callbacks(node: Any) -> dict[str, Callable[[Any], None]]:
 # Not shrunk: what a node did before can't be taken back.
 @settings(FUZZ, max_examples=max(2, FUZZ.max_examples // MESSAGES_A_NODE), phases=[Phase.generate])
 @given(data=st.data())
-def test_hostile_topics(
-    name: str,
-    wanted: dict[str, Any],
-    data: st.DataObject,
-    context: Context,
-    files: dict[str, str],
-) -> None:
+def test_hostile_topics(name, wanted, data, context, files):
     class_name, _ = NODES[name]
     parameters = [Parameter(key, value=files.get(value, value)) for key, value in wanted.items()]
     node_class = getattr(import_module(f'landmark_nav.nodes.{name}'), class_name)

@@ -1,9 +1,6 @@
 """The exit status of `bag_player` shows whether it played the whole bag."""
 
-from __future__ import annotations
-
 import os
-from pathlib import Path
 import subprocess
 
 from mcap.reader import make_reader
@@ -17,7 +14,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Path:
+def recording(tmp_path):
     """The MCAP file of a bag of 100 messages."""
     text = rosbag_factory()('std_msgs/msg/String', data='tick')
     with BagWriter(tmp_path / 'bag') as bag:
@@ -26,7 +23,7 @@ def recording(tmp_path: Path) -> Path:
     return tmp_path / 'bag' / 'bag.mcap'
 
 
-def played(path: Path, domain_id: int) -> tuple[int, str]:
+def played(path, domain_id):
     """Exit status of playing a bag, and its output."""
     done = subprocess.run(
         node_command('bag_player', bag=str(path)),
@@ -38,7 +35,7 @@ def played(path: Path, domain_id: int) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
-def test_a_bag_damaged_inside_is_not_played(recording: Path, domain_id: int) -> None:
+def test_a_bag_damaged_inside_is_not_played(recording, domain_id):
     with recording.open('rb') as stream:
         chunk = make_reader(stream).get_summary().chunk_indexes[-1]
     content = bytearray(recording.read_bytes())
@@ -55,7 +52,7 @@ def test_a_bag_damaged_inside_is_not_played(recording: Path, domain_id: int) -> 
     assert 'Traceback' not in reported
 
 
-def test_a_bag_that_is_cut_off_is_played_up_to_the_break(recording: Path, domain_id: int) -> None:
+def test_a_bag_that_is_cut_off_is_played_up_to_the_break(recording, domain_id):
     content = recording.read_bytes()
     recording.write_bytes(content[: len(content) * 9 // 10])
     status, reported = played(recording, domain_id)

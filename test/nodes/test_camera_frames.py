@@ -27,13 +27,13 @@ MOUNT = PanTiltMount()
 RATE_RAD_S = 0.5
 
 
-def listening(*joints: str) -> tuple[CameraFrames, Callable[[JointSample], None]]:
+def listening(*joints):
     """Frames of a node, and what makes it hear of `joints`, of both unless they are named."""
     callbacks: dict[str, Any] = {}
     node: Any = SimpleNamespace(listen=lambda topic, call, **_: callbacks.setdefault(topic, call))
     frames = CameraFrames(node, MOUNT)
 
-    def hear(sample: JointSample) -> None:
+    def hear(sample):
         both = encode.joint_state(ros_factory, sample, MOUNT)
         for joint in joints:
             alone = encode.joint_state(ros_factory, sample, MOUNT)
@@ -48,7 +48,7 @@ def listening(*joints: str) -> tuple[CameraFrames, Callable[[JointSample], None]
 
 
 @pytest.mark.parametrize('step_ns', [1_000_000, 20_000_000])
-def test_they_reach_back_however_fast_they_come(step_ns: int) -> None:
+def test_they_reach_back_however_fast_they_come(step_ns):
     frames, hear = listening()
     last_ns = 6 * 10**9
     for stamp_ns in range(0, last_ns + 1, step_ns):
@@ -62,7 +62,7 @@ def test_they_reach_back_however_fast_they_come(step_ns: int) -> None:
     assert frames.pan_range_rad == pytest.approx(3.0 * RATE_RAD_S, abs=0.02)
 
 
-def test_a_tilt_of_another_driver_is_waited_for_and_kept() -> None:
+def test_a_tilt_of_another_driver_is_waited_for_and_kept():
     frames, hear = listening(MOUNT.tilt_joint, MOUNT.pan_joint)
     for k in range(400):
         hear(JointSample(k * 20_000_000, 0.0, 0.001 * k))
@@ -73,7 +73,7 @@ def test_a_tilt_of_another_driver_is_waited_for_and_kept() -> None:
     assert frames.tilt_rad == pytest.approx(0.399)
     assert len(frames._tilts) < 200
 
-    def hear_pan(stamp_ns: int) -> None:
+    def hear_pan(stamp_ns):
         frames._on_joints(JointSample(stamp_ns, 0.0))
 
     # A tilt is awaited, but not for long: it may be given now and then only.
@@ -89,7 +89,7 @@ def test_a_tilt_of_another_driver_is_waited_for_and_kept() -> None:
     assert [tilt for _, tilt in frames._tilts] == [0.2]
 
 
-def test_a_prefixed_pan_joint_is_heard_and_others_are_named() -> None:
+def test_a_prefixed_pan_joint_is_heard_and_others_are_named():
     logged: list[str] = []
     callbacks: dict[str, Any] = {}
     node: Any = SimpleNamespace(
@@ -98,7 +98,7 @@ def test_a_prefixed_pan_joint_is_heard_and_others_are_named() -> None:
     )
     frames = CameraFrames(node, MOUNT)
 
-    def hear(name: str, angle: float) -> None:
+    def hear(name, angle):
         message = encode.joint_state(ros_factory, JointSample(10**9, angle), MOUNT)
         message.name, message.position = [name], [angle]
         callbacks['joint_states'](message)
@@ -114,7 +114,7 @@ def test_a_prefixed_pan_joint_is_heard_and_others_are_named() -> None:
     assert logged == ['joint_states: joint robot1/pan_joint for pan_joint is taken']
 
 
-def test_messages_without_stamps_have_the_time_of_arrival() -> None:
+def test_messages_without_stamps_have_the_time_of_arrival():
     noted: list[str] = []
     heard: list[int] = []
     node: Any = SimpleNamespace(
@@ -139,20 +139,20 @@ RAW, COMPRESSED = 'camera/image_raw', 'camera/image_raw/compressed'
 class Listener:
     """Keeps who listens to what, as a node; `meanwhile` is what another thread does."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.heard: dict[str, Callable[[Any], None]] = {}
         self.meanwhile: Callable[[], None] = lambda: None
 
-    def listen(self, topic: str, callback: Callable[[Any], None], **_: Any) -> Any:
+    def listen(self, topic, callback, **_):
         self.heard[topic] = callback
         return SimpleNamespace(topic=topic)
 
-    def destroy_subscription(self, subscription: Any) -> None:
+    def destroy_subscription(self, subscription):
         del self.heard[subscription.topic]
         self.meanwhile()
 
 
-def test_the_first_that_delivers_stays() -> None:
+def test_the_first_that_delivers_stays():
     node: Any = Listener()
     images: list[Any] = []
     ImageSource(node, RAW, images.append)

@@ -1,8 +1,5 @@
 """The demo as a user starts it: it succeeds, ends all processes, and reports one that died."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
 import json
 import os
 from pathlib import Path
@@ -43,7 +40,7 @@ SHORT_SWEEP = '/**: {ros__parameters: {capture: {frames: 16, step_rad: 0.3926991
 
 
 @pytest.fixture
-def demo(tmp_path: Path, domain_id: int) -> Iterator[subprocess.Popen[str]]:
+def demo(tmp_path, domain_id):
     """A demo under way, in the domain of its environment."""
     process = subprocess.Popen(
         [*DEMO, str(tmp_path / 'demo')],
@@ -59,7 +56,7 @@ def demo(tmp_path: Path, domain_id: int) -> Iterator[subprocess.Popen[str]]:
     process.kill()
 
 
-def processes(folder: Path) -> dict[str, int]:
+def processes(folder):
     """Node -> id of the processes that were given files in `folder`."""
     found = {}
     for entry in Path('/proc').glob('[0-9]*'):
@@ -72,16 +69,14 @@ def processes(folder: Path) -> dict[str, int]:
     return found
 
 
-def wait(condition: Callable[[], bool], timeout_s: float) -> None:
+def wait(condition, timeout_s):
     deadline = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < deadline, 'waited in vain'
         time.sleep(0.1)
 
 
-def test_a_node_that_died_is_reported_and_the_others_end(
-    demo: subprocess.Popen[str], tmp_path: Path
-) -> None:
+def test_a_node_that_died_is_reported_and_the_others_end(demo, tmp_path):
     wait(lambda: len(processes(tmp_path)) == NODES, 60.0)
     os.kill(processes(tmp_path)['triplet_selector'], signal.SIGKILL)
     _, complaint = demo.communicate(timeout=30)
@@ -91,7 +86,7 @@ def test_a_node_that_died_is_reported_and_the_others_end(
     assert processes(tmp_path) == {}
 
 
-def test_learns_drives_and_stays_exact(tmp_path: Path, domain_id: int) -> None:
+def test_learns_drives_and_stays_exact(tmp_path, domain_id):
     folder, parameters = tmp_path / 'demo', tmp_path / 'short.yaml'
     parameters.write_text(SHORT_SWEEP)
     command = [sys.executable, '-c', SHORT_DEMO, str(parameters), 'demo', '--out', str(folder)]

@@ -14,7 +14,6 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import InvalidHandle
 from rclpy.waitable import NumberOfEntities, Waitable
 
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -27,7 +26,7 @@ THREADS = 2
 
 
 @pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch, domain_id: int) -> None:
+def alone(monkeypatch, domain_id):
     """Nodes run here, in a domain of their own; at their end they would end the tests."""
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     monkeypatch.setattr('sys.argv', ['node'])
@@ -37,16 +36,16 @@ def alone(monkeypatch: pytest.MonkeyPatch, domain_id: int) -> None:
 class Busy(LandmarkNode):
     """More callbacks than threads, each of which takes its time; ends after some of them."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__('busy', 'test')
         self.done = 0
         for _ in range(THREADS + 1):
             self.create_timer(0.02, self._work, ReentrantCallbackGroup())
 
-    def health(self) -> Health:
+    def health(self):
         return Health(Level.OK, 'busy')
 
-    def _work(self) -> None:
+    def _work(self):
         time.sleep(0.05)
         self.done += 1
         if self.done > 20:
@@ -58,11 +57,11 @@ class Faulty(Busy):
 
     counted = 0
 
-    def end(self, failure: LandmarkNavError | None = None) -> None:
+    def end(self, failure=None):
         self.counted = int(str(self._checked_health().values['dropped: _work']))
         super().end(failure)
 
-    def _work(self) -> None:
+    def _work(self):
         super()._work()
         if self.done % 3 == 0:
             raise ZeroDivisionError
@@ -73,10 +72,10 @@ class Faulty(Busy):
 
 
 @pytest.mark.parametrize('threads', [1, THREADS])
-def test_a_node_survives_what_its_callbacks_raise(threads: int) -> None:
+def test_a_node_survives_what_its_callbacks_raise(threads):
     made: list[Faulty] = []
 
-    def make() -> Faulty:
+    def make():
         made.append(Faulty())
         return made[0]
 
@@ -93,36 +92,36 @@ class ClosedMeanwhile(Waitable[None]):
 
     thrown = 0
 
-    def __enter__(self) -> None:
+    def __enter__(self):
         pass
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         pass
 
-    def add_to_wait_set(self, wait_set: object) -> None:
+    def add_to_wait_set(self, wait_set):
         self.thrown += 1
         if self.thrown == 1:
             raise InvalidHandle('destruction was requested')
 
-    def get_num_entities(self) -> NumberOfEntities:
+    def get_num_entities(self):
         return NumberOfEntities()
 
-    def is_ready(self, wait_set: object) -> bool:
+    def is_ready(self, wait_set):
         return False
 
 
 class Quiet(LandmarkNode):
     """Does nothing of its own."""
 
-    def health(self) -> Health:
+    def health(self):
         return Health(Level.OK, 'well')
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize('threads', [1, 3])
 def test_a_subscription_closed_by_another_thread_does_not_end_the_node(
-    threads: int, number: signal.Signals, monkeypatch: pytest.MonkeyPatch, domain_id: int
-) -> None:
+    threads, number, monkeypatch, domain_id
+):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     monkeypatch.setattr('sys.argv', ['node'])
     # At its end the node would end the tests.
@@ -130,11 +129,11 @@ def test_a_subscription_closed_by_another_thread_does_not_end_the_node(
     waitable = ClosedMeanwhile(ReentrantCallbackGroup())
     ticks: list[int] = []
 
-    def make() -> LandmarkNode:
+    def make():
         node = Quiet('closes_things', 'test')
         node.add_waitable(waitable)
 
-        def tick() -> None:
+        def tick():
             ticks.append(waitable.thrown)
             if len(ticks) == 5:
                 os.kill(os.getpid(), number)
@@ -147,9 +146,7 @@ def test_a_subscription_closed_by_another_thread_does_not_end_the_node(
     assert len(ticks) >= 5
 
 
-def test_a_failure_sets_the_status_though_another_callback_takes_longer_than_the_grace(
-    domain_id: int,
-) -> None:
+def test_a_failure_sets_the_status_though_another_callback_takes_longer_than_the_grace(domain_id):
     script = """
         import sys, time
         from rclpy.callback_groups import ReentrantCallbackGroup

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +14,6 @@ from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from graph import Graph
 
 from landmark_nav.nodes.odometry_fusion import OdometryFusionNode
 from landmark_nav.ros.factory import ros_factory
@@ -27,7 +25,7 @@ SURE = np.diag([0.02, 0.02, 0.01]) ** 2
 class Fusion:
     """A node without neighbours, its callbacks and what it publishes, on a clock of its own."""
 
-    def __init__(self, graph: Graph, robot: str) -> None:
+    def __init__(self, graph, robot):
         self.node: Any = graph.make(OdometryFusionNode, robot_file=robot)
         self.published: list[Any] = []
         self.now_ns = 0
@@ -39,31 +37,31 @@ class Fusion:
         self._place = self.node.guarded('global_localization/pose', self.node._on_global_pose)
         self.node._fusion.change_map(LandmarkMap(()))
 
-    def odometry(self, k: int, way_m: float | None = None) -> None:
+    def odometry(self, k, way_m=None):
         way = SPEED_M_S * 1e-9 * PERIOD_NS * k if way_m is None else way_m
         sample = OdometrySample(k * PERIOD_NS, np.array([way, 0.0, 0.0]), SPEED_M_S)
         self._odom(encode.odometry(ros_factory, sample))
 
-    def start(self, stamp_ns: int, x: float) -> None:
+    def start(self, stamp_ns, x):
         pose = PoseEstimate(stamp_ns, np.array([x, 0.0, 0.0]), SURE)
         self.node._on_initial_pose(encode.pose(ros_factory, pose))
 
-    def found(self, stamp_ns: int, x: float) -> None:
+    def found(self, stamp_ns, x):
         place = GlobalPose(stamp_ns, np.array([x, 0.0, 0.0]), SURE, np.arange(3))
         self._place(encode.global_pose(ros_factory, place))
 
-    def reason(self) -> str:
+    def reason(self):
         return str(self.node._checked_health().reason)
 
 
 @pytest.fixture
-def fusion(graph: Graph, tmp_path: Path) -> Fusion:
+def fusion(graph, tmp_path):
     robot = tmp_path / 'robot.yaml'
     robot.write_text('pan_axis:\n  xyz: [0.0, 0.0, 1.1]\n')
     return Fusion(graph, str(robot))
 
 
-def test_a_late_sample_does_not_set_back_what_is_reported(fusion: Fusion) -> None:
+def test_a_late_sample_does_not_set_back_what_is_reported(fusion):
     fusion.start(0, 0.0)
     for k in (0, 1, 2, 4, 5, 3, 6):
         fusion.odometry(k)
@@ -73,9 +71,7 @@ def test_a_late_sample_does_not_set_back_what_is_reported(fusion: Fusion) -> Non
     assert stamps[-1] == 6 * PERIOD_NS
 
 
-def test_a_robot_whose_odometry_hangs_with_nothing_in_view_is_lost_in_time(
-    fusion: Fusion,
-) -> None:
+def test_a_robot_whose_odometry_hangs_with_nothing_in_view_is_lost_in_time(fusion):
     fusion.start(0, 0.0)
     reported = []
     for k in range(200):
@@ -87,7 +83,7 @@ def test_a_robot_whose_odometry_hangs_with_nothing_in_view_is_lost_in_time(
     assert 'sigma' in reported[-1]
 
 
-def test_a_place_of_before_a_start_that_was_given_is_not_taken(fusion: Fusion) -> None:
+def test_a_place_of_before_a_start_that_was_given_is_not_taken(fusion):
     for k in range(20):
         fusion.now_ns = k * PERIOD_NS
         fusion.odometry(k)
@@ -103,9 +99,7 @@ def test_a_place_of_before_a_start_that_was_given_is_not_taken(fusion: Fusion) -
     assert decode.odometry(fusion.published[-1]).pose_odom_base[0] == pytest.approx(4.1, abs=0.01)
 
 
-def test_odometry_that_comes_twice_is_no_news_and_that_of_a_known_stamp_is_dropped(
-    fusion: Fusion,
-) -> None:
+def test_odometry_that_comes_twice_is_no_news_and_that_of_a_known_stamp_is_dropped(fusion):
     fusion.start(0, 0.0)
     fusion.odometry(0)
     fusion.odometry(1)

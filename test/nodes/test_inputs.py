@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 import logging
 import time
 from typing import Any
@@ -36,7 +35,7 @@ MOUNT = PanTiltMount()
 class Listener(LandmarkNode):
     """Decodes odometry and joint states, under a namespace, and keeps what came."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options):
         super().__init__('listener', 'test', namespace='/robot', **options)
         self.odometry: list[OdometrySample] = []
         self.joints: list[JointSample] = []
@@ -44,10 +43,10 @@ class Listener(LandmarkNode):
         self.listen('odom', self._on_odometry)
         listen_for_joints(self, MOUNT, self.joints.append, lambda stamp_ns, tilt_rad: None)
 
-    def health(self) -> Health:
+    def health(self):
         return Health(Level.DEGRADED if self.fails else Level.OK, 'listening')
 
-    def _on_odometry(self, message: Any) -> None:
+    def _on_odometry(self, message):
         if self.fails:
             raise ZeroDivisionError('a bug')
         self.odometry.append(decode.odometry(message))
@@ -56,55 +55,53 @@ class Listener(LandmarkNode):
 class Robot(Graph):
     """A listener and drivers."""
 
-    def __init__(self, domain_id: int) -> None:
+    def __init__(self, domain_id):
         super().__init__(domain_id)
         self.listener = self.add(Listener(context=self.context))
 
-    def publisher(self, node: str, topic: str, kind: str = '') -> Any:
+    def publisher(self, node, topic, kind=''):
         spec = TOPICS.get(topic.removeprefix('/robot/'))
         qos = spec.qos if spec is not None else 10
         made: Any = message_class(kind or TOPICS[topic.removeprefix('/robot/')].type_name)
         driver: Any = self.add(rclpy.create_node(node, context=self.context))
         return driver.create_publisher(made, topic, qos)
 
-    def health(self) -> Health:
+    def health(self):
         return self.listener._checked_health()
 
-    def reports(self, words: str) -> Callable[[], bool]:
+    def reports(self, words):
         return lambda: words in self.health().reason
 
 
 @pytest.fixture
-def graph(domain_id: int) -> Iterator[Robot]:
+def graph(domain_id):
     made = Robot(domain_id)
     yield made
     made.close()
 
 
-def odometry(stamp_ns: int, x: float = 0.0) -> Any:
+def odometry(stamp_ns, x=0.0):
     return encode.odometry(ros_factory, OdometrySample(stamp_ns, np.array([x, 0.0, 0.0])))
 
 
-def joints(stamp_ns: int, *names: str) -> Any:
+def joints(stamp_ns, *names):
     message = encode.joint_state(ros_factory, JointSample(stamp_ns, 0.1), MOUNT)
     message.name = list(names) or message.name
     return message
 
 
-def reliability(of: str, value: Any) -> dict[str, Any]:
+def reliability(of, value):
     name = f'qos_overrides./robot/odom.{of}.reliability'
     return {'parameter_overrides': [Parameter(name, value=value)]}
 
 
-def test_reliability_is_overridden_and_a_publisher_that_does_not_suffice_is_named(
-    graph: Robot,
-) -> None:
+def test_reliability_is_overridden_and_a_publisher_that_does_not_suffice_is_named(graph):
     wheels = graph.publisher('wheels', '/robot/odom')
     strict = Listener(context=graph.context, **reliability('subscription', 'reliable'))
     strict.fails = True
     graph.add(strict)
 
-    def publish() -> None:
+    def publish():
         wheels.publish(odometry(NOW_NS))
 
     graph.until(lambda: bool(graph.listener.odometry), publish)
@@ -118,15 +115,13 @@ def test_reliability_is_overridden_and_a_publisher_that_does_not_suffice_is_name
 
 
 @pytest.mark.parametrize('value', ['perfect', '', 5, True])
-def test_a_reliability_that_is_none_is_refused_in_a_line(graph: Robot, value: Any) -> None:
+def test_a_reliability_that_is_none_is_refused_in_a_line(graph, value):
     with pytest.raises(LandmarkNavError, match=r'^qos_overrides of odom.*best_effort') as refused:
         Listener(context=graph.context, **reliability('subscription', value))
     assert len(str(refused.value)) <= 200
 
 
-def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(
-    graph: Robot, domain_id: int
-) -> None:
+def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(graph, domain_id):
     graph.listener.fails = True
     health = graph.health()
     assert '/robot/odom (nobody publishes it' in health.reason
@@ -167,7 +162,7 @@ def test_what_is_awaited_is_logged_and_once_that_it_is_there(
     assert len(caplog.messages) == 2
 
 
-def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph: Robot) -> None:
+def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph):
     wheels = graph.publisher('wheels', '/robot/odom')
     send = lambda: wheels.publish(odometry(NOW_NS, np.nan))  # noqa: E731
     graph.until(graph.reports('odom from /wheels dropped: odometry position'), send)
@@ -182,7 +177,7 @@ def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph: Robot) ->
     assert graph.listener.odometry[0].pose_odom_base[0] == 1.0
 
 
-def test_joints_of_other_names_are_listed_until_the_pan_comes(graph: Robot) -> None:
+def test_joints_of_other_names_are_listed_until_the_pan_comes(graph):
     unit = graph.publisher('unit', '/robot/joint_states')
     wrong = 'neck_pan, neck_tilt arrive, not pan_joint: set pan_joint in robot.yaml'
     graph.until(
@@ -195,7 +190,7 @@ def test_joints_of_other_names_are_listed_until_the_pan_comes(graph: Robot) -> N
     assert 'arrive, not' not in graph.health().reason
 
 
-def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph: Robot) -> None:
+def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph):
     one = graph.publisher('one', '/robot/odom')
     graph.until(lambda: bool(graph.listener.odometry), lambda: one.publish(odometry(NOW_NS, 1.0)))
     other = graph.publisher('other', '/robot/odom')
@@ -211,13 +206,13 @@ def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph: 
 
 
 @pytest.mark.parametrize('off_s', [-4990, 60, 1_700_000_000])
-def test_a_stream_of_another_clock_is_named_with_its_offset(graph: Robot, off_s: int) -> None:
+def test_a_stream_of_another_clock_is_named_with_its_offset(graph, off_s):
     wheels, unit = (
         graph.publisher('wheels', '/robot/odom'),
         graph.publisher('unit', '/robot/joint_states'),
     )
 
-    def send(off_ns: int) -> None:
+    def send(off_ns):
         stamp_ns = time.time_ns()
         wheels.publish(odometry(stamp_ns))
         unit.publish(joints(stamp_ns - off_ns))
@@ -230,7 +225,7 @@ def test_a_stream_of_another_clock_is_named_with_its_offset(graph: Robot, off_s:
     assert '/robot/odom' in words
 
 
-def test_a_clock_that_does_not_come_is_reported(graph: Robot) -> None:
+def test_a_clock_that_does_not_come_is_reported(graph):
     assert 'use_sim_time' not in graph.health().reason
     simulated = [Parameter('use_sim_time', value=True)]
     graph.listener.set_parameters(simulated)
@@ -248,7 +243,7 @@ def test_a_clock_that_does_not_come_is_reported(graph: Robot) -> None:
     )
 
 
-def test_two_nodes_of_one_name_are_reported(graph: Robot) -> None:
+def test_two_nodes_of_one_name_are_reported(graph):
     assert 'two nodes' not in graph.health().reason
     twin = Listener(context=graph.context)
     graph.add(twin)
@@ -257,11 +252,11 @@ def test_two_nodes_of_one_name_are_reported(graph: Robot) -> None:
     assert 'two nodes are named /robot/listener' in twin._checked_health().reason
 
 
-def test_a_service_that_fails_answers(graph: Robot) -> None:
-    def refuse() -> str:
+def test_a_service_that_fails_answers(graph):
+    def refuse():
         raise LandmarkNavError('not now')
 
-    def fail() -> str:
+    def fail():
         raise KeyError('a bug')
 
     graph.listener.offer('refuse', refuse)

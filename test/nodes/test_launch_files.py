@@ -1,11 +1,8 @@
 """Launch files without ROS' launch, which is not among the wheels."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -17,11 +14,11 @@ from landmark_nav.configuration import Configuration, READS
 LAUNCH = Path(__file__).resolve().parents[2] / 'landmark_nav' / 'launch'
 
 
-def tree(name: str) -> ast.Module:
+def tree(name):
     return ast.parse((LAUNCH / name).read_text(encoding='utf-8'))
 
 
-def assigned(module: ast.AST, name: str) -> Any:
+def assigned(module, name):
     """Value of a literal that is assigned to `name`, type names as words."""
     for node in ast.walk(module):
         if isinstance(node, ast.Assign) and getattr(node.targets[0], 'id', '') == name:
@@ -31,7 +28,7 @@ def assigned(module: ast.AST, name: str) -> Any:
     raise AssertionError(name)
 
 
-def declared(module: ast.AST) -> set[str]:
+def declared(module):
     return {
         ast.literal_eval(node.args[0])
         for node in ast.walk(module)
@@ -39,7 +36,7 @@ def declared(module: ast.AST) -> set[str]:
     }
 
 
-def test_bringup_gives_nodes_parameters_that_they_have() -> None:
+def test_bringup_gives_nodes_parameters_that_they_have():
     bringup = tree('bringup.launch.py')
     arguments = declared(bringup)
     nodes = assigned(bringup, 'NODES')
@@ -48,7 +45,7 @@ def test_bringup_gives_nodes_parameters_that_they_have() -> None:
         assert set(taken) <= set(READS[name]) & arguments
 
 
-def test_simulation_gives_the_simulator_parameters_that_it_has() -> None:
+def test_simulation_gives_the_simulator_parameters_that_it_has():
     simulation = tree('simulation.launch.py')
     types = assigned(simulation, 'types')
     fields = {f.name: f.type for f in dataclasses.fields(Configuration)}
@@ -57,7 +54,7 @@ def test_simulation_gives_the_simulator_parameters_that_it_has() -> None:
     assert set(types) <= declared(simulation) | declared(tree('bringup.launch.py'))
 
 
-def test_the_analyzers_of_diagnostics_name_nodes_and_their_work() -> None:
+def test_the_analyzers_of_diagnostics_name_nodes_and_their_work():
     file = LAUNCH.parents[1] / 'config' / 'diagnostic_aggregator.yaml'
     text = file.read_text(encoding='utf-8')
     parameters = yaml.safe_load(text)['/**']['ros__parameters']

@@ -11,7 +11,6 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from graph import Graph
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.observer import Observation
@@ -37,29 +36,27 @@ IMAGE = 'triangulation_localizer/debug_image/compressed'
 class Bystander(LandmarkNode):
     """Publishes what the helpers make, and may subscribe to it as well."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options):
         super().__init__('bystander', 'test', **options)
 
-    def health(self) -> Health:
+    def health(self):
         return Health(Level.OK, 'looking')
 
 
 @pytest.fixture
-def node(graph: Graph) -> Bystander:
+def node(graph):
     return graph.add(Bystander(context=graph.context))
 
 
-def estimate(k: int, x: float, y: float = 0.0) -> PoseEstimate:
+def estimate(k, x, y=0.0):
     return PoseEstimate(k * PERIOD_NS, np.array([x, y, 0.1]), 1e-4 * np.eye(3))
 
 
-def odometry(k: int, x: float) -> OdometrySample:
+def odometry(k, x):
     return OdometrySample(k * PERIOD_NS, np.array([x, 5.0, 0.1]))
 
 
-def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(
-    graph: Graph, node: Bystander
-) -> None:
+def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(graph, node):
     live = LivePose(node, 'map')
     came: dict[str, list[Any]] = {'odometry_fusion/path': [], 'odometry_fusion/odometry_path': []}
     for topic, messages in came.items():
@@ -87,7 +84,7 @@ def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(
     late: list[Any] = []
     node.listen('odometry_fusion/path', late.append)
 
-    def standing() -> bool:
+    def standing():
         live.show(estimate(k, 0.01 * k), odometry(k, 0.011 * k), lambda: None)
         return bool(late)
 
@@ -99,13 +96,11 @@ def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(
     graph.until(lambda: [len(messages[-1].poses) for messages in came.values()] == [1, 1])
 
 
-def no(*_given: Any, **_named: Any) -> Any:
+def no(*_given, **_named):
     raise AssertionError('nobody looks')
 
 
-def test_without_a_subscriber_nothing_is_drawn(
-    node: Bystander, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_subscriber_nothing_is_drawn(node, monkeypatch):
     for module, name in (
         (live_view, 'draw_observation'),
         (live_view.encode, 'compressed_image'),
@@ -120,9 +115,7 @@ def test_without_a_subscriber_nothing_is_drawn(
         live.show(estimate(k, float(k)), odometry(k, float(k)), no)
 
 
-def test_the_debug_image_and_the_markers_reach_who_subscribes(
-    graph: Graph, node: Bystander
-) -> None:
+def test_the_debug_image_and_the_markers_reach_who_subscribes(graph, node):
     live, poses = LiveView(node, 'map'), LivePose(node, 'map')
     came: dict[str, list[Any]] = {
         IMAGE: [],
@@ -132,7 +125,7 @@ def test_the_debug_image_and_the_markers_reach_who_subscribes(
     for topic, messages in came.items():
         node.listen(topic, messages.append)
 
-    def all_came() -> bool:
+    def all_came():
         show_image(live)
         poses.show(estimate(1, 2.0), odometry(1, 2.0), lambda: estimate(1, 2.0))
         return all(came.values())
@@ -144,7 +137,7 @@ def test_the_debug_image_and_the_markers_reach_who_subscribes(
     assert image.shape == (480, 640, 3)
 
 
-def show_image(live: LiveView) -> None:
+def show_image(live):
     none = np.empty(0)
     nothing = Detections(0, none.astype(np.int64), none, none, none, none.reshape(0, 2))
     camera = CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 import time
 from typing import TYPE_CHECKING
@@ -17,7 +16,7 @@ from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import JointSample, OdometrySample
 
 if TYPE_CHECKING:
-    from landmark_nav.ros.robot_client import RobotClient
+    pass
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -30,8 +29,8 @@ LIMITS = (-1.2, 0.9)
 
 
 def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
-    start: Callable[..., None], client: RobotClient, learned_map: Path, tmp_path: Path
-) -> None:
+    start, client, learned_map, tmp_path
+):
     mount = load_robot(str(RECORDED / 'robot.yaml'))
     drive = Bag(RECORDED / 'drive')
     info = next(drive.messages([drive.require('camera/camera_info')])).message
@@ -52,11 +51,11 @@ def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
     others: list[float] = []
     known = False
 
-    def take(pan_rad: float) -> None:
+    def take(pan_rad):
         if pan_rad not in others:
             commands.append(pan_rad)
 
-    def alive() -> bool:
+    def alive():
         """Be a robot whose joint is where it was commanded, for a moment."""
         now_ns = time.time_ns()
         infos.publish(encode.camera_info(ros_factory, camera, now_ns, 'camera'))
@@ -70,7 +69,7 @@ def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
             )
         return False
 
-    def live(seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+    def live(seconds, until=lambda: False):
         end = time.monotonic() + seconds
         client.wait(lambda: alive() or until() or time.monotonic() > end, seconds + 1.0, 'time')
 

@@ -1,8 +1,5 @@
 """Nodes under a lifecycle manager, and all of them in one process."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from pathlib import Path
 import signal
 
@@ -14,9 +11,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 
 from landmark_nav.demo.graph import node_command, node_commands
-from landmark_nav.demo.supervisor import Supervisor
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.ros.robot_client import RobotClient
 
 FUSION, LEARNER = 'odometry_fusion', 'landmark_learner'
 MANAGED = {'autostart': False}
@@ -25,7 +20,7 @@ MANAGED = {'autostart': False}
 class Manager:
     """What Nav2's lifecycle manager does to a node, without a bond."""
 
-    def __init__(self, client: RobotClient, node: str) -> None:
+    def __init__(self, client, node):
         self._client, self._node = client, node
         made = client._node
         self._change = made.create_client(ChangeState, f'{node}/change_state')
@@ -33,29 +28,24 @@ class Manager:
         client.wait(self._change.service_is_ready, 60.0, 'the services of the lifecycle')
         client.wait(self._state.service_is_ready, 60.0, 'the services of the lifecycle')
 
-    def __call__(self, step: int) -> bool:
+    def __call__(self, step):
         request = ChangeState.Request(transition=Transition(id=step))
         answer = self._change.call_async(request)
         self._client.wait(answer.done, 30.0, 'the transition')
         return bool(answer.result().success)
 
     @property
-    def state(self) -> str:
+    def state(self):
         answer = self._state.call_async(GetState.Request())
         self._client.wait(answer.done, 30.0, 'the state')
         return str(answer.result().current_state.label)
 
-    def publishes(self, topic: str) -> bool:
+    def publishes(self, topic):
         known = self._client._node.get_publishers_info_by_topic(topic)
         return any(one.node_name == self._node for one in known)
 
 
-def test_a_node_is_configured_paused_reset_and_shut_down(
-    start: Callable[..., None],
-    supervisor: Supervisor,
-    client: RobotClient,
-    setup_files: dict[str, str],
-) -> None:
+def test_a_node_is_configured_paused_reset_and_shut_down(start, supervisor, client, setup_files):
     start(FUSION, robot_file=setup_files['robot_file'], **MANAGED)
     manager = Manager(client, FUSION)
     assert manager.state == 'unconfigured'
@@ -79,8 +69,8 @@ def test_a_node_is_configured_paused_reset_and_shut_down(
 
 
 def test_a_node_that_cannot_be_configured_says_why_and_can_be_tried_again(
-    start: Callable[..., None], client: RobotClient, supervisor: Supervisor, tmp_path: Path
-) -> None:
+    start, client, supervisor, tmp_path
+):
     robot = tmp_path / 'late.yaml'
     start(FUSION, robot_file=str(robot), **MANAGED)
     manager = Manager(client, FUSION)
@@ -94,8 +84,8 @@ def test_a_node_that_cannot_be_configured_says_why_and_can_be_tried_again(
 
 
 def test_an_inactive_node_refuses_services_and_keeps_what_comes_once(
-    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str], learned_map: Path
-) -> None:
+    start, client, setup_files, learned_map
+):
     start(FUSION, robot_file=setup_files['robot_file'], **MANAGED)
     manager = Manager(client, FUSION)
     assert manager(Transition.TRANSITION_CONFIGURE)
@@ -114,9 +104,7 @@ def test_an_inactive_node_refuses_services_and_keeps_what_comes_once(
     )
 
 
-def test_all_nodes_run_in_one_process(
-    supervisor: Supervisor, client: RobotClient, setup_files: dict[str, str], tmp_path: Path
-) -> None:
+def test_all_nodes_run_in_one_process(supervisor, client, setup_files, tmp_path):
     files = {key: Path(value) for key, value in setup_files.items()}
     apart = node_commands(**files, map_folder=tmp_path / 'map')
     (name,) = together = node_commands(**files, map_folder=tmp_path / 'map', composed=True)
@@ -128,7 +116,7 @@ def test_all_nodes_run_in_one_process(
     assert all(f'[{node}]: ready' in log for node in apart)
 
 
-def test_one_of_them_that_cannot_be_made_ends_all(supervisor: Supervisor, tmp_path: Path) -> None:
+def test_one_of_them_that_cannot_be_made_ends_all(supervisor, tmp_path):
     process = supervisor.start('all_nodes', node_command('all_nodes', robot_file='nowhere.yaml'))
     assert process.wait(60.0) == 1
     assert 'nowhere.yaml: cannot be read' in (tmp_path / 'logs' / 'all_nodes.log').read_text()

@@ -1,10 +1,6 @@
 """Nodes as processes start, report their state, and end cleanly."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 import os
-from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -13,9 +9,6 @@ import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-
-from landmark_nav.demo.supervisor import Supervisor
-from landmark_nav.ros.robot_client import RobotClient
 
 NODES = {
     'landmark_learner': ('room_file',),
@@ -28,13 +21,7 @@ NODES = {
 }
 
 
-def test_all_start_and_end_cleanly(
-    start: Callable[..., None],
-    supervisor: Supervisor,
-    client: RobotClient,
-    setup_files: dict[str, str],
-    tmp_path: Path,
-) -> None:
+def test_all_start_and_end_cleanly(start, supervisor, client, setup_files, tmp_path):
     for name, needed in NODES.items():
         start(name, **{key: setup_files[key] for key in needed})
     client.wait(lambda: set(NODES) <= client.status.keys(), 60.0, 'the diagnostics of all')
@@ -55,24 +42,20 @@ def test_all_start_and_end_cleanly(
         ('bag_player', ['-p', 'bag:=/nowhere'], '/nowhere: '),
     ],
 )
-def test_what_cannot_run_states_why(
-    node: str, arguments: list[str], words: str, domain_id: int
-) -> None:
+def test_what_cannot_run_states_why(node, arguments, words, domain_id):
     reported = output_of(arguments, domain_id, node)
     assert len(reported) == 1
     assert words in reported[0]
 
 
-def test_a_parameter_file_that_ros_cannot_read_is_named(domain_id: int) -> None:
+def test_a_parameter_file_that_ros_cannot_read_is_named(domain_id):
     *by_rcl, own = output_of(['--params-file', 'nowhere.yaml'], domain_id)
     assert "parse params file: '--params-file nowhere.yaml'" in own
     assert all('rcl' in line for line in by_rcl)
 
 
 @pytest.mark.parametrize(('argument', 'status'), [('--help', 0), ('robot_file:=r.yaml', 2)])
-def test_arguments_that_are_not_of_ros_are_answered_with_the_usage(
-    argument: str, status: int
-) -> None:
+def test_arguments_that_are_not_of_ros_are_answered_with_the_usage(argument, status):
     command = [sys.executable, '-m', 'landmark_nav.nodes.odometry_fusion', argument]
     done = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert done.returncode == status
@@ -80,7 +63,7 @@ def test_arguments_that_are_not_of_ros_are_answered_with_the_usage(
     assert not done.stderr
 
 
-def output_of(arguments: list[str], domain_id: int, node: str = 'sweep_capture') -> list[str]:
+def output_of(arguments, domain_id, node='sweep_capture'):
     """Lines of a node that cannot run."""
     command = [sys.executable, '-m', f'landmark_nav.nodes.{node}', '--ros-args', *arguments]
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
@@ -89,7 +72,7 @@ def output_of(arguments: list[str], domain_id: int, node: str = 'sweep_capture')
     return done.stderr.strip().splitlines()
 
 
-def test_without_ros_one_line_states_what_to_install() -> None:
+def test_without_ros_one_line_states_what_to_install():
     script = 'import sys; sys.modules["rclpy"] = None; import landmark_nav.nodes.sweep_capture'
     done = subprocess.run(
         [sys.executable, '-c', script], capture_output=True, text=True, timeout=30

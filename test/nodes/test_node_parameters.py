@@ -5,14 +5,11 @@ from __future__ import annotations
 import dataclasses
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from graph import Graph
-from rclpy.context import Context
 from rclpy.parameter import Parameter
 
 from landmark_nav.configuration import Configuration, READS
@@ -39,7 +36,7 @@ class Whole(Config):
     of_another: int = parameter(1, 'of another node', minimum=0)
     section: Section = dataclasses.field(default_factory=Section)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         super().__post_init__()
         if self.kind == 'slow' and self.section.rate_hz > 8.0:
             raise LandmarkNavError('slow and rate_hz above 8 contradict each other')
@@ -50,25 +47,25 @@ ROBOT = Path(__file__).resolve().parents[2] / 'bags' / 'robot.yaml'
 
 
 class ConfiguredNode(LandmarkNode):
-    def __init__(self, config: Any, names: Any = ('count', 'kind', 'section'), **options: Any):
+    def __init__(self, config, names=('count', 'kind', 'section'), **options):
         super().__init__('configured', 'test', **options)
         self.robot = settle(self, config)
         self.config = declare(self, config, names, LIVE)
         self.close_with(follow(self, self.config, LIVE, self._take))
 
-    def _take(self, config: Any) -> None:
+    def _take(self, config):
         self.config = config
 
-    def health(self) -> Health:
+    def health(self):
         return Health(Level.OK, 'fine')
 
 
 @pytest.fixture
-def context(graph: Graph) -> Context:
+def context(graph):
     return graph.context
 
 
-def test_description_range_and_default(context: Context) -> None:
+def test_description_range_and_default(context):
     node = ConfiguredNode(Whole(), context=context)
     assert node.config == Whole()
     assert not node.has_parameter('of_another')
@@ -84,7 +81,7 @@ def test_description_range_and_default(context: Context) -> None:
     assert not changed.successful
 
 
-def test_what_is_live_may_be_set_and_what_it_may_not_be_is_refused(context: Context) -> None:
+def test_what_is_live_may_be_set_and_what_it_may_not_be_is_refused(context):
     node = ConfiguredNode(Whole(), context=context)
     given = [Parameter('section.rate_hz', value=9.0), Parameter('section.names', value=['x'])]
     assert all(result.successful for result in node.set_parameters(given))
@@ -110,15 +107,13 @@ def test_what_is_live_may_be_set_and_what_it_may_not_be_is_refused(context: Cont
         ('kind', 'odd', 'kind.*fast, slow'),
     ],
 )
-def test_a_bad_value_is_named(context: Context, name: str, value: Any, words: str) -> None:
+def test_a_bad_value_is_named(context, name, value, words):
     overrides = [Parameter(name, value=value)]
     with pytest.raises(LandmarkNavError, match=words):
         ConfiguredNode(Whole(), context=context, parameter_overrides=overrides)
 
 
-def test_a_name_that_nothing_has_is_reported_with_what_it_looks_like(
-    context: Context, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_name_that_nothing_has_is_reported_with_what_it_looks_like(context, capfd):
     given = {'countt': 3, 'section.rat_hz': 2.0, 'of_another': 2, 'section.fixed': 2.0}
     overrides = [Parameter(name, value=value) for name, value in given.items()]
     node = ConfiguredNode(Whole(), context=context, parameter_overrides=overrides)
@@ -130,9 +125,7 @@ def test_a_name_that_nothing_has_is_reported_with_what_it_looks_like(
     assert 'of_another' not in reported
 
 
-def test_former_names_are_taken_or_go_to_the_robot_or_are_ignored(
-    context: Context, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_former_names_are_taken_or_go_to_the_robot_or_are_ignored(context, capfd):
     given = {'command_type': 'JointState', 'joint_delay_s': 0.02, 'capture.pan_min_rad': -1.0}
     given |= {'odometry.scale_sigma': 0.1, 'period_s': 0.2, 'look_around.after_s': 1.0}
     overrides = [Parameter(name, value=value) for name, value in given.items()]
@@ -148,7 +141,7 @@ def test_former_names_are_taken_or_go_to_the_robot_or_are_ignored(
 
 
 @pytest.mark.parametrize('name', sorted(READS))
-def test_the_file_of_users_gives_the_defaults_of_every_node(name: str, context: Context) -> None:
+def test_the_file_of_users_gives_the_defaults_of_every_node(name, context):
     arguments = ['--ros-args', '--params-file', str(shipped_config('landmark_nav.yaml'))]
     node = ConfiguredNode(Configuration(), READS[name], context=context, cli_args=arguments)
     assert node.config == Configuration()
@@ -164,9 +157,7 @@ SET = {
 
 
 @pytest.mark.parametrize('name', sorted(LIVE_OF_NODES))
-def test_each_node_takes_what_is_set_also_once_it_was_configured_anew(
-    name: str, context: Context
-) -> None:
+def test_each_node_takes_what_is_set_also_once_it_was_configured_anew(name, context):
     kind = getattr(
         import_module(f'landmark_nav.nodes.{name}'), name.title().replace('_', '') + 'Node'
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -31,32 +30,30 @@ SURE, WIDE = 1e-4 * np.eye(3), np.eye(3)
 
 
 @pytest.fixture
-def prior() -> ExpectedPoses:
+def prior():
     return ExpectedPoses(0.5)
 
 
 @pytest.fixture
-def reported() -> list[Any]:
+def reported():
     return []
 
 
 @pytest.fixture
-def services() -> dict[str, Any]:
+def services():
     return {}
 
 
 @pytest.fixture
-def ended() -> Future[None]:
+def ended():
     return Future()
 
 
 @pytest.fixture
-def search(
-    prior: ExpectedPoses, reported: list[Any], services: dict[str, Any], ended: Future[None]
-) -> PlaceSearch:
+def search(prior, reported, services, ended):
     publisher = SimpleNamespace(publish=reported.append)
 
-    def offer(service: str, action: Any, **_: Any) -> None:
+    def offer(service, action, **_):
         services[service] = action
 
     node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=offer, ended=ended)
@@ -75,19 +72,17 @@ def search(
     return made
 
 
-def fuse(prior: ExpectedPoses, stamp_ns: int, covariance: np.ndarray) -> None:
+def fuse(prior, stamp_ns, covariance):
     pose = PoseEstimate(stamp_ns, np.zeros(3), covariance)
     prior.add(pose, OdometrySample(stamp_ns, np.zeros(3)))
 
 
-def test_nobody_reported_the_place(search: PlaceSearch) -> None:
+def test_nobody_reported_the_place(search):
     search.consider(0)
     assert search.active
 
 
-def test_a_fused_pose_that_is_late_is_waited_for(
-    search: PlaceSearch, prior: ExpectedPoses
-) -> None:
+def test_a_fused_pose_that_is_late_is_waited_for(search, prior):
     fuse(prior, 0, SURE)
     search.consider(SECOND)
     assert not search.active
@@ -98,7 +93,7 @@ def test_a_fused_pose_that_is_late_is_waited_for(
     assert not search.active
 
 
-def test_a_pose_that_is_not_known(search: PlaceSearch, prior: ExpectedPoses) -> None:
+def test_a_pose_that_is_not_known(search, prior):
     fuse(prior, 0, WIDE)
     search.consider(0)
     assert search.active
@@ -110,25 +105,23 @@ class Finder:
     in_time = PoseEstimate(SECOND, np.array([1.0, 2.0, 0.5]), SURE)
     landmark_ids = np.array([3, 7])
 
-    def __init__(self, meanwhile: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, meanwhile=lambda: None):
         self._meanwhile = meanwhile
 
-    def add_odometry(self, sample: OdometrySample) -> None:
+    def add_odometry(self, sample):
         """Not needed."""
 
-    def add_frame(self, frame: CameraFrame) -> PoseEstimate:
+    def add_frame(self, frame):
         self._meanwhile()
         return replace(self.in_time, covariance=WIDE)
 
 
-def frame_at(stamp_ns: int) -> CameraFrame:
+def frame_at(stamp_ns):
     lens = CameraModel(16, 16, 16.0, 16.0, 8.0, 8.0)
     return CameraFrame(stamp_ns, np.zeros((16, 16), np.uint8), lens, 0.0, pan_rate_rad_s=0.7)
 
 
-def test_a_place_is_reported_with_what_it_was_found_from(
-    search: PlaceSearch, reported: list[Any]
-) -> None:
+def test_a_place_is_reported_with_what_it_was_found_from(search, reported):
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder())
     search.look(frame_at(SECOND))
@@ -145,9 +138,7 @@ def test_a_place_is_reported_with_what_it_was_found_from(
     assert search.active
 
 
-def test_a_place_in_a_map_that_is_gone_is_not_reported(
-    search: PlaceSearch, reported: list[Any]
-) -> None:
+def test_a_place_in_a_map_that_is_gone_is_not_reported(search, reported):
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder(lambda: search.use(search.landmarks)))
     search.look(frame_at(SECOND))
@@ -155,7 +146,7 @@ def test_a_place_in_a_map_that_is_gone_is_not_reported(
     assert search.active
 
 
-def answer(call: Coroutine[None, None, str]) -> str:
+def answer(call):
     """Go on with a call until it is answered."""
     try:
         while True:
@@ -164,9 +155,7 @@ def answer(call: Coroutine[None, None, str]) -> str:
         return str(end.value)
 
 
-def test_a_call_is_answered_with_the_place_it_reported(
-    search: PlaceSearch, reported: list[Any], services: dict[str, Any]
-) -> None:
+def test_a_call_is_answered_with_the_place_it_reported(search, reported, services):
     call = services['relocalize']()
     call.send(None)
     search._relocalizer = cast(Relocalizer, Finder())
@@ -175,9 +164,7 @@ def test_a_call_is_answered_with_the_place_it_reported(
     assert len(reported) == 1
 
 
-def test_simultaneous_calls_are_refused_together_and_may_be_repeated(
-    search: PlaceSearch, services: dict[str, Any]
-) -> None:
+def test_simultaneous_calls_are_refused_together_and_may_be_repeated(search, services):
     first, second, third = (services['relocalize']() for _ in range(3))
     first.send(None)
     second.send(None)
@@ -191,9 +178,7 @@ def test_simultaneous_calls_are_refused_together_and_may_be_repeated(
     assert answer(third).startswith('found at')
 
 
-def test_the_search_ends_with_its_node(
-    search: PlaceSearch, services: dict[str, Any], ended: Future[None]
-) -> None:
+def test_the_search_ends_with_its_node(search, services, ended):
     call = services['relocalize']()
     call.send(None)
     ended.set_result(None)

@@ -1,10 +1,6 @@
 """A robot without a start pose finds its place, asked by service, over DDS."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from drive_faults import displaced_drive
 from harness import BAGS
@@ -16,18 +12,14 @@ from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.storage.bags import Bag
 
 if TYPE_CHECKING:
-    from landmark_nav.ros.robot_client import RobotClient
+    pass
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 
 def test_the_place_found_by_a_displaced_camera_starts_the_fusion(
-    start: Callable[..., None],
-    client: RobotClient,
-    play: Callable[..., Any],
-    learned_map: Path,
-    tmp_path: Path,
-) -> None:
+    start, client, play, learned_map, tmp_path
+):
     room, robot = str(BAGS / 'room.yaml'), str(BAGS / 'robot.yaml')
     localizer = 'triangulation_localizer'
     start('landmark_learner', room_file=room, map_folder=str(learned_map))

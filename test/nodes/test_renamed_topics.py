@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from itertools import count
-from typing import Any
 
 import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from graph import Graph
-from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import Int32
 
@@ -22,28 +19,28 @@ NEW, FORMER = 'global_localization/pose', FORMER_NAMES['global_localization/pose
 
 
 class Watched(LandmarkNode):
-    def __init__(self, name: str, context: Context) -> None:
+    def __init__(self, name, context):
         super().__init__(name, 'test', context=context)
         self.warned: list[str] = []
         self._warn_once = self.warned.append  # type: ignore[method-assign]
 
-    def health(self) -> Health:
+    def health(self):
         return Health(Level.OK, 'fine')
 
 
-def watched(graph: Graph, name: str) -> Watched:
+def watched(graph, name):
     return graph.add(Watched(name, graph.context))
 
 
-def plain(graph: Graph, name: str) -> Node:
+def plain(graph, name):
     return graph.add(Node(name, context=graph.context))
 
 
-def publish_until(graph: Graph, publisher: Any, received: list[int]) -> None:
+def publish_until(graph, publisher, received):
     """Publish rising numbers until one arrives, and then three more."""
     numbers = count()
 
-    def publish() -> None:
+    def publish():
         publisher.publish(Int32(data=next(numbers)))
         for _ in range(9):
             graph.executor.spin_once(timeout_sec=0.02)
@@ -53,11 +50,11 @@ def publish_until(graph: Graph, publisher: Any, received: list[int]) -> None:
         publish()
 
 
-def take(received: list[int]) -> Any:
+def take(received):
     return lambda message: received.append(message.data)
 
 
-def test_a_subscriber_to_the_former_name_is_served_and_named(graph: Graph) -> None:
+def test_a_subscriber_to_the_former_name_is_served_and_named(graph):
     sender, received = watched(graph, 'new'), []
     publisher = sender.create_publisher(Int32, NEW, 10)
     plain(graph, 'old').create_subscription(Int32, FORMER, take(received), 10)
@@ -67,7 +64,7 @@ def test_a_subscriber_to_the_former_name_is_served_and_named(graph: Graph) -> No
     assert NEW in warning
 
 
-def test_a_publisher_of_the_former_name_is_heard_and_named(graph: Graph) -> None:
+def test_a_publisher_of_the_former_name_is_heard_and_named(graph):
     listener, received = watched(graph, 'new'), []
     listener.create_subscription(Int32, NEW, take(received), 10)
     publisher = plain(graph, 'old').create_publisher(Int32, FORMER, 10)
@@ -75,7 +72,7 @@ def test_a_publisher_of_the_former_name_is_heard_and_named(graph: Graph) -> None
     assert any('/old' in text and NEW in text for text in listener.warned)
 
 
-def test_between_new_nodes_each_message_arrives_once(graph: Graph) -> None:
+def test_between_new_nodes_each_message_arrives_once(graph):
     sender, listener, received = watched(graph, 'sender'), watched(graph, 'listener'), []
     listener.create_subscription(Int32, NEW, take(received), 10)
     publish_until(graph, sender.create_publisher(Int32, NEW, 10), received)

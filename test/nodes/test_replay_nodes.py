@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 import shutil
-import subprocess
 from typing import Any, TYPE_CHECKING
 
 from drive_faults import late_drive
@@ -22,7 +19,7 @@ from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import PoseEstimate
 
 if TYPE_CHECKING:
-    from landmark_nav.ros.robot_client import RobotClient
+    pass
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -33,13 +30,11 @@ LEARNER, FUSION = 'landmark_learner', 'odometry_fusion'
 
 
 @pytest.fixture
-def play_all(
-    play: Callable[..., subprocess.Popen[bytes]], client: RobotClient
-) -> Callable[..., None]:
-    def play_bag(bag: Path, rate: float, meanwhile: Callable[[], None] = lambda: None) -> None:
+def play_all(play, client):
+    def play_bag(bag, rate, meanwhile=lambda: None):
         player = play(bag, rate)
 
-        def over() -> bool:
+        def over():
             meanwhile()
             assert player.poll() in (None, 0)
             return player.poll() == 0
@@ -49,12 +44,7 @@ def play_all(
     return play_bag
 
 
-def test_learned_and_localized_as_offline(
-    start: Callable[..., None],
-    client: RobotClient,
-    play_all: Callable[..., None],
-    tmp_path: Path,
-) -> None:
+def test_learned_and_localized_as_offline(start, client, play_all, tmp_path):
     """Also where joint states are late, which is measured."""
     robot, room = str(tmp_path / 'robot.yaml'), str(BAGS / 'room.yaml')
     shutil.copy(BAGS / 'robot.yaml', robot)
@@ -84,7 +74,7 @@ def test_learned_and_localized_as_offline(
     given = PoseEstimate(decode.stamp_ns(first.header), pose, np.diag(np.square(START_SIGMA)))
     fused: dict[int, np.ndarray] = {}
 
-    def take() -> None:
+    def take():
         if client.fused is not None:
             fused[client.fused.stamp_ns] = client.fused.pose
         elif client.odometry is not None:

@@ -1,8 +1,5 @@
 """The client of programs that control the nodes."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
@@ -24,16 +21,16 @@ class Counter(LandmarkNode):
 
     asked = 0
 
-    def health(self) -> Health:
+    def health(self):
         return Health(Level.OK, 'counting')
 
-    def count(self) -> str:
+    def count(self):
         self.asked += 1
         return f'asked {self.asked} times'
 
 
 @contextmanager
-def counting(domain_id: int) -> Iterator[tuple[Counter, SingleThreadedExecutor]]:
+def counting(domain_id):
     context = Context()
     context.init(domain_id=domain_id)
     node = Counter('counter', 'test', context=context, namespace='/deep/down')
@@ -48,9 +45,7 @@ def counting(domain_id: int) -> Iterator[tuple[Counter, SingleThreadedExecutor]]
         context.try_shutdown()
 
 
-def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(
-    domain_id: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(domain_id, monkeypatch):
     """Its answer would be lost, and asking twice would do twice what is asked for."""
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with (
@@ -71,8 +66,8 @@ def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(
 
 
 def test_a_service_that_is_not_there_is_not_waited_for_until_its_answer_would_be_late(
-    domain_id: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    domain_id, monkeypatch
+):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     monkeypatch.setattr('landmark_nav.ros.robot_client._START_S', 0.2)
     with (
@@ -83,16 +78,14 @@ def test_a_service_that_is_not_there_is_not_waited_for_until_its_answer_would_be
 
 
 @pytest.mark.parametrize('text', ['500', '-1', 'seven', '1e2', '9' * 400, '0x1'])
-def test_a_domain_that_cannot_be_is_refused(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_domain_that_cannot_be_is_refused(text, monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', text)
     with pytest.raises(LandmarkNavError, match='0 to 232') as refused:
         RobotClient()
     assert len(str(refused.value)) < 100
 
 
-def test_a_timeout_reports_the_last_diagnostics_of_the_nodes(
-    domain_id: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_timeout_reports_the_last_diagnostics_of_the_nodes(domain_id, monkeypatch):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with (
         RobotClient(domain_id, lambda: None) as client,

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 import time
-from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from graph import Graph
 
 from landmark_nav.messages.decode import stamp_ns
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
@@ -22,11 +20,11 @@ CAMERA = Path(__file__).resolve().parents[1] / 'setups' / 'camera_quarter_vga.ya
 
 
 @pytest.fixture
-def robot(graph: Graph) -> RoomSimulatorNode:
+def robot(graph):
     return graph.make(RoomSimulatorNode, camera_file=str(CAMERA))
 
 
-def command(robot: RoomSimulatorNode, topic: str, message: Any) -> str:
+def command(robot, topic, message):
     """Hand over a message; what the robot then says of itself."""
     for subscription in robot.subscriptions:
         if subscription.topic_name == f'/{topic}':
@@ -34,20 +32,20 @@ def command(robot: RoomSimulatorNode, topic: str, message: Any) -> str:
     return robot._checked_health().reason
 
 
-def pan(angle_rad: float) -> Any:
+def pan(angle_rad):
     point = ros_factory('trajectory_msgs/msg/JointTrajectoryPoint', positions=[angle_rad])
     return ros_factory(
         'trajectory_msgs/msg/JointTrajectory', joint_names=['pan_joint'], points=[point]
     )
 
 
-def speed(linear_m_s: float, angular_rad_s: float) -> Any:
+def speed(linear_m_s, angular_rad_s):
     message = ros_factory('geometry_msgs/msg/Twist')
     message.linear.x, message.angular.z = linear_m_s, angular_rad_s
     return message
 
 
-def test_commands_that_are_not_finite_are_dropped_and_reported(robot: RoomSimulatorNode) -> None:
+def test_commands_that_are_not_finite_are_dropped_and_reported(robot):
     command(robot, 'pan_tilt/command', pan(0.4))
     for number in (math.nan, math.inf, -math.inf):
         reported = command(robot, 'pan_tilt/command', pan(number))
@@ -65,29 +63,27 @@ def test_commands_that_are_not_finite_are_dropped_and_reported(robot: RoomSimula
 class Clocks:
     """Of the system and of the wall, as somebody sets them."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch):
         self.system_s, self.wall_s = 5000.0, 10.0
         monkeypatch.setattr(time, 'time_ns', lambda: round(1e9 * self.system_s))
         monkeypatch.setattr(time, 'monotonic', lambda: self.wall_s)
 
-    def pass_by(self, seconds: float) -> None:
+    def pass_by(self, seconds):
         self.system_s += seconds
         self.wall_s += seconds
 
 
 @pytest.fixture
-def clocks(monkeypatch: pytest.MonkeyPatch) -> Clocks:
+def clocks(monkeypatch):
     return Clocks(monkeypatch)
 
 
 @pytest.fixture
-def stamps(
-    clocks: Clocks, robot: RoomSimulatorNode, monkeypatch: pytest.MonkeyPatch
-) -> dict[str, list[float]]:
+def stamps(clocks, robot, monkeypatch):
     """Of joint states and images, s."""
     reported: dict[str, list[float]] = {'joints': [], 'images': []}
 
-    def keep(name: str) -> Any:
+    def keep(name):
         return lambda message: reported[name].append(1e-9 * stamp_ns(message.header))
 
     monkeypatch.setattr(robot._joints, 'publish', keep('joints'))
@@ -96,9 +92,7 @@ def stamps(
 
 
 @pytest.mark.parametrize('set_by_s', [3600.0, 5.0, -5.0, -3600.0])
-def test_stamps_follow_a_system_time_that_is_set(
-    set_by_s: float, clocks: Clocks, robot: RoomSimulatorNode, stamps: dict[str, list[float]]
-) -> None:
+def test_stamps_follow_a_system_time_that_is_set(set_by_s, clocks, robot, stamps):
     for _ in range(2):
         clocks.pass_by(1.0)
         robot._tick()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 import json
@@ -22,10 +21,10 @@ from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.layouts import Layout
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
-from landmark_nav.types import LandmarkMap, PoseEstimate
+from landmark_nav.types import PoseEstimate
 
 if TYPE_CHECKING:
-    from landmark_nav.ros.robot_client import RobotClient
+    pass
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -37,7 +36,7 @@ FUSION, LOCALIZER, SELECTOR = 'odometry_fusion', 'triangulation_localizer', 'tri
 
 
 @contextmanager
-def fusion(domain_id: int) -> Iterator[None]:
+def fusion(domain_id):
     """Run the fusion in a process that may end before the others."""
     command = [sys.executable, '-m', f'landmark_nav.nodes.{FUSION}', '--ros-args']
     command += ['-p', f'robot_file:={json.dumps(ROBOT)}', '-p', 'use_sim_time:=true']
@@ -52,34 +51,34 @@ def fusion(domain_id: int) -> Iterator[None]:
 class Watch:
     """Compares what is fused with the truth."""
 
-    def __init__(self, client: RobotClient, drive: Bag) -> None:
+    def __init__(self, client, drive):
         self._client = client
         self._truth = truth_of_bag(drive)
 
-    def wait(self, seconds: float, what: str) -> None:
+    def wait(self, seconds, what):
         """Until a pose comes that claims to be well known, and is."""
         self._client.fused = None
         self._client.wait(self._right, seconds, what)
 
-    def wait_for_wrong(self, seconds: float, what: str) -> None:
+    def wait_for_wrong(self, seconds, what):
         """Until a pose comes that is far off."""
         self._client.fused = None
         self._client.wait(lambda: self._off_m() > 0.5, seconds, what)
 
-    def given_wrongly(self, error: np.ndarray) -> PoseEstimate:
+    def given_wrongly(self, error):
         """Where the robot is, but for an error, given as if it were certain."""
         assert self._client.odometry is not None
         stamp = self._client.odometry.stamp_ns
         return PoseEstimate(stamp, self._truth.at([stamp])[0] + error, 1e-4 * np.eye(3))
 
-    def _off_m(self) -> float:
+    def _off_m(self):
         fused = self._client.fused
         if fused is None:
             return 0.0
         error = pose_errors(fused.pose[None], self._truth.at([fused.stamp_ns]))[0]
         return float(np.hypot(*error[:2]))
 
-    def _right(self) -> bool:
+    def _right(self):
         fused, self._client.fused = self._client.fused, None
         if fused is None or np.trace(fused.covariance[:2, :2]) > 0.05**2:
             return False
@@ -88,27 +87,23 @@ class Watch:
 
 
 def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
-    start: Callable[..., None],
-    client: RobotClient,
-    play: Callable[..., Any],
-    learned_map: Path,
-    domain_id: int,
-) -> None:
+    start, client, play, learned_map, domain_id
+):
     drive, whole = Bag(RECORDED / 'drive'), load_map(learned_map)
     half = replace(whole, landmarks=whole.landmarks[::2])
     publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
     ranked: list[Any] = []
     visibilities: list[Any] = []
 
-    def publish_map(landmark_map: LandmarkMap, stamp_ns: int) -> None:
+    def publish_map(landmark_map, stamp_ns):
         messages = encode.landmark_map(ros_factory, landmark_map, stamp_ns)
         for publisher, message in zip(publishers, messages, strict=False):
             publisher.publish(message)
 
-    def known() -> int:
+    def known():
         return int(client.status_of(FUSION).values.get('landmarks', '0'))
 
-    def status_of(node: str, words: str) -> Callable[[], bool]:
+    def status_of(node, words):
         return lambda: words in client.status_of(node).reason
 
     watch = Watch(client, drive)

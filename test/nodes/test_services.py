@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 import shutil
 import signal
 import subprocess
@@ -23,13 +21,13 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.robot_client import RobotClient, ServiceDiscovery
+from landmark_nav.ros.robot_client import ServiceDiscovery
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import JointSample, Landmark, LandmarkMap
 
 
-def small_map() -> LandmarkMap:
+def small_map():
     rng = np.random.default_rng(5)
     return LandmarkMap(
         tuple(
@@ -50,9 +48,7 @@ def small_map() -> LandmarkMap:
     )
 
 
-def test_learner_states_what_is_missing(
-    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str], tmp_path: Path
-) -> None:
+def test_learner_states_what_is_missing(start, client, setup_files, tmp_path):
     folder = tmp_path / 'map'
     start('landmark_learner', room_file=setup_files['room_file'], map_folder=str(folder))
     with pytest.raises(LandmarkNavError, match='two panoramas from different places'):
@@ -82,14 +78,8 @@ def test_learner_states_what_is_missing(
     [(1.03, 'map', ''), (1.5, 'map', 'no wall of the one'), (1.0, 'hall', "'hall' and 'map'")],
 )
 def test_a_map_of_another_room_is_reported(
-    start: Callable[..., None],
-    client: RobotClient,
-    setup_files: dict[str, str],
-    tmp_path: Path,
-    scale: float,
-    frame: str,
-    why: str,
-) -> None:
+    start, client, setup_files, tmp_path, scale, frame, why
+):
     folder, node, room = tmp_path / 'map', 'landmark_learner', setup_files['room_file']
     walls = tuple(
         replace(
@@ -110,9 +100,7 @@ def test_a_map_of_another_room_is_reported(
         assert not why or files + why in status_of
 
 
-def test_localizer_states_what_it_lacks(
-    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str]
-) -> None:
+def test_localizer_states_what_it_lacks(start, client, setup_files):
     reporter = 'triangulation_localizer'
     robot = setup_files['robot_file']
     start(reporter, robot_file=robot, **{'relocalization.search_s': 0.5})
@@ -136,8 +124,8 @@ def test_localizer_states_what_it_lacks(
     images, joints = client.advertise('camera/image_raw'), client.advertise('joint_states')
     camera_image = np.zeros((60, 80), dtype=np.uint8)
 
-    def answer(words: str, late_ns: int) -> Callable[[], bool]:
-        def check() -> bool:
+    def answer(words, late_ns):
+        def check():
             stamp = time.time_ns() - late_ns
             images.publish(encode.image(ros_factory, camera_image, stamp, 'camera'))
             return words in client.status_of(reporter).reason
@@ -155,8 +143,8 @@ def test_localizer_states_what_it_lacks(
 
 
 def test_a_call_that_waits_for_a_place_is_answered_as_the_node_ends(
-    client: RobotClient, domain_id: int, setup_files: dict[str, str]
-) -> None:
+    client, domain_id, setup_files
+):
     reporter = 'triangulation_localizer'
     parameters = {'robot_file': setup_files['robot_file'], 'relocalization.search_s': 600.0}
     node = subprocess.Popen(node_command(reporter, **parameters), env=node_environment(domain_id))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 import copy
 from threading import Thread
 from typing import Any
@@ -22,7 +21,6 @@ from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import listen_for_pan
-from landmark_nav.ros.robot_client import RobotClient
 from landmark_nav.types import JointSample, OdometrySample
 
 FRAMES = 8
@@ -43,7 +41,7 @@ class SmallRobot(LandmarkNode):
     messages of its own now and then, may be changed while it runs.
     """
 
-    def __init__(self, transport: str, command: str, **options: Any) -> None:
+    def __init__(self, transport, command, **options):
         super().__init__('small_robot', 'robot', **options)
         self._pan, self._target, self._count = 0.0, 0.0, 0
         self.stuck, self.frozen, self.limit_rad, self.x_m = False, False, 3.0, 0.0
@@ -63,13 +61,13 @@ class SmallRobot(LandmarkNode):
         self.listen('sweep/trajectory', self.trajectories.append)
         self.create_timer(0.02, self._tick)
 
-    def health(self) -> Health:
+    def health(self):
         return Health(Level.OK, 'running')
 
-    def _turn(self, pan_rad: float) -> None:
+    def _turn(self, pan_rad):
         self._target = float(np.clip(pan_rad, -self.limit_rad, self.limit_rad))
 
-    def _tick(self) -> None:
+    def _tick(self):
         if not self.stuck:
             self._pan += float(np.clip(self._target - self._pan, -0.1, 0.1))
         self._count += 1
@@ -97,12 +95,12 @@ class SmallRobot(LandmarkNode):
 
 
 @pytest.fixture
-def robot(domain_id: int) -> Iterator[Callable[..., SmallRobot]]:
+def robot(domain_id):
     context = Context()
     context.init(domain_id=domain_id)
     executor = SingleThreadedExecutor(context=context)
 
-    def spin() -> None:
+    def spin():
         try:
             executor.spin()
         except Exception:
@@ -110,7 +108,7 @@ def robot(domain_id: int) -> Iterator[Callable[..., SmallRobot]]:
             if context.ok():
                 raise
 
-    def make(transport: str = 'raw', command: str = 'JointTrajectory') -> SmallRobot:
+    def make(transport='raw', command='JointTrajectory'):
         node = SmallRobot(transport, command, context=context)
         executor.add_node(node)
         thread.start()
@@ -122,7 +120,7 @@ def robot(domain_id: int) -> Iterator[Callable[..., SmallRobot]]:
     thread.join(5.0)
 
 
-def sweep_parameters(setup_files: dict[str, str]) -> dict[str, Any]:
+def sweep_parameters(setup_files):
     return {
         'robot_file': setup_files['robot_file'],
         'capture.start_rad': -1.0,
@@ -131,7 +129,7 @@ def sweep_parameters(setup_files: dict[str, str]) -> dict[str, Any]:
     }
 
 
-def check_frames(small: SmallRobot, client: RobotClient) -> None:
+def check_frames(small, client):
     """Every frame of the first whole sweep is there, with the pan it was taken at."""
     client.wait(lambda: bool(small.trajectories), 20.0, 'the trajectory')
     samples = decode.sweep_trajectory(small.trajectories[0], MOUNT)
@@ -140,7 +138,7 @@ def check_frames(small: SmallRobot, client: RobotClient) -> None:
     )
     stamps = [sample.stamp_ns for sample in samples]
 
-    def kept(messages: list[Any]) -> list[Any]:
+    def kept(messages):
         return [each for each in messages if decode.stamp_ns(each.header) >= stamps[0]]
 
     client.wait(
@@ -153,12 +151,7 @@ def check_frames(small: SmallRobot, client: RobotClient) -> None:
         assert abs(float(decode.image(message).mean()) - (100 + 50 * sample.pan_rad)) < 2.0
 
 
-def test_refusals_state_why_and_leave_the_node_running(
-    robot: Callable[..., SmallRobot],
-    start: Callable[..., None],
-    client: RobotClient,
-    setup_files: dict[str, str],
-) -> None:
+def test_refusals_state_why_and_leave_the_node_running(robot, start, client, setup_files):
     command = 'Float64MultiArray'
     own = {'capture.step_timeout_s': 1.0, 'command.type': command}
     start('sweep_capture', **sweep_parameters(setup_files), **own)
@@ -176,20 +169,15 @@ def test_refusals_state_why_and_leave_the_node_running(
     np.testing.assert_allclose([sample.tilt_rad for sample in samples], 0.1)
 
 
-def measured(small: SmallRobot) -> list[float]:
+def measured(small):
     return sorted(s.pan_rad for s in decode.sweep_trajectory(small.trajectories[-1], MOUNT))
 
 
-def test_a_sweep_is_interrupted_continued_and_begun_anew(
-    robot: Callable[..., SmallRobot],
-    start: Callable[..., None],
-    client: RobotClient,
-    setup_files: dict[str, str],
-) -> None:
+def test_a_sweep_is_interrupted_continued_and_begun_anew(robot, start, client, setup_files):
     start('sweep_capture', **sweep_parameters(setup_files), **{'capture.step_timeout_s': 3.0})
     called = False
 
-    def call_again() -> None:
+    def call_again():
         nonlocal called
         if not called:
             called = True
@@ -200,11 +188,11 @@ def test_a_sweep_is_interrupted_continued_and_begun_anew(
         client.call('capture_sweep', 30.0, call_again)
     small = robot()
 
-    def interrupt(action: Callable[[], None]) -> str:
+    def interrupt(action):
         """Act once three frames are there; returns why the sweep ended."""
         before, done = len(small.images), False
 
-        def meanwhile() -> None:
+        def meanwhile():
             nonlocal done
             if not done and len(small.images) >= before + 3:
                 done = True

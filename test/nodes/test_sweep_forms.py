@@ -1,10 +1,5 @@
 """Sweeps reach the synthesizer raw or compressed, also one after the other."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,16 +8,13 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.robot_client import RobotClient
 from landmark_nav.types import JointSample
 
 CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
 NODE = 'panorama_synthesizer'
 
 
-def test_a_sweep_may_come_in_another_form_than_the_last(
-    start: Callable[..., None], client: RobotClient, setup_files: dict[str, str], tmp_path: Path
-) -> None:
+def test_a_sweep_may_come_in_another_form_than_the_last(start, client, setup_files, tmp_path):
     start(NODE, **setup_files)
     forms = {'sweep/image': encode.image, 'sweep/image/compressed': encode.compressed_image}
     images = {topic: client.advertise(topic) for topic in forms}
@@ -33,7 +25,7 @@ def test_a_sweep_may_come_in_another_form_than_the_last(
     )
     log = tmp_path / 'logs' / f'{NODE}.log'
 
-    def reported(times: int) -> Callable[[], bool]:
+    def reported(times):
         return lambda: log.read_text().count('no panorama') == times
 
     for number, topic in enumerate([*forms, 'sweep/image'], start=1):

@@ -20,18 +20,16 @@ from landmark_nav.types import JointSample
 class Recorder:
     """In place of a node: keeps what is published, by topic."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.sent: dict[str, list[Any]] = {}
 
-    def create_publisher(self, _kind: Any, topic: str, _qos: Any) -> Any:
+    def create_publisher(self, _kind, topic, _qos):
         messages = self.sent[topic] = []
         return type('Publisher', (), {'publish': staticmethod(messages.append)})
 
 
 @pytest.mark.parametrize('installed', [True, False])
-def test_transforms_are_sent_where_their_type_is_installed(
-    installed: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_transforms_are_sent_where_their_type_is_installed(installed, monkeypatch):
     node, mount = Recorder(), PanTiltMount()
     if installed:
         monkeypatch.setattr(transforms, 'find_spec', lambda _name: True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 import shutil
@@ -12,7 +11,6 @@ import textwrap
 import time
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from landmark_nav.cli.main import main
@@ -79,7 +77,7 @@ OBSERVER = """
 class Host:
     """A network of its own, and memory that it shares with no other, as long as it lives."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address):
         memory = 'mount -t tmpfs tmpfs /dev/shm && ip link set lo up && echo up && exec sleep 900'
         command = ['unshare', '--net', '--mount', 'sh', '-c', memory]
         self._holder = subprocess.Popen(
@@ -91,29 +89,29 @@ class Host:
         if self._holder.stdout.readline() != 'up\n':
             pytest.skip(f'no network namespaces here: {self._holder.communicate()[1].strip()}')
 
-    def do(self, command: str) -> None:
+    def do(self, command):
         """Run a command there."""
         run([*self.enter, *command.split()])
 
-    def lose(self, bytecode: str) -> None:
+    def lose(self, bytecode):
         """Let a classic BPF program decide what of that which arrives is taken."""
         self.do('tc qdisc replace dev wire clsact')
         tc = ['tc', 'filter', 'add', 'dev', 'wire', 'ingress', 'bpf', 'da', 'bytecode']
         run([*self.enter, *tc, bytecode])
 
-    def end(self) -> None:
+    def end(self):
         self._holder.kill()
         self._holder.communicate()
 
 
-def run(command: list[str]) -> None:
+def run(command):
     done = subprocess.run(command, capture_output=True, text=True, timeout=20)
     if done.returncode:
         raise OSError(f'{" ".join(command)}: {done.stderr.strip()}')
 
 
 @pytest.fixture
-def hosts() -> Iterator[tuple[Host, Host]]:
+def hosts():
     """The robot's and the base station's, linked."""
     missing = [tool for tool in ('ip', 'nsenter', 'tc', 'unshare') if shutil.which(tool) is None]
     if missing:
@@ -138,7 +136,7 @@ def hosts() -> Iterator[tuple[Host, Host]]:
 
 
 @pytest.fixture(scope='module')
-def setup(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def setup(tmp_path_factory):
     """
     Folder with `robot.yaml`, `room.yaml` and a map of the very room that is driven in.
 
@@ -153,9 +151,7 @@ def setup(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_link_that_is_cut_or_loses_packets_is_survived(
-    hosts: tuple[Host, Host], setup: Path, tmp_path: Path, domain_id: int
-) -> None:
+def test_a_link_that_is_cut_or_loses_packets_is_survived(hosts, setup, tmp_path, domain_id):
     robot, base = hosts
     robot_file = {'robot_file': str(setup / 'robot.yaml')}
     room_file, camera = {'room_file': str(setup / 'room.yaml')}, {'image_transport': 'compressed'}
@@ -189,20 +185,20 @@ def test_a_link_that_is_cut_or_loses_packets_is_survived(
     }
     with Supervisor(tmp_path / 'logs', environment) as processes:
 
-        def reported() -> tuple[str, int]:
+        def reported():
             """State and number of fixes."""
             lines = (tmp_path / 'logs' / 'base.log').read_text().splitlines()
             last = next((line for line in reversed(lines) if line[:5] in ('known', 'lost ')), '')
             return last.partition(' ')[0], int(last.partition(' ')[2] or 0)
 
-        def until(holds: Callable[[], bool], what: str) -> None:
+        def until(holds, what):
             deadline = time.monotonic() + HANGS_S
             while not holds():
                 assert time.monotonic() < deadline, f'{what}: {reported()}'
                 time.sleep(0.1)
                 processes.check()
 
-        def known() -> None:
+        def known():
             """Wait for a pose and more fixes."""
             fixes = reported()[1]
             until(
@@ -210,7 +206,7 @@ def test_a_link_that_is_cut_or_loses_packets_is_survived(
                 'the pose is not known',
             )
 
-        def passed(seconds: float) -> Callable[[], bool]:
+        def passed(seconds):
             end = time.monotonic() + seconds
             return lambda: time.monotonic() > end
 
@@ -254,7 +250,7 @@ def test_a_link_that_is_cut_or_loses_packets_is_survived(
 class Recording:
     """What both hosts recorded, by its stamps."""
 
-    def __init__(self, driver: Path, base: Path) -> None:
+    def __init__(self, driver, base):
         truth, images = [], list[int]()
         for entry in Bag(driver).messages():
             stamp = decode.stamp_ns(entry.message.header)
@@ -282,12 +278,12 @@ class Recording:
                     self.lost_ns += [stamp] * lost
         self.detections_ns = np.array(detections)
 
-    def true_pose(self, stamp_ns: int) -> npt.NDArray[np.float64]:
+    def true_pose(self, stamp_ns):
         """Pose (3,) of the base in map."""
         seconds = 1e-9 * (self.truth_ns - stamp_ns)
         return np.array([np.interp(0.0, seconds, values) for values in self.truth.T])
 
-    def check_errors(self) -> None:
+    def check_errors(self):
         """No pose is off by more than five sigmas while the state is not lost."""
         checked = 0
         for pose, lost in self.fused:
@@ -300,7 +296,7 @@ class Recording:
             checked += 1
         assert checked > 100
 
-    def check_cut(self, cut_ns: int, return_ns: int) -> None:
+    def check_cut(self, cut_ns, return_ns):
         """The pose is lost while nothing arrives, and soon known again."""
         assert any(cut_ns < stamp < return_ns for stamp in self.lost_ns)
         back_ns = min(
@@ -311,7 +307,7 @@ class Recording:
         images = np.count_nonzero((self.images_ns > return_ns) & (self.images_ns < back_ns))
         assert images < BACK_IMAGES
 
-    def check_loss(self, begin_ns: int, end_ns: int) -> None:
+    def check_loss(self, begin_ns, end_ns):
         """The images that lost packets get through: they are sent again."""
         looked_at, taken = (
             np.count_nonzero((stamps > begin_ns) & (stamps < end_ns))

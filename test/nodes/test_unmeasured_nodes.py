@@ -19,7 +19,7 @@ from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 
 if TYPE_CHECKING:
-    from landmark_nav.ros.robot_client import RobotClient
+    pass
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -32,9 +32,7 @@ LOCALIZATION = ('odometry_fusion', 'triangulation_localizer')
 Play = Callable[..., subprocess.Popen[bytes]]
 
 
-def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(
-    start: Callable[..., None], client: RobotClient, play: Play, tmp_path: Path
-) -> None:
+def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(start, client, play, tmp_path):
     sweeps, folder = with_odometry(RECORDED / 'learn', tmp_path / 'sweeps'), tmp_path / 'map'
     start(SYNTHESIZER, robot_file=ROBOT)
     start(LEARNER, robot_file=ROBOT, map_folder=str(folder))
@@ -71,7 +69,7 @@ def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(
     )
     drive = truth_of_bag(Bag(RECORDED / 'drive')).seen_from(truth.poses[0])
 
-    def is_right() -> bool:
+    def is_right():
         fused, client.fused = client.fused, None
         if fused is None or np.trace(fused.covariance[:2, :2]) > 0.05**2:
             return False

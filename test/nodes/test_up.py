@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 import os
-from pathlib import Path
 import pty
 import signal
 import subprocess
@@ -27,12 +25,12 @@ NODES = [
 
 
 @pytest.fixture
-def environment(domain_id: int) -> dict[str, str]:
+def environment(domain_id):
     return node_environment(domain_id)
 
 
 @pytest.fixture
-def robot(environment: dict[str, str], tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+def robot(environment, tmp_path):
     with (tmp_path / 'up.log').open('wb') as log:
         process = subprocess.Popen(
             [*COMMAND, 'up', '--sim', '--map', str(tmp_path / 'map')],
@@ -45,7 +43,7 @@ def robot(environment: dict[str, str], tmp_path: Path) -> Iterator[subprocess.Po
     process.wait()
 
 
-def output(command: list[str], environment: dict[str, str]) -> tuple[int, str]:
+def output(command, environment):
     done = subprocess.run(
         [*COMMAND, *command],
         env=environment,
@@ -58,12 +56,7 @@ def output(command: list[str], environment: dict[str, str]) -> tuple[int, str]:
     return done.returncode, done.stdout
 
 
-def test_a_robot_is_brought_up_called_driven_and_ended(
-    robot: subprocess.Popen[bytes],
-    environment: dict[str, str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_robot_is_brought_up_called_driven_and_ended(robot, environment, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     deadline = time.monotonic() + 60.0
     reported: list[str] = []
@@ -88,7 +81,7 @@ def test_a_robot_is_brought_up_called_driven_and_ended(
         )
         try:
 
-            def turned() -> bool:
+            def turned():
                 os.write(keyboard, b'a')
                 with suppress(BlockingIOError):
                     os.read(keyboard, 2**16)
@@ -108,14 +101,12 @@ def test_a_robot_is_brought_up_called_driven_and_ended(
     assert 'Traceback' not in (tmp_path / 'up.log').read_text()
 
 
-def status(environment: dict[str, str]) -> list[str]:
+def status(environment):
     code, printed = output(['status'], environment)
     return printed.splitlines() if code == 0 else []
 
 
-def test_without_nodes_the_domain_is_named(
-    domain_id: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_nodes_the_domain_is_named(domain_id, monkeypatch, capsys):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     monkeypatch.setattr('landmark_nav.cli.status._NO_NODE_S', 0.5)
@@ -127,5 +118,5 @@ def test_without_nodes_the_domain_is_named(
 @pytest.mark.parametrize(
     'command', [['up'], ['up', '--room', 'room.yaml'], ['drive'], ['call', 'cook']]
 )
-def test_wrong_usage(command: list[str]) -> None:
+def test_wrong_usage(command):
     assert main(command) == 2

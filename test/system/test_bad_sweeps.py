@@ -1,11 +1,8 @@
 """Sweeps with faults through `learn`: some cases of `make bad-sweeps` with small images."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
-from bad_sweeps import Case, cases, judge
+from bad_sweeps import cases, judge
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel
@@ -17,7 +14,7 @@ CAMERA = CameraModel(300, 300, 230.0, 230.0, 149.5, 149.5)
 
 
 @pytest.fixture(scope='module')
-def known() -> dict[str, Case]:
+def known():
     return {case.name: replace(case, camera=CAMERA, frames=16) for case in cases(SEED)}
 
 
@@ -29,8 +26,6 @@ def known() -> dict[str, Case]:
         'people in most images',
     ],
 )
-def test_a_map_is_right_or_the_refusal_clear(
-    known: dict[str, Case], name: str, tmp_path: Path
-) -> None:
+def test_a_map_is_right_or_the_refusal_clear(known, name, tmp_path):
     good, reported = judge(known[name], tmp_path, SEED)
     assert good, reported

@@ -1,12 +1,8 @@
 """`landmark-nav batch` on a scheduler and workers as real processes, one of them killed."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 import csv
 import json
 import os
-from pathlib import Path
 import subprocess
 import sys
 import time
@@ -28,7 +24,7 @@ grid:
 
 
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def cluster(tmp_path):
     """Address of a scheduler and its two workers."""
     file = tmp_path / 'scheduler.json'
     words = ['scheduler', '--port', '0', '--no-dashboard', '--scheduler-file', str(file)]
@@ -46,9 +42,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
         process.wait()
 
 
-def test_a_worker_is_killed_and_nothing_is_lost(
-    tmp_path: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]]
-) -> None:
+def test_a_worker_is_killed_and_nothing_is_lost(tmp_path, cluster):
     address, workers = cluster
     (tmp_path / 'jobs.yaml').write_text(JOBS)
     words = ['batch', 'jobs.yaml', '--out', 'out', '--scheduler', address]

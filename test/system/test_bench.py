@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 
@@ -13,9 +10,7 @@ from landmark_nav.geometry.camera import CameraModel
 SMALL = CameraModel(256, 256, 220.0, 220.0, 127.5, 127.5)
 
 
-def test_bench_times_every_stage_beside_a_reference(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bench_times_every_stage_beside_a_reference(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bench, 'CAMERA', SMALL)
     figures = tmp_path / 'bench.json'
     assert main(['bench', '--repeats', '1', '--json', str(figures)]) == 0

@@ -1,16 +1,13 @@
 """`landmark-nav calibrate` on the recorded room of bags/: results and refusals."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 from drive_faults import write_bag
 from harness import BAGS
 import numpy as np
 import pytest
 
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import NAMES
 from landmark_nav.cli.main import main
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
@@ -28,7 +25,7 @@ OFF = {
 
 
 @pytest.fixture(scope='module')
-def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration, Calibration]:
+def calibrated(tmp_path_factory):
     """Folder with what came of a robot.yaml that is off; the right calibration, the given one."""
     folder = tmp_path_factory.mktemp('calibrate')
     # Without sigmas: what a person with a tape and a spirit level knows.
@@ -50,9 +47,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibrat
     return folder, right, given
 
 
-def test_errors_of_the_mount_are_found(
-    calibrated: tuple[Path, Calibration, Calibration],
-) -> None:
+def test_errors_of_the_mount_are_found(calibrated):
     folder, right, given = calibrated
     found = load_calibration(folder / 'better.yaml')
     for name in OFF:
@@ -66,9 +61,7 @@ def test_errors_of_the_mount_are_found(
     assert abs(height) < 0.012
 
 
-def test_the_report_states_what_was_shown(
-    calibrated: tuple[Path, Calibration, Calibration],
-) -> None:
+def test_the_report_states_what_was_shown(calibrated):
     folder, _, given = calibrated
     report = json.loads((folder / 'c.json').read_text())
     assert set(report['calibration']) == set(NAMES)
@@ -84,9 +77,7 @@ def test_the_report_states_what_was_shown(
     assert (folder / 'report.html').stat().st_size > 30_000
 
 
-def test_a_sweep_alone_shows_the_camera_and_not_the_lever(
-    calibrated: tuple[Path, Calibration, Calibration], tmp_path: Path
-) -> None:
+def test_a_sweep_alone_shows_the_camera_and_not_the_lever(calibrated, tmp_path):
     given, out = str(calibrated[0] / 'given.yaml'), tmp_path / 'robot.yaml'
     sent = [(e.topic, e.message, e.stamp_ns) for e in Bag(LEARN).messages()]
     ends = next(k for k, one in enumerate(sent) if one[0] == '/sweep/trajectory')
@@ -100,9 +91,7 @@ def test_a_sweep_alone_shows_the_camera_and_not_the_lever(
 @pytest.mark.parametrize(
     ('bag', 'words'), [(DRIVE, 'needs a map'), (LEARN, '--room'), ('nowhere', 'nowhere')]
 )
-def test_what_cannot_be_calibrated_is_reported_in_a_line(
-    bag: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_calibrated_is_reported_in_a_line(bag, words, tmp_path, capsys):
     out = tmp_path / 'out.yaml'
     files = ['--robot', str(BAGS / 'robot.yaml'), '--out', str(out)]
     assert main(['calibrate', bag, *files]) in (1, 2)
@@ -111,9 +100,7 @@ def test_what_cannot_be_calibrated_is_reported_in_a_line(
     assert not out.exists()
 
 
-def test_what_a_robot_that_stands_does_not_show_stays_as_given(
-    recorded: Path, tmp_path: Path
-) -> None:
+def test_what_a_robot_that_stands_does_not_show_stays_as_given(recorded, tmp_path):
     """The first third of a second of a drive: nothing of lever and pan zero."""
     sent = [(e.topic, e.message, e.stamp_ns) for e in Bag(BAGS / 'drive').messages()]
     write_bag(tmp_path / 'still', [one for one in sent if one[2] < sent[0][2] + 3 * 10**8])

@@ -1,7 +1,5 @@
 """Photographs of a real flat: bad matches cost landmarks, and the adjustment succeeds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +13,7 @@ FLAT = Path(__file__).parents[3] / 'shared' / 'data' / 'flat'
 
 
 @pytest.mark.skipif(not FLAT.is_dir(), reason='needs ../shared/data/flat')
-def test_a_flat_is_learned_whatever_matches(tmp_path: Path) -> None:
+def test_a_flat_is_learned_whatever_matches(tmp_path):
     wide = tmp_path / 'wide.yaml'
     # Stereo that takes any match.
     limits = 'stereo: {max_displaced_px: 8.0}\n'

@@ -1,7 +1,5 @@
 """The offline commands as a user calls them, and their errors for wrong data."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

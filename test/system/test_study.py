@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from harness import evaluate, learn, start_of
 import numpy as np
@@ -14,18 +13,18 @@ MOUNT = 'xyz: [0.08, 0.0, 1.1]\n  rpy: [0.0, 0.0, 0.0]'
 
 
 @pytest.fixture(scope='module')
-def study(shared_data: Path) -> Path:
+def study(shared_data):
     return shared_data / 'study'
 
 
 @pytest.fixture(scope='module')
-def learned(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def learned(study, tmp_path_factory):
     out = tmp_path_factory.mktemp('study') / 'map'
     learn(study, out)
     return out
 
 
-def driven(study: Path, learned: Path, folder: Path, mount: str, more: str = '') -> Any:
+def driven(study, learned, folder, mount, more=''):
     """Figures of the drive with another mount in robot.yaml."""
     given = (study / 'robot.yaml').read_text()
     assert MOUNT in given
@@ -39,7 +38,7 @@ def driven(study: Path, learned: Path, folder: Path, mount: str, more: str = '')
     return report
 
 
-def test_a_mount_that_is_known(study: Path, learned: Path, tmp_path: Path) -> None:
+def test_a_mount_that_is_known(study, learned, tmp_path):
     exact = f'{MOUNT}\n  xyz_sigma: 0.0001\n  rpy_sigma: 0.0001'
     others = 'optical_center_offset_sigma: 0.0001\ncamera_roll_sigma: 0.0001\n'
     report = driven(study, learned, tmp_path, exact, others)

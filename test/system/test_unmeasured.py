@@ -1,10 +1,6 @@
 """Learning without a plan, from sweeps with odometry between them, through the commands."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-from typing import Any
 
 from harness import BAGS, evaluate, start_of
 import numpy as np
@@ -24,7 +20,7 @@ SCALE = 1.02
 
 
 @pytest.fixture(scope='module')
-def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+def learned(tmp_path_factory):
     out = tmp_path_factory.mktemp('unmeasured')
     sweeps = with_odometry(BAGS / 'learn', out / 'sweeps', SCALE)
     words = ['learn', str(sweeps), '--robot', ROBOT, '--out', str(out / 'map')]
@@ -33,7 +29,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], P
     return json.loads((out / 'learn.json').read_text()), out
 
 
-def test_shape_is_right_and_scale_that_of_odometry(learned: tuple[dict[str, Any], Path]) -> None:
+def test_shape_is_right_and_scale_that_of_odometry(learned):
     truth = truth_of_bag(Bag(BAGS / 'learn'))
     expected = se2.relative(truth.poses[0], truth.poses[-1])
     x, y, heading = learned[0]['sweeps'][1]['pose']
@@ -44,7 +40,7 @@ def test_shape_is_right_and_scale_that_of_odometry(learned: tuple[dict[str, Any]
     assert learned[0]['elected'] >= 40
 
 
-def test_walls_found_are_those_of_the_room(learned: tuple[dict[str, Any], Path]) -> None:
+def test_walls_found_are_those_of_the_room(learned):
     true = load_room(BAGS / 'room.yaml')
     found = load_room(learned[1] / 'room.yaml')
     first = truth_of_bag(Bag(BAGS / 'learn')).poses[0]
@@ -63,7 +59,7 @@ def test_walls_found_are_those_of_the_room(learned: tuple[dict[str, Any], Path])
         assert off[alike].min() < 0.03, wall.id
 
 
-def test_the_map_serves_a_drive(learned: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+def test_the_map_serves_a_drive(learned, tmp_path):
     first = truth_of_bag(Bag(BAGS / 'learn')).poses[0]
     start = se2.relative(first, start_of(BAGS)).tolist()
     run = evaluate(BAGS, learned[1] / 'map', start=start, out=tmp_path / 'run.json')
@@ -74,7 +70,7 @@ def test_the_map_serves_a_drive(learned: tuple[dict[str, Any], Path], tmp_path: 
     assert run['availability'] > 0.9
 
 
-def test_walls_that_are_off_are_found_and_written(tmp_path: Path) -> None:
+def test_walls_that_are_off_are_found_and_written(tmp_path):
     true = load_room(BAGS / 'room.yaml')
     off = moved(true, np.random.default_rng(1))
     (tmp_path / 'off.yaml').write_text(room_text(off))
@@ -87,7 +83,7 @@ def test_walls_that_are_off_are_found_and_written(tmp_path: Path) -> None:
         assert abs((middle - wall.start) @ wall.normal[:2]) < min(0.03, 3.0 * found.sigma_m)
 
 
-def test_papers_at_unknown_places_give_the_scale(tmp_path: Path) -> None:
+def test_papers_at_unknown_places_give_the_scale(tmp_path):
     words = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
     words += ['--paper-size', '0.210', '0.297', '--json', str(tmp_path / 'learn.json')]
     assert main(words) == 0
@@ -113,9 +109,7 @@ def test_papers_at_unknown_places_give_the_scale(tmp_path: Path) -> None:
         ([], 1, 'odom sweep/pose --paper-size --room'),
     ],
 )
-def test_without_a_scale_it_is_refused_in_one_line(
-    words: list[str], status: int, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_scale_it_is_refused_in_one_line(words, status, named, tmp_path, capsys):
     given = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
     assert main([*given, *words]) == status
     (line,) = capsys.readouterr().err.strip().splitlines()

@@ -10,7 +10,7 @@ import pytest
     'target',
     [name for part in (LEARNING, DRIVING, SEARCHING) for row in part.values() for name in row],
 )
-def test_the_target_of_a_row_exists(target: str) -> None:
+def test_the_target_of_a_row_exists(target):
     module, name = target.split(':')
     kind, _, field = name.partition('.')
     owner = getattr(import_module(module), kind)

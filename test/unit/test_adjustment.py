@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from hung_rooms import (
@@ -19,7 +18,6 @@ from hung_rooms import (
     ROOM,
     solve,
     total_covariance,
-    World,
     world_hung,
     world_of,
 )
@@ -33,7 +31,6 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.adjustment import (
     adjust,
-    Adjustment,
     AdjustmentConfig,
     CALIBRATED,
 )
@@ -45,16 +42,15 @@ from landmark_nav.learning.least_squares import (
     solve_positive,
 )
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
-from landmark_nav.types import FloatArray
 
 
-def pose_errors(found: Adjustment, world: World) -> FloatArray:
+def pose_errors(found, world):
     error = found.poses - world.poses
     error[:, 3] = wrap_rad(error[:, 3])
     return error
 
 
-def test_the_truth_is_found_without_noise() -> None:
+def test_the_truth_is_found_without_noise():
     world = world_of(np.random.default_rng(0), 20, flat=True)
     found = solve(world, measurements_of(world, None), world.poses)
     np.testing.assert_allclose(found.positions, world.points, atol=1e-6)
@@ -63,22 +59,22 @@ def test_the_truth_is_found_without_noise() -> None:
     assert found.chi_square.max() < 1e-3
 
 
-def usual(rng: np.random.Generator) -> World:
+def usual(rng):
     return world_of(rng, 24)
 
 
-def walls_elsewhere(rng: np.random.Generator) -> World:
+def walls_elsewhere(rng):
     world = world_of(rng, 100, hanging_m=0.004)
     return off_walls(world, rng.normal(0.0, 0.005, len(ROOM.walls)))
 
 
-def off_walls(world: World, off_m: FloatArray) -> World:
+def off_walls(world, off_m):
     """The world with each of its walls moved by so much."""
     moved = off_m[np.asarray(world.walls), None] * ROOM.normals[world.walls]
     return replace(world, points=world.points + moved)
 
 
-def posters(rng: np.random.Generator) -> World:
+def posters(rng):
     """Two posters a wall, of twenty patches each."""
     world = world_of(rng, 160, flat=True)
     points = world.points.copy()
@@ -99,12 +95,8 @@ def posters(rng: np.random.Generator) -> World:
     ],
 )
 def test_landmarks_and_poses_err_as_their_covariances_say(
-    world_in: Callable[[np.random.Generator], World],
-    common: tuple[float, float],
-    count: int,
-    of_poses: tuple[float, float],
-    of_landmarks: tuple[float, float],
-) -> None:
+    world_in, common, count, of_poses, of_landmarks
+):
     rng = np.random.default_rng(1)
     ratios = []
     for _ in range(count):
@@ -119,7 +111,7 @@ def test_landmarks_and_poses_err_as_their_covariances_say(
         assert least < ratio < most
 
 
-def test_the_solution_is_that_of_least_squares() -> None:
+def test_the_solution_is_that_of_least_squares():
     rng = np.random.default_rng(10)
     third = [3.0, 1.2, 1.1, 0.3]
     # So little noise that no measurement is down-weighted.
@@ -139,7 +131,7 @@ def test_the_solution_is_that_of_least_squares() -> None:
     root = np.linalg.cholesky(np.linalg.inv(problem.prior_covariance(spread)))
     count, shared = len(world.points), problem.prior
 
-    def residuals(x: FloatArray) -> FloatArray:
+    def residuals(x):
         at = problem.linearize(x[: 3 * count].reshape(-1, 3), x[3 * count :])
         seen, wall = at.seen / sigma, at.wall / CONFIG.relief_sigma_m
         return np.concatenate([seen.ravel(), wall, (x[3 * count :] - shared) @ root])
@@ -150,7 +142,7 @@ def test_the_solution_is_that_of_least_squares() -> None:
     np.testing.assert_allclose(position, found.positions, atol=3e-6)
 
 
-def test_a_calibration_that_is_off_is_found_and_errs_as_it_states() -> None:
+def test_a_calibration_that_is_off_is_found_and_errs_as_it_states():
     """The optical centre is off: things seem aside and nearer, the more the nearer they are."""
     rng = np.random.default_rng(5)
     prior = Calibration.of_mount(
@@ -203,7 +195,7 @@ def test_a_calibration_that_is_off_is_found_and_errs_as_it_states() -> None:
 @pytest.mark.parametrize(
     ('azimuth', 'tangent', 'relief'), [(1.5e-4, 2e-4, 0.004), (3e-4, 6e-4, 0.012)]
 )
-def test_noise_is_estimated_from_the_room(azimuth: float, tangent: float, relief: float) -> None:
+def test_noise_is_estimated_from_the_room(azimuth, tangent, relief):
     rng = np.random.default_rng(8)
     noise, of_landmarks = [], []
     for _ in range(6):
@@ -235,9 +227,7 @@ WITHOUT_WALLS = AdjustmentConfig(
 @pytest.mark.parametrize('config', [CONFIG, WITHOUT_WALLS], ids=['walls', 'without walls'])
 @pytest.mark.parametrize('views', [2, 3, 4])
 @pytest.mark.parametrize('off_rad', [0.01, 1.0])
-def test_a_false_match_affects_no_other_landmark(
-    off_rad: float, views: int, config: AdjustmentConfig
-) -> None:
+def test_a_false_match_affects_no_other_landmark(off_rad, views, config):
     for seed in range(6):
         rng = np.random.default_rng(seed)
         world = replace(world_of(rng, 14), poses=np.vstack([POSES, MORE])[:views])
@@ -255,7 +245,7 @@ def test_a_false_match_affects_no_other_landmark(
         assert (np.abs(found.positions - world.points) / sigma)[1:].max() < 6.0
 
 
-def test_a_covariance_is_positive_whatever_the_information() -> None:
+def test_a_covariance_is_positive_whatever_the_information():
     rng = np.random.default_rng(3)
     half = rng.standard_normal((6, 3))
     for information in (np.zeros((6, 6)), half @ half.T, np.diag([1e300, 1e-300, 1, 1, 1, 0])):
@@ -269,12 +259,12 @@ def test_a_covariance_is_positive_whatever_the_information() -> None:
 
 
 @pytest.mark.parametrize('value', [np.nan, np.inf, -1.0, 1e100])
-def test_a_covariance_that_is_none_is_refused(value: float) -> None:
+def test_a_covariance_that_is_none_is_refused(value):
     with pytest.raises(LandmarkNavError, match='sweep/pose'):
         checked_covariance(np.diag([value, 1e-4, 1e-4]), np.ones(3), 'sweep/pose')
 
 
-def test_what_hangs_on_no_wall_is_where_its_bearings_meet() -> None:
+def test_what_hangs_on_no_wall_is_where_its_bearings_meet():
     rng = np.random.default_rng(31)
     errors, covariances = [], []
     for _ in range(20):
@@ -294,7 +284,7 @@ def test_what_hangs_on_no_wall_is_where_its_bearings_meet() -> None:
     assert 0.6 < mean / 3.0 < 1.4
 
 
-def test_tilts_that_differ_between_sweeps_are_estimated() -> None:
+def test_tilts_that_differ_between_sweeps_are_estimated():
     rng = np.random.default_rng(33)
     world = world_of(rng, 80, flat=True)
     lean = np.array([[0.006, -0.004], [-0.006, 0.004]])
@@ -310,7 +300,7 @@ def test_tilts_that_differ_between_sweeps_are_estimated() -> None:
                 + (1.0 + tangent**2) * (pitch * np.cos(azimuth) - roll * np.sin(azimuth)),
             )
 
-    def error(tilt_sigma_rad: float) -> float:
+    def error(tilt_sigma_rad):
         config = replace(CONFIG, tilt_sigma_rad=tilt_sigma_rad)
         found = solve(world, measurements, world.poses, config)
         return float(np.sqrt(np.mean((found.positions - world.points) ** 2)))
@@ -318,7 +308,7 @@ def test_tilts_that_differ_between_sweeps_are_estimated() -> None:
     assert error(0.01) < 0.5 * error(0.0)
 
 
-def test_tilt_and_waves_have_the_right_slopes() -> None:
+def test_tilt_and_waves_have_the_right_slopes():
     rng = np.random.default_rng(34)
     world = world_of(rng, 8)
     stretch = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)

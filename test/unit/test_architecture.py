@@ -1,9 +1,6 @@
 """The import rules of docs/architecture.md."""
 
-from __future__ import annotations
-
 import ast
-from collections.abc import Iterator
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / 'landmark_nav'
@@ -72,7 +69,7 @@ ROS_PARTS = {'ros', 'nodes', 'launch'}
 ROS_MODULES = {'rclpy', 'launch', 'launch_ros', 'ament_index_python', 'builtin_interfaces'}
 
 
-def part(module: Path) -> str:
+def part(module):
     """Name of the package's part that a module belongs to."""
     return module.relative_to(PACKAGE).parts[0].removesuffix('.py')
 
@@ -80,7 +77,7 @@ def part(module: Path) -> str:
 TREES = {module: ast.parse(module.read_text(encoding='utf-8')) for module in MODULES}
 
 
-def imports(module: Path) -> Iterator[str]:
+def imports(module):
     """Full names of all modules imported anywhere in a file."""
     for node in ast.walk(TREES[module]):
         if isinstance(node, ast.Import):
@@ -96,12 +93,12 @@ def imports(module: Path) -> Iterator[str]:
 IMPORTS = {module: set(imports(module)) for module in MODULES}
 
 
-def is_ros(name: str) -> bool:
+def is_ros(name):
     top = name.partition('.')[0]
     return top in ROS_MODULES or top.endswith(('_msgs', '_srvs'))
 
 
-def test_imports_run_downward() -> None:
+def test_imports_run_downward():
     """No module imports what lies above or beside its part."""
     wrong = {
         str(module): name
@@ -113,15 +110,15 @@ def test_imports_run_downward() -> None:
     assert not wrong
 
 
-def test_ros_stays_behind_its_door() -> None:
+def test_ros_stays_behind_its_door():
     outside = [module for module in MODULES if part(module) not in ROS_PARTS]
     assert not {str(m): name for m in outside for name in IMPORTS[m] if is_ros(name)}
 
 
-def test_every_part_has_its_place() -> None:
+def test_every_part_has_its_place():
     assert {part(module) for module in MODULES} - {'__init__'} <= set(BELOW)
 
 
-def test_no_two_parts_lie_below_each_other() -> None:
+def test_no_two_parts_lie_below_each_other():
     circles = [(a, b) for a in BELOW for b in BELOW[a] if a in BELOW[b] and a != b]
     assert not circles

@@ -1,7 +1,5 @@
 """Files are written atomically; paths that cannot be written are refused before the work."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 import subprocess
@@ -17,19 +15,19 @@ from landmark_nav.storage.maps import load_map, save_map
 
 
 @pytest.fixture
-def gone() -> int:
+def gone():
     """Number of a process that has ended."""
     process = subprocess.Popen([sys.executable, '-c', ''])
     process.wait()
     return process.pid
 
 
-def save(folder: Path) -> None:
+def save(folder):
     with atomic_folder(folder, ['map.yaml'], overwrite=True) as growing:
         (growing / 'map.yaml').touch()
 
 
-def test_what_killed_processes_had_begun_is_removed(tmp_path: Path, gone: int) -> None:
+def test_what_killed_processes_had_begun_is_removed(tmp_path, gone):
     begun, lives, other = (
         tmp_path / name
         for name in (f'.map.part-{gone}', f'.map.part-{os.getppid()}', '.map.part-of-mine')
@@ -44,8 +42,8 @@ def test_what_killed_processes_had_begun_is_removed(tmp_path: Path, gone: int) -
 
 
 def test_what_killed_processes_had_replaced_is_removed_but_for_what_the_user_kept_there(
-    tmp_path: Path, gone: int
-) -> None:
+    tmp_path, gone
+):
     target, old, lives = (
         tmp_path / name for name in ('map', f'.map.old-{gone}', f'.map.old-{os.getppid()}')
     )
@@ -67,9 +65,7 @@ def test_what_killed_processes_had_replaced_is_removed_but_for_what_the_user_kep
     assert (old / 'notes.txt').read_text() == 'older'
 
 
-def test_places_that_cannot_be_written_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_places_that_cannot_be_written_are_refused(tmp_path, monkeypatch):
     (tmp_path / 'file').touch()
     check_writable(tmp_path / 'new' / 'folders' / 'e.json', tmp_path / 'file', None)
     assert [path.name for path in tmp_path.iterdir()] == ['file']
@@ -93,13 +89,7 @@ def test_places_that_cannot_be_written_are_refused(
         ('learn bag --robot robot.yaml --out new --walls-out', 'robot.yaml'),
     ],
 )
-def test_what_is_read_is_not_replaced(
-    command: str,
-    output: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_read_is_not_replaced(command, output, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ('map/map.yaml', 'bag/drive.mcap', 'bag/metadata.yaml', 'robot.yaml'):
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -110,7 +100,7 @@ def test_what_is_read_is_not_replaced(
     assert (tmp_path / output).read_text() == output
 
 
-def test_what_a_link_leads_to_is_written(tmp_path: Path) -> None:
+def test_what_a_link_leads_to_is_written(tmp_path):
     real, link, chain, dangling, new = (
         tmp_path / name for name in ('real', 'link', 'chain', 'dangling', 'new')
     )
@@ -133,7 +123,7 @@ def test_what_a_link_leads_to_is_written(tmp_path: Path) -> None:
         write_atomically(link, '')
 
 
-def test_pipes_and_devices_are_written_to(tmp_path: Path) -> None:
+def test_pipes_and_devices_are_written_to(tmp_path):
     fifo = tmp_path / 'fifo'
     os.mkfifo(fifo)
     with pytest.raises(LandmarkNavError, match='fifo: cannot be written: nobody reads it'):
@@ -154,7 +144,7 @@ def test_pipes_and_devices_are_written_to(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('stream', ['/dev/fd/1', '/proc/self/fd/1', 'link'])
-def test_an_open_file_of_the_process_is_written_in_its_order(stream: str, tmp_path: Path) -> None:
+def test_an_open_file_of_the_process_is_written_in_its_order(stream, tmp_path):
     (tmp_path / 'link').symlink_to('/proc/self/fd/1')  # as /dev/stdout is
     code = (
         'from pathlib import Path\n'
@@ -174,7 +164,7 @@ def test_an_open_file_of_the_process_is_written_in_its_order(stream: str, tmp_pa
     assert (tmp_path / 'link').is_symlink()
 
 
-def test_names_that_the_locale_lacks_are_written_and_printed(tmp_path: Path) -> None:
+def test_names_that_the_locale_lacks_are_written_and_printed(tmp_path):
     """A map in a folder of Latin letters, where the locale knows ASCII alone."""
     code = (
         'import sys\n'
@@ -199,7 +189,7 @@ def test_names_that_the_locale_lacks_are_written_and_printed(tmp_path: Path) -> 
     assert [len(load_map(os.fsdecode(folder)).landmarks) for folder in folders] == [3, 3]
 
 
-def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+def test_a_full_disk_is_one_line(tmp_path):
     save_map(make_map(), tmp_path / 'map')
     command = [sys.executable, '-m', 'landmark_nav', 'map', 'show', str(tmp_path / 'map')]
     with Path('/dev/full').open('wb') as full:

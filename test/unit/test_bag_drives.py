@@ -1,7 +1,5 @@
 """A drive comes out of a bag as frames with their pans, odometry and ground truth."""
 
-from __future__ import annotations
-
 from bag_writers import camera_image, FACTORY, MOUNT, SECOND, START, write_drive
 from drive_faults import write_bag
 import numpy as np

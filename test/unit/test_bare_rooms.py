@@ -1,8 +1,5 @@
 """Rooms without a plan whose walls are bare: furniture, mirror, window, posters that repeat."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -20,9 +17,9 @@ from scenes import (
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.pipeline import LearningConfig, LearningResult
+from landmark_nav.learning.pipeline import LearningConfig
 from landmark_nav.learning.unmeasured import learn_located, locate, UnmeasuredConfig
-from landmark_nav.types import FloatArray, PlaceChain
+from landmark_nav.types import PlaceChain
 
 CONFIG = UnmeasuredConfig()
 GREY = (150.0, 150.0, 150.0)
@@ -32,18 +29,18 @@ POSES = np.array([[0.0, 0.0, 0.0], [1.3, 0.5, 0.7]])
 MIDDLE = np.array([2.4, 2.0])
 
 
-def walls(width_m: float = 5.0, depth_m: float = 4.0) -> list[Board]:
+def walls(width_m=5.0, depth_m=4.0):
     """Bare walls of a room about both sweeps."""
     room = rectangle_room(width_m, depth_m)
     return [moved(wall_board(wall, flat_texture(GREY))) for wall in room.walls]
 
 
-def moved(board: Board) -> Board:
+def moved(board):
     away = np.array([*MIDDLE, 0.0])
     return Board(board.center - away, board.normal, board.width_m, board.height_m, board.texture)
 
 
-def board(xyz: Sequence[float], seed: int, size_m: float = 0.6, turn_rad: float = 0.0) -> Board:
+def board(xyz, seed, size_m=0.6, turn_rad=0.0):
     """A textured front at xyz that is turned from facing the first sweep."""
     center = np.array(xyz)
     toward = se2.rotation(turn_rad) @ (-center[:2] / np.hypot(*center[:2]))
@@ -52,7 +49,7 @@ def board(xyz: Sequence[float], seed: int, size_m: float = 0.6, turn_rad: float 
 
 
 @cache
-def furniture(count: int = 14, alike: bool = False) -> tuple[Board, ...]:
+def furniture(count=14, alike=False):
     """Fronts all around, none of them on a wall."""
     rng = np.random.default_rng(3)
     made = []
@@ -66,11 +63,11 @@ def furniture(count: int = 14, alike: bool = False) -> tuple[Board, ...]:
 
 
 @cache
-def furnished() -> Scene:
+def furnished():
     return Scene((*walls(), *furniture()))
 
 
-def learned(scenes: Sequence[Scene], known: FloatArray = POSES) -> LearningResult:
+def learned(scenes, known=POSES):
     rng = np.random.default_rng(1)
     panoramas = [
         draw_panorama(scene, np.array([*pose[:2], EYE_M]), float(pose[2]), rng=rng)
@@ -82,9 +79,7 @@ def learned(scenes: Sequence[Scene], known: FloatArray = POSES) -> LearningResul
     return learn_located(locate(panoramas, [chain], lever, CONFIG), LearningConfig(), CONFIG)
 
 
-def learned_or_refused(
-    scene: Scene, boards: Sequence[Board], known: FloatArray = POSES, scale_off: float = 0.06
-) -> str:
+def learned_or_refused(scene, boards, known=POSES, scale_off=0.06):
     """Why there is no map, in one line; nothing where there is a right one."""
     try:
         result = learned([scene, scene], known)
@@ -94,7 +89,7 @@ def learned_or_refused(
     return ''
 
 
-def check(result: LearningResult, boards: Sequence[Board], scale_off: float = 0.06) -> None:
+def check(result, boards, scale_off=0.06):
     """Every landmark lies on a board, as well as it says; poses are right but for the scale."""
     way, true = result.panoramas[1].center_map[:2], POSES[1, :2]
     scale = float(np.hypot(*way) / np.hypot(*true))
@@ -118,14 +113,14 @@ def check(result: LearningResult, boards: Sequence[Board], scale_off: float = 0.
     assert wrong == 0
 
 
-def test_furniture_makes_a_map_of_a_room_with_bare_walls() -> None:
+def test_furniture_makes_a_map_of_a_room_with_bare_walls():
     result = learned([furnished()] * 2)
     assert len(result.map.landmarks) >= 15
     assert any(not landmark.wall_id for landmark in result.map.landmarks)
     check(result, furniture())
 
 
-def test_what_a_mirror_shows_is_a_place_behind_it() -> None:
+def test_what_a_mirror_shows_is_a_place_behind_it():
     """An opening shows a second room, as a mirror does: it is seen through the wall."""
     behind = tuple(board((3.6 + 0.2 * k, -1.2 + 0.8 * k, 1.2), 60 + k) for k in range(3))
     bare = walls()
@@ -134,7 +129,7 @@ def test_what_a_mirror_shows_is_a_place_behind_it() -> None:
     check(result, (*furniture(), *behind))
 
 
-def test_what_a_window_shows_far_away_is_no_landmark() -> None:
+def test_what_a_window_shows_far_away_is_no_landmark():
     rng = np.random.default_rng(5)
     texture = smooth_texture(rng, 80.0, 12.0, 1.0)
     far = Board(np.array([40.0, 0.0, 1.5]), np.array([-1.0, 0.0, 0.0]), 80.0, 12.0, texture)
@@ -145,20 +140,20 @@ def test_what_a_window_shows_far_away_is_no_landmark() -> None:
 
 
 @pytest.mark.parametrize('count', [6, 14])
-def test_posters_that_repeat_make_a_right_map_or_none(count: int) -> None:
+def test_posters_that_repeat_make_a_right_map_or_none(count):
     boards = furniture(count, alike=True)
     scene = Scene((*walls(), *boards))
     assert '\n' not in learned_or_refused(scene, boards)
 
 
 @pytest.mark.parametrize('ends', [False, True])
-def test_a_corridor_with_bare_walls_makes_a_right_map_or_none(ends: bool) -> None:
+def test_a_corridor_with_bare_walls_makes_a_right_map_or_none(ends):
     boards = (board((4.5, 0.2, 1.2), 81, 1.2), board((-2.5, 0.1, 1.2), 82, 1.2)) if ends else ()
     scene = Scene((*walls(12.0, 4.6)[::2], *boards))
     assert '\n' not in learned_or_refused(scene, boards)
 
 
-def test_odometry_that_slipped_aside_makes_a_right_map_or_none() -> None:
+def test_odometry_that_slipped_aside_makes_a_right_map_or_none():
     slipped = POSES + np.array([[0.0, 0.0, 0.0], [-0.18, 0.46, 0.0]])
     refused = learned_or_refused(furnished(), furniture(), slipped, scale_off=0.5)
     assert not refused or 'odom' in refused

@@ -1,7 +1,5 @@
 """Calibration by a sweep: errors of camera and mount are corrected, right values are kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +12,8 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.calibration import (
     align_sweep,
     calibrate_sweep,
-    SweepCalibration,
 )
-from landmark_nav.types import CameraFrame, FloatArray, Sweep
+from landmark_nav.types import CameraFrame, Sweep
 
 MOUNT = PanTiltMount((0.1, 0.0, 1.0))
 TRUE = CameraModel(240, 200, 230.0, 230.0, 119.5, 99.5, 'plumb_bob', (-0.06, 0.0, 0.0, 0.0, 0.0))
@@ -24,13 +21,11 @@ PANS = -np.pi + np.radians(10.0) * np.arange(36)
 
 
 @pytest.fixture(scope='module')
-def turn() -> Sweep:
+def turn():
     return turn_sweep(TRUE, MOUNT, PANS)
 
 
-def reported(
-    sweep: Sweep, focal: float = 1.0, scale: float = 1.0, tilt: float = 0.0, roll: float = 0.0
-) -> Sweep:
+def reported(sweep, focal=1.0, scale=1.0, tilt=0.0, roll=0.0):
     """The same images with wrong figures beside them."""
     camera = replace(TRUE, fx=TRUE.fx * focal, fy=TRUE.fy * focal)
     return replace(
@@ -48,11 +43,11 @@ def reported(
     )
 
 
-def used(found: SweepCalibration) -> set[str]:
+def used(found):
     return {term.name for term in found.quality.calibration if term.used}
 
 
-def test_what_is_right_is_left_alone(turn: Sweep) -> None:
+def test_what_is_right_is_left_alone(turn):
     found = calibrate_sweep(turn, MOUNT)
     assert used(found) == set()
     assert found.sweep.frames[5].camera == TRUE
@@ -83,9 +78,7 @@ def test_what_is_right_is_left_alone(turn: Sweep) -> None:
     ],
     ids=lambda values: ' '.join(values),
 )
-def test_wrong_figures_are_found_and_corrected(
-    turn: Sweep, wrong: dict[str, float], found_values: dict[str, tuple[float, float]]
-) -> None:
+def test_wrong_figures_are_found_and_corrected(turn, wrong, found_values):
     found = calibrate_sweep(reported(turn, **wrong), MOUNT)
     terms = {term.name: term for term in found.quality.calibration if term.used}
     assert {*terms} == {*found_values}
@@ -99,7 +92,7 @@ def test_wrong_figures_are_found_and_corrected(
     assert angles == pytest.approx((PANS[3], 0.0, 0.0), abs=3e-3)
 
 
-def test_a_part_of_a_turn_does_not_close(turn: Sweep) -> None:
+def test_a_part_of_a_turn_does_not_close(turn):
     part = reported(replace(turn, frames=turn.frames[5:20]), scale=1.005)
     found = calibrate_sweep(part, MOUNT)
     assert found.quality.closure_rad is None
@@ -107,7 +100,7 @@ def test_a_part_of_a_turn_does_not_close(turn: Sweep) -> None:
     assert 'pan_scale' not in {term.name for term in found.quality.calibration}
 
 
-def test_a_blank_wall_leaves_the_closure_unknown_and_is_reported(turn: Sweep) -> None:
+def test_a_blank_wall_leaves_the_closure_unknown_and_is_reported(turn):
     blank = np.full_like(turn.frames[0].image, 128)
     frames = [replace(f, image=blank) if 15 <= k < 21 else f for k, f in enumerate(turn.frames)]
     found = calibrate_sweep(replace(turn, frames=tuple(frames)), MOUNT)
@@ -122,7 +115,7 @@ def test_a_blank_wall_leaves_the_closure_unknown_and_is_reported(turn: Sweep) ->
     assert 'closure error' in str(whole)
 
 
-def test_frames_without_overlap_give_nothing(turn: Sweep) -> None:
+def test_frames_without_overlap_give_nothing(turn):
     blank = np.full_like(turn.frames[0].image, 128)
     plain = replace(turn, frames=tuple(replace(f, image=blank) for f in turn.frames))
     for sweep in (plain, replace(turn, frames=turn.frames[:2])):
@@ -131,7 +124,7 @@ def test_frames_without_overlap_give_nothing(turn: Sweep) -> None:
         assert found.sweep is sweep
 
 
-def test_a_camera_off_its_axis_is_found_by_the_walls_distance() -> None:
+def test_a_camera_off_its_axis_is_found_by_the_walls_distance():
     room = rectangle_room(4.0, 3.0)
     scene = textured_room(room, seed=1, feature_m=0.05)
     true = PanTiltMount((0.0, 0.0, 1.2), optical_center_offset=(0.03, -0.02, 0.0))
@@ -139,7 +132,7 @@ def test_a_camera_off_its_axis_is_found_by_the_walls_distance() -> None:
     pose = np.array([1.4, 1.2, 0.5])
     sweep = draw_sweep(scene, camera, true, pose, np.radians(np.arange(0.0, 360.0, 12.0)))
 
-    def range_m(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
+    def range_m(azimuth, tangent):
         return room.raycast(pose[:2], azimuth + pose[2])[0]
 
     centred = replace(true, optical_center_offset=(0.0, 0.0, 0.0))
@@ -153,7 +146,7 @@ FOLDER = CameraModel(200, 240, 300.0, 300.0, 99.5, 119.5, 'plumb_bob', (-0.06, 0
 FEW = -np.pi + np.radians(20.0) * np.arange(18)
 
 
-def test_rough_angles_of_frames_and_the_focal_length_are_aligned() -> None:
+def test_rough_angles_of_frames_and_the_focal_length_are_aligned():
     rng = np.random.default_rng(1)
     true = turn_sweep(FOLDER, MOUNT, FEW, 0.01, -0.015)
     given = replace(FOLDER, fx=FOLDER.fx * 1.01, fy=FOLDER.fy * 1.01, distortion=())
@@ -174,7 +167,7 @@ def test_rough_angles_of_frames_and_the_focal_length_are_aligned() -> None:
     assert np.abs(angles[:, 1] + 0.015).max() < 2e-3
 
 
-def test_too_few_frames_or_no_texture_is_reported() -> None:
+def test_too_few_frames_or_no_texture_is_reported():
     with pytest.raises(LandmarkNavError, match='2 frames are too few to align'):
         align_sweep(turn_sweep(FOLDER, MOUNT, FEW[:2]), MOUNT)
     blank = np.full((FOLDER.height, FOLDER.width, 3), 128, np.uint8)

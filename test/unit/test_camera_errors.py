@@ -22,7 +22,7 @@ RIGHT = CameraSetup(CAMERA, PanTiltMount(axis_xyz=(0.1, 0.0, 1.1)))
 
 
 @pytest.fixture(scope='module')
-def matches() -> Matches:
+def matches():
     """Walls 2 to 5 m away, a robot that turns, drives and pans, noise of 0.2 pixels."""
     rng = np.random.default_rng(6)
     before, after, pairs, pans = [], [], [], []
@@ -49,11 +49,11 @@ def matches() -> Matches:
     )
 
 
-def lens(**change: float) -> CameraSetup:
+def lens(**change):
     return replace(RIGHT, camera=replace(CAMERA, **change))
 
 
-def mounted(**change: object) -> CameraSetup:
+def mounted(**change):
     return replace(RIGHT, mount=replace(RIGHT.mount, **change))
 
 
@@ -72,25 +72,23 @@ def mounted(**change: object) -> CameraSetup:
         (lens(distortion=(0.1, 0.06, 0.0, 0.0)), 'distortion', -0.29),
     ],
 )
-def test_an_error_of_lens_or_mount_is_recovered(
-    matches: Matches, given: CameraSetup, name: str, value: float
-) -> None:
+def test_an_error_of_lens_or_mount_is_recovered(matches, given, name, value):
     found = camera_error(matches, given)
     assert found is not None
     assert found.name == name
     assert found.value == pytest.approx(value, abs=0.03)
 
 
-def test_nothing_is_found_where_nothing_is_wrong(matches: Matches) -> None:
+def test_nothing_is_found_where_nothing_is_wrong(matches):
     assert camera_error(matches, RIGHT) is None
 
 
-def test_images_that_repeat_say_nothing_of_the_lens(matches: Matches) -> None:
+def test_images_that_repeat_say_nothing_of_the_lens(matches):
     same = replace(matches, after_px=matches.before_px)
     assert camera_error(same, RIGHT) is None
 
 
-def test_joints_that_are_wrong_do_not_blame_the_camera(matches: Matches) -> None:
+def test_joints_that_are_wrong_do_not_blame_the_camera(matches):
     wrong = replace(matches, pans_rad=-57.3 * matches.pans_rad + 0.4)
     assert camera_error(wrong, RIGHT) is None
     assert camera_error(replace(matches, tilts_rad=matches.pans_rad), RIGHT) is None
@@ -120,19 +118,19 @@ CAMERAS = {
 @pytest.mark.parametrize('camera', CAMERAS.values(), ids=CAMERAS.keys())
 @settings(max_examples=30)
 @given(st.floats(-0.5, 511.5), st.floats(-0.5, 383.5))
-def test_every_pixel_comes_back(camera: CameraModel, u: float, v: float) -> None:
+def test_every_pixel_comes_back(camera, u, v):
     ray = camera.unproject([u, v])
     assert ray[2] == 1.0
     np.testing.assert_allclose(camera.project(7.0 * ray), [u, v], atol=1e-6)
 
 
 @pytest.mark.parametrize('camera', CAMERAS.values(), ids=CAMERAS.keys())
-def test_what_is_behind_or_folds_back_has_no_pixel(camera: CameraModel) -> None:
+def test_what_is_behind_or_folds_back_has_no_pixel(camera):
     pixels = camera.project([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [30.0, 0.0, 1.0]])
     assert np.isnan(pixels).all()
 
 
-def test_contains_respects_the_margin() -> None:
+def test_contains_respects_the_margin():
     pixels = [[5.0, 5.0], [0.0, 0.0], [511.0, 383.0], [512.0, 10.0], [np.nan, 3.0]]
     camera = CAMERAS['ideal']
     assert camera.contains(pixels).tolist() == [True, True, True, False, False]
@@ -155,12 +153,12 @@ def test_contains_respects_the_margin() -> None:
         ({'distortion': (1e300, 0, 0, 0, 0, -1e300)}, 'folds back'),
     ],
 )
-def test_what_is_no_camera_is_refused(change: dict[str, Any], message: str) -> None:
+def test_what_is_no_camera_is_refused(change, message):
     with pytest.raises(LandmarkNavError, match=message):
         CameraModel(**{**SIZE, **change})
 
 
-def test_a_lens_that_folds_back_in_the_corners_is_used_inside_of_that() -> None:
+def test_a_lens_that_folds_back_in_the_corners_is_used_inside_of_that():
     camera = CameraModel(**SIZE, distortion=(-0.7,))
     assert 'folds back' in camera.restriction
     rng = np.random.default_rng(0)
@@ -178,9 +176,7 @@ def test_a_lens_that_folds_back_in_the_corners_is_used_inside_of_that() -> None:
 
 @pytest.mark.parametrize('distortion', [(0.9,), (3.0,), (-0.3, 0.1, 0.02, -0.02), (0.0,) * 5])
 @pytest.mark.parametrize('prism', [(), (0.0, 0.0, 0.0, 0.01, 0.002, -0.02, 0.003)])
-def test_strong_lenses_and_thin_prisms_invert(
-    distortion: tuple[float, ...], prism: tuple[float, ...]
-) -> None:
+def test_strong_lenses_and_thin_prisms_invert(distortion, prism):
     lens = (*distortion, *[0.0] * (5 - len(distortion)), *prism)
     camera = CameraModel(**SIZE, distortion=lens)
     pixels = np.random.default_rng(1).uniform(-0.5, [511.5, 383.5], (500, 2))
@@ -193,7 +189,7 @@ def test_strong_lenses_and_thin_prisms_invert(
 
 
 @pytest.mark.parametrize('size', [(256, 192), (171, 128), (1024, 768)])
-def test_a_resized_camera_sees_the_same_rays(size: tuple[int, int]) -> None:
+def test_a_resized_camera_sees_the_same_rays(size):
     camera = CAMERAS['plumb_bob']
     resized = camera.resized(*size)
     points = camera.unproject(np.random.default_rng(2).uniform(0.0, [511.0, 383.0], (50, 2)))
@@ -202,7 +198,7 @@ def test_a_resized_camera_sees_the_same_rays(size: tuple[int, int]) -> None:
     )
 
 
-def test_rpy_turns_about_fixed_axes_roll_first() -> None:
+def test_rpy_turns_about_fixed_axes_roll_first():
     np.testing.assert_allclose(rotation_rpy([0, 0, np.pi / 2]) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     np.testing.assert_allclose(rotation_rpy([0, np.pi / 2, 0]) @ [1, 0, 0], [0, 0, -1], atol=1e-15)
     np.testing.assert_allclose(
@@ -210,7 +206,7 @@ def test_rpy_turns_about_fixed_axes_roll_first() -> None:
     )
 
 
-def test_at_zero_the_camera_looks_ahead() -> None:
+def test_at_zero_the_camera_looks_ahead():
     rotation, center = PanTiltMount(axis_xyz=(0.1, 0.2, 1.1)).camera_pose_base(0.0)
     np.testing.assert_allclose(rotation @ [0, 0, 1], [1, 0, 0], atol=1e-15)  # forward
     np.testing.assert_allclose(rotation @ [1, 0, 0], [0, -1, 0], atol=1e-15)  # image right
@@ -218,7 +214,7 @@ def test_at_zero_the_camera_looks_ahead() -> None:
     np.testing.assert_allclose(center, [0.1, 0.2, 1.1])
 
 
-def test_pan_is_to_the_left_and_tilt_upwards() -> None:
+def test_pan_is_to_the_left_and_tilt_upwards():
     mount = PanTiltMount()
     left, _ = mount.camera_pose_base(np.pi / 2)
     np.testing.assert_allclose(left @ [0, 0, 1], [0, 1, 0], atol=1e-15)
@@ -230,8 +226,8 @@ def test_pan_is_to_the_left_and_tilt_upwards() -> None:
 @pytest.mark.parametrize('pitch_rad', [0.0, np.pi, 0.02])
 @given(yaw_rad=st.floats(-3.0, 3.0), pan_rad=st.floats(-3.0, 3.0))
 def test_a_pan_looks_at_its_azimuth_however_the_unit_is_mounted(
-    roll_rad: float, pitch_rad: float, yaw_rad: float, pan_rad: float
-) -> None:
+    roll_rad, pitch_rad, yaw_rad, pan_rad
+):
     mount = PanTiltMount(axis_rpy=(roll_rad, pitch_rad, yaw_rad))
     x, y, _ = mount.camera_pose_base(pan_rad)[0][:, 2]
     azimuth = mount.azimuth_base_rad(pan_rad)

@@ -1,7 +1,5 @@
 """Sweeps located by the same papers have correlated errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hung_rooms import (
@@ -11,7 +9,6 @@ from hung_rooms import (
     panoramas_at,
     POSES,
     PRIOR,
-    World,
     world_of,
 )
 import numpy as np
@@ -22,7 +19,6 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.adjustment import adjust
 from landmark_nav.learning.reference_area import joint_covariance, pose_errors, ReferenceAreaConfig
-from landmark_nav.types import FloatArray
 
 PAPERS = tuple(
     Paper(color, (x, 0.0, 1.4), 0.21, 0.297)
@@ -33,7 +29,7 @@ CONFIG = ReferenceAreaConfig()
 FOCAL_PX = 320.0
 
 
-def given_by_papers(world: World, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def given_by_papers(world, rng):
     """Poses (v, 4) with errors as papers make them, and covariances (v, 4, 4) of each alone."""
     covariance, by_papers = pose_errors(world.poses[:, :3], ROOM, CONFIG, FOCAL_PX)
     poses = world.poses.copy()
@@ -48,7 +44,7 @@ def given_by_papers(world: World, rng: np.random.Generator) -> tuple[FloatArray,
     return poses, full
 
 
-def test_what_sweeps_err_together_is_not_taken_for_agreement() -> None:
+def test_what_sweeps_err_together_is_not_taken_for_agreement():
     rng = np.random.default_rng(3)
     of_poses, if_apart = [], []
     for _ in range(60):
@@ -73,7 +69,7 @@ def test_what_sweeps_err_together_is_not_taken_for_agreement() -> None:
 
 
 @pytest.mark.parametrize('papers', [(), PAPERS[:1], PAPERS[:2]])
-def test_without_three_papers_only_the_height_is_shared(papers: tuple[Paper, ...]) -> None:
+def test_without_three_papers_only_the_height_is_shared(papers):
     places = joint_covariance(panoramas_at(POSES), replace(ROOM, papers=papers), CONFIG)
     apart = places[:4, 4:].copy()
     assert apart[2, 2] == pytest.approx(0.9 * PRIOR[2, 2], rel=1e-3)

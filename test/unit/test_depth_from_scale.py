@@ -1,7 +1,5 @@
 """Patches on the baseline of two panoramas get their depth from their relative size."""
 
-from __future__ import annotations
-
 from hung_rooms import CONFIG, ROOM
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from wall_views import candidate_at, greys_of
 from landmark_nav.learning.adjustment import Adjustment, depth_from_scale
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
-from landmark_nav.types import FloatArray, Refusal
+from landmark_nav.types import Refusal
 
 EAST = ROOM.normals[1]
 # Both look east along y = 2.5.
@@ -21,7 +19,7 @@ UNCERTAIN_SIGMA_M = 0.02
 STEREO = StereoConfig()
 
 
-def sizes_of(points: FloatArray, rng: np.random.Generator) -> list[list[PatchMeasurement]]:
+def sizes_of(points, rng):
     groups = []
     for point in points:
         reach = (POSES[:, :3] - point) @ EAST
@@ -36,7 +34,7 @@ def sizes_of(points: FloatArray, rng: np.random.Generator) -> list[list[PatchMea
     return groups
 
 
-def on_the_wall(points: FloatArray, depth_sigma: float) -> Adjustment:
+def on_the_wall(points, depth_sigma):
     """What the walls make of points: on them, and sure of it unless `depth_sigma` says more."""
     n = len(points)
     covariance = np.diag([depth_sigma, 1e-3, 1e-3]) ** 2
@@ -52,7 +50,7 @@ def on_the_wall(points: FloatArray, depth_sigma: float) -> Adjustment:
     )
 
 
-def placed(points: FloatArray, seed: int = 0) -> tuple[Adjustment, Adjustment]:
+def placed(points, seed=0):
     return depth_from_scale(
         on_the_wall(points, 1e-3),
         on_the_wall(points, 0.08),
@@ -63,11 +61,11 @@ def placed(points: FloatArray, seed: int = 0) -> tuple[Adjustment, Adjustment]:
     )
 
 
-def before_wall(rng: np.random.Generator, count: int, before_m: FloatArray) -> FloatArray:
+def before_wall(rng, count, before_m):
     return np.column_stack([6.0 - before_m, np.full(count, 2.5), rng.uniform(0.9, 1.3, count)])
 
 
-def test_sizes_place_what_bearings_leave_uncertain_and_state_how_well() -> None:
+def test_sizes_place_what_bearings_leave_uncertain_and_state_how_well():
     rng = np.random.default_rng(1)
     before = rng.normal(0.0, 0.026, 400)
     found, free = placed(before_wall(rng, 400, before))
@@ -86,7 +84,7 @@ def test_sizes_place_what_bearings_leave_uncertain_and_state_how_well() -> None:
 
 
 @pytest.mark.parametrize('before_m', [0.0, 0.03, 0.08, 0.2])
-def test_stereo_measures_the_relative_size_on_the_baseline(before_m: float) -> None:
+def test_stereo_measures_the_relative_size_on_the_baseline(before_m):
     spot = np.array([6.0 - before_m, 2.5, 1.1])
     rng = np.random.default_rng(11)
     camera_image = Board(spot, EAST, 0.6, 0.6, smooth_texture(rng, 0.6, 0.6, 0.03))

@@ -23,17 +23,16 @@ import pytest
 from scenes import Board, draw_frame, flat_texture, Scene, textured_room, true_landmark
 
 from landmark_nav.geometry.patches import PatchView
-from landmark_nav.types import FloatArray, LandmarkMap
 
 
-def test_a_camera_that_looks_aside_and_up_measures_the_same_bearings() -> None:
+def test_a_camera_that_looks_aside_and_up_measures_the_same_bearings():
     for pan, tilt in ((0.35, 0.1), (-0.4, -0.08)):
         result = detect(draw_frame(SCENE, LENS, MOUNT, HERE, pan, tilt), HERE)
         assert len(result.detections) >= 3
         assert np.abs(errors_of(result, HERE)).max() < 2e-4
 
 
-def test_bearings_err_as_their_variances_say() -> None:
+def test_bearings_err_as_their_variances_say():
     rng = np.random.default_rng(1)
     squares, counts = [], []
     for _ in range(25):
@@ -49,14 +48,14 @@ def test_bearings_err_as_their_variances_say() -> None:
 
 
 @pytest.mark.parametrize('shift', [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.02)], ids=str)
-def test_a_prior_that_is_off_does_not_move_the_bearings(shift: tuple[float, ...]) -> None:
+def test_a_prior_that_is_off_does_not_move_the_bearings(shift):
     frame = draw_frame(SCENE, LENS, MOUNT, HERE)
     result = detect(frame, HERE + np.array(shift))
     assert len(result.detections) == 4
     assert np.abs(errors_of(result, HERE)).max() < 5e-4
 
 
-def test_a_prior_that_is_far_off_finds_nothing_false() -> None:
+def test_a_prior_that_is_far_off_finds_nothing_false():
     frame = draw_frame(SCENE, LENS, MOUNT, HERE)
     result = detect(frame, HERE + np.array([0.0, 0.7, 0.0]))
     assert len(result.detections) == 0
@@ -85,7 +84,7 @@ def test_patches_are_found_aslant() -> None:
     assert np.abs(errors_of(result, pose, landmarks)).max() < 1e-3
 
 
-def seen_from_elsewhere(landmark_map: LandmarkMap, view: FloatArray) -> LandmarkMap:
+def seen_from_elsewhere(landmark_map, view):
     """Map whose patches are of something else, and whose only other view is right."""
     other = textured_room(ROOM, seed=7, feature_m=0.04)
     wrong = [
@@ -112,7 +111,7 @@ def test_a_virtual_view_shows_what_the_nearest_panorama_saw() -> None:
     assert len(detect(frame, HERE, landmarks, PATCH).detections) == 0
 
 
-def test_light_that_changed_changes_no_bearing() -> None:
+def test_light_that_changed_changes_no_bearing():
     frame = draw_frame(SCENE, LENS, MOUNT, HERE)
     shading = np.linspace(0.6, 0.7, LENS.width)[None, :, None]
     darker = replace(frame, image=np.rint(frame.image * shading + 5.0).astype(np.uint8))
@@ -121,7 +120,7 @@ def test_light_that_changed_changes_no_bearing() -> None:
     assert np.abs(errors_of(result, HERE)).max() < 5e-4
 
 
-def test_a_covered_landmark_is_refused() -> None:
+def test_a_covered_landmark_is_refused():
     person = Board(
         np.array([5.0, 2.3, 1.0]), EAST.normal, 0.5, 1.6, flat_texture((60.0, 60.0, 60.0))
     )
@@ -157,7 +156,7 @@ def test_a_floor_that_is_tilted_moves_all_heights_and_refuses_none(over: dict[st
     assert len(detect(frame, HERE).detections) == 4
 
 
-def test_what_is_out_of_view_is_refused() -> None:
+def test_what_is_out_of_view_is_refused():
     frame = draw_frame(SCENE, LENS, MOUNT, HERE, pan_rad=2.5)
     result = detect(frame, HERE)
     assert len(result.detections) == 0

@@ -1,7 +1,5 @@
 """Image rows of landmarks: wrong heights and tilts are distinguished."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +7,7 @@ import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals, wrong_heights
-from landmark_nav.localization.relocalization.verification import CameraTilt, estimate_camera_tilt
-from landmark_nav.types import FloatArray
+from landmark_nav.localization.relocalization.verification import estimate_camera_tilt
 
 PLAIN = CameraModel(512, 512, 555.0, 555.0, 256.0, 256.0, distortion=(-0.1, 0.02, 0.0, 0.0))
 FISHEYE = CameraModel(512, 512, 250.0, 250.0, 256.0, 256.0, 'equidistant', (0.02, -0.01, 0.0, 0.0))
@@ -18,9 +15,7 @@ MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.2))
 POSE, PAN, TILT = np.array([1.0, 2.0, 0.3]), 0.4, 0.1
 
 
-def model_of(
-    camera: CameraModel, spread: float, mount: PanTiltMount = MOUNT
-) -> tuple[RowModel, FloatArray]:
+def model_of(camera, spread, mount=MOUNT):
     """Rows of eight points about 3 m away."""
     rotation, center = mount.camera_pose_map(POSE, PAN, TILT)
     offset = np.random.default_rng(0).uniform(-spread, spread, (8, 3))
@@ -39,14 +34,12 @@ def model_of(
         (PLAIN, 0.8, 0.0, np.pi),
     ],
 )
-def test_derivatives_are_those_of_the_camera(
-    camera: CameraModel, spread: float, mounted_rad: float, hung_rad: float
-) -> None:
+def test_derivatives_are_those_of_the_camera(camera, spread, mounted_rad, hung_rad):
     """Also where camera or unit are mounted upside down, or aslant."""
     mount = replace(MOUNT, camera_roll_rad=mounted_rad, axis_rpy=(hung_rad, 0.0, 0.0))
     model, points = model_of(camera, spread, mount)
 
-    def rows(pose: FloatArray, tilt_rad: float, roll_rad: float, higher_m: float) -> FloatArray:
+    def rows(pose, tilt_rad, roll_rad, higher_m):
         turn, _ = mount.camera_pose_base(PAN, tilt_rad, roll_rad)
         _, center = mount.camera_pose_map(pose, PAN, tilt_rad)
         heading = np.eye(3)
@@ -72,14 +65,14 @@ def test_derivatives_are_those_of_the_camera(
 POSE_SIGMA = np.array([0.01, 0.01, 0.005])
 
 
-def rows_of(model: RowModel, own_px: float, sigma: FloatArray = POSE_SIGMA) -> FloatArray:
+def rows_of(model, own_px, sigma=POSE_SIGMA):
     """Covariance (8, 8) of rows, of points that are where they seem to be."""
     none = np.zeros((8, 3, 3))
     return model.covariance(np.diag(sigma**2), none, none) + own_px**2 * np.eye(8)
 
 
 @pytest.mark.parametrize('camera', [PLAIN, FISHEYE])
-def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: CameraModel) -> None:
+def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera):
     model, _ = model_of(camera, 0.8)
     covariance = rows_of(model, 0.15) + 0.002**2 * model.by_tilt_roll @ model.by_tilt_roll.T
     rng = np.random.default_rng(2)
@@ -97,20 +90,18 @@ def test_right_heights_are_refused_hardly_ever_and_wrong_ones_are(camera: Camera
     assert refused <= 3
 
 
-def test_two_heights_do_not_show_which_is_wrong() -> None:
+def test_two_heights_do_not_show_which_is_wrong():
     assert not wrong_heights(np.array([0.0, 9.0]), 0.01 * np.eye(2)).any()
 
 
 @pytest.mark.parametrize('camera', [PLAIN, FISHEYE])
-def test_a_tilt_is_recognised_by_all_rows_together_and_not_by_any_single_one(
-    camera: CameraModel,
-) -> None:
+def test_a_tilt_is_recognised_by_all_rows_together_and_not_by_any_single_one(camera):
     model, points = model_of(camera, 0.8)
     runs, tilted = 200, np.array([0.01, -0.03])
     covariance = rows_of(model, 0.3)
     rng = np.random.default_rng(4)
 
-    def tilt_of(off: FloatArray) -> CameraTilt:
+    def tilt_of(off):
         return estimate_camera_tilt(RowResiduals(off, model.by_tilt_roll, covariance, points))
 
     squares, level, mistaken, reported = [], 0, 0, 0

@@ -1,18 +1,13 @@
 """The doctor: known errors of motion are recovered, and the cause is named in a recorded drive."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 import json
 from pathlib import Path
 import re
-from typing import Any
 
 import cv2
 from message_changes import each_second, no_number, nothing
 import numpy as np
-import numpy.typing as npt
 import pytest
 from stream_errors import of_drives, of_sweeps, StreamError, write_drive
 
@@ -21,8 +16,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.diagnosis.advice import motion_findings
 from landmark_nav.diagnosis.causes import verdict
-from landmark_nav.diagnosis.findings import Finding
-from landmark_nav.diagnosis.image_motion import Strip, StripView
+from landmark_nav.diagnosis.image_motion import StripView
 from landmark_nav.diagnosis.looks import Looks
 from landmark_nav.diagnosis.motion import (
     Clock,
@@ -50,14 +44,14 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import FloatArray, OdometrySample
+from landmark_nav.types import OdometrySample
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
 
 
 @pytest.fixture(scope='module')
-def drive() -> Motion:
+def drive():
     """A robot that turns and pans for 30 s, things 3 m away, noise of 2 mrad."""
     rng = np.random.default_rng(5)
     seconds = np.arange(-1.0, 32.0, 0.05)
@@ -78,7 +72,7 @@ def drive() -> Motion:
     return replace(motion, turns_rad=turns + rng.normal(0.0, 0.002, len(turns)))
 
 
-def track(motion: Motion, stream: str, change: Callable[[Track], Track]) -> Motion:
+def track(motion, stream, change):
     """The motion with another track of a stream."""
     if stream == JOINTS:
         return replace(motion, pan=change(motion.pan))
@@ -86,7 +80,7 @@ def track(motion: Motion, stream: str, change: Callable[[Track], Track]) -> Moti
     return replace(motion, odometry=change(motion.odometry))
 
 
-def test_without_a_fault_nothing_is_named(drive: Motion) -> None:
+def test_without_a_fault_nothing_is_named(drive):
     found = linear(drive)
     assert found.fits
     assert found.nearness.value == pytest.approx(1.0 / 3.0, abs=4.0 * found.nearness.sigma)
@@ -99,7 +93,7 @@ def test_without_a_fault_nothing_is_named(drive: Motion) -> None:
     assert not jumping_values(drive)
 
 
-def late(stream: str, late_s: float) -> tuple[Any, ...]:
+def late(stream, late_s):
     """A row of the table: a stream that is late."""
     if stream == IMAGES:
         return (
@@ -113,22 +107,22 @@ def late(stream: str, late_s: float) -> tuple[Any, ...]:
     return stream, lambda m: track(m, stream, seconds), 'clock', late_s, 0.02
 
 
-def scaled(stream: str, scale: float, tolerance: float) -> tuple[Any, ...]:
+def scaled(stream, scale, tolerance):
     """A row of the table: a stream whose angles are scaled."""
     columns = scale if stream == JOINTS else [1.0, 1.0, scale]
     values = lambda t: replace(t, values=t.values * columns)  # noqa: E731
     return stream, lambda m: track(m, stream, values), 'scale', 1.0 / scale, tolerance
 
 
-def fast(t: Track) -> Track:
+def fast(t):
     return replace(t, seconds=1.04 * t.seconds)
 
 
-def stepped(t: Track) -> Track:
+def stepped(t):
     return replace(t, seconds=t.seconds + 0.4 * (t.seconds > 12.0))
 
 
-def filtered(t: Track) -> Track:
+def filtered(t):
     share, values = 1.0 - np.exp(-0.05 / 0.4), t.values.copy()
     for k in range(1, len(values)):
         values[k] = values[k - 1] + share * (t.values[k] - values[k - 1])
@@ -149,9 +143,7 @@ def filtered(t: Track) -> Track:
         (IMAGES, lambda m: replace(m, turns_rad=0.8 * m.turns_rad), 'scale', 0.8, 0.01),
     ],
 )
-def test_a_single_fault_is_named_and_measured(
-    drive: Motion, stream: str, change: Any, kind: str, value: float, tolerance: float
-) -> None:
+def test_a_single_fault_is_named_and_measured(drive, stream, change, kind, value, tolerance):
     hints = {stream: [Clock(value + 0.4)]} if kind == 'clock' and stream != IMAGES else {}
     judged = verdict(change(drive), clocks=hints)
     assert (judged.cause.stream, judged.cause.kind) == (stream, kind)
@@ -161,8 +153,8 @@ def test_a_single_fault_is_named_and_measured(
 
 
 @pytest.mark.parametrize('stream', [JOINTS, ODOMETRY])
-def test_values_that_are_sent_several_times_are_seen(drive: Motion, stream: str) -> None:
-    def held(t: Track) -> Track:
+def test_values_that_are_sent_several_times_are_seen(drive, stream):
+    def held(t):
         return replace(t, values=t.values[np.arange(len(t.values)) // 10 * 10])
 
     found = held_values(track(drive, stream, held))
@@ -172,7 +164,7 @@ def test_values_that_are_sent_several_times_are_seen(drive: Motion, stream: str)
     assert finding.values['changes_hz'] == pytest.approx(2.0, rel=0.1)
 
 
-def test_a_pan_that_is_cut_off_is_seen(drive: Motion) -> None:
+def test_a_pan_that_is_cut_off_is_seen(drive):
     cut = track(drive, JOINTS, lambda t: replace(t, values=np.clip(t.values, -0.7, 0.9)))
     found = limited_values(cut)
     assert found is not None
@@ -182,8 +174,8 @@ def test_a_pan_that_is_cut_off_is_seen(drive: Motion) -> None:
 
 
 @pytest.mark.parametrize(('stream', 'name'), [(JOINTS, 'pan jumps'), (ODOMETRY, 'odom yaw jumps')])
-def test_a_jump_is_measured(drive: Motion, stream: str, name: str) -> None:
-    def slipped(t: Track) -> Track:
+def test_a_jump_is_measured(drive, stream, name):
+    def slipped(t):
         values = t.values.copy()
         values[t.seconds > 14.9, -1] += 0.3
         return replace(t, values=values)
@@ -194,14 +186,14 @@ def test_a_jump_is_measured(drive: Motion, stream: str, name: str) -> None:
     assert found.values['at_s'] == pytest.approx(14.9, abs=0.25)
 
 
-def test_what_no_single_fault_explains_is_undecided(drive: Motion) -> None:
+def test_what_no_single_fault_explains_is_undecided(drive):
     rng = np.random.default_rng(1)
     judged = verdict(replace(drive, turns_rad=rng.normal(0.0, 0.2, len(drive))))
     assert judged.cause.kind == 'none'
     assert not judged.fits
 
 
-def strip_of(view: StripView, wall: FloatArray, pan_rad: float, mount: PanTiltMount) -> Strip:
+def strip_of(view, wall, pan_rad, mount):
     """Strip of a wall around the camera, 500 pixels per radian, that is seen at a pan."""
     pixels = np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), -1)
     rays = CAMERA.unproject(pixels) @ mount.camera_pose_base(pan_rad)[0].T
@@ -214,7 +206,7 @@ def strip_of(view: StripView, wall: FloatArray, pan_rad: float, mount: PanTiltMo
 
 @pytest.mark.parametrize('roll_rad', [0.0, np.pi])
 @pytest.mark.parametrize('turn_rad', [-0.31, 0.0, 0.123])
-def test_turns_are_read_off_images(turn_rad: float, roll_rad: float) -> None:
+def test_turns_are_read_off_images(turn_rad, roll_rad):
     rng = np.random.default_rng(4)
     wall = cv2.GaussianBlur(rng.normal(128.0, 80.0, (700, 1800)), (0, 0), 3.0) * 4.0 - 380.0
     mount = PanTiltMount(camera_roll_rad=roll_rad)
@@ -224,18 +216,18 @@ def test_turns_are_read_off_images(turn_rad: float, roll_rad: float) -> None:
     assert score > 0.6
 
 
-def test_blank_images_give_nothing() -> None:
+def test_blank_images_give_nothing():
     view, rng = StripView(CAMERA, PanTiltMount()), np.random.default_rng(0)
     blank = [view.strip(rng.integers(120, 123, (240, 320), dtype=np.uint8)) for _ in range(2)]
     assert np.isnan(view.turn(*blank)[0])
 
 
-def stream(seconds: FloatArray, values: FloatArray) -> Stream:
+def stream(seconds, values):
     stamps = np.rint(1e9 * seconds).astype(np.int64)
     return Stream('joint_states', '/joint_states', stamps, stamps, values[:, None])
 
 
-def test_two_sources_are_distinguished() -> None:
+def test_two_sources_are_distinguished():
     fast, slow = np.arange(0.0, 10.0, 0.02), np.arange(0.007, 10.0, 0.1)
     moving = stream(fast, 1.2 * np.sin(fast))
     assert two_sources(moving, (0,)) is None
@@ -263,7 +255,7 @@ SOME = (
 
 
 @pytest.mark.parametrize('name', SOME)
-def test_the_cause_is_named_in_a_recorded_drive(name: str, tmp_path: Path) -> None:
+def test_the_cause_is_named_in_a_recorded_drive(name, tmp_path):
     error = NAMED[name]
     bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
     mount, room = load_robot(BAGS / 'robot.yaml'), load_room(BAGS / 'room.yaml')
@@ -274,9 +266,7 @@ def test_the_cause_is_named_in_a_recorded_drive(name: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize('recording', ['drive', 'learn'])
-def test_a_good_recording_passes(
-    recording: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_good_recording_passes(recording, tmp_path, capsys):
     files = ['--robot', str(BAGS / 'robot.yaml'), '--room', str(BAGS / 'room.yaml')]
     out = tmp_path / 'check.json'
     assert main(['check', str(BAGS / recording), *files, '--json', str(out)]) == 0
@@ -287,7 +277,7 @@ def test_a_good_recording_passes(
     assert all(name in capsys.readouterr().out for name in names[:1])
 
 
-def test_errors_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_errors_are_refused_in_one_line(tmp_path):
     bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', NAMED['odom +5 s'])
     mount = load_robot(BAGS / 'robot.yaml')
     with pytest.raises(LandmarkNavError, match=r'odom clock: stamped 5\.0') as refused:
@@ -296,9 +286,7 @@ def test_errors_are_refused_in_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('name', ['pan reversed', 'pan in degrees'])
-def test_learning_refuses_what_it_cannot_calibrate(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_learning_refuses_what_it_cannot_calibrate(name, tmp_path, capsys):
     error = of_sweeps()[name]
     bag = write_drive(Bag(BAGS / 'learn'), tmp_path / 'learn', error)
     files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(BAGS / 'robot.yaml')]
@@ -309,15 +297,13 @@ def test_learning_refuses_what_it_cannot_calibrate(
     assert not (tmp_path / 'map').exists()
 
 
-def test_degrees_as_the_mount_of_a_camera_are_refused(tmp_path: Path) -> None:
+def test_degrees_as_the_mount_of_a_camera_are_refused(tmp_path):
     robot = tmp_path / 'robot.yaml'
     robot.write_text('pan_axis:\n  xyz: [0.0, 0.0, 1.0]\n  rpy: [0, 0, 5]\n')
     assert main(['check', str(BAGS / 'drive'), '--robot', str(robot)]) == 1
 
 
-def test_a_bag_without_images_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bag_without_images_is_refused(tmp_path, capsys):
     error = StreamError(('camera/image_raw/compressed',), nothing, 'images')
     bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error)
     assert main(['check', str(bag)]) == 1
@@ -325,8 +311,8 @@ def test_a_bag_without_images_is_refused(
 
 
 @pytest.mark.parametrize(('frame', 'fits'), [('base_footprint', True), ('laser', False)])
-def test_odometry_may_be_of_the_footprint(frame: str, fits: bool, tmp_path: Path) -> None:
-    def about(message: Any) -> Any:
+def test_odometry_may_be_of_the_footprint(frame, fits, tmp_path):
+    def about(message):
         message.child_frame_id = frame
         return message
 
@@ -340,7 +326,7 @@ def test_odometry_may_be_of_the_footprint(frame: str, fits: bool, tmp_path: Path
     assert len(kept) == len(whole)
 
 
-def test_damaged_messages_are_counted(tmp_path: Path) -> None:
+def test_damaged_messages_are_counted(tmp_path):
     error = StreamError(('joint_states',), each_second(no_number), 'reading')
     bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
     found = diagnose(bag, load_robot(BAGS / 'robot.yaml'))
@@ -348,7 +334,7 @@ def test_damaged_messages_are_counted(tmp_path: Path) -> None:
     assert not found.errors
 
 
-def test_a_path_that_curves_is_not_laid_to_the_camera(drive: Motion) -> None:
+def test_a_path_that_curves_is_not_laid_to_the_camera(drive):
     assert drive.odometry is not None
     curved = replace(drive, odometry=driven_again(drive.odometry, curve_rad_m=0.15))
     found = {f.name: f for f in motion_findings(curved, linear(curved), None)}
@@ -356,13 +342,13 @@ def test_a_path_that_curves_is_not_laid_to_the_camera(drive: Motion) -> None:
     assert found['odom yaw'].values['curve_rad_m'] == pytest.approx(0.15, abs=0.05)
 
 
-def test_a_camera_that_is_turned_is_not_laid_to_the_path(drive: Motion) -> None:
+def test_a_camera_that_is_turned_is_not_laid_to_the_path(drive):
     turned = replace(drive, ahead_rad=-0.3)
     found = {f.name: f for f in motion_findings(turned, linear(turned), None)}
     assert found['camera heading'].values['heading_rad'] == pytest.approx(0.3, abs=0.06)
 
 
-def sweep(pushed_rad: float, passing: int = 0) -> tuple[Motion, Motion]:
+def sweep(pushed_rad, passing=0):
     """
     Turns of a sweep of 5 deg a frame, of consecutive images and of those 2 to 8 apart.
 
@@ -378,11 +364,11 @@ def sweep(pushed_rad: float, passing: int = 0) -> tuple[Motion, Motion]:
     return every.only(second == first + 1), every.only(second > first + 1)
 
 
-def found_in(one: Motion, wide: Motion) -> list[Finding]:
+def found_in(one, wide):
     return moved_between(one, lambda: wide)
 
 
-def test_a_base_that_is_pushed_in_a_sweep_is_seen() -> None:
+def test_a_base_that_is_pushed_in_a_sweep_is_seen():
     (found,) = found_in(*sweep(np.radians(8.0)))
     assert found.values['turned_rad'] == pytest.approx(np.radians(8.0))
     assert found.values['at_s'] == 35.0
@@ -390,11 +376,11 @@ def test_a_base_that_is_pushed_in_a_sweep_is_seen() -> None:
 
 
 @pytest.mark.parametrize('frames', [1, 2, 3])
-def test_somebody_who_passes_in_a_sweep_is_no_push(frames: int) -> None:
+def test_somebody_who_passes_in_a_sweep_is_no_push(frames):
     assert not found_in(*sweep(0.0, passing=frames))
 
 
-def seen(images: list[npt.NDArray[np.uint8]], sharpness: float = 0.5) -> Looks:
+def seen(images, sharpness=0.5):
     """What was looked at, but for turns."""
     small = dict(enumerate(images))
     nothing = Stream('images', '', *2 * (np.arange(len(images)),), np.empty((len(images), 0)))
@@ -402,7 +388,7 @@ def seen(images: list[npt.NDArray[np.uint8]], sharpness: float = 0.5) -> Looks:
     return Looks(nothing, np.empty((0, 2), np.intp), (), {}, small, sharp, None, None, {})
 
 
-def test_images_that_are_covered_blurred_or_flicker_are_named() -> None:
+def test_images_that_are_covered_blurred_or_flicker_are_named():
     rng = np.random.default_rng(4)
     images = list(rng.integers(60, 200, (40, 12, 16), dtype=np.uint8))
     assert not check_content(seen(images))
@@ -420,7 +406,7 @@ def test_images_that_are_covered_blurred_or_flicker_are_named() -> None:
 
 
 @pytest.mark.parametrize(('unit_ns', 'named'), [(1, None), (1000, 'microseconds')])
-def test_nanoseconds_of_another_unit_are_named(unit_ns: int, named: str | None) -> None:
+def test_nanoseconds_of_another_unit_are_named(unit_ns, named):
     logged = np.arange(0, 10**10, 2 * 10**8)
     stamps = logged // 10**9 * 10**9 + logged % 10**9 // unit_ns
     found = check_stamps(Stream('images', '', stamps, logged, np.empty((len(logged), 0))))

@@ -1,7 +1,5 @@
 """Documents: links lead somewhere, fields of robot.yaml are described."""
 
-from __future__ import annotations
-
 from pathlib import Path
 import re
 
@@ -23,7 +21,7 @@ GENERATED = DOCS / 'reference'
 LINK = re.compile(r'\[[^]]*\]\(([^)\s]+)\)')
 
 
-def anchors(page: Path) -> set[str]:
+def anchors(page):
     """Anchors that its headings get, as in Sphinx and on the pages of hosts of code."""
     text = re.sub(r'```.*?```', '', page.read_text(encoding='utf-8'), flags=re.DOTALL)
     headings = re.findall(r'^#+ (.+)$', text, re.MULTILINE)
@@ -32,7 +30,7 @@ def anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_links_lead_to_files_and_headings(page: Path) -> None:
+def test_links_lead_to_files_and_headings(page):
     targets = LINK.findall(page.read_text(encoding='utf-8'))
     dead = []
     for target in targets:
@@ -45,7 +43,7 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
     assert not dead
 
 
-def test_every_page_of_the_site_is_in_its_index() -> None:
+def test_every_page_of_the_site_is_in_its_index():
     listed = set(re.findall(r'^   (\S+)$', (DOCS / 'index.rst').read_text(), re.MULTILINE))
     pages = {
         str(path.relative_to(DOCS).with_suffix(''))
@@ -55,7 +53,7 @@ def test_every_page_of_the_site_is_in_its_index() -> None:
     assert pages <= listed
 
 
-def test_all_fields_of_a_robot_file_are_described() -> None:
+def test_all_fields_of_a_robot_file_are_described():
     text = (DOCS / 'files.md').read_text(encoding='utf-8')
     fields = {*setup_files._ROBOT_FIELDS, *setup_files._AXIS_FIELDS}
     assert {name for name in fields if name not in text} == set()

@@ -1,7 +1,5 @@
 """Keys of `landmark-nav drive`."""
 
-from __future__ import annotations
-
 import pytest
 
 from landmark_nav.cli.drive import Keys
@@ -22,13 +20,13 @@ from landmark_nav.cli.drive import Keys
         ('\x00\udcff\x1b', (0.0, 0.0)),
     ],
 )
-def test_a_key_moves_the_robot(typed: str, velocity: tuple[float, float]) -> None:
+def test_a_key_moves_the_robot(typed, velocity):
     keys = Keys(0.2, 0.5)
     keys.press(typed, 10.0)
     assert keys.velocity(10.1) == pytest.approx(velocity)
 
 
-def test_the_robot_stops_without_keys() -> None:
+def test_the_robot_stops_without_keys():
     keys = Keys(0.2, 0.5)
     assert keys.velocity(0.0) == (0.0, 0.0)
     keys.press('w', 0.0)

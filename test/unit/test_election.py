@@ -1,20 +1,18 @@
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from patch_texels import patch_points
 import pytest
-from scenes import draw_panorama, rectangle_room, Scene, textured_room
+from scenes import draw_panorama, rectangle_room, textured_room
 from wall_views import greys_of
 
 from landmark_nav.geometry import se2
 from landmark_nav.learning.adjustment import Adjustment
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
-from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama, Refusal
+from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
 CENTERS = (np.array([2.2, 2.0, 1.1]), np.array([3.6, 2.9, 1.1]))
@@ -24,27 +22,21 @@ SOUTH, EAST, NORTH = 0, 1, 2
 
 
 @pytest.fixture(scope='module')
-def panoramas() -> list[Panorama]:
+def panoramas():
     return views_of(SCENE)
 
 
-def views_of(scene: Scene) -> list[Panorama]:
+def views_of(scene):
     return [draw_panorama(scene, c, h) for c, h in zip(CENTERS, HEADINGS, strict=True)]
 
 
-def patch_at(
-    position: tuple[float, float, float],
-    *,
-    saliency: float = 0.5,
-    size_px: int = 30,
-    wall: int = EAST,
-) -> WallPatch:
+def patch_at(position, *, saliency=0.5, size_px=30, wall=EAST):
     candidate = Candidate(0.0, 0.0, size_px, size_px, saliency)
     normal = ROOM.normals[wall]
     return WallPatch(candidate, 0, wall, np.array(position), normal, (30, 30), 0.015)
 
 
-def perfect(patches: Sequence[WallPatch], **changes: Any) -> Adjustment:
+def perfect(patches, **changes):
     """Adjustment that left the patches where they are, each known to 5 mm and on its wall."""
     n = len(patches)
     found = Adjustment(
@@ -60,14 +52,7 @@ def perfect(patches: Sequence[WallPatch], **changes: Any) -> Adjustment:
     return replace(found, **changes)
 
 
-def elect_from(
-    panoramas: list[Panorama],
-    patches: Sequence[WallPatch],
-    adjustment: Adjustment | None = None,
-    config: ElectionConfig | None = None,
-    scores: Sequence[float] | None = None,
-    free: Adjustment | None = None,
-) -> list[Landmark | Refusal]:
+def elect_from(panoramas, patches, adjustment=None, config=None, scores=None, free=None):
     scores = scores or [0.9] * len(patches)
     measurements = [
         [
@@ -88,7 +73,7 @@ def elect_from(
     )
 
 
-def test_a_good_patch_becomes_a_landmark(panoramas: list[Panorama]) -> None:
+def test_a_good_patch_becomes_a_landmark(panoramas):
     patch = patch_at((6.0, 2.4, 1.2), saliency=0.8)
     (landmark,) = elect_from(panoramas, [patch])
     assert isinstance(landmark, Landmark)
@@ -104,7 +89,7 @@ def test_a_good_patch_becomes_a_landmark(panoramas: list[Panorama]) -> None:
     assert np.abs(landmark.patch - truth).mean() < 3.0
 
 
-def test_a_landmark_keeps_what_the_other_panoramas_show_of_it(panoramas: list[Panorama]) -> None:
+def test_a_landmark_keeps_what_the_other_panoramas_show_of_it(panoramas):
     patch = patch_at((6.0, 2.4, 1.2), saliency=0.8)
     (landmark,) = elect_from(panoramas, [patch])
     assert isinstance(landmark, Landmark)
@@ -123,9 +108,7 @@ def test_a_landmark_keeps_what_the_other_panoramas_show_of_it(panoramas: list[Pa
 
 
 @pytest.mark.parametrize(('score', 'threshold'), [(1.0, 0.75), (0.8, 0.6), (0.5, 0.55)])
-def test_the_threshold_follows_how_alike_its_own_views_are(
-    panoramas: list[Panorama], score: float, threshold: float
-) -> None:
+def test_the_threshold_follows_how_alike_its_own_views_are(panoramas, score, threshold):
     (landmark,) = elect_from(panoramas, [patch_at((6.0, 2.4, 1.2))], scores=[score])
     assert isinstance(landmark, Landmark)
     assert landmark.threshold == pytest.approx(threshold)
@@ -162,13 +145,8 @@ SQUEEZED = ElectionConfig(max_stretch=1.5)
     ],
 )  # fmt: skip
 def test_what_is_badly_seen_or_reconstructed_is_refused(
-    panoramas: list[Panorama],
-    patch: WallPatch,
-    changes: dict[str, FloatArray],
-    config: ElectionConfig | None,
-    reason: str,
-    detail: str,
-) -> None:
+    panoramas, patch, changes, config, reason, detail
+):
     (outcome,) = elect_from(panoramas, [patch], perfect([patch], **changes), config)
     assert isinstance(outcome, Refusal)
     assert outcome.reason == reason
@@ -187,12 +165,7 @@ def test_what_is_badly_seen_or_reconstructed_is_refused(
         ((0.01, 0.05, 0.005), 0.05, 'place too uncertain'),
     ],
 )
-def test_on_a_plane_of_its_own_a_patch_needs_a_bearing_only(
-    panoramas: list[Panorama],
-    sigma_m: tuple[float, float, float],
-    share: float,
-    refused: str | None,
-) -> None:
+def test_on_a_plane_of_its_own_a_patch_needs_a_bearing_only(panoramas, sigma_m, share, refused):
     patch = replace(patch_at((6.0, 2.0, 1.2)), on_wall=False)
     # Across and along the view that it was proposed in.
     away = patch.position - CENTERS[0]
@@ -211,7 +184,7 @@ def test_on_a_plane_of_its_own_a_patch_needs_a_bearing_only(
         assert outcome.wall_id == ''
 
 
-def test_what_all_landmarks_share_refuses_none(panoramas: list[Panorama]) -> None:
+def test_what_all_landmarks_share_refuses_none(panoramas):
     patches = [patch_at((6.0, 2.4, 1.2))]
     shared = np.eye(3)[None] * 0.04
     (landmark,) = elect_from(panoramas, patches, perfect(patches, shared_loading=shared))
@@ -236,7 +209,7 @@ def test_what_a_stronger_landmark_covers_is_refused(
         assert outcomes[0].reason == 'covered by a stronger landmark'
 
 
-def test_a_refused_patch_covers_nothing(panoramas: list[Panorama]) -> None:
+def test_a_refused_patch_covers_nothing(panoramas):
     patches = [patch_at((6.0, 2.4, 1.2), saliency=0.9), patch_at((6.0, 2.4, 1.2), saliency=0.3)]
     adjustment = perfect(patches, off_wall_m=np.array([0.3, 0.0]))
     outcomes = elect_from(panoramas, patches, adjustment)
@@ -245,7 +218,7 @@ def test_a_refused_patch_covers_nothing(panoramas: list[Panorama]) -> None:
     assert outcomes[1].id == 1
 
 
-def test_no_more_than_the_strongest_are_kept(panoramas: list[Panorama]) -> None:
+def test_no_more_than_the_strongest_are_kept(panoramas):
     patches = [patch_at((6.0, 0.8 + 0.6 * k, 1.2), saliency=0.1 * k) for k in range(6)]
     outcomes = elect_from(panoramas, patches, config=ElectionConfig(max_count=4))
     # Ids count from the most salient.

@@ -1,7 +1,5 @@
 """The joint estimator: derivatives, recovery of what is known, statistics, faults."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from drawn_drives import driven, MOUNT, NS, point_map, simulated
@@ -31,13 +29,13 @@ from landmark_nav.localization.estimator.factors import (
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate, Refusal
+from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
 POINTS = np.array([[3.0, 1.0, 1.0], [2.5, 2.0, 1.5], [4.0, 0.5, 1.2], [3.0, 3.0, 1.7]])
 TAPE = Calibration.of_mount(MOUNT)
 
 
-def any_state(seed: int) -> FloatArray:
+def any_state(seed):
     rng = np.random.default_rng(seed)
     state = rng.normal(0.0, 0.1, STATES)
     state[3:5] *= 0.01
@@ -45,7 +43,7 @@ def any_state(seed: int) -> FloatArray:
     return state
 
 
-def image(pan_rad: float = 0.4, track: PanTrack | None = None) -> ImagePoints:
+def image(pan_rad=0.4, track=None):
     count = len(POINTS)
     return ImagePoints(
         0, np.arange(count), np.zeros((count, 2)), np.tile(1e-8 * np.eye(2), (count, 1, 1)),
@@ -54,7 +52,7 @@ def image(pan_rad: float = 0.4, track: PanTrack | None = None) -> ImagePoints:
 
 
 @pytest.mark.parametrize('seed', range(4))
-def test_derivatives_of_what_is_seen_agree_with_differences(seed: int) -> None:
+def test_derivatives_of_what_is_seen_agree_with_differences(seed):
     state, step = any_state(seed), 1e-6
     track = PanTrack(np.linspace(-0.2, 0.4, 13), 0.4 + 1.3 * np.linspace(-0.2, 0.4, 13))
     seen = image(track=track)
@@ -73,7 +71,7 @@ def test_derivatives_of_what_is_seen_agree_with_differences(seed: int) -> None:
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_derivatives_of_the_motion_agree_with_differences(seed: int) -> None:
+def test_derivatives_of_the_motion_agree_with_differences(seed):
     state, step = any_state(seed)[:CALIBRATION], 1e-6
     motion = Motion(np.array([0.1, 0.01, -0.05]), 0.1)
     _, by_state, by_motion = moved(state, motion)
@@ -83,7 +81,7 @@ def test_derivatives_of_the_motion_agree_with_differences(seed: int) -> None:
     assert np.allclose(by_motion @ by_motion.T, np.eye(3))
 
 
-def test_recovers_the_pose_without_noise() -> None:
+def test_recovers_the_pose_without_noise():
     drive = simulated(1, seconds=8.0, noise=0.0, pixel_sigma=1e-7, map_sigma_m=0.0)
     exactly = replace(drive.prior, covariance=np.zeros_like(drive.prior.covariance))
     pose = drive.start.pose + np.array([0.04, -0.03, 0.02])
@@ -96,7 +94,7 @@ def test_recovers_the_pose_without_noise() -> None:
     assert np.abs(run.errors[fixed][3:]).max() < 1e-6
 
 
-def test_what_is_exact_never_changes() -> None:
+def test_what_is_exact_never_changes():
     exactly = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 0.0))
     run = driven(simulated(2, seconds=8.0), prior=exactly)
     assert (run.filter.calibration.values == exactly.values).all()
@@ -104,7 +102,7 @@ def test_what_is_exact_never_changes() -> None:
 
 
 @pytest.mark.parametrize('prior', [Calibration.exact(MOUNT), TAPE], ids=['exact', 'tape'])
-def test_errors_are_as_large_as_the_covariance_claims(prior: Calibration) -> None:
+def test_errors_are_as_large_as_the_covariance_claims(prior):
     runs = [driven(simulated(seed, prior, seconds=24.0)) for seed in range(10)]
     each = np.array([run.nees.mean() for run in runs])
     # Errors of a drive have much in common: its mean is about one draw.
@@ -112,7 +110,7 @@ def test_errors_are_as_large_as_the_covariance_claims(prior: Calibration) -> Non
     assert sum(np.sum(run.nees > 31.8) for run in runs) <= 2
 
 
-def test_the_calibration_is_as_wrong_as_its_covariance_claims() -> None:
+def test_the_calibration_is_as_wrong_as_its_covariance_claims():
     squares = []
     for seed in range(8):
         drive = simulated(100 + seed, TAPE, seconds=24.0)
@@ -136,7 +134,7 @@ def test_the_calibration_is_as_wrong_as_its_covariance_claims() -> None:
         ('joint_delay', 0.03, 0.003),
     ],
 )
-def test_an_error_of_the_mount_is_found(name: str, error: float, within: float) -> None:
+def test_an_error_of_the_mount_is_found(name, error, within):
     true = TAPE.with_values(**{name: TAPE[name][0] + error})
     run = driven(simulated(7, TAPE, true))
     value, sigma = run.filter.calibration[name]
@@ -145,14 +143,14 @@ def test_an_error_of_the_mount_is_found(name: str, error: float, within: float) 
     assert np.sqrt(np.mean(np.sum(run.errors[80:, :2] ** 2, axis=1))) < 0.03
 
 
-def test_the_height_of_the_camera_is_found_though_not_on_which_side_of_the_joint() -> None:
+def test_the_height_of_the_camera_is_found_though_not_on_which_side_of_the_joint():
     true = TAPE.with_values(axis_z=1.13)
     found = driven(simulated(8, TAPE, true)).filter.calibration
     assert found['axis_z'][0] + found['center_z'][0] == pytest.approx(1.13, abs=0.005)
     assert {'axis_z', 'center_z'} <= set(found.unobserved(TAPE)) | {'axis_z'}
 
 
-def test_a_robot_that_stands_does_not_learn_its_pan_zero() -> None:
+def test_a_robot_that_stands_does_not_learn_its_pan_zero():
     drive = simulated(3, TAPE, TAPE.with_values(axis_yaw=0.012), seconds=16.0)
     still = Motion(np.zeros(3), 0.05)
     seen = next(event for event in drive.events if isinstance(event, ImagePoints))
@@ -166,13 +164,13 @@ def test_a_robot_that_stands_does_not_learn_its_pan_zero() -> None:
 
 
 @pytest.mark.parametrize('share', [0.15, 0.3])
-def test_outliers_cost_little(share: float) -> None:
+def test_outliers_cost_little(share):
     clean, degraded = (
         [driven(simulated(seed, outliers=part, seconds=24.0)) for seed in range(4)]
         for part in (0.0, share)
     )
 
-    def rms(runs: list[object]) -> float:
+    def rms(runs):
         errors = np.concatenate([run.errors[20:, :2] for run in runs])  # type: ignore[attr-defined]
         return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
@@ -180,14 +178,14 @@ def test_outliers_cost_little(share: float) -> None:
     assert np.mean([run.nees.mean() for run in degraded]) < 6.0
 
 
-def displaced(rad: float, at: int) -> object:
-    def change(k: int, seen: ImagePoints) -> ImagePoints:
+def displaced(rad, at):
+    def change(k, seen):
         return replace(seen, pan_rad=seen.pan_rad - rad) if k >= at else seen
 
     return change
 
 
-def test_a_knock_of_the_camera_is_noticed_at_once() -> None:
+def test_a_knock_of_the_camera_is_noticed_at_once():
     run = driven(simulated(4, seconds=24.0), changed=displaced(0.05, 60))  # type: ignore[arg-type]
     steps = [update.stamp_ns for update in run.updates if update.stepped]
     assert len(steps) == 1
@@ -197,10 +195,10 @@ def test_a_knock_of_the_camera_is_noticed_at_once() -> None:
     assert np.hypot(*run.errors[60:, :2].T).max() < 0.05
 
 
-def test_another_focal_length_is_noticed_at_once_and_found() -> None:
+def test_another_focal_length_is_noticed_at_once_and_found():
     mount, rng = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4)), np.random.default_rng(0)
 
-    def zoomed(k: int, seen: ImagePoints) -> ImagePoints:
+    def zoomed(k, seen):
         sizes = np.full(seen.points.shape, 0.1)
         # The first templates have the scale of before: each fits at some point of the patch.
         off = 0.1 * sizes * rng.uniform(-0.5, 0.5, sizes.shape) if k == 40 else 0.0
@@ -218,7 +216,7 @@ def test_another_focal_length_is_noticed_at_once_and_found() -> None:
         assert focal == pytest.approx(1.0 / 1.1 - 1.0, abs=4.0 * sigma)
 
 
-def test_no_step_is_seen_where_there_is_none() -> None:
+def test_no_step_is_seen_where_there_is_none():
     for seed in range(4):
         for outliers in (0.0, 0.15):
             run = driven(simulated(seed, seconds=24.0, outliers=outliers))
@@ -237,7 +235,7 @@ def test_no_step_is_seen_where_there_is_none() -> None:
         lambda seen: seen.chosen(np.zeros(len(seen), dtype=np.bool_)),
     ],
 )
-def test_what_is_no_measurement_changes_nothing(change: object) -> None:
+def test_what_is_no_measurement_changes_nothing(change):
     drive = simulated(5, seconds=4.0)
     run = driven(drive)
     before = run.filter.snapshot
@@ -248,7 +246,7 @@ def test_what_is_no_measurement_changes_nothing(change: object) -> None:
     assert (run.filter.snapshot.covariance == before.covariance).all()
 
 
-def test_a_landmark_counts_once() -> None:
+def test_a_landmark_counts_once():
     drive = simulated(5, seconds=4.0)
     twice = [
         replace(
@@ -267,13 +265,13 @@ def test_a_landmark_counts_once() -> None:
     assert driven(drive).covariances == pytest.approx(once, rel=1e-9)
 
 
-def test_the_noise_of_the_wheels_is_learned() -> None:
+def test_the_noise_of_the_wheels_is_learned():
     quiet = OdometryNoiseConfig().scaled(3.0, 3.0, 3.0)
     factors = driven(simulated(9), odometry=quiet).filter.noise_factors
     assert (factors[:3] < 0.7).all()
 
 
-def test_late_images_and_odometry_give_the_same_as_in_order() -> None:
+def test_late_images_and_odometry_give_the_same_as_in_order():
     drive = simulated(10, seconds=6.0)
     samples, images, pose, stamp = [OdometrySample(0, np.zeros(3))], [], np.zeros(3), 0
     for event in drive.events:
@@ -284,7 +282,7 @@ def test_late_images_and_odometry_give_the_same_as_in_order() -> None:
         else:
             images.append(event)
 
-    def run(arrivals: list[tuple[int, OdometrySample | ImagePoints]]) -> PoseEstimate:
+    def run(arrivals):
         odometry = OdometryNoiseConfig()
         joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
         line = Timeline(joint, OdometryTrack(odometry), window_s=1.0)
@@ -306,7 +304,7 @@ def test_late_images_and_odometry_give_the_same_as_in_order() -> None:
         assert found.covariance == pytest.approx(expected.covariance, abs=1e-12)
 
 
-def test_an_image_that_comes_too_late_is_refused() -> None:
+def test_an_image_that_comes_too_late_is_refused():
     drive = simulated(10, seconds=6.0)
     odometry = OdometryNoiseConfig()
     joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
@@ -317,7 +315,7 @@ def test_an_image_that_comes_too_late_is_refused() -> None:
     assert isinstance(line.add_image(images[0]), Refusal)
 
 
-def test_missed_or_hidden_landmarks_raise_the_suspicion_slowly() -> None:
+def test_missed_or_hidden_landmarks_raise_the_suspicion_slowly():
     integrity, good = Integrity(), PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
     integrity.add(0, driven(simulated(5, seconds=4.0)).updates[-1])
     assert integrity.status(good)[0] is Status.OK
@@ -328,7 +326,7 @@ def test_missed_or_hidden_landmarks_raise_the_suspicion_slowly() -> None:
     assert integrity.status(good)[0] is Status.LOST
 
 
-def test_the_protection_level_holds() -> None:
+def test_the_protection_level_holds():
     inside, ratios = [], []
     for seed in range(8):
         run = driven(simulated(seed, seconds=24.0))
@@ -343,7 +341,7 @@ def test_the_protection_level_holds() -> None:
     assert np.median(ratios) < 4.0
 
 
-def test_a_pose_that_the_camera_found_is_off_by_what_the_mount_is_off_by() -> None:
+def test_a_pose_that_the_camera_found_is_off_by_what_the_mount_is_off_by():
     rng, squares = np.random.default_rng(8), []
     # Small, so that squares of the errors do not count.
     sigmas = dict.fromkeys(('axis_x', 'axis_y', 'axis_yaw'), 0.002)
@@ -371,7 +369,7 @@ def test_a_pose_that_the_camera_found_is_off_by_what_the_mount_is_off_by() -> No
 
 
 @pytest.mark.parametrize('gap_s', [0.5, 1.5, 4.0])
-def test_odometry_that_stops_and_comes_back_does_no_harm(gap_s: float) -> None:
+def test_odometry_that_stops_and_comes_back_does_no_harm(gap_s):
     drive = simulated(12, seconds=14.0)
     odometry, begin = OdometryNoiseConfig(), round(6.0 * NS)
     joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
@@ -396,7 +394,7 @@ def test_odometry_that_stops_and_comes_back_does_no_harm(gap_s: float) -> None:
     assert np.hypot(*error[:2]) < 0.02
 
 
-def test_an_image_without_what_should_be_seen_degrades_at_once() -> None:
+def test_an_image_without_what_should_be_seen_degrades_at_once():
     integrity, good = Integrity(), PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
     update = driven(simulated(5, seconds=4.0)).updates[-1]
     for missed, status in ((0, Status.OK), (0, Status.OK), (8, Status.DEGRADED), (0, Status.OK)):
@@ -404,9 +402,7 @@ def test_an_image_without_what_should_be_seen_degrades_at_once() -> None:
         assert integrity.status(good)[0] is status
 
 
-def test_errors_of_landmarks_are_bounded_in_number_and_stay_consistent(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_errors_of_landmarks_are_bounded_in_number_and_stay_consistent(monkeypatch):
     monkeypatch.setattr(filter, '_MOST_LANDMARKS', 10)
     runs = [driven(simulated(seed, seconds=10.0)) for seed in range(4)]
     assert max(len(run.filter.snapshot.landmarks) for run in runs) <= 10

@@ -1,7 +1,5 @@
 """The prior of an image comes from the fused pose nearest to it."""
 
-from __future__ import annotations
-
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -15,7 +13,7 @@ from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 SPEED, RATE = 0.5, 0.8
 
 
-def circle(stamp_ns: int) -> np.ndarray:
+def circle(stamp_ns):
     """Pose on the circle that constant speeds drive."""
     angle = RATE * stamp_ns * 1e-9
     radius = SPEED / RATE
@@ -23,7 +21,7 @@ def circle(stamp_ns: int) -> np.ndarray:
 
 
 @pytest.fixture
-def track() -> ExpectedPoses:
+def track():
     made = ExpectedPoses(0.5)
     for stamp in range(0, 1_000_000_001, 50_000_000):
         pose = circle(stamp)
@@ -32,20 +30,20 @@ def track() -> ExpectedPoses:
 
 
 @pytest.mark.parametrize('stamp', [0, 333_000_000, 500_000_000, 1_200_000_000, -300_000_000])
-def test_moved_to_the_stamp_by_its_own_speeds(track: ExpectedPoses, stamp: int) -> None:
+def test_moved_to_the_stamp_by_its_own_speeds(track, stamp):
     prior = track.at(stamp)
     assert isinstance(prior, PoseEstimate)
     assert prior.stamp_ns == stamp
     np.testing.assert_allclose(prior.pose, circle(stamp), atol=1e-9)
 
 
-def test_too_far_in_time(track: ExpectedPoses) -> None:
+def test_too_far_in_time(track):
     refusal = track.at(1_600_000_000)
     assert isinstance(refusal, Refusal)
     assert '+0.60 s' in refusal.detail
 
 
-def test_what_is_recent(track: ExpectedPoses) -> None:
+def test_what_is_recent(track):
     newest = track.recent(1_500_000_000)
     assert newest is not None
     assert newest.stamp_ns == 10**9
@@ -54,8 +52,8 @@ def test_what_is_recent(track: ExpectedPoses) -> None:
     assert track.recent(0) is None
 
 
-def test_a_clock_set_back_begins_anew(track: ExpectedPoses) -> None:
-    def fused(stamp: int, x: float) -> None:
+def test_a_clock_set_back_begins_anew(track):
+    def fused(stamp, x):
         pose = np.array([x, 0.0, 0.0])
         track.add(PoseEstimate(stamp, pose, np.eye(3)), OdometrySample(stamp, pose))
 
@@ -69,7 +67,7 @@ def test_a_clock_set_back_begins_anew(track: ExpectedPoses) -> None:
     assert found.pose[0] == 8.0
 
 
-def test_nothing_known() -> None:
+def test_nothing_known():
     empty = ExpectedPoses(0.5)
     assert isinstance(empty.at(0), Refusal)
     assert not empty.reaches(0)
@@ -83,7 +81,7 @@ small = st.tuples(*3 * [st.floats(-0.3, 0.3)]).map(np.array)
 
 
 @given(fused=poses, odometry=poses)
-def test_without_a_time_all_of_it_comes_at_once(fused: np.ndarray, odometry: np.ndarray) -> None:
+def test_without_a_time_all_of_it_comes_at_once(fused, odometry):
     spread = SpreadCorrection(0.0)
     for stamp_ns, pose in enumerate((fused, fused + np.array([1.0, 2.0, 0.5]))):
         error = compose(spread.at(stamp_ns, pose, odometry), odometry) - pose
@@ -91,9 +89,7 @@ def test_without_a_time_all_of_it_comes_at_once(fused: np.ndarray, odometry: np.
 
 
 @given(fused=poses, odometry=poses, correction=small)
-def test_a_correction_decays_at_the_base_wherever_odom_begins(
-    fused: np.ndarray, odometry: np.ndarray, correction: np.ndarray
-) -> None:
+def test_a_correction_decays_at_the_base_wherever_odom_begins(fused, odometry, correction):
     spread = SpreadCorrection(2.0)
     spread.at(0, fused, odometry)
     for k in range(1, 9):
@@ -103,7 +99,7 @@ def test_a_correction_decays_at_the_base_wherever_odom_begins(
         np.testing.assert_allclose(error, correction * np.exp(-0.25 * k), atol=1e-9)
 
 
-def test_the_way_between_is_followed_without_lag() -> None:
+def test_the_way_between_is_followed_without_lag():
     spread = SpreadCorrection(5.0)
     offset = np.array([3.0, -1.0, 0.7])
     for k in range(20):
@@ -112,7 +108,7 @@ def test_the_way_between_is_followed_without_lag() -> None:
         np.testing.assert_allclose(shown, offset, atol=1e-9)
 
 
-def test_a_new_start_and_a_clock_set_back_are_not_spread() -> None:
+def test_a_new_start_and_a_clock_set_back_are_not_spread():
     spread = SpreadCorrection(5.0)
     here, there, odometry = np.zeros(3), np.array([4.0, 2.0, 1.0]), np.array([1.0, 1.0, 0.3])
     spread.at(10 * SECOND_NS, here, odometry)

@@ -1,7 +1,5 @@
 """Walls out of points: where there are some, and none where there are none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,6 @@ from landmark_nav.learning.facades import (
     room_of,
     SeenPoints,
 )
-from landmark_nav.types import FloatArray
 
 CONFIG = FacadesConfig()
 EYES = np.array([[1.5, 1.5, 1.1], [3.5, 2.0, 1.1]])
@@ -21,14 +18,12 @@ RECTANGLE = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
 ELL = np.array([[0, 0], [6, 0], [6, 2.5], [3.5, 2.5], [3.5, 4.5], [0, 4.5]], dtype=float)
 
 
-def seen(xyz: FloatArray, sigma_m: float = 0.01) -> SeenPoints:
+def seen(xyz, sigma_m=0.01):
     covariance = np.broadcast_to(sigma_m**2 * np.eye(2), (len(xyz), 2, 2))
     return SeenPoints(xyz, covariance, np.broadcast_to(EYES[0], xyz.shape))
 
 
-def on_walls(
-    corners: FloatArray, rng: np.random.Generator, per_wall: int = 60, sigma_m: float = 0.01
-) -> FloatArray:
+def on_walls(corners, rng, per_wall=60, sigma_m=0.01):
     """Points on the walls of an outline, with noise."""
     parts = []
     for start, end in zip(corners, np.roll(corners, -1, 0), strict=True):
@@ -40,7 +35,7 @@ def on_walls(
 
 @pytest.mark.parametrize('corners', [RECTANGLE, ELL], ids=['rectangle', 'L'])
 @pytest.mark.parametrize('seed', [1, 2, 3])
-def test_outline_of_a_room_is_found(corners: FloatArray, seed: int) -> None:
+def test_outline_of_a_room_is_found(corners, seed):
     rng = np.random.default_rng(seed)
     turn = rng.uniform(-np.pi, np.pi)
     stray = np.column_stack([rng.uniform(0.5, 5.5, (40, 2)), rng.uniform(0.2, 2.2, 40)])
@@ -57,7 +52,7 @@ def test_outline_of_a_room_is_found(corners: FloatArray, seed: int) -> None:
     assert away.min(0).max() < 0.03
 
 
-def test_scattered_points_make_no_facade() -> None:
+def test_scattered_points_make_no_facade():
     rng = np.random.default_rng(4)
     xyz = np.column_stack(
         [rng.uniform(0, 6, 150), rng.uniform(0, 4, 150), rng.uniform(0.2, 2.2, 150)]
@@ -65,7 +60,7 @@ def test_scattered_points_make_no_facade() -> None:
     assert find_facades(seen(xyz), CONFIG) == []
 
 
-def test_what_is_seen_through_is_no_facade() -> None:
+def test_what_is_seen_through_is_no_facade():
     """A few points in line, in front of a wall that is seen between them."""
     rng = np.random.default_rng(5)
     line = np.column_stack(
@@ -76,7 +71,7 @@ def test_what_is_seen_through_is_no_facade() -> None:
     assert len(facades) == 4
 
 
-def test_two_posters_on_walls_that_meet_make_no_facade_across_the_corner() -> None:
+def test_two_posters_on_walls_that_meet_make_no_facade_across_the_corner():
     """Any two small groups of points have a line in common."""
     rng = np.random.default_rng(8)
     height = rng.uniform(0.8, 1.8, 40)
@@ -89,7 +84,7 @@ def test_two_posters_on_walls_that_meet_make_no_facade_across_the_corner() -> No
     assert not any(abs(facade.along @ across) > 0.9 for facade in facades)
 
 
-def test_a_line_through_what_lies_on_both_its_sides_is_no_facade() -> None:
+def test_a_line_through_what_lies_on_both_its_sides_is_no_facade():
     """Depth that is uncertain leaves a wide band, in which a blob has a line as well."""
     rng = np.random.default_rng(9)
     blob = np.column_stack(
@@ -98,7 +93,7 @@ def test_a_line_through_what_lies_on_both_its_sides_is_no_facade() -> None:
     assert find_facades(seen(blob, 0.01), CONFIG) == []
 
 
-def test_front_of_a_cupboard_stands_in_the_room() -> None:
+def test_front_of_a_cupboard_stands_in_the_room():
     rng = np.random.default_rng(6)
     front = np.column_stack(
         [
@@ -117,7 +112,7 @@ def test_front_of_a_cupboard_stands_in_the_room() -> None:
 
 
 @pytest.mark.parametrize('seed', [11, 12, 13])
-def test_a_wall_and_the_cupboard_beside_it_are_not_one_facade(seed: int) -> None:
+def test_a_wall_and_the_cupboard_beside_it_are_not_one_facade(seed):
     rng = np.random.default_rng(seed)
     walls = on_walls(RECTANGLE, rng)[60:]
     stretch, front = (
@@ -132,7 +127,7 @@ def test_a_wall_and_the_cupboard_beside_it_are_not_one_facade(seed: int) -> None
         assert np.abs(ends - 0.3).max() < 0.02 or np.abs(ends).max() < 0.02
 
 
-def test_too_few_walls_are_no_room() -> None:
+def test_too_few_walls_are_no_room():
     rng = np.random.default_rng(7)
     one = on_walls(RECTANGLE[:2], rng)[:60]
     facades = find_facades(seen(one), CONFIG)
@@ -141,7 +136,7 @@ def test_too_few_walls_are_no_room() -> None:
 
 
 @pytest.mark.parametrize('count', [0, 1, 200])
-def test_without_facades_a_room_goes_around_what_is_seen(count: int) -> None:
+def test_without_facades_a_room_goes_around_what_is_seen(count):
     rng = np.random.default_rng(8)
     xyz = np.column_stack([rng.uniform(-2, 8, (count, 2)), rng.uniform(0.2, 2.2, count)])
     room = open_room(seen(xyz), EYES, CONFIG)

@@ -31,7 +31,6 @@ from landmark_nav.localization.localizer import LocalizationConfig, Localization
 from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.types import (
     CameraFrame,
-    FloatArray,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -41,23 +40,23 @@ from landmark_nav.types import (
 LATE_S = 0.2
 
 
-def images(change: Callable[[CameraFrame], CameraFrame]) -> Change:
+def images(change):
     return lambda step, frame: (step, frame and change(frame))
 
 
-def wheels(change: Callable[[OdometrySample], OdometrySample | None]) -> Change:
+def wheels(change):
     return lambda step, frame: (replace(step, odometry=change(step.odometry)), frame)
 
 
-def moved(sample: OdometrySample, pose: Any) -> OdometrySample:
+def moved(sample, pose):
     return replace(sample, pose_odom_base=np.asarray(pose, float))
 
 
-def at_fault(sensed: list[Sensed]) -> OdometrySample:
+def at_fault(sensed):
     return sensed[round(FAULT_S * 20)][0].odometry
 
 
-def stamped_late(frame: CameraFrame, late_s: float = LATE_S) -> CameraFrame:
+def stamped_late(frame, late_s=LATE_S):
     """Joint states give for every moment where the camera looked a while before."""
     about = np.linspace(-0.4, 0.4, 17)
     given = np.array([pan_rad(frame.stamp_ns * 1e-9 - late_s + t) for t in about])
@@ -67,28 +66,28 @@ def stamped_late(frame: CameraFrame, late_s: float = LATE_S) -> CameraFrame:
     )
 
 
-def turned(**off_deg: float) -> Callable[[list[Sensed]], Change]:
+def turned(**off_deg):
     """A camera whose joints say too much by so many degrees."""
 
-    def change(frame: CameraFrame) -> CameraFrame:
+    def change(frame):
         off = {f'{name}_rad': np.radians(deg) for name, deg in off_deg.items()}
         return replace(frame, **{name: getattr(frame, name) + rad for name, rad in off.items()})
 
     return lambda sensed: images(change)
 
 
-def frozen_image(sensed: list[Sensed]) -> Change:
+def frozen_image(sensed):
     shown = next(f for s, f in sensed if f is not None and s.stamp_ns * 1e-9 >= FAULT_S - 0.3)
     return images(lambda frame: replace(frame, image=shown.image))
 
 
-def spinning(ahead_m: float) -> Callable[[list[Sensed]], Change]:
+def spinning(ahead_m):
     """Wheels that claim a way within half a second which the robot does not go."""
 
-    def change(sensed: list[Sensed]) -> Change:
+    def change(sensed):
         pivot = at_fault(sensed).pose_odom_base
 
-        def spun(sample: OdometrySample) -> OdometrySample:
+        def spun(sample):
             done = np.clip((sample.stamp_ns * 1e-9 - FAULT_S) / 0.5, 0.0, 1.0)
             since = se2.compose(
                 [done * ahead_m, 0.0, 0.0], se2.relative(pivot, sample.pose_odom_base)
@@ -100,14 +99,14 @@ def spinning(ahead_m: float) -> Callable[[list[Sensed]], Change]:
     return change
 
 
-def set_back(step: Step, frame: CameraFrame | None) -> Sensed:
+def set_back(step, frame):
     """One clock for all, by a second: odometry is not late for that."""
     stamp_ns = step.odometry.stamp_ns - 10**9
     frame = frame and replace(frame, stamp_ns=frame.stamp_ns - 10**9)
     return replace(step, odometry=replace(step.odometry, stamp_ns=stamp_ns)), frame
 
 
-def behind(sample: OdometrySample) -> OdometrySample:
+def behind(sample):
     """Stamps that go back, more each time."""
     since_ns = sample.stamp_ns - round(FAULT_S * 1e9)
     return replace(sample, stamp_ns=sample.stamp_ns - 4 * since_ns)
@@ -155,11 +154,11 @@ FAULTS: dict[str, tuple[Callable[[list[Sensed]], Change], float, float, float]] 
 
 
 @pytest.mark.parametrize('name', FAULTS)
-def test_a_fault_is_noticed_and_got_over(sensed: list[Sensed], name: str) -> None:
+def test_a_fault_is_noticed_and_got_over(sensed, name):
     make, lasts_s, noticed_s, back_s = FAULTS[name]
     change = make(sensed)
 
-    def until(step: Step, frame: CameraFrame | None) -> Sensed:
+    def until(step, frame):
         return change(step, frame) if step.stamp_ns * 1e-9 < FAULT_S + lasts_s else (step, frame)
 
     # After six seconds the camera looks where no landmark is, for a while.
@@ -176,7 +175,7 @@ def test_a_fault_is_noticed_and_got_over(sensed: list[Sensed], name: str) -> Non
         assert max(np.hypot(*m.error[:2]) for m in later) < 0.07
 
 
-def test_a_hidden_view_makes_the_pose_less_and_less_certain(sensed: list[Sensed]) -> None:
+def test_a_hidden_view_makes_the_pose_less_and_less_certain(sensed):
     dark = images(lambda frame: replace(frame, image=np.zeros_like(frame.image)))
     moments = [m for m in run(sensed[: round(20 * (FAULT_S + 3.0))], dark) if m.after_s >= 0.0]
     assert 'tracking' not in {m.status for m in moments}
@@ -184,9 +183,7 @@ def test_a_hidden_view_makes_the_pose_less_and_less_certain(sensed: list[Sensed]
     assert all(np.diff([np.hypot(*m.sigma[:2]) for m in moments]) > 0.0)
 
 
-def test_a_turn_of_the_camera_is_named_and_makes_the_heading_uncertain(
-    sensed: list[Sensed],
-) -> None:
+def test_a_turn_of_the_camera_is_named_and_makes_the_heading_uncertain(sensed):
     moments = run(sensed, turned(pan=2.0)(sensed))
     given = next(m for m in moments if m.after_s >= 0.0 and 'turned' in m.reason)
     assert given.status == 'coasting'
@@ -195,9 +192,7 @@ def test_a_turn_of_the_camera_is_named_and_makes_the_heading_uncertain(
 
 # The last one lies behind the walls, where no landmark is to be seen: no image contradicts it.
 @pytest.mark.parametrize('offset', [(0.8, 0.6, 0.0), (-0.6, 0.1, 0.8), (-30.0, 0.0, 0.0)])
-def test_a_wrong_start_is_noticed_and_put_right(
-    sensed: list[Sensed], offset: tuple[float, float, float]
-) -> None:
+def test_a_wrong_start_is_noticed_and_put_right(sensed, offset):
     moments = list(run(sensed, untouched, start=START + np.array(offset)))
     found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
     assert found.after_s + FAULT_S <= (2.0 if offset[0] > -1.0 else 6.0)
@@ -209,7 +204,7 @@ def test_a_wrong_start_is_noticed_and_put_right(
     check_consistent(later)
 
 
-def test_a_kidnapped_robot_finds_its_place(sensed: list[Sensed]) -> None:
+def test_a_kidnapped_robot_finds_its_place(sensed):
     """From one image to the next it is where it comes seconds later; the wheels know nothing."""
     begin, back = round(FAULT_S * 20), 64
     before, after = (sensed[k][0].odometry.pose_odom_base for k in (begin, begin - back))
@@ -228,12 +223,10 @@ def test_a_kidnapped_robot_finds_its_place(sensed: list[Sensed]) -> None:
     check_consistent(moments)
 
 
-def test_a_map_of_another_room_is_not_accepted(
-    sensed: list[Sensed], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_map_of_another_room_is_not_accepted(sensed, monkeypatch):
     tried: dict[int, Any] = {}
 
-    def counted(frame: CameraFrame, *arguments: Any) -> Any:
+    def counted(frame, *arguments):
         tried[frame.stamp_ns] = place = localize_within_prior(frame, *arguments)
         return place
 
@@ -251,7 +244,7 @@ def test_a_map_of_another_room_is_not_accepted(
     assert 5 < len(tried) < 0.6 * sum(m.status == 'lost' for m in moments)
 
 
-def test_a_covered_and_an_exchanged_landmark_do_no_harm(sensed: list[Sensed]) -> None:
+def test_a_covered_and_an_exchanged_landmark_do_no_harm(sensed):
     landmarks = list(MAP.landmarks)
     rng = np.random.default_rng(1)
     for k in range(0, len(landmarks), 4):
@@ -264,7 +257,7 @@ def test_a_covered_and_an_exchanged_landmark_do_no_harm(sensed: list[Sensed]) ->
     check_consistent(moments)
 
 
-def test_poses_that_jitter_are_weighed_as_such(sensed: list[Sensed]) -> None:
+def test_poses_that_jitter_are_weighed_as_such(sensed):
     rng = np.random.default_rng(3)
     jitter = wheels(lambda s: moved(s, s.pose_odom_base + rng.normal(0.0, [0.01, 0.01, 0.005])))
     nees = [m.nees for m in run(sensed, jitter) if m.after_s > 2.0]
@@ -272,7 +265,7 @@ def test_poses_that_jitter_are_weighed_as_such(sensed: list[Sensed]) -> None:
     assert np.max(nees) < 25.0
 
 
-def delay_of(sensed: list[Sensed], late_s: float, slips_rad: float = 0.0) -> JointDelay:
+def delay_of(sensed, late_s, slips_rad=0.0):
     """Delay of the joints as it is known after nine seconds, in which wheels may slip."""
     events: list[CameraFrame | OdometrySample] = []
     given = before = sensed[0][0].odometry.pose_odom_base
@@ -292,9 +285,7 @@ def delay_of(sensed: list[Sensed], late_s: float, slips_rad: float = 0.0) -> Joi
 @pytest.mark.parametrize(
     ('late_s', 'slips_rad'), [(0.0, 0.0), (0.04, 0.0), (-0.04, 0.0), (0.0, 0.003)]
 )
-def test_the_delay_of_joint_states_is_measured(
-    sensed: list[Sensed], late_s: float, slips_rad: float
-) -> None:
+def test_the_delay_of_joint_states_is_measured(sensed, late_s, slips_rad):
     """A wheel that slips is not taken for one."""
     late = delay_of(sensed, late_s, slips_rad)
     assert late.sigma_s < 0.008
@@ -303,7 +294,7 @@ def test_the_delay_of_joint_states_is_measured(
 
 
 @pytest.mark.parametrize('seconds', [1.5, 3.0])
-def test_a_delay_that_is_over_is_taken_back(sensed: list[Sensed], seconds: float) -> None:
+def test_a_delay_that_is_over_is_taken_back(sensed, seconds):
     localizer = Localizer(MAP, KNOWN, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     delays = []
@@ -320,9 +311,7 @@ def test_a_delay_that_is_over_is_taken_back(sensed: list[Sensed], seconds: float
 
 
 @pytest.mark.parametrize('rpy', [(np.pi, 0.0, 0.3), (0.0, 0.0, 0.3)], ids=str)
-def test_the_same_camera_on_a_unit_that_hangs_or_is_turned_gives_the_same(
-    sensed: list[Sensed], rpy: tuple[float, float, float]
-) -> None:
+def test_the_same_camera_on_a_unit_that_hangs_or_is_turned_gives_the_same(sensed, rpy):
     """Pan and tilt are counted otherwise, and the images are the same."""
     sense = np.cos(rpy[0])
     x, y, z = MOUNT.optical_center_offset
@@ -333,10 +322,10 @@ def test_the_same_camera_on_a_unit_that_hangs_or_is_turned_gives_the_same(
         camera_roll_rad=MOUNT.camera_roll_rad + rpy[0],
     )
 
-    def pan_of(pan: FloatArray | float) -> Any:
+    def pan_of(pan):
         return sense * (pan - rpy[2])
 
-    def counted(step: Step, frame: CameraFrame | None) -> Sensed:
+    def counted(step, frame):
         if frame is not None:
             track = frame.pan_track
             frame = replace(
@@ -360,7 +349,7 @@ def test_the_same_camera_on_a_unit_that_hangs_or_is_turned_gives_the_same(
     np.testing.assert_allclose(poses[1], poses[0], atol=1e-3)
 
 
-def test_a_camera_without_noise_that_stands_goes_on() -> None:
+def test_a_camera_without_noise_that_stands_goes_on():
     """As in a simulator; the first image corrects a start that was a little off."""
     localizer = Localizer(MAP, KNOWN, LocalizationConfig())
     covariance = np.diag(np.square([0.05, 0.05, 0.035]))
@@ -375,7 +364,7 @@ def test_a_camera_without_noise_that_stands_goes_on() -> None:
         assert update.used >= 3
 
 
-def test_images_that_show_nothing_do_not_hold_up_the_verdict_where_odometry_stops() -> None:
+def test_images_that_show_nothing_do_not_hold_up_the_verdict_where_odometry_stops():
     localizer = Localizer(LandmarkMap(()), KNOWN, LocalizationConfig())
     localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
     localizer.add_odometry(OdometrySample(0, np.zeros(3)))

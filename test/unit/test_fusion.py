@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
-from drawn_drives import Drive, IMAGE_EVERY, MOUNT, NS, PERIOD_S, simulated
+from drawn_drives import IMAGE_EVERY, MOUNT, NS, PERIOD_S, simulated
 import numpy as np
 import pytest
 from wire import FACTORY, over_the_wire
@@ -14,7 +13,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.localization.estimator import ImagePoints, JointFilter, Status
+from landmark_nav.localization.estimator import JointFilter, Status
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.localization.odometry.track import Distrusted
@@ -22,7 +21,6 @@ from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.types import (
     Detections,
-    FloatArray,
     JointSample,
     LandmarkMap,
     OdometrySample,
@@ -33,7 +31,7 @@ from landmark_nav.types import (
 Seen = tuple[Detections, JointSample]
 
 
-def arriving(drive: Drive, shift_ns: int = 0) -> Iterator[OdometrySample | Seen]:
+def arriving(drive, shift_ns=0):
     """A drive as messages bring it: odometry, and what was found in images."""
     pose, stamp = np.zeros(3), shift_ns
     yield OdometrySample(stamp, pose)
@@ -47,7 +45,7 @@ def arriving(drive: Drive, shift_ns: int = 0) -> Iterator[OdometrySample | Seen]
             yield seen(event, stamp)
 
 
-def seen(image: ImagePoints, stamp_ns: int) -> Seen:
+def seen(image, stamp_ns):
     pan, right = image.pan_rad[0] if len(image) else 0.0, image.points[:, 0]
     found = Detections(
         stamp_ns,
@@ -62,19 +60,19 @@ def seen(image: ImagePoints, stamp_ns: int) -> Seen:
     return found, JointSample(stamp_ns, float(pan), 0.0, image.pan_rate_rad_s)
 
 
-def fused(drive: Drive, prior: Calibration | None = None) -> Fusion:
+def fused(drive, prior=None):
     fusion = Fusion(drive.landmark_map, prior or drive.prior)
     fusion.initialize(drive.start)
     return fusion
 
 
-def take(fusion: Fusion, what: OdometrySample | Seen) -> object:
+def take(fusion, what):
     if isinstance(what, OdometrySample):
         return fusion.add_odometry(what)
     return fusion.add_detections(*what)
 
 
-def error(fusion: Fusion, drive: Drive) -> FloatArray:
+def error(fusion, drive):
     """Of the pose at the last image."""
     estimate = fusion.estimate(round(len(drive.poses) * IMAGE_EVERY * PERIOD_S * NS))
     assert estimate is not None
@@ -83,7 +81,7 @@ def error(fusion: Fusion, drive: Drive) -> FloatArray:
     return np.asarray(off)
 
 
-def test_messages_lose_nothing() -> None:
+def test_messages_lose_nothing():
     drive = simulated(3, seconds=6.0)
     direct, reported = fused(drive), fused(drive)
     for what in arriving(drive):
@@ -108,7 +106,7 @@ def test_messages_lose_nothing() -> None:
     assert (speeds.linear_m_s, speeds.angular_rad_s) == (0.3, -0.2)
 
 
-def test_a_clock_that_was_set_back_goes_on_from_the_last_pose() -> None:
+def test_a_clock_that_was_set_back_goes_on_from_the_last_pose():
     drive = simulated(3, seconds=8.0)
     fusion, shift = fused(drive), 100 * NS
     fusion.initialize(replace(drive.start, stamp_ns=shift))
@@ -127,9 +125,7 @@ def test_a_clock_that_was_set_back_goes_on_from_the_last_pose() -> None:
 
 
 @pytest.mark.parametrize('seconds', [3600, 1_000_000, 1_700_000_000])
-def test_a_clock_that_is_set_forward_costs_a_bounded_time(
-    monkeypatch: pytest.MonkeyPatch, seconds: int
-) -> None:
+def test_a_clock_that_is_set_forward_costs_a_bounded_time(monkeypatch, seconds):
     drive = simulated(3, seconds=2.0)
     fusion = fused(drive)
     for what in arriving(drive):
@@ -148,7 +144,7 @@ def test_a_clock_that_is_set_forward_costs_a_bounded_time(
     assert fusion.status_at()[0] is Status.LOST
 
 
-def test_a_kidnapped_robot_is_reported_lost() -> None:
+def test_a_kidnapped_robot_is_reported_lost():
     drive, rng = simulated(11, seconds=24.0), np.random.default_rng(0)
     fusion, images = fused(drive), 0
     for what in arriving(drive):
@@ -172,7 +168,7 @@ def test_a_kidnapped_robot_is_reported_lost() -> None:
     assert fusion.status_at()[0] is not Status.LOST
 
 
-def test_a_wrong_start_teaches_nothing() -> None:
+def test_a_wrong_start_teaches_nothing():
     drive = simulated(4, seconds=20.0, prior=Calibration.of_mount(MOUNT))
     fusion, right = fused(drive), fused(drive)
     images = 0
@@ -196,7 +192,7 @@ def test_a_wrong_start_teaches_nothing() -> None:
 
 
 @pytest.mark.parametrize('aside_m', [0.0, 0.1, 1.0])
-def test_a_wrong_start_is_lost_for_good_and_its_calibration_forgotten(aside_m: float) -> None:
+def test_a_wrong_start_is_lost_for_good_and_its_calibration_forgotten(aside_m):
     drive = simulated(6, seconds=4.0, prior=Calibration.of_mount(MOUNT))
     fusion = fused(drive)
     off = drive.poses[0] + [aside_m, 0.0, 0.0]
@@ -212,7 +208,7 @@ def test_a_wrong_start_is_lost_for_good_and_its_calibration_forgotten(aside_m: f
     assert fusion.status_at()[0] is not Status.LOST
 
 
-def test_another_map_leaves_the_pose_and_what_was_learned() -> None:
+def test_another_map_leaves_the_pose_and_what_was_learned():
     drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
     fusion, arrivals = fused(drive), list(arriving(drive))
     for what in arrivals[:150]:
@@ -231,7 +227,7 @@ def test_another_map_leaves_the_pose_and_what_was_learned() -> None:
 
 
 @pytest.mark.parametrize('without', ['joints', 'points'])
-def test_bearings_count_where_joints_or_points_are_missing(without: str) -> None:
+def test_bearings_count_where_joints_or_points_are_missing(without):
     drive = simulated(5, seconds=12.0)
     fusion = fused(drive)
     for what in arriving(drive):
@@ -246,7 +242,7 @@ def test_bearings_count_where_joints_or_points_are_missing(without: str) -> None
     assert fusion.status_at()[0] is Status.OK
 
 
-def test_what_can_not_be_used_does_no_harm() -> None:
+def test_what_can_not_be_used_does_no_harm():
     drive = simulated(5, seconds=4.0)
     fusion, clean = fused(drive), fused(drive)
     for what in arriving(drive):
@@ -269,7 +265,7 @@ def test_what_can_not_be_used_does_no_harm() -> None:
     assert found_pose.pose == pytest.approx(expected.pose, abs=1e-9)
 
 
-def test_a_start_that_is_no_pose_is_refused_and_changes_nothing() -> None:
+def test_a_start_that_is_no_pose_is_refused_and_changes_nothing():
     drive = simulated(5, seconds=2.0)
     fusion = fused(drive)
     before = fusion.estimate()
@@ -287,7 +283,7 @@ def test_a_start_that_is_no_pose_is_refused_and_changes_nothing() -> None:
     assert after.pose == pytest.approx(before.pose)
 
 
-def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading() -> None:
+def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():
     pans = PanTrack(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.0, 1.0]))
     start = PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
     prior = Calibration.of_mount(MOUNT, {'axis_yaw': 1e-4})
@@ -304,7 +300,7 @@ def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading() -> None:
     assert sigmas[1] == pytest.approx(0.1, rel=0.1)
 
 
-def test_the_protection_level_follows_from_the_covariance() -> None:
+def test_the_protection_level_follows_from_the_covariance():
     drive = simulated(5, seconds=6.0)
     fusion = fused(drive)
     for what in arriving(drive):
@@ -318,7 +314,7 @@ def test_the_protection_level_follows_from_the_covariance() -> None:
     assert np.linalg.eigvalsh(scaled).min() > 0.0
 
 
-def test_silence_is_reported() -> None:
+def test_silence_is_reported():
     drive = simulated(5, seconds=3.0)
     fusion = Fusion(drive.landmark_map, drive.prior)
     assert fusion.status_at()[0] is Status.LOST

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import unwrap_joint, wrap_rad
@@ -22,17 +19,17 @@ ANGLES = st.floats(-1e3, 1e3)
 
 
 @given(ANGLES)
-def test_wrapped_angle_has_the_same_direction_and_lies_in_one_turn(angle: float) -> None:
+def test_wrapped_angle_has_the_same_direction_and_lies_in_one_turn(angle):
     wrapped = wrap_rad(angle)
     assert -np.pi < wrapped <= np.pi
     np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * angle), atol=1e-9)
 
 
-def test_the_half_turn_is_positive() -> None:
+def test_the_half_turn_is_positive():
     np.testing.assert_array_equal(wrap_rad([np.pi, -np.pi]), [np.pi, np.pi])
 
 
-def test_a_joint_that_is_reported_within_half_a_turn_turns_on() -> None:
+def test_a_joint_that_is_reported_within_half_a_turn_turns_on():
     stamps_ns = 50_000_000 * np.arange(400)
     true = 2.5 + np.cumsum(np.repeat([0.1, -0.08], 200))
     for way in (slice(None), slice(None, None, -1)):
@@ -41,7 +38,7 @@ def test_a_joint_that_is_reported_within_half_a_turn_turns_on() -> None:
         assert found[0] == wrap_rad(true)[way][0]
 
 
-def test_a_joint_that_counts_its_turns_stays_as_it_is() -> None:
+def test_a_joint_that_counts_its_turns_stays_as_it_is():
     pans = np.array([18.7, 18.9, 24.0, 31.0, 18.0])
     stamps_ns = np.array([0, 50_000_000, 600_000_000, 1_400_000_000, 3_000_000_000])
     np.testing.assert_array_equal(unwrap_joint(stamps_ns, pans), pans)
@@ -50,12 +47,12 @@ def test_a_joint_that_counts_its_turns_stays_as_it_is() -> None:
 POSES = st.tuples(*[st.floats(-50.0, 50.0)] * 2, st.floats(-10.0, 10.0)).map(np.array)
 
 
-def matrix(pose: FloatArray) -> FloatArray:
+def matrix(pose):
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     return np.array([[cos, -sin, pose[0]], [sin, cos, pose[1]], [0.0, 0.0, 1.0]])
 
 
-def differences(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+def differences(function, at):
     """Central differences of poses by poses, (3, 3)."""
     step = 1e-6
     columns = []
@@ -69,25 +66,25 @@ def differences(function: Callable[[FloatArray], FloatArray], at: FloatArray) ->
 
 
 @given(POSES, POSES)
-def test_compose_is_the_product_of_matrices(first: FloatArray, second: FloatArray) -> None:
+def test_compose_is_the_product_of_matrices(first, second):
     np.testing.assert_allclose(
         matrix(se2.compose(first, second)), matrix(first) @ matrix(second), atol=1e-9
     )
 
 
 @given(POSES)
-def test_inverse_is_the_inverse_matrix(pose: FloatArray) -> None:
+def test_inverse_is_the_inverse_matrix(pose):
     np.testing.assert_allclose(matrix(se2.inverse(pose)) @ matrix(pose), np.eye(3), atol=1e-9)
 
 
 @given(POSES, POSES)
-def test_relative_undoes_compose(first: FloatArray, second: FloatArray) -> None:
+def test_relative_undoes_compose(first, second):
     found = se2.relative(first, se2.compose(first, second))
     np.testing.assert_allclose(matrix(found), matrix(second), atol=1e-9)
 
 
 @given(POSES, POSES)
-def test_jacobians_agree_with_differences(first: FloatArray, second: FloatArray) -> None:
+def test_jacobians_agree_with_differences(first, second):
     by_first, by_second = se2.compose_jacobians(first, second)
     numeric_first = differences(lambda pose: se2.compose(pose, second), first)
     numeric_second = differences(lambda pose: se2.compose(first, pose), second)
@@ -96,16 +93,14 @@ def test_jacobians_agree_with_differences(first: FloatArray, second: FloatArray)
 
 
 @given(POSES, st.lists(st.tuples(*[st.floats(-50.0, 50.0)] * 2), min_size=1, max_size=4))
-def test_points_move_with_the_frame(pose: FloatArray, points: list[tuple[float, float]]) -> None:
+def test_points_move_with_the_frame(pose, points):
     moved = se2.transform_points(pose, points)
     homogeneous = np.c_[np.array(points), np.ones(len(points))]
     np.testing.assert_allclose(moved, (homogeneous @ matrix(pose).T)[:, :2], atol=1e-9)
 
 
 @given(POSES, st.lists(st.floats(-3.1, 3.1), min_size=1, max_size=4), st.floats(0.1, 50.0))
-def test_bearings_are_those_at_which_points_were_put(
-    pose: FloatArray, angles: list[float], away: float
-) -> None:
+def test_bearings_are_those_at_which_points_were_put(pose, angles, away):
     ahead = away * np.column_stack([np.cos(angles), np.sin(angles)])
     found = se2.bearings(pose, se2.transform_points(pose, ahead))
     np.testing.assert_allclose(found, angles, atol=1e-9)
@@ -121,7 +116,7 @@ ROWS = st.floats(-0.5, 349.5)
 
 
 @given(COLUMNS, ROWS)
-def test_every_pixel_comes_back(column: float, row: float) -> None:
+def test_every_pixel_comes_back(column, row):
     found = CYLINDER.project(CYLINDER.rays([column, row]))
     # A column within rounding of the seam may come back on its other side.
     gap = (found[0] - column + 1800.0) % 3600.0 - 1800.0
@@ -130,20 +125,20 @@ def test_every_pixel_comes_back(column: float, row: float) -> None:
 
 
 @given(st.floats(-20.0, 20.0))
-def test_every_azimuth_comes_back(azimuth: float) -> None:
+def test_every_azimuth_comes_back(azimuth):
     column = CYLINDER.column_of(azimuth)
     assert -0.5 <= column < 3599.5
     assert abs(wrap_rad(CYLINDER.azimuth_rad(column) - azimuth)) < 1e-9
 
 
-def test_left_is_left_and_up_is_up() -> None:
+def test_left_is_left_and_up_is_up():
     assert CYLINDER.column_of(0.0) == 1799.5
     assert CYLINDER.column_of(0.1) < 1799.5
     assert CYLINDER.row_of(0.1) < CYLINDER.row_of(0.0) == 170.0
 
 
 @given(st.floats(100.0, 1000.0), st.floats(-1.0, -0.05), st.floats(0.05, 1.0))
-def test_resolution_and_extent_as_asked(px_per_rad: float, low: float, high: float) -> None:
+def test_resolution_and_extent_as_asked(px_per_rad, low, high):
     cylinder = Cylinder.with_resolution(px_per_rad, low, high)
     assert cylinder.fx == cylinder.fy == pytest.approx(px_per_rad, rel=0.002)
     assert cylinder.tangent(0) >= high - 1e-9
@@ -151,13 +146,13 @@ def test_resolution_and_extent_as_asked(px_per_rad: float, low: float, high: flo
 
 
 @pytest.mark.parametrize(('low', 'high'), [(-1e9, 5.0), (-np.inf, np.inf), (0.0, 1e300)])
-def test_rows_end_before_the_poles(low: float, high: float) -> None:
+def test_rows_end_before_the_poles(low, high):
     cylinder = Cylinder.with_resolution(500.0, low, high)
     assert cylinder.width * cylinder.height < 7e6
 
 
 @pytest.mark.parametrize('px_per_rad', [1e4, 1e300, np.nan])
-def test_a_cylinder_too_large_to_hold_is_refused(px_per_rad: float) -> None:
+def test_a_cylinder_too_large_to_hold_is_refused(px_per_rad):
     with pytest.raises(LandmarkNavError, match='million pixels'):
         Cylinder.with_resolution(px_per_rad, -0.5, 0.5)
 
@@ -166,7 +161,7 @@ def test_a_cylinder_too_large_to_hold_is_refused(px_per_rad: float) -> None:
 CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 2.0), (3.0, 2.0), (3.0, 4.0), (0.0, 4.0)]
 
 
-def outline(corners: list[tuple[float, float]]) -> tuple[Wall, ...]:
+def outline(corners):
     ends = corners[1:] + corners[:1]
     return tuple(
         Wall(str(k), start, end, 2.5)
@@ -182,15 +177,13 @@ INSIDE = st.tuples(st.floats(0.01, 2.99), st.floats(0.01, 3.99)) | st.tuples(
 )
 
 
-def test_normals_point_into_the_room() -> None:
+def test_normals_point_into_the_room():
     np.testing.assert_allclose(ROOM.normals[:3], [[0, 1, 0], [-1, 0, 0], [0, -1, 0]])
     assert ROOM.walls[0].length == 6.0
 
 
 @given(INSIDE, st.floats(-7.0, 7.0))
-def test_a_ray_from_inside_ends_on_the_wall_that_it_names(
-    origin: tuple[float, float], azimuth: float
-) -> None:
+def test_a_ray_from_inside_ends_on_the_wall_that_it_names(origin, azimuth):
     distance, wall = ROOM.raycast(origin, azimuth)
     direction = np.array([np.cos(azimuth), np.sin(azimuth)])
     hit = np.array(origin) + distance * direction
@@ -199,19 +192,19 @@ def test_a_ray_from_inside_ends_on_the_wall_that_it_names(
     assert ROOM.contains(origin + 0.999 * distance * direction)
 
 
-def test_the_first_of_several_walls_stops_the_ray() -> None:
+def test_the_first_of_several_walls_stops_the_ray():
     distance, wall = ROOM.raycast([1.0, 3.0], [0.0, np.pi / 2, np.pi, -np.pi / 4])
     np.testing.assert_allclose(distance, [2.0, 1.0, 1.0, 3.0 * np.sqrt(2.0)])
     assert wall.tolist() == [3, 4, 5, 0]
 
 
-def test_a_ray_that_meets_nothing_reports_it() -> None:
+def test_a_ray_that_meets_nothing_reports_it():
     distance, wall = ROOM.raycast([7.0, 1.0], 0.0)
     assert np.isinf(distance)
     assert wall == -1
 
 
-def test_the_corner_hides_what_lies_behind() -> None:
+def test_the_corner_hides_what_lies_behind():
     on_walls = [[3.0, 3.0], [6.0, 1.0], [1.0, 0.0], [6.0, 1.99]]
     assert ROOM.visible([1.0, 3.0], on_walls).tolist() == [True, False, True, False]
     assert ROOM.visible([5.0, 1.0], on_walls).tolist() == [False, True, True, True]
@@ -222,7 +215,7 @@ def test_nearest_wall_measures_to_the_segment_not_its_line() -> None:
     assert ROOM.nearest_wall([[5.0, 2.5], [0.2, 2.0], [3.0, 0.1]]).tolist() == [2, 5, 0]
 
 
-def test_a_room_shares_a_wall_with_itself_measured_again_and_none_with_another() -> None:
+def test_a_room_shares_a_wall_with_itself_measured_again_and_none_with_another():
     again = outline([(1.03 * x, 0.97 * y) for x, y in CORNERS])
     assert ROOM.shares_wall(again, 0.3)
     assert ROOM.shares_wall([again[4]], 0.3)
@@ -231,25 +224,25 @@ def test_a_room_shares_a_wall_with_itself_measured_again_and_none_with_another()
     assert not ROOM.shares_wall((), 0.3)
 
 
-def test_two_walls_are_no_room() -> None:
+def test_two_walls_are_no_room():
     with pytest.raises(LandmarkNavError, match='room has 2 walls: a closed outline needs 3'):
         Room(outline(CORNERS)[:2])
 
 
-def test_an_open_outline_names_the_wall_and_the_gap() -> None:
+def test_an_open_outline_names_the_wall_and_the_gap():
     corners = outline(CORNERS)
     moved = Wall('2', (6.0, 2.3), (3.0, 2.0), 2.5)
     with pytest.raises(LandmarkNavError, match=r'open: wall 1 ends at \(6, 2\).*0\.3 m away'):
         Room((*corners[:2], moved, *corners[3:]))
 
 
-def test_crossing_walls_are_named() -> None:
+def test_crossing_walls_are_named():
     bow_tie = [(0.0, 0.0), (4.0, 3.0), (4.0, 0.0), (0.0, 3.0)]
     with pytest.raises(LandmarkNavError, match='walls 0 and 2 cross'):
         Room(outline(bow_tie))
 
 
-def test_walls_that_run_clockwise_are_refused() -> None:
+def test_walls_that_run_clockwise_are_refused():
     with pytest.raises(LandmarkNavError, match=r'to the left.*swap start and end'):
         Room(outline(CORNERS[::-1]))
 
@@ -262,7 +255,7 @@ def test_walls_that_run_clockwise_are_refused() -> None:
         (Wall('0', (0.0, 0.0), (6.0, 0.0), 0.0), 'no length or no height'),
     ],
 )
-def test_a_wall_that_is_none_is_refused(wall: Wall, message: str) -> None:
+def test_a_wall_that_is_none_is_refused(wall, message):
     with pytest.raises(LandmarkNavError, match=message):
         Room((wall, *outline(CORNERS)[1:]))
 
@@ -277,13 +270,7 @@ BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0
     rpy=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.5, 0.5)),
     ray=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
 )
-def test_rays_meet_the_patch_where_the_plane_states(
-    azimuth: float,
-    off: float,
-    reach: float,
-    rpy: tuple[float, float, float],
-    ray: tuple[float, float],
-) -> None:
+def test_rays_meet_the_patch_where_the_plane_states(azimuth, off, reach, rpy, ray):
     normal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     position = np.array([2.0, -3.0, 1.4])
     direction = np.array([np.cos(azimuth + off), np.sin(azimuth + off), 0.05])

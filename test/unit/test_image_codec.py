@@ -1,7 +1,5 @@
 """PNG and JPEG: the size is known, and bounded, before memory is taken."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 
@@ -15,18 +13,18 @@ from landmark_nav.image_codec import decode_image, encode_image, image_size
 NOISE = np.random.default_rng(5).integers(0, 255, (37, 91, 3)).astype(np.uint8)
 
 
-def jpeg(*options: int) -> bytes:
+def jpeg(*options):
     return encode_image(NOISE, '.jpg', options).tobytes()
 
 
-def png_of_size(width: int, height: int) -> bytes:
+def png_of_size(width, height):
     """A complete PNG header; what follows is empty."""
     chunk = b'IHDR' + struct.pack('>IIBBBBB', width, height, 8, 0, 0, 0, 0)
     length, check = struct.pack('>I', 13), struct.pack('>I', zlib.crc32(chunk))
     return b'\x89PNG\r\n\x1a\n' + length + chunk + check
 
 
-def jpeg_of_size(width: int, height: int) -> bytes:
+def jpeg_of_size(width, height):
     """A JPEG whose header gives another size than its content has."""
     data = jpeg()
     at = data.index(b'\xff\xc0') + 5
@@ -43,12 +41,12 @@ def jpeg_of_size(width: int, height: int) -> bytes:
         jpeg()[:2] + b'between\x00' + jpeg()[2:],
     ],
 )
-def test_the_size_is_read_from_the_header(data: bytes) -> None:
+def test_the_size_is_read_from_the_header(data):
     assert image_size(data) == (91, 37)
     assert image_size(np.frombuffer(data, np.uint8)) == (91, 37)
 
 
-def test_no_damage_gives_a_size_that_is_not_the_decoded_one() -> None:
+def test_no_damage_gives_a_size_that_is_not_the_decoded_one():
     """What the header says bounds the memory: the decoder must not see another size."""
     rng, data = np.random.default_rng(3), jpeg()[:700]
     for _ in range(3000):
@@ -63,7 +61,7 @@ def test_no_damage_gives_a_size_that_is_not_the_decoded_one() -> None:
 
 
 @pytest.mark.parametrize('data', [png_of_size(30000, 30000), jpeg_of_size(65000, 16000)])
-def test_an_image_of_absurd_size_is_refused_before_memory_is_taken(data: bytes) -> None:
+def test_an_image_of_absurd_size_is_refused_before_memory_is_taken(data):
     with pytest.raises(LandmarkNavError, match='pixels: reduce it'):
         decode_image(data)
 
@@ -75,7 +73,7 @@ def test_an_image_of_absurd_size_is_refused_before_memory_is_taken(data: bytes) 
         *(jpeg() + b'\xff\xda' * 1000, png_of_size(20, 30), jpeg()[:2] + b'\xff' * 100_000),
     ],
 )
-def test_bad_data_is_refused(data: bytes) -> None:
+def test_bad_data_is_refused(data):
     with pytest.raises(LandmarkNavError):
         decode_image(data)
     with pytest.raises(LandmarkNavError):

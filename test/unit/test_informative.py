@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from itertools import combinations
 
 from hypothesis import given
@@ -10,7 +8,7 @@ from scenes import rectangle_room, textured_room, true_landmark
 from landmark_nav.geometry.patches import observed_well, relative_sampling
 from landmark_nav.localization.observer import most_informative
 from landmark_nav.localization.triangulation.model import bearing_gradients
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import LandmarkMap, PoseEstimate
 
 ROOM = rectangle_room(6.0, 5.0)
 SCENE = textured_room(ROOM, seed=3)
@@ -27,7 +25,7 @@ EVERY = np.arange(len(LANDMARKS.landmarks))
 SIGMA = 4e-4
 
 
-def information(index: FloatArray) -> float:
+def information(index):
     """Log determinant of the information on the pose after bearings to some landmarks."""
     gradient = bearing_gradients(AXIS.pose, LANDMARKS.positions[index, :2])
     own = LANDMARKS.covariances[index, :2, :2]
@@ -37,7 +35,7 @@ def information(index: FloatArray) -> float:
     return float(np.linalg.slogdet(total)[1])
 
 
-def test_three_are_nearly_as_good_as_the_best_three() -> None:
+def test_three_are_nearly_as_good_as_the_best_three():
     chosen = most_informative(AXIS, LANDMARKS, EVERY, SIGMA, 3)
     assert len(set(chosen)) == 3
     nothing = float(np.linalg.slogdet(np.linalg.inv(AXIS.covariance))[1])
@@ -50,13 +48,11 @@ NORMAL = np.array([[0.0, 1.0, 0.0]])
 
 
 @given(st.floats(0.0, 2.0 * np.pi), st.floats(0.1, 9.0), st.floats(-1.2, 1.2))
-def test_area_is_the_annulus_between_two_tangent_circles(
-    direction: float, distance: float, incidence: float
-) -> None:
+def test_area_is_the_annulus_between_two_tangent_circles(direction, distance, incidence):
     reference = POINT + 3.0 * np.array([[np.sin(incidence), np.cos(incidence), 0.0]])
     viewer = POINT[0] + distance * np.array([np.cos(direction), np.sin(direction), 0.0])
 
-    def inside_tangent_circle(diameter: float) -> bool:
+    def inside_tangent_circle(diameter):
         return bool(np.hypot(viewer[0] - 2.0, viewer[1] - diameter / 2.0) <= diameter / 2.0)
 
     expected = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 import runpy
@@ -25,11 +25,11 @@ class Recorded:
     named: dict[str, Any] = field(default_factory=dict)
 
     @property
-    def name(self) -> Any:
+    def name(self):
         """As launch's own objects have it."""
         return self.argument(0, 'name')
 
-    def argument(self, position: int, name: str) -> Any:
+    def argument(self, position, name):
         """What was given for one parameter, by its place or by its name."""
         given = self.positional[position : position + 1]
         return given[0] if given else self.named.get(name)
@@ -40,14 +40,14 @@ class Recorder(ModuleType):
 
     __path__: ClassVar[list[str]] = []
 
-    def __getattr__(self, kind: str) -> Any:
+    def __getattr__(self, kind):
         if kind.startswith('__'):
             raise AttributeError(kind)
         return lambda *positional, **named: Recorded(kind, positional, named)
 
 
 @pytest.fixture(autouse=True)
-def recorders(monkeypatch: pytest.MonkeyPatch) -> None:
+def recorders(monkeypatch):
     for name in (
         *('launch', 'launch.actions', 'launch.conditions', 'launch.substitutions'),
         *('launch.launch_description_sources', 'launch_ros', 'launch_ros.actions'),
@@ -61,12 +61,12 @@ def recorders(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, packages.__name__, packages)
 
 
-def described(path: Path) -> list[Recorded]:
+def described(path):
     """All objects of the description that a launch file returns."""
     return list(within(runpy.run_path(str(path))['generate_launch_description']()))
 
 
-def within(value: Any) -> Iterator[Recorded]:
+def within(value):
     if isinstance(value, Recorded):
         yield value
         yield from within(value.positional)
@@ -78,7 +78,7 @@ def within(value: Any) -> Iterator[Recorded]:
             yield from within(item)
 
 
-def declared(objects: list[Recorded]) -> dict[str, bool]:
+def declared(objects):
     """Argument -> whether it has a default."""
     return {
         item.argument(0, 'name'): item.named.get('default_value') is not None
@@ -87,7 +87,7 @@ def declared(objects: list[Recorded]) -> dict[str, bool]:
     }
 
 
-def used(value: Any) -> set[str]:
+def used(value):
     return {
         item.argument(0, 'variable_name')
         for item in within(value)
@@ -95,7 +95,7 @@ def used(value: Any) -> set[str]:
     }
 
 
-def included(objects: list[Recorded]) -> Iterator[tuple[Path, dict[str, Any]]]:
+def included(objects):
     """Files of this package that are included, and the arguments that each gets."""
     for item in objects:
         if item.kind != 'IncludeLaunchDescription':
@@ -109,20 +109,20 @@ def included(objects: list[Recorded]) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
-def test_every_declared_argument_is_used_and_every_used_one_declared(path: Path) -> None:
+def test_every_declared_argument_is_used_and_every_used_one_declared(path):
     objects = described(path)
     assert used(objects) == set(declared(objects))
 
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
-def test_every_include_hands_on_all_arguments(path: Path) -> None:
+def test_every_include_hands_on_all_arguments(path):
     objects = described(path)
     for other, given in included(objects):
         assert set(given) == set(declared(described(other))), other.name
 
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
-def test_what_is_handed_on_under_its_name_has_a_default_where_it_had_one(path: Path) -> None:
+def test_what_is_handed_on_under_its_name_has_a_default_where_it_had_one(path):
     objects = described(path)
     own = declared(objects)
     for other, given in included(objects):
@@ -132,7 +132,7 @@ def test_what_is_handed_on_under_its_name_has_a_default_where_it_had_one(path: P
 
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
-def test_nodes_are_executables_of_the_package(path: Path) -> None:
+def test_nodes_are_executables_of_the_package(path):
     executables = {file.name for file in (REPOSITORY / 'resource' / 'executables').iterdir()}
     nodes = [item for item in described(path) if item.kind == 'Node']
     nodes = [node for node in nodes if node.named['package'] == 'landmark_nav']

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import json
 from pathlib import Path
 from typing import Any
@@ -31,20 +30,20 @@ RVIZ = {
 FOXGLOVE_3D = {'visualization_msgs/msg/MarkerArray', 'nav_msgs/msg/Path'}
 
 
-def rviz() -> dict[str, Any]:
+def rviz():
     text = (CONFIG / 'rviz' / 'landmark_nav.rviz').read_text(encoding='utf-8')
     return dict(yaml.safe_load(text)['Visualization Manager'])
 
 
-def foxglove() -> dict[str, Any]:
+def foxglove():
     return dict(json.loads((CONFIG / 'foxglove' / 'landmark_nav.json').read_text('utf-8')))
 
 
-def plotjuggler() -> ElementTree.Element:
+def plotjuggler():
     return ElementTree.parse(CONFIG / 'plotjuggler' / 'landmark_nav.xml').getroot()
 
 
-def rviz_topics() -> Iterator[tuple[str, str]]:
+def rviz_topics():
     """Class and topic of each display and tool that has one."""
     layout = rviz()
     for item in [*layout['Displays'], *layout['Tools']]:
@@ -52,7 +51,7 @@ def rviz_topics() -> Iterator[tuple[str, str]]:
             yield item['Class'].partition('/')[2], item['Topic']['Value']
 
 
-def foxglove_topics() -> Iterator[tuple[str, str, str]]:
+def foxglove_topics():
     """Panel, topic and field of all that is shown."""
     for panel, config in foxglove()['configById'].items():
         kind = panel.partition('!')[0]
@@ -66,19 +65,19 @@ def foxglove_topics() -> Iterator[tuple[str, str, str]]:
             yield kind, config['topicToRender'], ''
 
 
-def curves() -> Iterator[str]:
+def curves():
     for curve in plotjuggler().iter('curve'):
         yield from (curve.attrib[key] for key in ('curve_x', 'curve_y') if key in curve.attrib)
         if 'curve_x' not in curve.attrib:
             yield curve.attrib['name']
 
 
-def known(topic: str) -> str:
+def known(topic):
     """Type of an absolute topic."""
     return TYPES[topic] if topic in TYPES else TYPES[topic.removeprefix('/')]
 
 
-def is_number(type_name: str, fields: list[str]) -> bool:
+def is_number(type_name, fields):
     """Whether the fields lead to a number in a message."""
     for number, field in enumerate(fields):
         description: Any = dict(default_typestore().fielddefs[type_name][1])[field]
@@ -90,7 +89,7 @@ def is_number(type_name: str, fields: list[str]) -> bool:
     return False
 
 
-def test_rviz_shows_topics_of_the_types_that_its_displays_take() -> None:
+def test_rviz_shows_topics_of_the_types_that_its_displays_take():
     shown = list(rviz_topics())
     assert {kind for kind, _ in shown} == set(RVIZ)
     for kind, topic in shown:
@@ -98,7 +97,7 @@ def test_rviz_shows_topics_of_the_types_that_its_displays_take() -> None:
         assert TOPIC_TYPES[topic] == RVIZ[kind]
 
 
-def test_rviz_shows_the_namespaces_that_the_markers_have() -> None:
+def test_rviz_shows_the_namespaces_that_the_markers_have():
     triplet = Triplet(0, MAP.ids[:3], *(MAP.positions[:3, 0],) * 2, POSE.covariance, 0.0)
     factory = rosbag_factory()
     made = {
@@ -115,7 +114,7 @@ def test_rviz_shows_the_namespaces_that_the_markers_have() -> None:
     assert shown == names
 
 
-def test_foxglove_shows_topics_of_the_types_that_its_panels_take() -> None:
+def test_foxglove_shows_topics_of_the_types_that_its_panels_take():
     shown = list(foxglove_topics())
     kinds = {kind for kind, *_ in shown}
     assert kinds == {'3D', 'Image', 'Plot', 'DiagnosticSummary'}
@@ -132,7 +131,7 @@ def test_foxglove_shows_topics_of_the_types_that_its_panels_take() -> None:
 
 
 @pytest.mark.parametrize('curve', list(curves()))
-def test_plotjuggler_draws_numbers_of_the_topics(curve: str) -> None:
+def test_plotjuggler_draws_numbers_of_the_topics(curve):
     topic = max((t for t in TYPES if curve.startswith(f'/{t}/')), key=len)
     fields = curve.removeprefix(f'/{topic}/').split('/')
     if topic == 'joint_states':
@@ -142,7 +141,7 @@ def test_plotjuggler_draws_numbers_of_the_topics(curve: str) -> None:
         assert is_number(TYPES[topic], fields)
 
 
-def test_the_demo_records_all_that_is_shown() -> None:
+def test_the_demo_records_all_that_is_shown():
     shown = {topic for kind, topic in rviz_topics() if kind != 'SetInitialPose'}
     shown |= {topic.removeprefix('/') for _, topic, _ in foxglove_topics()}
     shown |= {max((t for t in TYPES if c.startswith(f'/{t}/')), key=len) for c in curves()}

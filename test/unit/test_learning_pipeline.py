@@ -23,11 +23,11 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.geometry.walls import Paper
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
-from landmark_nav.types import FloatArray, Landmark, Panorama, PoseEstimate, Refusal, Sweep
+from landmark_nav.types import Landmark, Panorama, PoseEstimate, Refusal, Sweep
 
 CAMERA = CameraModel(
     300, 220, 250.0, 250.0, 150.0, 110.0, distortion=(-0.18, 0.05, 0.001, -0.001, 0.0)
@@ -43,7 +43,7 @@ PAPERS = (
 ROOM = rectangle_room(5.0, 4.2, PAPERS)
 
 
-def scene_of(room: Room) -> Scene:
+def scene_of(room):
     """Textured walls; the papers hang on a plain grey strip of their wall."""
     textured = textured_room(rectangle_room(5.0, 4.2), seed=4, feature_m=0.045)
     strip = Board(
@@ -55,34 +55,34 @@ def scene_of(room: Room) -> Scene:
 SCENE = scene_of(ROOM)
 
 
-def sweep_at(pose: FloatArray, mount: PanTiltMount = MOUNT, known: bool = False) -> Sweep:
+def sweep_at(pose, mount=MOUNT, known=False):
     place = PoseEstimate(0, pose, np.diag([0.01, 0.01, 0.004]) ** 2) if known else None
     return replace(_drawn(tuple(pose), mount), pose_map_base=place)
 
 
 @cache
-def _drawn(pose: tuple[float, ...], mount: PanTiltMount) -> Sweep:
+def _drawn(pose, mount):
     rng = np.random.default_rng(0)
     return draw_sweep(SCENE, CAMERA, mount, np.array(pose), TURN, rng=rng)
 
 
-def axis_of(pose: FloatArray) -> FloatArray:
+def axis_of(pose):
     """Viewpoint (3,) of a panorama taken by the base at `pose`."""
     x, y, _ = MOUNT.axis_pose_map(pose)
     return np.array([x, y, MOUNT.axis_xyz[2]])
 
 
 @pytest.fixture(scope='module')
-def panoramas() -> list[Panorama]:
+def panoramas():
     return [panorama_from_sweep(sweep_at(pose), ROOM, MOUNT, PanoramaStages()) for pose in POSES]
 
 
 @pytest.fixture(scope='module')
-def learned(panoramas: list[Panorama]) -> LearningResult:
+def learned(panoramas):
     return learn_from_panoramas(panoramas, ROOM, LearningConfig())
 
 
-def test_panoramas_know_where_they_were_taken(panoramas: list[Panorama]) -> None:
+def test_panoramas_know_where_they_were_taken(panoramas):
     for panorama, pose in zip(panoramas, POSES, strict=True):
         error = np.append(
             panorama.center_map - axis_of(pose), wrap_rad(panorama.heading_rad - pose[2])
@@ -92,7 +92,7 @@ def test_panoramas_know_where_they_were_taken(panoramas: list[Panorama]) -> None
         assert np.abs(error / np.sqrt(np.diag(panorama.covariance))).max() < 3.5
 
 
-def test_a_room_is_learned_from_two_sweeps(learned: LearningResult) -> None:
+def test_a_room_is_learned_from_two_sweeps(learned):
     landmarks = learned.map.landmarks
     assert len(landmarks) >= 20
     assert len({k.wall_id for k in landmarks}) >= 3
@@ -101,7 +101,7 @@ def test_a_room_is_learned_from_two_sweeps(learned: LearningResult) -> None:
     assert learned.reconstructed >= len(landmarks)
 
 
-def test_every_candidate_has_its_outcome(learned: LearningResult) -> None:
+def test_every_candidate_has_its_outcome(learned):
     for candidates, outcomes in zip(learned.candidates, learned.outcomes, strict=True):
         assert len(candidates) == len(outcomes)
     flat = [o for outcomes in learned.outcomes for o in outcomes]
@@ -111,7 +111,7 @@ def test_every_candidate_has_its_outcome(learned: LearningResult) -> None:
     assert all(isinstance(o, Landmark) or o.reason not in ('', 'not reached') for o in flat)
 
 
-def errors_of(learned: LearningResult) -> tuple[FloatArray, FloatArray]:
+def errors_of(learned):
     """Errors (n, 3) of landmarks, and covariances: what is truly seen at their candidates."""
     errors, covariances = [], []
     for view, (candidates, outcomes) in enumerate(
@@ -130,7 +130,7 @@ def errors_of(learned: LearningResult) -> tuple[FloatArray, FloatArray]:
     return np.array(errors), np.array(covariances)
 
 
-def test_landmarks_are_where_they_are(learned: LearningResult) -> None:
+def test_landmarks_are_where_they_are(learned):
     errors, covariances = errors_of(learned)
     assert np.linalg.norm(errors, axis=1).max() < 0.04
     assert np.sqrt(np.mean(errors[:, :2] ** 2)) < 0.012
@@ -140,7 +140,7 @@ def test_landmarks_are_where_they_are(learned: LearningResult) -> None:
     assert nees.max() / 3.0 < 8.0
 
 
-def test_learning_again_gives_the_same(panoramas: list[Panorama], learned: LearningResult) -> None:
+def test_learning_again_gives_the_same(panoramas, learned):
     log = StageLog()
     again = learn_from_panoramas(panoramas, ROOM, LearningConfig(), log)
     np.testing.assert_array_equal(again.map.positions, learned.map.positions)
@@ -149,7 +149,7 @@ def test_learning_again_gives_the_same(panoramas: list[Panorama], learned: Learn
     assert all(m > 0.0 for m in log.peak_memory_mb.values())
 
 
-def test_a_place_known_from_elsewhere_needs_no_papers() -> None:
+def test_a_place_known_from_elsewhere_needs_no_papers():
     bare = replace(ROOM, papers=())
     panorama = panorama_from_sweep(sweep_at(POSES[0], known=True), bare, MOUNT, PanoramaStages())
     np.testing.assert_allclose(panorama.center_map, axis_of(POSES[0]))
@@ -160,7 +160,7 @@ def test_a_place_known_from_elsewhere_needs_no_papers() -> None:
     np.testing.assert_allclose(panorama.covariance[:2, 3], cross, rtol=1e-3)
 
 
-def test_a_place_that_papers_contradict_is_refused() -> None:
+def test_a_place_that_papers_contradict_is_refused():
     away = replace(
         sweep_at(POSES[0]),
         pose_map_base=PoseEstimate(
@@ -179,9 +179,7 @@ def test_a_place_that_papers_contradict_is_refused() -> None:
 @pytest.mark.parametrize(
     ('rise_m', 'lean_deg'), [(0.04, (0.0, 0.0)), (-0.015, (0.4, 0.0)), (0.1, (-1.0, 2.5))]
 )
-def test_height_and_tilt_by_the_papers_are_used(
-    rise_m: float, lean_deg: tuple[float, float]
-) -> None:
+def test_height_and_tilt_by_the_papers_are_used(rise_m, lean_deg):
     """Panoramas are taken where they are, and say what the mount is, whatever was given."""
     x, y, z = MOUNT.axis_xyz
     true = replace(
@@ -202,9 +200,7 @@ def test_height_and_tilt_by_the_papers_are_used(
 
 
 @pytest.mark.parametrize('off', [{'rise_m': 0.5}, {'rise_m': 0.06, 'sigma': 0.0}])
-def test_a_mount_that_is_implausible_or_contradicts_its_sigma_is_refused(
-    off: dict[str, float],
-) -> None:
+def test_a_mount_that_is_implausible_or_contradicts_its_sigma_is_refused(off):
     x, y, z = MOUNT.axis_xyz
     true = replace(MOUNT, axis_xyz=(x, y, z + off['rise_m']))
     known = Calibration.of_mount(MOUNT)
@@ -217,7 +213,7 @@ def test_a_mount_that_is_implausible_or_contradicts_its_sigma_is_refused(
         assert 'exact' in str(caught.value)
 
 
-def test_an_optical_centre_off_the_axis_is_undone() -> None:
+def test_an_optical_centre_off_the_axis_is_undone():
     mount = replace(MOUNT, optical_center_offset=(0.06, 0.0, 0.0))
     panorama = panorama_from_sweep(sweep_at(POSES[0], mount), ROOM, mount, PanoramaStages())
     error = panorama.center_map - axis_of(POSES[0])
@@ -233,20 +229,18 @@ def test_an_optical_centre_off_the_axis_is_undone() -> None:
     assert height > 60
 
 
-def test_a_sweep_without_frames_is_refused() -> None:
+def test_a_sweep_without_frames_is_refused():
     with pytest.raises(LandmarkNavError, match='no frames: take it again'):
         panorama_from_sweep(Sweep(0, ()), ROOM, MOUNT, PanoramaStages())
 
 
-def test_one_panorama_is_not_enough(panoramas: list[Panorama]) -> None:
+def test_one_panorama_is_not_enough(panoramas):
     with pytest.raises(LandmarkNavError, match=r'needs two panoramas .* not 1: take'):
         learn_from_panoramas(panoramas[:1], ROOM, LearningConfig())
 
 
-def test_a_room_given_too_long_is_learned_right_and_reported(
-    panoramas: list[Panorama], learned: LearningResult, caplog: pytest.LogCaptureFixture
-) -> None:
-    def farther(point: tuple[float, float]) -> tuple[float, float]:
+def test_a_room_given_too_long_is_learned_right_and_reported(panoramas, learned, caplog):
+    def farther(point):
         return point[0] - 0.04 * (point[0] == 0.0), point[1]
 
     walls = tuple(replace(w, start=farther(w.start), end=farther(w.end)) for w in ROOM.walls)
@@ -262,12 +256,12 @@ def test_a_room_given_too_long_is_learned_right_and_reported(
     assert abs(np.median(west)) < 0.01
 
 
-def test_twice_the_same_place_is_not_enough(panoramas: list[Panorama]) -> None:
+def test_twice_the_same_place_is_not_enough(panoramas):
     with pytest.raises(LandmarkNavError, match='all 2 panoramas are from one place'):
         learn_from_panoramas([panoramas[0]] * 2, ROOM, LearningConfig())
 
 
-def test_bare_walls_cannot_be_learned() -> None:
+def test_bare_walls_cannot_be_learned():
     bare = Scene(tuple(wall_board(wall, flat_texture(GREY)) for wall in ROOM.walls))
     rng = np.random.default_rng(1)
     views = [draw_panorama(bare, axis_of(pose), pose[2], rng=rng) for pose in POSES]

@@ -35,7 +35,6 @@ from landmark_nav.types import (
     CameraFrame,
     Detections,
     FloatArray,
-    ImageArray,
     PoseEstimate,
     Refusal,
     Triplet,
@@ -44,7 +43,7 @@ from landmark_nav.types import (
 EXACT = Calibration.exact(MOUNT)
 
 
-def observer(config: LookingConfig | None = None) -> Observer:
+def observer(config=None):
     return Observer(MAP, EXACT, config or LookingConfig(), EstimatorConfig())
 
 
@@ -58,7 +57,7 @@ class Run:
     fixes: list[tuple[PoseEstimate, FloatArray]]
 
 
-def localize(seed: int = 1, seconds: float = 9.0) -> Run:
+def localize(seed=1, seconds=9.0):
     """Drive with the camera turned to the triplet that is best after each image."""
     rng = np.random.default_rng(seed)
     localizer = Localizer(MAP, EXACT, LocalizationConfig())
@@ -85,11 +84,11 @@ def localize(seed: int = 1, seconds: float = 9.0) -> Run:
 
 
 @pytest.fixture(scope='module')
-def run() -> Run:
+def run():
     return localize()
 
 
-def test_a_drive_is_followed(run: Run) -> None:
+def test_a_drive_is_followed(run):
     later = run.errors[3:]
     assert np.sqrt(np.mean(np.sum(later[:, :2] ** 2, 1))) < 0.018
     assert np.sqrt(np.mean(later[:, 2] ** 2)) < np.radians(0.35)
@@ -100,7 +99,7 @@ def test_a_drive_is_followed(run: Run) -> None:
     assert np.mean(counts[1:]) >= 3.0
 
 
-def test_fixes_err_as_their_covariances_say(run: Run) -> None:
+def test_fixes_err_as_their_covariances_say(run):
     assert len(run.fixes) > 10
     errors = np.array([error_of(fix, pose) for fix, pose in run.fixes])
     sigma = np.array([np.sqrt(np.diag(fix.covariance)) for fix, _ in run.fixes])
@@ -108,7 +107,7 @@ def test_fixes_err_as_their_covariances_say(run: Run) -> None:
     assert np.mean((errors / sigma) ** 2) < 2.5
 
 
-def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
+def test_without_a_start_the_place_is_found_from_what_is_seen():
     rng = np.random.default_rng(4)
     localizer = Localizer(MAP, EXACT, LocalizationConfig())
     assert localizer.estimate() is None
@@ -138,13 +137,13 @@ def test_without_a_start_the_place_is_found_from_what_is_seen() -> None:
 DRIVE = Path(__file__).resolve().parents[2] / 'bags' / 'drive'
 
 
-def expected(u: float, v: float) -> Expectation:
+def expected(u, v):
     """A template of 31 x 21 pixels, searched 12 and 8 around."""
     left, top = round(u) - 15, round(v) - 10
     return Expectation(np.array([u, v]), left, top, left + 30, top + 20, (12, 8), np.eye(3))
 
 
-def observation(found: dict[int, tuple[float, float]], refused: dict[int, str]) -> Observation:
+def observation(found, refused):
     """Landmarks found so far off where they were expected, and others refused, side by side."""
     ids = [*found, *refused]
     places = {number: expected(60.0 + 90.0 * k, 120.0) for k, number in enumerate(ids)}
@@ -163,7 +162,7 @@ def observation(found: dict[int, tuple[float, float]], refused: dict[int, str]) 
 
 
 @pytest.fixture(scope='module')
-def frame() -> ImageArray:
+def frame():
     """A real one, grey."""
     bag = Bag(DRIVE)
     topic = bag.find('camera/image_raw/compressed')
@@ -175,12 +174,12 @@ def frame() -> ImageArray:
     return image
 
 
-def colored(drawn: ImageArray) -> np.ndarray:
+def colored(drawn):
     """Pixels that are not grey."""
     return np.ptp(drawn.astype(int), axis=2) > 40
 
 
-def test_what_is_drawn_lies_where_it_was_searched(frame: ImageArray) -> None:
+def test_what_is_drawn_lies_where_it_was_searched(frame):
     seen = observation({4: (3.0, -2.0), 7: (0.0, 0.0)}, {9: 'low correlation'})
     drawn = draw_observation(frame, seen, [7])
     scale = drawn.shape[1] // frame.shape[1]

@@ -1,7 +1,5 @@
 """A robot that is lost turns its camera all around, within the joint limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -19,9 +17,7 @@ FOV = np.radians(50.0)
 
 @pytest.mark.parametrize('limits', [FULL, (-2.0, 0.5), (0.0, 1.0), (-6.0, 6.0)])
 @pytest.mark.parametrize('pan', [-1.5, 0.0, 0.4, 3.0])
-def test_the_views_show_all_that_the_joint_reaches_once(
-    limits: tuple[float, float], pan: float
-) -> None:
+def test_the_views_show_all_that_the_joint_reaches_once(limits, pan):
     views = np.array(views_around(limits, FOV, pan))
     assert views.min() >= limits[0]
     assert views.max() <= limits[1]
@@ -34,7 +30,7 @@ def test_the_views_show_all_that_the_joint_reaches_once(
     assert np.count_nonzero(np.abs(np.diff(views)) > 1.01 * FOV) <= 1
 
 
-def run(around: LookAround, seconds: float, limit_rad: float = 10.0) -> list[float]:
+def run(around, seconds, limit_rad=10.0):
     """Targets, in order, of a joint that follows at 2 rad/s and stops at a limit."""
     pan, targets = 0.0, list[float]()
     for tick in range(round(seconds / 0.1)):
@@ -47,7 +43,7 @@ def run(around: LookAround, seconds: float, limit_rad: float = 10.0) -> list[flo
     return targets
 
 
-def test_it_waits_then_goes_round_and_round() -> None:
+def test_it_waits_then_goes_round_and_round():
     around = LookAround(LookAroundConfig(after_s=1.0), FULL)
     assert run(around, 0.9) == []
     around.end()
@@ -56,7 +52,7 @@ def test_it_waits_then_goes_round_and_round() -> None:
     assert len(run(LookAround(LookAroundConfig(after_s=0.0), FULL), 30.0)) > 20
 
 
-def test_it_goes_on_where_the_joint_is_stuck() -> None:
+def test_it_goes_on_where_the_joint_is_stuck():
     stuck = run(LookAround(LookAroundConfig(after_s=0.0), FULL), 40.0, limit_rad=1.0)
     assert min(stuck) < -1.0
     assert max(stuck) > 1.0
@@ -66,6 +62,6 @@ def test_it_goes_on_where_the_joint_is_stuck() -> None:
     ('sigma', 'known'),
     [((0.1, 0.1, 0.1), True), ((0.4, 0.4, 0.1), False), ((0.1, 0.1, 0.6), False)],
 )
-def test_what_counts_as_known(sigma: tuple[float, float, float], known: bool) -> None:
+def test_what_counts_as_known(sigma, known):
     pose = PoseEstimate(0, np.zeros(3), np.diag(np.square(sigma)))
     assert is_known(pose) is known

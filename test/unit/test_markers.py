@@ -28,7 +28,7 @@ MAP = LandmarkMap(
 )
 
 
-def drawn(message: Any) -> dict[str, list[Any]]:
+def drawn(message):
     """Markers by namespace, after a trip through a bag; those before are cleared first."""
     first, *rest = over_the_wire(message).markers
     assert first.action != ADD
@@ -42,12 +42,12 @@ def drawn(message: Any) -> dict[str, list[Any]]:
     return found
 
 
-def points(markers: list[Any]) -> Any:
+def points(markers):
     (marker,) = markers
     return np.array([(p.x, p.y, p.z) for p in marker.points])
 
 
-def view(ids: list[int], bearings: Any, triplet: Triplet | None) -> dict[str, list[Any]]:
+def view(ids, bearings, triplet):
     count = len(ids)
     found = Detections(
         POSE.stamp_ns,
@@ -62,7 +62,7 @@ def view(ids: list[int], bearings: Any, triplet: Triplet | None) -> dict[str, li
     )
 
 
-def test_the_triplet_is_joined_to_the_axis_and_the_view_is_as_wide_as_the_cameras() -> None:
+def test_the_triplet_is_joined_to_the_axis_and_the_view_is_as_wide_as_the_cameras():
     triplet = Triplet(0, np.array([12, 10, 99]), np.zeros(3), np.zeros(3), np.eye(3), 0.0)
     found = view([], [], triplet)
     np.testing.assert_allclose(points(found['triplet'])[1::2], POSITIONS[[2, 0]])
@@ -73,7 +73,7 @@ def test_the_triplet_is_joined_to_the_axis_and_the_view_is_as_wide_as_the_camera
     assert azimuths.mean() == pytest.approx(0.4 + 0.3 + 0.2)
 
 
-def test_ellipses_are_three_sigma_and_the_protection_level() -> None:
+def test_ellipses_are_three_sigma_and_the_protection_level():
     turned = np.array([[0.05, 0.02, 0.0], [0.02, 0.03, 0.0], [0.0, 0.0, 1e-4]])
     estimate = PoseEstimate(0, POSE.pose, turned)
     level = PoseEstimate(0, POSE.pose, 16.0 * turned)
@@ -85,7 +85,7 @@ def test_ellipses_are_three_sigma_and_the_protection_level() -> None:
     assert 'protection_level' not in drawn(encode.pose_markers(FACTORY, estimate))
 
 
-def test_a_map_shows_each_landmark_its_normal_its_number_and_the_sweeps() -> None:
+def test_a_map_shows_each_landmark_its_normal_its_number_and_the_sweeps():
     found = drawn(encode.landmark_markers(FACTORY, MAP, 7))
     normals = points(found['normals']).reshape(-1, 2, 3)
     np.testing.assert_allclose(normals[:, 0], POSITIONS)

@@ -1,7 +1,5 @@
 """Messages with invalid fields or values are refused when they are decoded."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Results of the stages survive encoding and decoding, or are refused by name."""
 
-from __future__ import annotations
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp

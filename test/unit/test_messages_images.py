@@ -1,7 +1,5 @@
 """Images and cameras survive encoding and decoding, or are refused by name."""
 
-from __future__ import annotations
-
 import logging
 import struct
 import tracemalloc

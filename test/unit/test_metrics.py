@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from bare_landmarks import bare_landmark
-from drawn_drives import Drive, driven, NS, simulated
+from drawn_drives import driven, NS, simulated
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -26,7 +26,7 @@ from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
 SECOND = 1_000_000_000
 
@@ -198,7 +198,7 @@ def test_bound_knows_what_landmarks_share_and_is_unknown_without_truth():
         assert np.isnan(bound).all()
 
 
-def line(drive: Drive, lost_at: int = -1) -> tuple[FloatArray, FloatArray]:
+def line(drive, lost_at=-1):
     """Errors (n, 3) of the smoothed poses, and their squares (n,) over the covariance."""
     odometry = OdometryNoiseConfig()
     track, stamp, pose = OdometryTrack(odometry), 0, np.zeros(3)
@@ -222,19 +222,19 @@ def line(drive: Drive, lost_at: int = -1) -> tuple[FloatArray, FloatArray]:
     return off, np.array(squares)
 
 
-def test_what_comes_later_shows_what_was_before() -> None:
+def test_what_comes_later_shows_what_was_before():
     drives = [simulated(seed, seconds=12.0) for seed in range(4)]
     smoothed, squares = map(np.concatenate, zip(*map(line, drives), strict=True))
     filtered = np.concatenate([driven(drive).errors for drive in drives])
 
-    def rms(errors: FloatArray) -> float:
+    def rms(errors):
         return float(np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))))
 
     assert rms(smoothed) < 0.9 * rms(filtered)
     assert 1.0 < squares.mean() < 5.0
 
 
-def test_the_mount_found_at_the_end_corrects_the_beginning() -> None:
+def test_the_mount_found_at_the_end_corrects_the_beginning():
     prior = Calibration.of_mount(simulated(0, seconds=1.0).prior.mount)
     drive = simulated(7, prior, prior.with_values(center_x=0.03, axis_pitch=0.014), seconds=16.0)
     smoothed, squares = line(drive)
@@ -242,7 +242,7 @@ def test_the_mount_found_at_the_end_corrects_the_beginning() -> None:
     assert squares.mean() < 9.0
 
 
-def test_a_robot_that_was_carried_off_is_found() -> None:
+def test_a_robot_that_was_carried_off_is_found():
     drive = simulated(3, seconds=16.0)
     images = [k for k, event in enumerate(drive.events) if isinstance(event, ImagePoints)]
     # It is taken from one place to another, with the wheels at rest.
@@ -260,7 +260,7 @@ def test_a_robot_that_was_carried_off_is_found() -> None:
 
 
 @pytest.mark.parametrize('count', [0, 1])
-def test_few_images_are_enough(count: int) -> None:
+def test_few_images_are_enough(count):
     drive = simulated(1, seconds=2.0)
     images = [event for event in drive.events if isinstance(event, ImagePoints)][:count]
     joint = JointFilter(drive.landmark_map, drive.prior, drive.start)

@@ -1,10 +1,5 @@
 """The calibration of a robot: type, file, what was observed."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 import yaml
@@ -20,13 +15,13 @@ MOUNT = PanTiltMount((0.1, 0.02, 1.2), (0.01, -0.02, 0.3), (0.03, -0.01, 0.02), 
 ROBOT = {'pan_axis': {'xyz': [0.1, 0.02, 1.2]}}
 
 
-def written(path: Path, document: object) -> Path:
+def written(path, document):
     file = path / 'robot.yaml'
     file.write_text(yaml.safe_dump(document), encoding='utf-8')
     return file
 
 
-def test_a_file_without_sigmas_stays_valid(tmp_path: Path) -> None:
+def test_a_file_without_sigmas_stays_valid(tmp_path):
     found = load_calibration(written(tmp_path, ROBOT))
     assert found.mount.axis_xyz == (0.1, 0.02, 1.2)
     assert found['axis_x'] == (0.1, 0.02)
@@ -38,13 +33,13 @@ def test_a_file_without_sigmas_stays_valid(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     'odometry', [3, {'along': 0.1}, {'max_gap_s': 'x'}, {'along_m_per_sqrt_m': -1}]
 )
-def test_noise_that_cannot_be_is_named(tmp_path: Path, odometry: Any) -> None:
+def test_noise_that_cannot_be_is_named(tmp_path, odometry):
     path = written(tmp_path, {'pan_axis': {'xyz': [0, 0, 1]}, 'odometry': odometry})
     with pytest.raises(LandmarkNavError, match=rf'{path.name}: odometry'):
         load_odometry(path, OdometryNoiseConfig())
 
 
-def test_survives_its_file(tmp_path: Path) -> None:
+def test_survives_its_file(tmp_path):
     rng = np.random.default_rng(0)
     spread = np.diag(rng.uniform(1e-8, 1e-4, len(NAMES)))
     before = Calibration(
@@ -79,9 +74,7 @@ def test_survives_its_file(tmp_path: Path) -> None:
         ({'focal_scale_sigmas': 0.1}, 'focal_scale_sigma'),
     ],
 )
-def test_states_which_field_is_wrong(
-    tmp_path: Path, changes: dict[str, object], reported: str
-) -> None:
+def test_states_which_field_is_wrong(tmp_path, changes, reported):
     file = written(tmp_path, {**ROBOT, **changes})
     with pytest.raises(LandmarkNavError, match=reported) as caught:
         load_calibration(file)
@@ -90,7 +83,7 @@ def test_states_which_field_is_wrong(
 
 
 @pytest.mark.parametrize('degraded', [np.nan, np.inf])
-def test_takes_numbers_only(degraded: float) -> None:
+def test_takes_numbers_only(degraded):
     good = Calibration.of_mount(MOUNT)
     with pytest.raises(LandmarkNavError):
         Calibration(np.full(len(NAMES), degraded), good.covariance, MOUNT)
@@ -98,7 +91,7 @@ def test_takes_numbers_only(degraded: float) -> None:
         Calibration(good.values, -good.covariance, MOUNT)
 
 
-def test_what_errs_together_survives_its_file(tmp_path: Path) -> None:
+def test_what_errs_together_survives_its_file(tmp_path):
     rng = np.random.default_rng(1)
     root = 1e-3 * rng.normal(size=(len(NAMES), 4))
     before = Calibration(Calibration.of_mount(MOUNT).values, root @ root.T, MOUNT)
@@ -125,14 +118,14 @@ def test_what_errs_together_survives_its_file(tmp_path: Path) -> None:
         ],
     ],
 )
-def test_correlations_that_are_none_are_refused(entries: object, tmp_path: Path) -> None:
+def test_correlations_that_are_none_are_refused(entries, tmp_path):
     file = written(tmp_path, {**ROBOT, 'correlations': entries})
     with pytest.raises(LandmarkNavError) as error:
         load_calibration(file)
     assert len(str(error.value).replace(str(tmp_path), '')) < 200
 
 
-def test_a_measurement_is_weighed_against_what_is_known() -> None:
+def test_a_measurement_is_weighed_against_what_is_known():
     prior = Calibration.of_mount(MOUNT, {'axis_yaw': 0.02})
     found = prior.measured('axis_yaw', MOUNT.axis_rpy[2] + 0.01, 0.02)
     assert found['axis_yaw'] == pytest.approx((MOUNT.axis_rpy[2] + 0.005, 0.02 / np.sqrt(2.0)))
@@ -140,7 +133,7 @@ def test_a_measurement_is_weighed_against_what_is_known() -> None:
     np.testing.assert_array_equal(found.values[others], prior.values[others])
 
 
-def test_a_sum_moves_its_parts_and_their_difference_stays_unknown() -> None:
+def test_a_sum_moves_its_parts_and_their_difference_stays_unknown():
     prior = Calibration.of_mount(MOUNT)
     row = np.isin(NAMES, ('axis_z', 'center_z')).astype(float)
     total = float(row @ prior.values) + 0.03
@@ -150,7 +143,7 @@ def test_a_sum_moves_its_parts_and_their_difference_stays_unknown() -> None:
     assert found['axis_z'][1] > 0.01
 
 
-def test_what_contradicts_the_given_sigma_counts_by_itself() -> None:
+def test_what_contradicts_the_given_sigma_counts_by_itself():
     prior = Calibration.of_mount(MOUNT, {'axis_yaw': 0.001})
     found = prior.measured('axis_yaw', MOUNT.axis_rpy[2] + 0.1, 0.002)
     assert found['axis_yaw'][0] == pytest.approx(MOUNT.axis_rpy[2] + 0.1, abs=1e-3)
@@ -158,7 +151,7 @@ def test_what_contradicts_the_given_sigma_counts_by_itself() -> None:
     assert 'axis_yaw' in found.surprises(prior)
 
 
-def test_what_is_exact_stays_or_is_contradicted() -> None:
+def test_what_is_exact_stays_or_is_contradicted():
     prior = Calibration.of_mount(MOUNT, {'axis_yaw': 0.0})
     near = prior.measured('axis_yaw', MOUNT.axis_rpy[2] + 0.001, 0.001)
     assert near['axis_yaw'] == (MOUNT.axis_rpy[2], 0.0)

@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import gzip
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,14 +37,14 @@ FILES = {
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     for name, text in FILES.items():
         (tmp_path / f'{name}.dat').write_text(text)
     return tmp_path
 
 
 @pytest.mark.parametrize('packed', [False, True])
-def test_a_log_is_read_plain_and_packed(folder: Path, packed: bool) -> None:
+def test_a_log_is_read_plain_and_packed(folder, packed):
     if packed:
         for name, text in FILES.items():
             (folder / f'{name}.dat').unlink()
@@ -79,9 +76,7 @@ def test_a_log_is_read_plain_and_packed(folder: Path, packed: bool) -> None:
         ('Robot2_Measurement.dat', b'1248444175.2 5 3.0 0.1\n', 'no landmark was seen'),
     ],
 )
-def test_bad_files_are_named(
-    folder: Path, name: str, content: bytes | None, complaint: str
-) -> None:
+def test_bad_files_are_named(folder, name, content, complaint):
     (folder / name).unlink()
     if content is not None:
         (folder / name).write_bytes(content)
@@ -111,7 +106,7 @@ odometry: {slip_m_per_rad: 0.005}
 
 
 @pytest.fixture(scope='module')
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     """Two minutes of a robot that wanders and does 5 % less than commanded, 0.2 s later."""
     folder = tmp_path_factory.mktemp('mrclam')
     rng = np.random.default_rng(1)
@@ -151,13 +146,13 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope='module')
-def converted(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def converted(log, tmp_path_factory):
     bag = tmp_path_factory.mktemp('out') / 'run'
     assert main(['convert', 'mrclam', str(log), '--robot', '1', '--out', str(bag)]) == 0
     return bag
 
 
-def test_what_a_bag_of_it_holds(converted: Path, log: Path) -> None:
+def test_what_a_bag_of_it_holds(converted, log):
     bag = Bag(converted)
     assert set(bag.types) == {'/detections', '/odom', '/ground_truth/odom'}
     detections = [decode.detections(m.message) for m in bag.messages(['/detections'])]
@@ -172,9 +167,7 @@ def test_what_a_bag_of_it_holds(converted: Path, log: Path) -> None:
     np.testing.assert_allclose(start, [0.5, -0.4, 0.3], atol=0.05)
 
 
-def test_evaluated_smoothed_and_exported(
-    converted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_evaluated_smoothed_and_exported(converted, tmp_path, capsys):
     start = json.loads(converted.with_name('run_start.json').read_text())['pose']
     config = tmp_path / 'config.yaml'
     config.write_text('/**: {ros__parameters: {estimator: {learning_sigma: 0.0}}}\n')
@@ -202,9 +195,7 @@ def test_evaluated_smoothed_and_exported(
     assert rmse == pytest.approx(report['smoothed']['position_rmse_m'], abs=1e-9)
 
 
-def test_points_without_an_image_cross_all_borders(
-    converted: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_points_without_an_image_cross_all_borders(converted, capsys):
     """They are kept and sent like other landmarks, but no camera is to look for a texture."""
     assert main(['map', 'diff', f'{converted}_map', f'{converted}_map']) == 0
     assert 'no landmark moved or changed' in capsys.readouterr().out

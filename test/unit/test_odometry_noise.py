@@ -1,12 +1,9 @@
-from __future__ import annotations
-
 from dataclasses import replace
 import pickle
 
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
@@ -28,13 +25,13 @@ CONFIG = OdometryNoiseConfig()
 SPEED, RATE = 0.4, 0.9
 
 
-def sample(seconds: float, pose: npt.ArrayLike | None = None) -> OdometrySample:
+def sample(seconds, pose=None):
     """Of a robot on a circle."""
     where = twist_motion(SPEED, RATE, seconds) if pose is None else pose
     return OdometrySample(round(seconds * 1e9), np.asarray(where, dtype=float), SPEED, RATE)
 
 
-def circle_track(until: float = 1.0) -> OdometryTrack:
+def circle_track(until=1.0):
     track = OdometryTrack(CONFIG)
     for k in range(round(until / 0.05) + 1):
         assert track.add(sample(0.05 * k)) is None
@@ -42,13 +39,13 @@ def circle_track(until: float = 1.0) -> OdometryTrack:
 
 
 @given(st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.floats(0.0, 1.0))
-def test_fraction_of_an_arc_is_the_shorter_arc(speed: float, rate: float, share: float) -> None:
+def test_fraction_of_an_arc_is_the_shorter_arc(speed, rate, share):
     whole = twist_motion(speed, rate, 1.0)
     part = fraction_of_motion(whole, share)
     np.testing.assert_allclose(part, twist_motion(speed, rate, share), atol=1e-9)
 
 
-def test_variances_add_up_over_parts() -> None:
+def test_variances_add_up_over_parts():
     straight = Motion(np.array([1.0, 0.0, 0.3]), 2.0, 0.5)
     part = Motion(straight.increment / 4.0, 0.5, 0.125)
     np.testing.assert_allclose(
@@ -58,7 +55,7 @@ def test_variances_add_up_over_parts() -> None:
 
 
 @given(st.floats(-1.0, -0.01), st.floats(0.01, 3.0))
-def test_wheels_slip_aside_in_turns_only(forward: float, turn: float) -> None:
+def test_wheels_slip_aside_in_turns_only(forward, turn):
     variance = slip_variance(Motion(np.array([forward, 0.0, turn]), 1.0), CONFIG)
     assert 0.0 <= variance <= 1.0
     assert slip_variance(Motion(np.array([forward, 0.0, 0.0]), 1.0), CONFIG) == 0.0
@@ -68,14 +65,14 @@ def test_wheels_slip_aside_in_turns_only(forward: float, turn: float) -> None:
 
 
 class TestTrack:
-    def test_motion_between_samples_is_on_the_arc(self) -> None:
+    def test_motion_between_samples_is_on_the_arc(self):
         motion = circle_track().motion(333_000_000, 871_000_000)
         expected = relative(twist_motion(SPEED, RATE, 0.333), twist_motion(SPEED, RATE, 0.871))
         np.testing.assert_allclose(motion.increment, expected, atol=1e-9)
         assert motion.seconds == pytest.approx(0.538)
         assert motion.blind_seconds == 0.0
 
-    def test_a_pose_that_freezes_counts_as_none_from_then_on(self) -> None:
+    def test_a_pose_that_freezes_counts_as_none_from_then_on(self):
         track, whole = circle_track(), circle_track(until=2.0)
         there = twist_motion(SPEED, RATE, 1.0)
         outcomes = [track.add(sample(1.0 + 0.05 * k, there)) for k in range(1, 11)]
@@ -91,7 +88,7 @@ class TestTrack:
             track.motion(0, 16 * 10**8).increment, whole.motion(0, 16 * 10**8).increment
         )
 
-    def test_a_robot_that_stands_has_not_frozen(self) -> None:
+    def test_a_robot_that_stands_has_not_frozen(self):
         track, here = circle_track(), twist_motion(SPEED, RATE, 1.0)
         for k in range(1, 100):
             still = replace(sample(1.0 + 0.05 * k, here), linear_m_s=0.01, angular_rad_s=-0.01)
@@ -102,7 +99,7 @@ class TestTrack:
         assert track.add(sample(6.1, here)) is not None
         assert track.stamps_ns == (0, round(1e9 * (1.0 + 0.05 * 99)))
 
-    def test_jump_is_bridged_by_the_twist(self) -> None:
+    def test_jump_is_bridged_by_the_twist(self):
         track = circle_track()
         jump = np.array([5.0, -3.0, 1.0])
         refusal = track.add(sample(1.05, compose(jump, twist_motion(SPEED, RATE, 1.05))))
@@ -115,9 +112,7 @@ class TestTrack:
 
     @pytest.mark.parametrize('period_s', [0.005, 0.05, 0.2])
     @pytest.mark.parametrize('begin', [np.array([5.0, -3.0, 1.0]), np.array([0.1, 0.0, 0.0])])
-    def test_odometry_that_is_set_to_zero_goes_on_by_its_speeds(
-        self, period_s: float, begin: npt.NDArray[np.float64]
-    ) -> None:
+    def test_odometry_that_is_set_to_zero_goes_on_by_its_speeds(self, period_s, begin):
         track = OdometryTrack(CONFIG)
         refusals = []
         for k in range(80):
@@ -132,7 +127,7 @@ class TestTrack:
         np.testing.assert_allclose(relative(expected, motion.increment), 0.0, atol=1e-9)
         assert motion.blind_seconds == 0.0
 
-    def test_a_stand_takes_no_room_and_changes_no_motion(self) -> None:
+    def test_a_stand_takes_no_room_and_changes_no_motion(self):
         """A way until 0.78 s, nothing until 2 s, then ten minutes on the spot."""
         track, sizes = OdometryTrack(CONFIG), []
         for k in range(40):
@@ -156,7 +151,7 @@ class TestTrack:
                 arc = twist_motion(SPEED, RATE, way)
                 np.testing.assert_allclose(motion.increment, arc, atol=1e-9)
 
-    def test_trims_but_keeps_what_later_motions_need(self) -> None:
+    def test_trims_but_keeps_what_later_motions_need(self):
         track = circle_track()
         before = track.motion(620_000_000, 910_000_000)
         track.trim(620_000_000)
@@ -166,7 +161,7 @@ class TestTrack:
         )
 
 
-def test_a_source_that_gives_no_speeds_goes_on_as_its_poses_did() -> None:
+def test_a_source_that_gives_no_speeds_goes_on_as_its_poses_did():
     """As scan matchers publish it."""
     informed, uninformed = circle_track(), OdometryTrack(CONFIG)
     for k in range(11):
@@ -181,7 +176,7 @@ BEGIN_NS = 1_248_444_175_000_000_000
 STEP_NS = 20_000_000
 
 
-def test_constant_commands_make_an_arc_that_starts_later() -> None:
+def test_constant_commands_make_an_arc_that_starts_later():
     stamps = BEGIN_NS + STEP_NS * np.arange(101)
     commands = np.tile([0.3, 0.5], (101, 1))
     samples = integrate_commands(stamps, commands, 0.25)
@@ -190,7 +185,7 @@ def test_constant_commands_make_an_arc_that_starts_later() -> None:
     assert (samples[7].linear_m_s, samples[7].angular_rad_s) == (0.3, 0.5)
 
 
-def late_robot(delay_s: float) -> tuple[np.ndarray, np.ndarray, list[Detections]]:
+def late_robot(delay_s):
     """A robot that turns to and fro, at random, `delay_s` after the command, 4 m from posts."""
     rng = np.random.default_rng(3)
     stamps = BEGIN_NS + STEP_NS * np.arange(6000)
@@ -212,11 +207,11 @@ def late_robot(delay_s: float) -> tuple[np.ndarray, np.ndarray, list[Detections]
 
 
 @pytest.mark.parametrize('delay_s', [0.0, 0.13, 0.4])
-def test_the_delay_is_found_without_truth(delay_s: float) -> None:
+def test_the_delay_is_found_without_truth(delay_s):
     assert command_delay_s(*late_robot(delay_s)) == pytest.approx(delay_s, abs=0.011)
 
 
-def test_mistaken_landmarks_do_not_matter() -> None:
+def test_mistaken_landmarks_do_not_matter():
     stamps, commands, detections = late_robot(0.2)
     rng = np.random.default_rng(4)
     mixed = [
@@ -226,7 +221,7 @@ def test_mistaken_landmarks_do_not_matter() -> None:
     assert command_delay_s(stamps, commands, mixed) == pytest.approx(0.2, abs=0.02)
 
 
-def test_nothing_seen_twice_or_never_turned() -> None:
+def test_nothing_seen_twice_or_never_turned():
     stamps, commands, detections = late_robot(0.2)
     with pytest.raises(LandmarkNavError, match='delay of the commands cannot be found'):
         command_delay_s(stamps, commands, detections[:5])

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import Board, draw_panorama, rectangle_room, Scene, smooth_texture, textured_room
+from scenes import Board, draw_panorama, rectangle_room, smooth_texture, textured_room
 from wall_views import candidate_at, greys_of
 
 from landmark_nav.geometry import se2
 from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again
-from landmark_nav.learning.stereo.own_plane import Depths, match_freely
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
-from landmark_nav.types import FloatArray, Panorama, Refusal
+from landmark_nav.learning.stereo.own_plane import match_freely
+from landmark_nav.learning.stereo.wall_patch import WallPatch
+from landmark_nav.types import Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
 CONFIG = StereoConfig()
@@ -23,7 +23,7 @@ SCENE = textured_room(ROOM, seed=2, feature_m=0.05)
 EAST = ROOM.normals[1]
 
 
-def views_of(*scenes: Scene) -> list[Panorama]:
+def views_of(*scenes):
     rng = np.random.default_rng(0)
     return [
         draw_panorama(scene, center, heading, rng=rng)
@@ -31,20 +31,18 @@ def views_of(*scenes: Scene) -> list[Panorama]:
     ]
 
 
-def patch_at(panorama: Panorama, point: FloatArray) -> WallPatch:
+def patch_at(panorama, point):
     patch = hypothesize(candidate_at(panorama, point, 30), 0, panorama, ROOM, CONFIG)
     assert isinstance(patch, WallPatch)
     return patch
 
 
-def board(center: tuple[float, float, float], normal: FloatArray, seed: int) -> Board:
+def board(center, normal, seed):
     texture = smooth_texture(np.random.default_rng(seed), 0.7, 0.7, 0.04)
     return Board(np.array(center), normal, 0.7, 0.7, texture)
 
 
-def freely(
-    panoramas: list[Panorama], point: FloatArray, depths: Depths | None = None
-) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
+def freely(panoramas, point, depths=None):
     candidate = candidate_at(panoramas[0], point, 30)
     return match_freely(candidate, 0, panoramas, greys_of(panoramas), CONFIG, depths)
 
@@ -52,9 +50,7 @@ def freely(
 @pytest.mark.parametrize(
     ('center', 'angle'), [((4.6, 2.6, 1.1), 0.0), ((4.1, 2.3, 1.3), 0.0), ((4.4, 2.9, 1.1), 0.4)]
 )
-def test_what_stands_before_a_wall_is_found_at_its_depth(
-    center: tuple[float, float, float], angle: float
-) -> None:
+def test_what_stands_before_a_wall_is_found_at_its_depth(center, angle):
     normal = np.append(se2.rotation(angle) @ EAST[:2], 0.0)
     furnished = replace(SCENE, boards=(*SCENE.boards, board(center, normal, 8)))
     panoramas = views_of(furnished, furnished)
@@ -71,7 +67,7 @@ def test_what_stands_before_a_wall_is_found_at_its_depth(
 
 
 @pytest.mark.parametrize('east_m', [5.3, 6.9])
-def test_a_wall_that_is_reported_too_near_or_too_far_is_found_where_it_is(east_m: float) -> None:
+def test_a_wall_that_is_reported_too_near_or_too_far_is_found_where_it_is(east_m):
     given = rectangle_room(east_m, 5.0)
     panoramas = views_of(SCENE, SCENE)
     greys = greys_of(panoramas)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from importlib.metadata import Distribution, distribution, PackageNotFoundError
+from importlib.metadata import distribution, PackageNotFoundError
 import os
 from pathlib import Path
 import re
@@ -45,7 +45,7 @@ NOT_IN_EXTRA = {
 
 
 @pytest.fixture(scope='module')
-def setup_arguments() -> dict[str, Any]:
+def setup_arguments():
     """What setup.py hands to setuptools."""
     given: dict[str, Any] = {}
     setuptools = types.ModuleType('setuptools')
@@ -63,22 +63,22 @@ def setup_arguments() -> dict[str, Any]:
 
 
 @pytest.fixture(scope='module')
-def installed() -> Distribution:
+def installed():
     try:
         return distribution('landmark_nav')
     except PackageNotFoundError:
         pytest.skip('landmark_nav is not installed, only on the path')
 
 
-def names(requirements: list[str]) -> set[str]:
+def names(requirements):
     return {re.split(r'[\[=<>]', requirement)[0] for requirement in requirements}
 
 
-def depends() -> set[str]:
+def depends():
     return {str(element.text) for element in MANIFEST.iter('exec_depend')}
 
 
-def test_name_version_and_licence_are_the_same_everywhere(setup_arguments: dict[str, Any]) -> None:
+def test_name_version_and_licence_are_the_same_everywhere(setup_arguments):
     for field in ('name', 'version', 'license', 'description'):
         assert MANIFEST.findtext(field) == setup_arguments[field]
     changes = (REPOSITORY / 'CHANGELOG.rst').read_text(encoding='utf-8')
@@ -86,14 +86,14 @@ def test_name_version_and_licence_are_the_same_everywhere(setup_arguments: dict[
     assert 'Apache License' in (REPOSITORY / 'LICENSE').read_text(encoding='utf-8')
 
 
-def test_python_dependencies_agree(setup_arguments: dict[str, Any]) -> None:
+def test_python_dependencies_agree(setup_arguments):
     keys = {key for key in depends() if key.startswith('python3-')}
     assert {DISTRIBUTIONS[key] for key in keys} | {'mcap', 'lz4', 'zstandard'} == names(
         setup_arguments['install_requires']
     )
 
 
-def test_every_third_party_import_is_declared(setup_arguments: dict[str, Any]) -> None:
+def test_every_third_party_import_is_declared(setup_arguments):
     modules = {'cv2': 'opencv-python-headless', 'yaml': 'PyYAML'}
     ros, python = set(), set()
     for path in (REPOSITORY / 'landmark_nav').rglob('*.py'):
@@ -112,13 +112,13 @@ def test_every_third_party_import_is_declared(setup_arguments: dict[str, Any]) -
     assert ros <= depends() | names(setup_arguments['extras_require']['batch'])
 
 
-def test_the_extra_has_the_ros_dependencies(setup_arguments: dict[str, Any]) -> None:
+def test_the_extra_has_the_ros_dependencies(setup_arguments):
     ros = {key for key in depends() if not key.startswith('python3-')} - NOT_IN_EXTRA
     wheels = names(setup_arguments['extras_require']['ros'])
     assert {f'ros-{key.replace("_", "-")}' for key in ros} == wheels
 
 
-def test_every_executable_has_a_main(setup_arguments: dict[str, Any]) -> None:
+def test_every_executable_has_a_main(setup_arguments):
     for script in setup_arguments['entry_points']['console_scripts']:
         _, module, function = re.split(r' = |:', script)
         path = REPOSITORY / f'{module.replace(".", "/")}.py'
@@ -126,7 +126,7 @@ def test_every_executable_has_a_main(setup_arguments: dict[str, Any]) -> None:
         assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 
-def test_every_node_can_be_found_by_ros2_run(setup_arguments: dict[str, Any]) -> None:
+def test_every_node_can_be_found_by_ros2_run(setup_arguments):
     files = dict(setup_arguments['data_files'])['lib/landmark_nav']
     scripts = setup_arguments['entry_points']['console_scripts']
     nodes = {script.partition(' = ')[0] for script in scripts if '.nodes.' in script}
@@ -136,9 +136,7 @@ def test_every_node_can_be_found_by_ros2_run(setup_arguments: dict[str, Any]) ->
         assert os.access(REPOSITORY / file, os.X_OK)
 
 
-def test_the_prefix_holds_what_ros_looks_for(
-    installed: Distribution, setup_arguments: dict[str, Any]
-) -> None:
+def test_the_prefix_holds_what_ros_looks_for(installed, setup_arguments):
     assert installed.version == setup_arguments['version']
     prefix = Path(sys.prefix)
     if not (prefix / 'share' / 'landmark_nav').is_dir():

@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 from bag_writers import camera_image, full_turn, SECOND, START, write_sweep
 import cv2
@@ -11,9 +8,9 @@ from scenes import draw_cylinder, draw_sweep, rectangle_room, textured_room
 
 from landmark_nav.cli.main import main
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.storage.bags import BagWriter
-from landmark_nav.types import CameraFrame, FloatArray, Sweep
+from landmark_nav.types import CameraFrame, Sweep
 
 LENS = CameraModel(
     200, 160, 180.0, 181.0, 101.5, 77.0, distortion=(-0.24, 0.07, 0.002, -0.001, 0.0)
@@ -23,7 +20,7 @@ MOUNT = PanTiltMount(axis_xyz=(0.1, -0.02, 1.0))
 TURN = np.radians(np.arange(0, 360, 20))
 
 
-def sky(directions: FloatArray) -> FloatArray:
+def sky(directions):
     """BGR (..., 3) of far things: smooth waves over azimuth and elevation."""
     azimuth = np.arctan2(directions[..., 1], directions[..., 0])
     tangent = directions[..., 2] / np.hypot(directions[..., 0], directions[..., 1])
@@ -33,18 +30,18 @@ def sky(directions: FloatArray) -> FloatArray:
     return np.stack([blue, green, red], -1)
 
 
-def sky_frame(camera: CameraModel, pan: float, tilt: float = 0.0) -> CameraFrame:
+def sky_frame(camera, pan, tilt=0.0):
     rotation, _ = MOUNT.camera_pose_base(pan, tilt)
     rays = np.concatenate([camera.ray_grid, np.ones((camera.height, camera.width, 1))], -1)
     image = np.clip(np.rint(sky(rays @ rotation.T)), 0, 255).astype(np.uint8)
     return CameraFrame(0, image, camera, float(pan), tilt)
 
 
-def sky_sweep(camera: CameraModel, pans: FloatArray, tilt: float = 0.0) -> Sweep:
+def sky_sweep(camera, pans, tilt=0.0):
     return Sweep(0, tuple(sky_frame(camera, pan, tilt) for pan in pans))
 
 
-def errors(view: CylinderImage) -> FloatArray:
+def errors(view):
     """Absolute differences (n,) from the sky, of covered pixels, worst of their channels."""
     columns, rows = np.meshgrid(np.arange(view.cylinder.width), np.arange(view.cylinder.height))
     expected = sky(view.cylinder.rays(np.stack([columns, rows], -1)))
@@ -56,9 +53,7 @@ def errors(view: CylinderImage) -> FloatArray:
     ('camera', 'tilt', 'crop', 'start'),
     [(LENS, 0.0, 0, 0.0), (LENS, 0.12, 0, 2.9), (LENS, -0.2, 90, -40.0), (FISHEYE, 0.05, 0, 1.0)],
 )
-def test_a_cylinder_shows_what_the_frames_saw(
-    blend: str, camera: CameraModel, tilt: float, crop: int, start: float
-) -> None:
+def test_a_cylinder_shows_what_the_frames_saw(blend, camera, tilt, crop, start):
     view = synthesize_cylinder(
         sky_sweep(camera, start + TURN, tilt), MOUNT, PanoramaConfig(blend, crop)
     )
@@ -70,7 +65,7 @@ def test_a_cylinder_shows_what_the_frames_saw(
     assert error.max() < 8.0
 
 
-def test_the_median_removes_a_person_in_two_of_ten_frames() -> None:
+def test_the_median_removes_a_person_in_two_of_ten_frames():
     pans = np.radians(np.linspace(-12.0, 12.0, 10))
     frames = list(sky_sweep(LENS, pans).frames)
     for k, left in ((3, 60), (4, 75)):
@@ -92,9 +87,7 @@ def test_the_median_removes_a_person_in_two_of_ten_frames() -> None:
 
 
 @pytest.mark.parametrize('offset', [(0.08, 0.0, 0.0), (0.03, -0.06, 0.05)])
-def test_a_camera_off_its_axis_sees_one_room_if_the_range_is_known(
-    offset: tuple[float, float, float],
-) -> None:
+def test_a_camera_off_its_axis_sees_one_room_if_the_range_is_known(offset):
     room = rectangle_room(4.0, 3.0)
     scene = textured_room(room, seed=1, feature_m=0.05)
     mount = PanTiltMount((0.0, 0.0, 1.2), optical_center_offset=offset)
@@ -102,7 +95,7 @@ def test_a_camera_off_its_axis_sees_one_room_if_the_range_is_known(
     pose = np.array([1.6, 1.4, 0.5])
     sweep = draw_sweep(scene, camera, mount, pose, TURN)
 
-    def range_m(azimuth_rad: FloatArray) -> FloatArray:
+    def range_m(azimuth_rad):
         return room.raycast(pose[:2], azimuth_rad + pose[2])[0]
 
     error = {}
@@ -122,7 +115,7 @@ def test_a_camera_off_its_axis_sees_one_room_if_the_range_is_known(
 
 
 @pytest.fixture
-def bag(tmp_path: Path) -> Path:
+def bag(tmp_path):
     """Two sweeps, of 24 and 18 frames."""
     with BagWriter(tmp_path / 'learn') as bag:
         write_sweep(bag, START, full_turn())
@@ -130,13 +123,13 @@ def bag(tmp_path: Path) -> Path:
     return tmp_path / 'learn'
 
 
-def panorama(source: Path, *options: str) -> int:
+def panorama(source, *options):
     out = source.parent / 'out.png'
     command = ['panorama', str(source), '--out', str(out), '--overwrite', '--no-align']
     return main([*command, *options])
 
 
-def test_of_two_sweeps_one_is_chosen(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_two_sweeps_one_is_chosen(bag, capsys):
     assert panorama(bag) == 2
     assert 'holds 2 sweeps: take one by --sweep 1 to 2' in capsys.readouterr().err
     for number, frames in (('1', 24), ('2', 18)):
@@ -147,16 +140,14 @@ def test_of_two_sweeps_one_is_chosen(bag: Path, capsys: pytest.CaptureFixture[st
     assert 'holds 2 sweeps, no number 3: take' in capsys.readouterr().err
 
 
-def test_a_crop_that_leaves_gaps_is_warned_of(bag: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_crop_that_leaves_gaps_is_warned_of(bag, caplog):
     assert panorama(bag, '--sweep', '1', '--crop', '40') == 0
     assert not caplog.text
     assert panorama(bag, '--sweep', '1', '--crop', '5') == 0
     assert '--crop 5: so narrow parts of the frames do not meet' in caplog.text
 
 
-def test_an_image_that_is_missing_is_reported_in_one_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_an_image_that_is_missing_is_reported_in_one_line(tmp_path, capfd):
     cv2.imwrite(str(tmp_path / '0.png'), camera_image(5))
     assert panorama(tmp_path) == 1
     assert 'images without frames.csv (file,pan_rad' in capfd.readouterr().err

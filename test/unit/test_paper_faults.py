@@ -9,14 +9,11 @@ from paper_sweeps import CONFIG, EAST
 import pytest
 from scenes import rectangle_room
 
-from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.reference_area import (
     paper_faults,
-    PaperFaults,
     PaperView,
 )
 from landmark_nav.learning.reference_area.edges import PaperOutlines
-from landmark_nav.types import FloatArray
 
 EYE_M = 1.1
 POSES = np.array([[3.5, 2.0, 0.3], [2.2, 3.6, -0.8]])
@@ -27,7 +24,7 @@ SIGMA_RAD = 5e-4
 NONE = PaperOutlines(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4)))
 
 
-def outlines_of(paper: Paper, pose: FloatArray, rng: np.random.Generator) -> PaperOutlines:
+def outlines_of(paper, pose, rng):
     """What is seen of a paper on the east wall from a pose of the pan axis, exactly but noise."""
     center = np.array(paper.center)
     ends = [center + side * 0.5 * paper.width * LEFT for side in (-1.0, 1.0)]
@@ -40,25 +37,25 @@ def outlines_of(paper: Paper, pose: FloatArray, rng: np.random.Generator) -> Pap
     return PaperOutlines(seen, np.zeros(1), np.full((1, 4), SIGMA_RAD), np.zeros((1, 4)))
 
 
-def views_of(papers: tuple[Paper, ...], seed: int = 0) -> list[PaperView]:
+def views_of(papers, seed=0):
     rng = np.random.default_rng(seed)
     return [
         PaperView({p.color: outlines_of(p, pose, rng) for p in papers}, EYE_M) for pose in POSES
     ]
 
 
-def judged(papers: tuple[Paper, ...], given: Room = ROOM) -> PaperFaults:
+def judged(papers, given=ROOM):
     return paper_faults(views_of(papers), given, CONFIG)
 
 
-def hung(k: int, left_m: float = 0.0, up_m: float = 0.0) -> tuple[Paper, ...]:
+def hung(k, left_m=0.0, up_m=0.0):
     x, y, z = EAST[k].center
     moved = replace(EAST[k], center=(x, y + left_m, z + up_m))
     return (*EAST[:k], moved, *EAST[k + 1 :])
 
 
 @pytest.mark.parametrize('seed', range(6))
-def test_papers_that_hang_as_given_fit(seed: int) -> None:
+def test_papers_that_hang_as_given_fit(seed):
     found = paper_faults(views_of(EAST, seed), ROOM, CONFIG)
     assert found.fits
     assert not found.faults
@@ -72,9 +69,7 @@ def test_papers_that_hang_as_given_fit(seed: int) -> None:
         *(('height', off_m, k) for off_m, k in ((0.05, 2), (-0.1, 0), (0.2, 1))),
     ],
 )
-def test_a_paper_that_hangs_elsewhere_is_named_with_how_far(
-    kind: str, off_m: float, k: int
-) -> None:
+def test_a_paper_that_hangs_elsewhere_is_named_with_how_far(kind, off_m, k):
     papers = hung(k, left_m=off_m) if kind == 'along' else hung(k, up_m=off_m)
     found = judged(papers)
     assert not found.fits
@@ -86,12 +81,12 @@ def test_a_paper_that_hangs_elsewhere_is_named_with_how_far(
     assert all((other.kind, other.paper) != (kind, k) for other in found.faults[1:])
 
 
-def test_papers_that_changed_colours_are_named() -> None:
+def test_papers_that_changed_colours_are_named():
     swapped = (EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green'))
     assert judged(swapped).faults[0].kind == 'swapped'
 
 
-def in_unit(length_m: float) -> Room:
+def in_unit(length_m):
     """The room in another unit."""
     papers = tuple(
         replace(
@@ -120,7 +115,7 @@ def test_papers_given_on_the_opposite_wall_are_named() -> None:
     assert [f.kind for f in judged(EAST, replace(ROOM, papers=opposite)).faults] == ['mirrored']
 
 
-def test_a_room_in_feet_is_named() -> None:
+def test_a_room_in_feet_is_named():
     assert [fault.kind for fault in judged(EAST, in_unit(0.3048)).faults] == ['feet']
 
 
@@ -133,7 +128,7 @@ def test_a_paper_that_nobody_sees_is_not_laid_to_others_colours() -> None:
     assert 'swapped' not in [fault.kind for fault in found.faults]
 
 
-def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished() -> None:
+def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished():
     larger = replace(EAST[1], width=1.414 * EAST[1].width, height=1.414 * EAST[1].height)
     found = judged((EAST[0], larger, EAST[2])).faults[0]
     assert (found.kind, found.paper) == ('size', 1)
@@ -143,6 +138,6 @@ def test_a_paper_of_another_size_and_one_that_is_turned_are_distinguished() -> N
     assert (found.kind, found.paper) == ('turned', 1)
 
 
-def test_two_papers_or_nothing_seen_give_no_fault() -> None:
+def test_two_papers_or_nothing_seen_give_no_fault():
     assert judged(EAST, replace(ROOM, papers=EAST[:2])).fits
     assert paper_faults([PaperView({p.color: NONE for p in EAST}, EYE_M)], ROOM, CONFIG).fits

@@ -10,9 +10,9 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
 from landmark_nav.learning.panorama import CylinderImage
-from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction, PaperBlobs
+from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
-from landmark_nav.types import FloatArray, ImageArray
+from landmark_nav.types import FloatArray
 
 CYLINDER = Cylinder.with_resolution(200.0, -0.3, 0.3)
 SHAPE = (CYLINDER.height, CYLINDER.width)
@@ -20,17 +20,17 @@ SHAPE = (CYLINDER.height, CYLINDER.width)
 Rectangle = tuple[FloatArray, float, float, float, float]
 
 
-def hue_deg(color: str) -> float:
+def hue_deg(color):
     blue, green, red = paper_bgr(color)
     return 360.0 * colorsys.rgb_to_hsv(red, green, blue)[0]
 
 
-def color_of(name: str, saturation: int = 200, value: int = 190) -> FloatArray:
+def color_of(name, saturation=200, value=190):
     hsv = np.array([[[round(hue_deg(name) / 2.0) % 180, saturation, value]]], np.uint8)
     return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0], dtype=np.float64)
 
 
-def wall_with(rectangles: list[Rectangle]) -> FloatArray:
+def wall_with(rectangles):
     """Grey wall with rectangles of (colour, left, top, width, height), sub-pixel, wrapped."""
     image = np.full((*SHAPE, 3), 160.0)
     columns, rows = np.arange(SHAPE[1]), np.arange(SHAPE[0])
@@ -44,21 +44,21 @@ def wall_with(rectangles: list[Rectangle]) -> FloatArray:
     return image
 
 
-def camera_image(image: FloatArray, noise: float = 0.0) -> ImageArray:
+def camera_image(image, noise=0.0):
     rng = np.random.default_rng(0)
     noisy = image + noise * rng.standard_normal(image.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-def search_in(image: FloatArray, noise: float = 0.0) -> ColorSearch:
+def search_in(image, noise=0.0):
     return ColorSearch(CylinderImage(camera_image(image, noise), np.ones(SHAPE, bool), CYLINDER))
 
 
-def azimuths(blobs: PaperBlobs) -> FloatArray:
+def azimuths(blobs):
     return np.asarray(blobs.edges[:, :2].mean(axis=1))
 
 
-def test_a_paper_is_found_among_books_that_have_rather_its_hue() -> None:
+def test_a_paper_is_found_among_books_that_have_rather_its_hue():
     books: list[Rectangle] = [
         (color_of('green'), 40.0 + 16.0 * (k % 30), 10.0 + 45.0 * (k // 30), 8.0, 20.0)
         for k in range(60)
@@ -70,9 +70,7 @@ def test_a_paper_is_found_among_books_that_have_rather_its_hue() -> None:
 
 
 @pytest.mark.parametrize('light', [(1.0, 1.0, 1.0), (0.5, 0.75, 1.0), (0.25, 0.24, 0.2)], ids=str)
-def test_each_colour_is_found_among_the_others_in_any_light(
-    light: tuple[float, float, float],
-) -> None:
+def test_each_colour_is_found_among_the_others_in_any_light(light):
     names = sorted(NAMED_HUES_DEG)
     left = 40.0 + 110.0 * np.arange(len(names))
     image = wall_with(
@@ -90,7 +88,7 @@ def test_each_colour_is_found_among_the_others_in_any_light(
         assert (blobs.misfit[1:] > blobs.misfit[0] + 1.0).all()
 
 
-def test_a_blob_is_found_once_across_the_seam() -> None:
+def test_a_blob_is_found_once_across_the_seam():
     red = color_of('red')
     image = wall_with([(red, 300.0, 30.0, 14.0, 20.0), (red, SHAPE[1] - 12.0, 30.0, 24.0, 30.0)])
     blobs = search_in(image).blobs('red')
@@ -103,7 +101,7 @@ def test_a_blob_is_found_once_across_the_seam() -> None:
     ('color', 'hue'),
     [('#ff8000', 30.1), ('hsv(210, 80%, 70%)', 210.0), (' Green ', NAMED_HUES_DEG['green'])],
 )
-def test_colours_by_name_and_number(color: str, hue: float) -> None:
+def test_colours_by_name_and_number(color, hue):
     assert hue_deg(color) == pytest.approx(hue, abs=0.1)
 
 
@@ -116,14 +114,12 @@ def test_colours_by_name_and_number(color: str, hue: float) -> None:
         ('#0a0000', 'too dark'),
     ],
 )
-def test_what_is_no_colour_is_refused(color: str, message: str) -> None:
+def test_what_is_no_colour_is_refused(color, message):
     with pytest.raises(LandmarkNavError, match=message):
         paper_bgr(color)
 
 
-def edges_of(
-    image: FloatArray, at: float, blur_px: float, guess: float, side: int, gamma: float = 1.0
-) -> tuple[FloatArray, FloatArray]:
+def edges_of(image, at, blur_px, guess, side, gamma=1.0):
     """Offsets outwards (2, n) from the true left (side 0) or top (1) edge, and their sigmas."""
     if blur_px:
         image = cv2.GaussianBlur(image, (0, 0), blur_px)
@@ -139,7 +135,7 @@ def edges_of(
 
 @pytest.mark.parametrize('blur_px', [0.0, 0.5, 1.0])
 @pytest.mark.parametrize('side', [0, 1], ids=['left', 'top'])
-def test_edges_in_jpeg_with_halved_colours_are_unbiased(blur_px: float, side: int) -> None:
+def test_edges_in_jpeg_with_halved_colours_are_unbiased(blur_px, side):
     """However sharp the image, wherever in its pixel the edge lies."""
     means = []
     for shift in np.arange(0.0, 2.0, 0.25):
@@ -159,7 +155,7 @@ def test_edges_in_jpeg_with_halved_colours_are_unbiased(blur_px: float, side: in
     assert abs(np.mean(color)) < 0.05
 
 
-def test_where_there_is_no_paper_there_is_no_edge() -> None:
+def test_where_there_is_no_paper_there_is_no_edge():
     assert np.isnan(edges_of(wall_with([]), 200.0, 0.6, 0.0, 0)[0]).all()
     far = wall_with([(color_of('red'), 230.0, 40.0, 40.0, 40.0)])
     assert np.isnan(edges_of(far, 200.0, 0.6, 0.0, 0)[0]).all()

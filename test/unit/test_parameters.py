@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import pytest
 
@@ -18,7 +17,7 @@ class Sample(Config):
     active: bool = parameter(True, 'Whether at all')
 
 
-def test_bounds_belong_to_the_range() -> None:
+def test_bounds_belong_to_the_range():
     assert Sample(ratio=0.0, count=1, mode='good', active=False).ratio == 0.0
     assert Sample(ratio=1.0, count=10**9).count == 10**9
 
@@ -34,6 +33,6 @@ def test_bounds_belong_to_the_range() -> None:
         ({'mode': 'slow'}, "parameter mode of Sample is 'slow': take one of fast, good"),
     ],
 )
-def test_what_is_outside_is_named(values: dict[str, Any], message: str) -> None:
+def test_what_is_outside_is_named(values, message):
     with pytest.raises(LandmarkNavError, match=message):
         Sample(**values)

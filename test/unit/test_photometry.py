@@ -1,7 +1,5 @@
 """Exposures and vignetting are estimated from overlaps and corrected."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,6 @@ from turning_camera import turn_sweep
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
-from landmark_nav.types import FloatArray, Sweep
 
 MOUNT = PanTiltMount()
 CAMERA = CameraModel(240, 200, 230.0, 230.0, 112.0, 101.0)
@@ -18,18 +15,18 @@ PANS = -np.pi + np.radians(12.0) * np.arange(30)
 
 
 @pytest.fixture(scope='module')
-def even() -> Sweep:
+def even():
     return turn_sweep(CAMERA, MOUNT, PANS)
 
 
-def test_frames_that_do_not_overlap_keep_their_exposure(even: Sweep) -> None:
+def test_frames_that_do_not_overlap_keep_their_exposure(even):
     """As by a sweep whose angles are not those of its frames: three parts far from each other."""
     kept = tuple(even.frames[k] for k in (0, 1, 10, 11, 20, 21))
     found = measure_photometry(replace(even, frames=kept), MOUNT)
     assert found.gain == pytest.approx(1.0, abs=0.02)
 
 
-def taken(sweep: Sweep, gains: FloatArray, vignetting: float, noise: float = 2.0) -> Sweep:
+def taken(sweep, gains, vignetting, noise=2.0):
     """The same with exposures, light lost in the corners as 1 - v r^2, and noise."""
     rng = np.random.default_rng(3)
     u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
@@ -42,7 +39,7 @@ def taken(sweep: Sweep, gains: FloatArray, vignetting: float, noise: float = 2.0
     return replace(sweep, frames=tuple(frames))
 
 
-def test_exposures_and_vignetting_are_recovered(even: Sweep) -> None:
+def test_exposures_and_vignetting_are_recovered(even):
     gains = np.exp(np.random.default_rng(1).normal(0.0, 0.08, len(PANS)))
     sweep = taken(even, gains, 0.3)
     found = measure_photometry(sweep, MOUNT)
@@ -56,7 +53,7 @@ def test_exposures_and_vignetting_are_recovered(even: Sweep) -> None:
         assert ratio == pytest.approx(0.6 * scale, rel=0.04)
 
 
-def test_grey_frames_and_exposures_alone(even: Sweep) -> None:
+def test_grey_frames_and_exposures_alone(even):
     gains = np.where(np.arange(len(PANS)) == 4, 0.8, 1.0)
     sweep = taken(even, gains, 0.0)
     grey = replace(sweep, frames=tuple(replace(f, image=f.image[..., 0]) for f in sweep.frames))
@@ -67,7 +64,7 @@ def test_grey_frames_and_exposures_alone(even: Sweep) -> None:
 
 
 @pytest.mark.parametrize('light', [0.15, 0.4])
-def test_a_sweep_in_the_dark_is_brightened_as_a_whole(even: Sweep, light: float) -> None:
+def test_a_sweep_in_the_dark_is_brightened_as_a_whole(even, light):
     usual = taken(even, np.ones(len(PANS)), 0.0, noise=0.5)
     dark = taken(even, np.full(len(PANS), light), 0.0, noise=0.5)
     found = measure_photometry(dark, MOUNT)
@@ -79,7 +76,7 @@ def test_a_sweep_in_the_dark_is_brightened_as_a_whole(even: Sweep, light: float)
     assert likeness > 0.99
 
 
-def test_what_is_even_or_black_is_left_alone(even: Sweep) -> None:
+def test_what_is_even_or_black_is_left_alone(even):
     black = tuple(replace(f, image=np.zeros_like(f.image)) for f in even.frames)
     for sweep in (taken(even, np.ones(len(PANS)), 0.0), replace(even, frames=black)):
         assert even_out(sweep, measure_photometry(sweep, MOUNT)) is sweep

@@ -16,7 +16,7 @@ from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.prediction import landmark_errors, Predictor
 from landmark_nav.planning.views import free_floor, look, sample_walls
-from landmark_nav.types import FloatArray, Panorama
+from landmark_nav.types import Panorama
 
 CONFIG = PlanConfig()
 MOUNT = PanTiltMount((0.0, 0.0, 1.1))
@@ -27,7 +27,7 @@ PAPERS = tuple(
 ROOM = rectangle_room(6.0, 5.0, PAPERS)
 
 
-def errors_at(eye: FloatArray) -> tuple[FloatArray, FloatArray]:
+def errors_at(eye):
     return pose_errors(eye, ROOM, CONFIG.reference_area, CONFIG.focal_px)
 
 
@@ -43,7 +43,7 @@ class TestPaperPose:
         prior = np.append(prior, [area.paper_sigma_m] * 6)
         pixel = np.hypot(0.03, area.edge_sigma_px) / CONFIG.focal_px
 
-        def edges(p: FloatArray) -> FloatArray:
+        def edges(p):
             measured = []
             for k, paper in enumerate(PAPERS):
                 x, y, z = np.add(paper.center, (p[7 + 2 * k], 0.0, p[8 + 2 * k])) - eye
@@ -79,7 +79,7 @@ class TestPaperPose:
         )
 
 
-def panoramas(poses: FloatArray, covariance: FloatArray) -> list[Panorama]:
+def panoramas(poses, covariance):
     """Of x, y and heading; heights are known."""
     found = []
     for pose, cov in zip(poses, covariance, strict=True):
@@ -92,13 +92,13 @@ def panoramas(poses: FloatArray, covariance: FloatArray) -> list[Panorama]:
     return found
 
 
-def joint(own: FloatArray, loading: FloatArray) -> FloatArray:
+def joint(own, loading):
     """Covariance of all landmarks (2n, 2n) out of own (n, 2, 2) and shared (n, 2, m) parts."""
     flat = loading.reshape(2 * len(own), -1)
     return np.asarray(flat @ flat.T + block_diag(*own))
 
 
-def test_landmark_errors_are_those_of_the_adjustment() -> None:
+def test_landmark_errors_are_those_of_the_adjustment():
     poses = np.array([[2.0, 2.0, 0.3], [4.1, 2.6, -1.0], [3.0, 3.4, 2.0]])
     walls = np.repeat(np.arange(4), 6)
     rng = np.random.default_rng(3)
@@ -136,13 +136,13 @@ def test_landmark_errors_are_those_of_the_adjustment() -> None:
 
 
 class TestPredictor:
-    def predictor(self, poses: FloatArray) -> Predictor:
+    def predictor(self, poses):
         samples = sample_walls(ROOM, 0.3, 1000)
         views = look(poses, samples, ROOM, MOUNT, CONFIG)
         assert len(views) == len(poses)
         return Predictor(views, samples, free_floor(ROOM, 0.4, 0.5, 100), ROOM, CONFIG)
 
-    def test_wider_baseline_is_better_until_views_part(self) -> None:
+    def test_wider_baseline_is_better_until_views_part(self):
         x = np.array([3.0, 3.15, 3.4, 4.0, 5.0])
         poses = np.column_stack([x, np.full(5, 2.4), np.zeros(5)])
         predictor = self.predictor(poses)
@@ -151,7 +151,7 @@ class TestPredictor:
         sigmas = [predictor.predict(np.array([0, k])).landmark_sigma_m for k in range(1, 5)]
         assert sigmas[0] > 2.0 * sigmas[-1]
 
-    def test_one_place_twice_shows_no_depth(self) -> None:
+    def test_one_place_twice_shows_no_depth(self):
         poses = np.tile([3.0, 2.4, 0.0], (2, 1))
         nothing = self.predictor(poses).predict(np.array([0, 1]))
         assert nothing.landmarks.sum() == 0.0

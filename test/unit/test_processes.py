@@ -22,11 +22,11 @@ from landmark_nav.ros.shutdown_guard import ShutdownGuard
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 
-def test_what_waits_makes_way_for_what_is_newer() -> None:
+def test_what_waits_makes_way_for_what_is_newer():
     done: list[int] = []
     go, began = Event(), Event()
 
-    def work(number: int) -> None:
+    def work(number):
         began.set()
         go.wait(5.0)
         done.append(number)
@@ -44,11 +44,11 @@ def test_what_waits_makes_way_for_what_is_newer() -> None:
     assert worker.dropped == 4
 
 
-def test_the_thread_ends_after_what_it_is_at() -> None:
+def test_the_thread_ends_after_what_it_is_at():
     done: list[int] = []
     began = Event()
 
-    def work(number: int) -> None:
+    def work(number):
         began.set()
         time.sleep(0.2)
         done.append(number)
@@ -64,7 +64,7 @@ def test_the_thread_ends_after_what_it_is_at() -> None:
     assert done == [0]
 
 
-def test_ages_by_another_clock_are_none() -> None:
+def test_ages_by_another_clock_are_none():
     latency = Latency()
     assert latency.values() == {}
     latency.note(10**18)
@@ -77,7 +77,7 @@ def test_ages_by_another_clock_are_none() -> None:
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 
 
-def run(body: str) -> subprocess.CompletedProcess[str]:
+def run(body):
     """A process that sends itself the signals; SIGINT is ignored as in a shell's background."""
     head = """
         import os, signal, threading
@@ -93,7 +93,7 @@ def run(body: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize('number', SIGNALS)
-def test_a_signal_asks_the_work_to_end_once(number: signal.Signals) -> None:
+def test_a_signal_asks_the_work_to_end_once(number):
     done = run(f"""
         asked = threading.Event()
         with ShutdownGuard(asked.set, 20.0):
@@ -117,7 +117,7 @@ def test_a_process_that_does_not_end_is_killed(number: signal.Signals) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, 'asked\n', '')
 
 
-def test_a_process_that_holds_the_interpreter_is_killed() -> None:
+def test_a_process_that_holds_the_interpreter_is_killed():
     done = run("""
         import re
         asked = threading.Event()
@@ -129,7 +129,7 @@ def test_a_process_that_holds_the_interpreter_is_killed() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
 
 
-def test_afterwards_signals_are_what_they_were() -> None:
+def test_afterwards_signals_are_what_they_were():
     before = {number: signal.getsignal(number) for number in SIGNALS}
     asked: list[int] = []
     for _ in range(3):
@@ -160,27 +160,25 @@ FAILING = [
 ]
 
 
-def wait_for(log: Path, word: str) -> None:
+def wait_for(log, word):
     deadline = time.monotonic() + 10.0
     while word not in log.read_text():
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
-def check_until_something_happens(supervisor: Supervisor) -> None:
+def check_until_something_happens(supervisor):
     for _ in range(500):
         supervisor.check()
         time.sleep(0.02)
 
 
 @pytest.fixture
-def supervisor(tmp_path: Path) -> Supervisor:
+def supervisor(tmp_path):
     return Supervisor(tmp_path, os.environ, grace_s=0.5)
 
 
-def test_a_dead_process_is_reported_with_its_last_lines(
-    supervisor: Supervisor, tmp_path: Path
-) -> None:
+def test_a_dead_process_is_reported_with_its_last_lines(supervisor, tmp_path):
     with supervisor:
         supervisor.start('sleeper', SLEEP)
         supervisor.check()
@@ -193,7 +191,7 @@ def test_a_dead_process_is_reported_with_its_last_lines(
         assert supervisor.stop()['sleeper'] == -signal.SIGTERM
 
 
-def test_a_killed_process_is_recognised_by_its_signal(supervisor: Supervisor) -> None:
+def test_a_killed_process_is_recognised_by_its_signal(supervisor):
     killer = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
     with supervisor:
         supervisor.start('short', [sys.executable, '-S', '-c', killer])
@@ -201,9 +199,7 @@ def test_a_killed_process_is_recognised_by_its_signal(supervisor: Supervisor) ->
             check_until_something_happens(supervisor)
 
 
-def test_all_processes_end_even_if_they_ignore_signals(
-    supervisor: Supervisor, tmp_path: Path
-) -> None:
+def test_all_processes_end_even_if_they_ignore_signals(supervisor, tmp_path):
     with supervisor:
         supervisor.start('sleeper', SLEEP)
         supervisor.start('stubborn', STUBBORN)
@@ -213,7 +209,7 @@ def test_all_processes_end_even_if_they_ignore_signals(
     assert statuses == {'sleeper': -signal.SIGTERM, 'stubborn': -signal.SIGKILL}
 
 
-def is_running(process_id: int) -> bool:
+def is_running(process_id):
     """A zombie that nobody asked for its status has no command line any more."""
     try:
         return bool(Path(f'/proc/{process_id}/cmdline').read_bytes())
@@ -222,7 +218,7 @@ def is_running(process_id: int) -> bool:
 
 
 @pytest.mark.skipif(shutil.which('setpriv') is None, reason='no setpriv (util-linux)')
-def test_a_killed_supervisor_leaves_no_process_behind(tmp_path: Path) -> None:
+def test_a_killed_supervisor_leaves_no_process_behind(tmp_path):
     conductor = (
         'import os, signal, sys, time\n'
         'from pathlib import Path\n'
@@ -249,7 +245,7 @@ COMMAND = 'import landmark_nav.cli.main as m; seen = early(); m.main(["map", "--
 NODE = 'import landmark_nav.nodes; seen = early()'
 
 
-def after(start: str, **environment: str) -> list[str]:
+def after(start, **environment):
     """Threads that are allowed then, by each variable, and whether NumPy was there too early."""
     names = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS')
     inherited = {key: value for key, value in os.environ.items() if key not in names}
@@ -266,7 +262,7 @@ def after(start: str, **environment: str) -> list[str]:
 
 
 @pytest.mark.parametrize('start', [COMMAND, NODE])
-def test_one_thread_unless_set_otherwise(start: str) -> None:
+def test_one_thread_unless_set_otherwise(start):
     if start is NODE:
         pytest.importorskip('rclpy', reason='ROS 2 is not installed')
     assert after(start) == ['1', '1', 'False']

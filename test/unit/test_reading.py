@@ -1,13 +1,9 @@
 """Files are read through one module: bounded, regular, text; an error is one line."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 import gzip
 import os
 from pathlib import Path
 import socket
-from typing import Any
 
 import cv2
 import numpy as np
@@ -47,7 +43,7 @@ HOSTILE = {
 
 
 @pytest.fixture(params=HOSTILE)
-def hostile(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+def hostile(request, tmp_path):
     """A folder whose files all hold the same hostile document."""
     for name in ('map.yaml', 'metadata.yaml', 'x.yaml'):
         (tmp_path / name).write_text(HOSTILE[request.param])
@@ -65,7 +61,7 @@ def hostile(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
         Bag,
     ],
 )
-def test_hostile_yaml_is_one_short_line(read: Callable[[Path], Any], hostile: Path) -> None:
+def test_hostile_yaml_is_one_short_line(read, hostile):
     with pytest.raises(LandmarkNavError) as caught:
         read(hostile)
     assert len(str(caught.value)) < 1000
@@ -74,7 +70,7 @@ def test_hostile_yaml_is_one_short_line(read: Callable[[Path], Any], hostile: Pa
     assert line.isprintable()
 
 
-def test_yaml_is_read_as_people_and_programs_write_it(tmp_path: Path) -> None:
+def test_yaml_is_read_as_people_and_programs_write_it(tmp_path):
     path = tmp_path / 'x.yaml'
     path.write_bytes(
         b'\xef\xbb\xbf%YAML 1.1\r\n---\r\na: 1e-3 # small\r\nb: [1, -2.5, .inf, 0x10]\r\n'
@@ -93,7 +89,7 @@ def test_yaml_is_read_as_people_and_programs_write_it(tmp_path: Path) -> None:
     assert read_yaml_mapping(path) == {}
 
 
-def test_an_error_names_file_and_line(tmp_path: Path) -> None:
+def test_an_error_names_file_and_line(tmp_path):
     path = tmp_path / 'x.yaml'
     for text in ('a: 1\nb: [2\n', 'a: &a 1\nb: *a\n', 'a: 1\nb: !!int x', 'a: 1\na: 2'):
         path.write_text(text)
@@ -104,9 +100,7 @@ def test_an_error_names_file_and_line(tmp_path: Path) -> None:
         read_yaml_mapping(path)
 
 
-def test_only_regular_files_of_bounded_size_are_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_regular_files_of_bounded_size_are_read(tmp_path, monkeypatch):
     fifo, link, large = tmp_path / 'fifo', tmp_path / 'link', tmp_path / 'large'
     os.mkfifo(fifo)
     link.symlink_to('/dev/zero')
@@ -123,7 +117,7 @@ def test_only_regular_files_of_bounded_size_are_read(
         read_bytes(tmp_path / 'nul\0')
 
 
-def test_all_patches_of_a_map_together_are_bounded(tmp_path: Path) -> None:
+def test_all_patches_of_a_map_together_are_bounded(tmp_path):
     (tmp_path / '0.png').write_bytes(cv2.imencode('.png', np.zeros((1000, 1000)))[1].tobytes())
     patch_of = patch_reader(tmp_path)
     for _ in range(100):
@@ -147,7 +141,7 @@ def test_all_patches_of_a_map_together_are_bounded(tmp_path: Path) -> None:
         '"a\nb.png",0,60,64,48',
     ],
 )
-def test_a_hostile_list_of_images_is_refused(rows: str, tmp_path: Path) -> None:
+def test_a_hostile_list_of_images_is_refused(rows, tmp_path):
     (tmp_path / 'frames.csv').write_text(f'file,pan_rad,focal_px,width,height\n{rows}\n')
     with pytest.raises(LandmarkNavError, match=r'frames\.csv: '):
         read_sweep_folder(tmp_path)
@@ -167,7 +161,7 @@ def test_a_hostile_list_of_images_is_refused(rows: str, tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize('packed', [False, True])
-def test_a_hostile_log_is_refused(data: bytes, packed: bool, tmp_path: Path) -> None:
+def test_a_hostile_log_is_refused(data, packed, tmp_path):
     path = tmp_path / ('Landmark_Groundtruth.dat.gz' if packed else 'Landmark_Groundtruth.dat')
     (tmp_path / 'Barcodes.dat').write_bytes(b'\xef\xbb\xbf6 63\r\n7 25\r\n')
     path.write_bytes(gzip.compress(data) if packed else data)
@@ -180,7 +174,7 @@ def test_a_hostile_log_is_refused(data: bytes, packed: bool, tmp_path: Path) -> 
     [b'\x1f\x8b', gzip.compress(b'1 2')[:-9], gzip.compress(b' ' * 40_000_000), b'plain'],
     ids=['cut in the header', 'cut at the end', 'grows', 'not packed'],
 )
-def test_a_packed_log_that_is_damaged_or_grows_is_refused(data: bytes, tmp_path: Path) -> None:
+def test_a_packed_log_that_is_damaged_or_grows_is_refused(data, tmp_path):
     (tmp_path / 'Barcodes.dat.gz').write_bytes(data)
     with pytest.raises(LandmarkNavError, match='Barcodes'):
         read_mrclam(tmp_path, 1, 0.01)

@@ -1,8 +1,5 @@
 """Poses of sweeps by papers, in any light and with any mount."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 import re
 
@@ -24,7 +21,6 @@ from scenes import Board, flat_texture, rectangle_room
 
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.simulation.setup_documents import moved_paper
-from landmark_nav.types import FloatArray
 
 OFF_AXIS = replace(MOUNT, optical_center_offset=(0.07, 0.01, 0.03))
 UPSIDE_DOWN = replace(MOUNT, axis_rpy=(np.pi, 0.0, 0.0))
@@ -53,7 +49,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize('name', PLACES)
-def test_the_place_is_recovered_without_noise(name: str) -> None:
+def test_the_place_is_recovered_without_noise(name):
     papers, pose, mount, tilt = PLACES[name]
     room = rectangle_room(papers=papers)
     sweep = sweep_at(scene_of(room), np.array(pose), mount=mount, tilt_rad=tilt, towards=papers)
@@ -67,7 +63,7 @@ def test_the_place_is_recovered_without_noise(name: str) -> None:
     assert place.height_m == pytest.approx(height, abs=0.004)
 
 
-def test_noise_and_papers_that_hang_askew_stay_within_the_covariance() -> None:
+def test_noise_and_papers_that_hang_askew_stay_within_the_covariance():
     rng = np.random.default_rng(4)
     room = rectangle_room(papers=CORNER)
     nees = []
@@ -97,7 +93,7 @@ def test_noise_and_papers_that_hang_askew_stay_within_the_covariance() -> None:
 
 
 @pytest.mark.parametrize(('scale', 'words'), [(1.0, ''), (1.03, 'larger'), (0.975, 'smaller')])
-def test_a_room_that_is_scaled_with_its_papers_is_reported(scale: float, words: str) -> None:
+def test_a_room_that_is_scaled_with_its_papers_is_reported(scale, words):
     room, pose = rectangle_room(papers=EAST), np.array([3.5, 2.0, 0.3])
     sweep = sweep_at(scene_of(room), pose, np.random.default_rng(7))
     papers = tuple(
@@ -115,7 +111,7 @@ def test_a_room_that_is_scaled_with_its_papers_is_reported(scale: float, words: 
     assert np.hypot(*error_of(place, pose * [scale, scale, 1.0])[:2]) < 0.02
 
 
-def test_a_shadow_beside_a_paper_does_not_move_the_place() -> None:
+def test_a_shadow_beside_a_paper_does_not_move_the_place():
     room = rectangle_room(papers=EAST)
     scene = scene_of(room)
     shadows = tuple(
@@ -136,11 +132,11 @@ def test_a_shadow_beside_a_paper_does_not_move_the_place() -> None:
     assert abs(error[2]) < np.radians(0.15)
 
 
-def response(image: FloatArray, gamma: float) -> FloatArray:
+def response(image, gamma):
     return np.asarray(255.0 * (image / 255.0) ** (1.0 / gamma))
 
 
-def lit(image: FloatArray, *light: float) -> FloatArray:
+def lit(image, *light):
     """Brighter on one side."""
     return np.asarray(image * np.linspace(0.8, 1.2, CAMERA.width)[None, :, None] * light)
 
@@ -157,9 +153,7 @@ def lit(image: FloatArray, *light: float) -> FloatArray:
     ],
     ids=['linear', 'gamma', 'dim', 'warm'],
 )
-def test_other_light_and_response_change_nothing(
-    change: Callable[[FloatArray], FloatArray],
-) -> None:
+def test_other_light_and_response_change_nothing(change):
     room = rectangle_room(papers=EAST)
     pose = np.array([3.4, 2.4, 0.2])
     sweep = sweep_at(scene_of(room), pose)
@@ -170,7 +164,7 @@ def test_other_light_and_response_change_nothing(
     assert deviations(place, pose).max() < 3.0
 
 
-def test_other_things_in_the_papers_colours_do_not_mislead() -> None:
+def test_other_things_in_the_papers_colours_do_not_mislead():
     room = rectangle_room(papers=EAST)
     others = tuple(
         Paper(color, center, width, height)
@@ -198,7 +192,7 @@ SIX = (
 )
 
 
-def test_six_papers_on_three_walls_two_of_a_colour() -> None:
+def test_six_papers_on_three_walls_two_of_a_colour():
     room = rectangle_room(papers=SIX)
     pose = np.array([3.3, 2.6, 0.4])
     sweep = sweep_at(scene_of(room), pose, towards=SIX)

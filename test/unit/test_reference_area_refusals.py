@@ -1,7 +1,5 @@
 """Papers that are hidden, swapped, moved or alike give a refusal with a reason, no wrong pose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 import re
 
@@ -13,11 +11,9 @@ from scenes import Board, flat_texture, rectangle_room
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.reference_area import ReferenceAreaConfig
 from landmark_nav.learning.sweep_pipeline import why_seen_otherwise
-from landmark_nav.types import FloatArray, Sweep
 
 POSE = np.array([3.5, 2.0, 0.3])
 # The same three papers on the opposite wall.
@@ -42,9 +38,7 @@ TWINS = tuple(replace(p, center=(0.0, 5.0 - p.center[1], p.center[2])) for p in 
     ],
     ids=['missing', 'hidden', 'swapped', 'ambiguous', 'none', 'two'],
 )
-def test_papers_that_give_no_place_are_named(
-    hung: tuple[Paper, ...], given: tuple[Paper, ...], message: str
-) -> None:
+def test_papers_that_give_no_place_are_named(hung, given, message):
     room = rectangle_room(papers=given)
     sweep = sweep_at(scene_of(rectangle_room(papers=EAST), hung), POSE, towards=hung)
     with pytest.raises(LandmarkNavError, match=message) as caught:
@@ -52,7 +46,7 @@ def test_papers_that_give_no_place_are_named(
     assert '\n' not in str(caught.value)
 
 
-def test_images_without_colour_are_reported() -> None:
+def test_images_without_colour_are_reported():
     room = rectangle_room(papers=EAST)
     sweep = sweep_at(scene_of(room), POSE)
     locate(sweep, room)
@@ -67,7 +61,7 @@ def test_images_without_colour_are_reported() -> None:
         locate(replace(sweep, frames=tuple(frames)), room)
 
 
-def covered(share: float, pose: FloatArray, tall: bool = False) -> tuple[Sweep, Room]:
+def covered(share, pose, tall=False):
     """Something grey before the left or the lower part of the blue paper."""
     room = rectangle_room(papers=EAST)
     scene = scene_of(room)
@@ -86,7 +80,7 @@ def covered(share: float, pose: FloatArray, tall: bool = False) -> tuple[Sweep, 
 
 @pytest.mark.parametrize('tall', [True, False], ids=['from the left', 'from below'])
 @pytest.mark.parametrize('share', [0.15, 0.5])
-def test_a_paper_that_is_partly_covered_gives_no_wrong_place(share: float, tall: bool) -> None:
+def test_a_paper_that_is_partly_covered_gives_no_wrong_place(share, tall):
     pose = POSE
     sweep, room = covered(share, pose, tall)
     place = locate(sweep, room)
@@ -99,9 +93,7 @@ def test_a_paper_that_is_partly_covered_gives_no_wrong_place(share: float, tall:
     [(2.0, 0.0, 1.3), (6.0, 2.38, 1.35), (6.0, 2.3, 1.43), (6.0, 2.315, 1.35)],
     ids=str,
 )
-def test_papers_that_hang_elsewhere_than_the_room_states(
-    center: tuple[float, float, float],
-) -> None:
+def test_papers_that_hang_elsewhere_than_the_room_states(center):
     """A refusal, or, where what is seen of the paper can't be its, the place by the others."""
     given = rectangle_room(papers=EAST)
     hung = (EAST[0], replace(EAST[1], center=center), EAST[2])
@@ -118,7 +110,7 @@ def test_papers_that_hang_elsewhere_than_the_room_states(
 
 
 @pytest.mark.parametrize('rise_m', [0.1, 0.3, -0.15])
-def test_a_camera_at_another_height_is_refused_unless_it_may_stand_there(rise_m: float) -> None:
+def test_a_camera_at_another_height_is_refused_unless_it_may_stand_there(rise_m):
     room, pose = rectangle_room(papers=EAST), POSE
     sweep = sweep_at(scene_of(room), pose, rise_m=rise_m)
     with pytest.raises(LandmarkNavError) as refused:
@@ -150,16 +142,14 @@ ROLLED = replace(MOUNT, camera_roll_rad=np.pi)
         (MOUNT, MOUNT, None),
     ],
 )
-def test_what_hangs_upside_down_is_reported(
-    true: PanTiltMount, given: PanTiltMount, remedy: str | None
-) -> None:
+def test_what_hangs_upside_down_is_reported(true, given, remedy):
     room = rectangle_room(papers=EAST)
     sweep = sweep_at(scene_of(room), POSE, mount=true)
     found = why_seen_otherwise(sweep, room, given, ReferenceAreaConfig())
     assert found is None if remedy is None else re.search(remedy, str(found))
 
 
-def test_papers_beside_what_a_partial_sweep_saw_are_not_blamed() -> None:
+def test_papers_beside_what_a_partial_sweep_saw_are_not_blamed():
     room = rectangle_room(papers=EAST)
     sweep = sweep_at(scene_of(room), POSE)
     ahead = [wrap_rad(frame.pan_rad) for frame in sweep.frames]

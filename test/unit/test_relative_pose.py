@@ -1,7 +1,5 @@
 """Relative poses of panoramas: known poses are recovered from matches, or refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,10 +11,9 @@ from landmark_nav.learning.relative_pose import (
     Features,
     relative_poses,
     RelativePoseConfig,
-    RelativePoses,
 )
 from landmark_nav.learning.relative_pose.epipolar import misses, RayPairs
-from landmark_nav.types import FloatArray, PlaceChain
+from landmark_nav.types import PlaceChain
 
 CONFIG = RelativePoseConfig()
 LEVER = np.array([0.08, 0.02, 1.1])
@@ -24,7 +21,7 @@ POSES = np.array([[0.0, 0.0, 0.0], [1.8, 0.6, 0.5], [2.4, -0.9, -2.0]])
 NOISE_RAD = 1e-3
 
 
-def room_points(rng: np.random.Generator, count: int) -> FloatArray:
+def room_points(rng, count):
     """Points on the walls of a room of 7 m x 5 m around the poses."""
     along, height = rng.uniform(0.0, 24.0, count), rng.uniform(0.2, 2.3, count)
     corners = np.array([[-2.0, -2.5], [5.0, -2.5], [5.0, 2.5], [-2.0, 2.5], [-2.0, -2.5]])
@@ -33,13 +30,7 @@ def room_points(rng: np.random.Generator, count: int) -> FloatArray:
     return np.column_stack([xy, height])
 
 
-def features(
-    poses: FloatArray,
-    points: FloatArray,
-    rng: np.random.Generator,
-    strangers: int = 60,
-    tilt: FloatArray | None = None,
-) -> list[Features]:
+def features(poses, points, rng, strangers=60, tilt=None):
     """What panoramas at poses see of points, with noise, and as many features of their own."""
     looks = rng.normal(size=(len(points), 64))
     seen = []
@@ -63,19 +54,19 @@ def features(
     return seen
 
 
-def odometry(poses: FloatArray, sigma_m: float = 0.06, sigma_rad: float = 0.03) -> PlaceChain:
+def odometry(poses, sigma_m=0.06, sigma_rad=0.03):
     sigma = np.tile([sigma_m, sigma_m, sigma_rad], len(poses))
     sigma[:3] = 0.0
     return PlaceChain(poses, np.diag(sigma**2))
 
 
-def found(poses: FloatArray, known: FloatArray, seed: int, sigma_m: float = 0.06) -> RelativePoses:
+def found(poses, known, seed, sigma_m=0.06):
     rng = np.random.default_rng(seed)
     seen = features(poses, room_points(rng, 250), rng)
     return relative_poses(seen, [odometry(known, sigma_m)], LEVER, CONFIG)
 
 
-def directions_off(states: FloatArray, poses: FloatArray) -> FloatArray:
+def directions_off(states, poses):
     """Errors of heading and direction, radians, of all sweeps but the first."""
     off = wrap_rad(states[1:, 2] - poses[1:, 2])
     eyes = [se2.compose(p[:, :3], [*LEVER[:2], 0.0]) for p in (states, poses)]
@@ -84,7 +75,7 @@ def directions_off(states: FloatArray, poses: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize('count', [2, 3])
-def test_poses_are_recovered_and_scale_is_that_of_odometry(count: int) -> None:
+def test_poses_are_recovered_and_scale_is_that_of_odometry(count):
     poses = POSES[:count]
     longer = poses * [1.02, 1.02, 1.0] + np.where(np.arange(count)[:, None] > 0, 0.01, 0.0)
     result = found(poses, longer, seed=count)
@@ -94,27 +85,27 @@ def test_poses_are_recovered_and_scale_is_that_of_odometry(count: int) -> None:
     assert result.scales[0].inflation == 1.0
 
 
-def test_heading_that_slipped_is_recovered_with_less_certain_scale() -> None:
+def test_heading_that_slipped_is_recovered_with_less_certain_scale():
     slipped = POSES[:2] + np.array([[0, 0, 0], [0.05, -0.2, 0.12]])
     result = found(POSES[:2], slipped, seed=5)
     assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.2
     assert result.scales[0].inflation > 1.0
 
 
-def test_odometry_that_contradicts_the_panoramas_is_refused() -> None:
+def test_odometry_that_contradicts_the_panoramas_is_refused():
     wrong = np.array([[0.0, 0.0, 0.0], [-0.5, 1.8, 0.5]])
     with pytest.raises(LandmarkNavError, match='odom and panoramas disagree'):
         found(POSES[:2], wrong, seed=6)
 
 
-def test_panoramas_of_different_rooms_are_refused() -> None:
+def test_panoramas_of_different_rooms_are_refused():
     rng = np.random.default_rng(7)
     seen = [features(POSES[k : k + 1], room_points(rng, 250), rng)[0] for k in range(2)]
     with pytest.raises(LandmarkNavError, match='sweep 2 shares too little'):
         relative_poses(seen, [odometry(POSES[:2])], LEVER, CONFIG)
 
 
-def test_panoramas_of_one_place_are_refused_whatever_odometry_states() -> None:
+def test_panoramas_of_one_place_are_refused_whatever_odometry_states():
     rng = np.random.default_rng(8)
     poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.4]])
     poses[1, :2] = LEVER[:2] - se2.rotation(0.4) @ LEVER[:2]
@@ -123,7 +114,7 @@ def test_panoramas_of_one_place_are_refused_whatever_odometry_states() -> None:
         relative_poses(seen, [odometry(POSES[:2])], LEVER, CONFIG)
 
 
-def test_misses_are_zero_for_true_poses_and_their_slopes_are_right() -> None:
+def test_misses_are_zero_for_true_poses_and_their_slopes_are_right():
     rng = np.random.default_rng(10)
     states = np.zeros((2, 6))
     states[1, :3] = POSES[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 import pickle
 
@@ -22,7 +21,6 @@ from landmark_nav.localization.localizer import LocalizationConfig, Localization
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
 from landmark_nav.types import (
     CameraFrame,
-    FloatArray,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -30,15 +28,11 @@ from landmark_nav.types import (
 )
 
 
-def located_at_rest(
-    frames: Sequence[CameraFrame], landmark_map: LandmarkMap = MAP
-) -> PoseEstimate | Refusal:
+def located_at_rest(frames, landmark_map=MAP):
     return driven(frames, np.zeros((len(frames), 3)), landmark_map)
 
 
-def driven(
-    frames: Sequence[CameraFrame], poses_odom: FloatArray, landmark_map: LandmarkMap = MAP
-) -> PoseEstimate | Refusal:
+def driven(frames, poses_odom, landmark_map=MAP):
     """The first place that is found, or why there is none after all images."""
     relocalizer = Relocalizer(landmark_map, MOUNT)
     for k, (frame, pose) in enumerate(zip(frames, poses_odom, strict=True)):
@@ -50,11 +44,11 @@ def driven(
 
 
 @pytest.mark.parametrize('pose', [(2.4, 1.9, 0.4), (1.5, 2.6, 3.1), (3.6, 1.4, -1.9)])
-def test_one_sweep_gives_the_place(pose: tuple[float, float, float]) -> None:
+def test_one_sweep_gives_the_place(pose):
     assert_right(located_at_rest(sweep(SCENE, pose)), pose)
 
 
-def test_other_light_and_images_exchanged_do_no_harm() -> None:
+def test_other_light_and_images_exchanged_do_no_harm():
     pose = (2.2, 2.3, -2.5)
     other = textured_room(ROOM, seed=8, feature_m=0.045)
     # A whole wall looks different now.
@@ -66,7 +60,7 @@ def test_other_light_and_images_exchanged_do_no_harm() -> None:
     assert_right(located_at_rest(frames), pose)
 
 
-def test_views_from_different_places_are_joined_by_odometry() -> None:
+def test_views_from_different_places_are_joined_by_odometry():
     poses = np.array([[1.8, 1.5, 0.2], [2.0, 1.6, 0.5], [2.3, 1.8, 0.9], [2.4, 2.1, 1.3]])
     frames = [
         draw_frame(SCENE, LENS, MOUNT, pose, pan, stamp_ns=k)
@@ -78,7 +72,7 @@ def test_views_from_different_places_are_joined_by_odometry() -> None:
     assert found.stamp_ns
 
 
-def test_a_room_that_looks_the_same_turned_by_half_is_not_unique() -> None:
+def test_a_room_that_looks_the_same_turned_by_half_is_not_unique():
     south, east = SCENE.boards[:2]
     twins = [
         Board(
@@ -118,20 +112,20 @@ def test_a_room_that_looks_the_same_turned_by_half_is_not_unique() -> None:
 
 
 @pytest.mark.parametrize('tilt_rad', [-0.2, 0.25])
-def test_a_sweep_at_a_known_tilt_gives_the_place(tilt_rad: float) -> None:
+def test_a_sweep_at_a_known_tilt_gives_the_place(tilt_rad):
     assert_right(
         located_at_rest(sweep(SCENE, (2.4, 1.9, 0.4), tilt_rad=tilt_rad)), (2.4, 1.9, 0.4)
     )
 
 
-def test_another_room_is_not_recognised() -> None:
+def test_another_room_is_not_recognised():
     other = textured_room(ROOM, seed=11, feature_m=0.045)
     found = located_at_rest(sweep(other, (2.4, 1.9, 0.4)))
     assert isinstance(found, Refusal)
     assert found.reason == 'nothing recognised'
 
 
-def test_a_known_wall_in_another_room_is_not_enough() -> None:
+def test_a_known_wall_in_another_room_is_not_enough():
     other = textured_room(ROOM, seed=11, feature_m=0.045)
     stolen = Scene((SCENE.boards[0], *other.boards[1:]))
     # It comes into view last.
@@ -141,14 +135,14 @@ def test_a_known_wall_in_another_room_is_not_enough() -> None:
     assert 'of' in found.detail
 
 
-def test_one_narrow_view_is_too_little() -> None:
+def test_one_narrow_view_is_too_little():
     few = replace(MAP, landmarks=MAP.landmarks[:5])
     found = located_at_rest(sweep(SCENE, (2.4, 1.9, 0.4)), few)
     assert isinstance(found, Refusal)
     assert found.reason == 'too little seen'
 
 
-def test_darkness_and_an_empty_map_are_refusals() -> None:
+def test_darkness_and_an_empty_map_are_refusals():
     dark = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)
     for landmark_map in (MAP, LandmarkMap(())):
         found = located_at_rest([dark], landmark_map)
@@ -160,9 +154,7 @@ def test_darkness_and_an_empty_map_are_refusals() -> None:
     ('limit', 'words'),
     [({}, 'look around'), ({'max_sigma_m': 1e-6}, 'sigma'), ({'max_sigma_rad': 1e-7}, 'sigma')],
 )
-def test_views_that_determine_the_pose_badly_are_refused(
-    limit: dict[str, float], words: str
-) -> None:
+def test_views_that_determine_the_pose_badly_are_refused(limit, words):
     """Or all around is looked for more; six landmarks within 0.6 rad show it hardly."""
     pose = (4.6, 2.0, np.pi) if not limit else (2.4, 1.9, 0.4)
     frames = sweep(SCENE, pose, np.zeros(1) if not limit else PANS[::3])
@@ -177,7 +169,7 @@ def test_views_that_determine_the_pose_badly_are_refused(
 
 
 @pytest.mark.parametrize(('max_sigma_m', 'found'), [(0.02, True), (0.012, False)])
-def test_no_single_landmark_decides(max_sigma_m: float, found: bool) -> None:
+def test_no_single_landmark_decides(max_sigma_m, found):
     """Five on one wall leave the place open by 29 mm; with one of another it is 5 mm."""
     pose, lone = (1.2, 2.0, 0.4), 30
     few = tuple(k for k in MAP.landmarks if k.id in (10, 11, 12, 13, 14, lone))
@@ -198,7 +190,7 @@ def test_no_single_landmark_decides(max_sigma_m: float, found: bool) -> None:
 @pytest.mark.parametrize(
     ('tilt_rad', 'roll_rad'), [(0.035, 0.0), (-0.035, 0.0), (0.0, 0.035), (0.015, -0.02)]
 )
-def test_a_camera_that_was_displaced_finds_its_place(tilt_rad: float, roll_rad: float) -> None:
+def test_a_camera_that_was_displaced_finds_its_place(tilt_rad, roll_rad):
     pose = (2.4, 1.9, 0.4)
     # The joints, as drawn, are those of a camera that looks higher than they say.
     displaced = [
@@ -226,7 +218,7 @@ OTHER = textured_room(ROOM, seed=23, feature_m=0.045)
 POSE = (2.4, 1.9, 0.4)
 
 
-def reported(frames: list[CameraFrame]) -> tuple[list[str], int]:
+def reported(frames):
     """What the state says with each image of a robot that turns its camera, and places found."""
     localizer = Localizer(MAP, Calibration.exact(MOUNT), LocalizationConfig())
     statuses, places = [], 0
@@ -245,7 +237,7 @@ def reported(frames: list[CameraFrame]) -> tuple[list[str], int]:
 @pytest.mark.xfail(
     strict=True, reason='tracking in 5 of 18 images, where the camera looks at the shared wall'
 )
-def test_one_known_wall_in_a_foreign_room_is_not_the_room() -> None:
+def test_one_known_wall_in_a_foreign_room_is_not_the_room():
     boards = (SCENE.boards[0], *OTHER.boards[1:])
     pans = np.radians(np.arange(-180, 360, 30))
     statuses, places = reported(sweep(replace(OTHER, boards=boards), POSE, pans))
@@ -253,7 +245,7 @@ def test_one_known_wall_in_a_foreign_room_is_not_the_room() -> None:
     assert 'tracking' not in statuses
 
 
-def test_a_stream_gathers_views_until_they_suffice() -> None:
+def test_a_stream_gathers_views_until_they_suffice():
     relocalizer = Relocalizer(MAP, MOUNT)
     wheel = np.array([7.0, -3.0, 2.0])
     pose = np.array([1.7, 1.6, 0.1])
@@ -272,7 +264,7 @@ def test_a_stream_gathers_views_until_they_suffice() -> None:
     assert_right(outcomes[-1], pose.tolist())
 
 
-def test_a_place_found_while_the_camera_turns_has_an_uncertain_heading() -> None:
+def test_a_place_found_while_the_camera_turns_has_an_uncertain_heading():
     """Joint states that are late make all images agree on a wrong one."""
     relocalizer = Relocalizer(MAP, MOUNT)
     pose = np.array([2.4, 1.9, 0.4])
@@ -291,7 +283,7 @@ def test_a_place_found_while_the_camera_turns_has_an_uncertain_heading() -> None
     assert sigma[0] < 0.03
 
 
-def test_a_frozen_camera_shows_nothing_new_at_any_pan() -> None:
+def test_a_frozen_camera_shows_nothing_new_at_any_pan():
     relocalizer = Relocalizer(MAP, MOUNT)
     frame, turned = sweep(SCENE, (2.4, 1.9, 0.4), PANS[:2])
     for k in range(2):
@@ -301,7 +293,7 @@ def test_a_frozen_camera_shows_nothing_new_at_any_pan() -> None:
     assert relocalizer.add_frame(turned) is not first
 
 
-def test_a_stream_without_images_does_not_grow() -> None:
+def test_a_stream_without_images_does_not_grow():
     relocalizer = Relocalizer(MAP, MOUNT)
     sizes = []
     for k in range(4000):

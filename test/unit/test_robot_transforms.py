@@ -1,9 +1,5 @@
 """Transforms in a recording lead from the map to the pixel of a landmark."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,7 +9,7 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
 from landmark_nav.storage.bags.transforms import RobotTransforms
-from landmark_nav.types import FloatArray, JointSample, OdometrySample
+from landmark_nav.types import JointSample, OdometrySample
 
 FACTORY, STORE = rosbag_factory(), default_typestore()
 CAMERA = CameraModel(640, 480, 500.0, 500.0, 320.0, 240.0)
@@ -25,7 +21,7 @@ MOUNTS = [
 ]
 
 
-def taken(transforms: RobotTransforms, topic: str, message: Any) -> list[tuple[str, Any]]:
+def taken(transforms, topic, message):
     """Transforms that follow from a message, which can be written into a bag."""
     data = bytes(STORE.serialize_cdr(message, message.__msgtype__))
     found = list(transforms.of(topic, data))
@@ -34,7 +30,7 @@ def taken(transforms: RobotTransforms, topic: str, message: Any) -> list[tuple[s
     return found
 
 
-def matrix(transform: Any) -> FloatArray:
+def matrix(transform):
     t, q = transform.translation, transform.rotation
     whole = np.eye(4)
     whole[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
@@ -43,7 +39,7 @@ def matrix(transform: Any) -> FloatArray:
 
 
 @pytest.mark.parametrize('mount', MOUNTS)
-def test_the_tree_leads_from_the_map_to_the_camera(mount: PanTiltMount) -> None:
+def test_the_tree_leads_from_the_map_to_the_camera(mount):
     transforms = RobotTransforms(mount)
     odometry, fused = np.array([1.0, 0.5, 0.3]), np.array([2.0, -1.0, 2.9])
     joints = JointSample(STAMP, 0.7, -0.2)
@@ -70,7 +66,7 @@ def test_the_tree_leads_from_the_map_to_the_camera(mount: PanTiltMount) -> None:
     np.testing.assert_allclose(pose[:3, 3], center, atol=1e-9)
 
 
-def test_map_to_odom_is_of_one_time_and_the_camera_is_given_once() -> None:
+def test_map_to_odom_is_of_one_time_and_the_camera_is_given_once():
     transforms = RobotTransforms(MOUNTS[0])
     steps = [OdometrySample(STAMP + k, np.array([0.1 * k, 0.0, 0.0])) for k in range(3)]
     for sample in steps:

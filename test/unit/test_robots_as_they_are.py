@@ -1,7 +1,5 @@
 """Joints, frames, stamps and topics as robots publish them."""
 
-from __future__ import annotations
-
 from bag_writers import FACTORY, MOUNT, SECOND, START, write_drive
 import numpy as np
 import pytest

@@ -7,11 +7,8 @@ five degrees. At the known places expected and measured bearings then differ by 
 most; with any other order or sign by tens.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 import re
 
 from bare_landmarks import bare_landmark
@@ -25,18 +22,18 @@ from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation.model import triangulate_three
-from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
 SUBSETS = np.array(list(combinations(range(4), 3)))
 
 
 @pytest.fixture(scope='module')
-def beacons(shared_data: Path) -> FloatArray:
+def beacons(shared_data):
     return np.loadtxt(shared_data / 'roh' / 'landmark.csv', delimiter=',')
 
 
 @pytest.fixture(scope='module')
-def readings(shared_data: Path) -> tuple[FloatArray, FloatArray]:
+def readings(shared_data):
     """Places (n, 2) and bearings (n, 4)."""
     places, bearings = [], []
     for path in sorted((shared_data / 'roh').glob('(X*.csv')):
@@ -48,23 +45,19 @@ def readings(shared_data: Path) -> tuple[FloatArray, FloatArray]:
     return np.concatenate(places), np.concatenate(bearings)
 
 
-def subset_poses(beacons: FloatArray, bearings: FloatArray) -> FloatArray:
+def subset_poses(beacons, bearings):
     """Poses (n, 4, 3) by each three of the beacons."""
     return triangulate_three(beacons[SUBSETS], bearings[:, SUBSETS])
 
 
-def test_all_subsets_together_are_within_nine_centimetres(
-    beacons: FloatArray, readings: tuple[FloatArray, FloatArray]
-) -> None:
+def test_all_subsets_together_are_within_nine_centimetres(beacons, readings):
     places, bearings = readings
     poses = subset_poses(beacons, bearings)
     error = np.linalg.norm(np.median(poses[..., :2], axis=1) - places, axis=-1)
     assert np.median(error) <= 0.09
 
 
-def test_the_estimator_finds_places_and_beacons(
-    beacons: FloatArray, readings: tuple[FloatArray, FloatArray]
-) -> None:
+def test_the_estimator_finds_places_and_beacons(beacons, readings):
     """
     Nine places have nine bearings too many: errors that repeat can be known without the truth.
 

@@ -1,8 +1,4 @@
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -38,13 +34,13 @@ distortion_coefficients: {rows: 1, cols: 4, data: [-0.02, 0.003, 0, 0]}
 """
 
 
-def written(folder: Path, text: str) -> Path:
+def written(folder, text):
     path = folder / 'setup.yaml'
     path.write_text(text, encoding='utf-8')
     return path
 
 
-def test_room_as_written(tmp_path: Path) -> None:
+def test_room_as_written(tmp_path):
     room = load_room(written(tmp_path, ROOM))
     assert room.frame_id == 'hall'
     assert [(wall.id, wall.start, wall.height) for wall in room.walls][1] == ('east', (4, 0), 2.5)
@@ -56,7 +52,7 @@ def test_room_as_written(tmp_path: Path) -> None:
     assert load_room(written(tmp_path, ROOM.partition('reference_area')[0])).papers == ()
 
 
-def test_robot_as_written_and_defaults(tmp_path: Path) -> None:
+def test_robot_as_written_and_defaults(tmp_path):
     mount = load_robot(written(tmp_path, ROBOT))
     assert mount.axis_xyz == (0.1, 0, 1.1)
     assert mount.axis_rpy == (0, 0, 0.2)
@@ -137,9 +133,7 @@ def test_robot_as_written_and_defaults(tmp_path: Path) -> None:
         (load_camera, CAMERA.replace('data: [-', 'no: [-'), 'coefficients: data is missing'),
     ],
 )
-def test_a_bad_file_is_refused_in_one_line(
-    tmp_path: Path, load: Callable[[Path], object], text: str, message: str
-) -> None:
+def test_a_bad_file_is_refused_in_one_line(tmp_path, load, text, message):
     path = written(tmp_path, text)
     with pytest.raises(LandmarkNavError, match=message) as caught:
         load(path)
@@ -147,7 +141,7 @@ def test_a_bad_file_is_refused_in_one_line(
     assert '\n' not in str(caught.value)
 
 
-def test_a_calibration_as_ros_keeps_it(tmp_path: Path) -> None:
+def test_a_calibration_as_ros_keeps_it(tmp_path):
     camera = load_camera(written(tmp_path, CAMERA))
     assert camera == CameraModel(
         640, 480, 500.0, 502.0, 322.0, 236.0, 'equidistant', (-0.02, 0.003)

@@ -1,7 +1,5 @@
 """Blur is measured against neighbouring images of the same wall."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Sheets of a known size: where panoramas show them, and the scale that they give."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -21,22 +19,20 @@ from landmark_nav.learning.relative_pose.sheet_tracks import (
 )
 from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
-from landmark_nav.types import FloatArray, ImageArray, Panorama, PlaceChain
+from landmark_nav.types import Panorama, PlaceChain
 
 CYLINDER = Cylinder.with_resolution(550.0, -0.4, 0.4)
 LEVER = np.array([0.08, 0.0, 1.1])
 A4 = SheetsConfig(paper_width_m=0.21, paper_height_m=0.297)
 
 
-def panorama(image: ImageArray) -> Panorama:
+def panorama(image):
     return Panorama(
         0, image, np.ones(image.shape[:2], bool), CYLINDER, np.zeros(3), 0.0, np.eye(4)
     )
 
 
-def with_sheet(
-    texture: ImageArray, size: tuple[float, float], middle: FloatArray, slant_rad: float
-) -> ImageArray:
+def with_sheet(texture, size, middle, slant_rad):
     """A grey panorama with an upright sheet at `middle` (3,), turned from facing the viewpoint."""
     facing = np.arctan2(-middle[1], -middle[0]) + slant_rad
     normal = np.array([np.cos(facing), np.sin(facing), 0.0])
@@ -64,7 +60,7 @@ def with_sheet(
 
 
 @pytest.mark.parametrize(('slant_rad', 'azimuth'), [(0.0, 0.4), (0.8, 3.13)])
-def test_a_paper_is_found_where_it_hangs(slant_rad: float, azimuth: float) -> None:
+def test_a_paper_is_found_where_it_hangs(slant_rad, azimuth):
     middle = np.array([2.6 * np.cos(azimuth), 2.6 * np.sin(azimuth), 0.35])
     paper = np.full((4, 4, 3), np.array(paper_bgr('green')), np.uint8)
     image = with_sheet(paper, (0.21, 0.297), middle, slant_rad)
@@ -76,7 +72,7 @@ def test_a_paper_is_found_where_it_hangs(slant_rad: float, azimuth: float) -> No
 
 
 @pytest.mark.parametrize(('slant_rad', 'azimuth'), [(0.2, 0.4), (-0.7, 3.13)])
-def test_a_marker_is_found_with_its_number(slant_rad: float, azimuth: float) -> None:
+def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
     if not hasattr(cv2.aruco, 'ArucoDetector'):
         pytest.skip('this OpenCV has no ArUco detector')
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
@@ -96,9 +92,7 @@ STATES = np.array([[0.0, 0, 0, 0, 0, 0], [1.7, 0.6, 0.5, 0.002, 0.004, -0.003]])
 SHEETS = np.array([[2.0, -1.8, 1.6], [3.1, 1.2, 1.4], [0.6, 2.1, 1.7]])
 
 
-def views(
-    state: FloatArray, rng: np.random.Generator, size: float = 1.0, names: str = 'abc'
-) -> list[SheetView]:
+def views(state, rng, size=1.0, names='abc'):
     """Views of SHEETS from a state, `size` times as large as they are given."""
     seen = []
     for name, sheet in zip(names, SHEETS, strict=True):
@@ -115,21 +109,21 @@ def views(
     return seen
 
 
-def true_pose() -> TwoViews:
+def true_pose():
     way = center(STATES[1], LEVER) - center(STATES[0], LEVER)
     slope = float(way[2] / np.hypot(way[0], way[1]))
     direction = float(np.arctan2(way[1], way[0]))
     return TwoViews(float(STATES[1, 2]), direction, STATES[1, 4:], slope, 100)
 
 
-def papers(seed: int, size: float = 1.0) -> SheetSource:
+def papers(seed, size=1.0):
     rng = np.random.default_rng(seed)
     sheets = [views(state, rng, size) for state in STATES]
     tracks, _ = sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
     return SheetSource('papers', tracks, LEVER)
 
 
-def test_sheets_that_look_alike_are_distinguished_and_false_ones_left_out() -> None:
+def test_sheets_that_look_alike_are_distinguished_and_false_ones_left_out():
     rng = np.random.default_rng(1)
     sheets = [views(state, rng, names='aaa') for state in STATES]
     for seen in sheets:  # a poster of another size, which both show
@@ -141,7 +135,7 @@ def test_sheets_that_look_alike_are_distinguished_and_false_ones_left_out() -> N
     assert lengths[0, 1] == pytest.approx(way, rel=0.01)
 
 
-def test_sheets_that_contradict_each_other_are_refused() -> None:
+def test_sheets_that_contradict_each_other_are_refused():
     rng = np.random.default_rng(2)
     sheets = [views(state, rng)[:1] for state in STATES]
     for seen in sheets:
@@ -150,7 +144,7 @@ def test_sheets_that_contradict_each_other_are_refused() -> None:
         sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
 
 
-def test_the_scale_that_sheets_give_is_consistent() -> None:
+def test_the_scale_that_sheets_give_is_consistent():
     shares = [papers(seed).share(STATES, LEVER) for seed in range(60)]
     # The error of the size given is in sigma, but not in these.
     noise = np.sqrt(np.array([s.sigma for s in shares]) ** 2 - 0.002**2)
@@ -158,7 +152,7 @@ def test_the_scale_that_sheets_give_is_consistent() -> None:
     assert 0.6 < np.mean(normal**2) < 1.6
 
 
-def test_slopes_of_sheets_are_right() -> None:
+def test_slopes_of_sheets_are_right():
     track = papers(3).tracks[0]
     off, slopes, _ = sheet_misses(STATES, track, LEVER)
     step = 1e-6 * np.random.default_rng(4).normal(size=STATES.shape)
@@ -168,10 +162,8 @@ def test_slopes_of_sheets_are_right() -> None:
     assert len(off) == 3 * len(track.views)
 
 
-def test_sources_that_disagree_are_named_with_their_sigmas(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    def odometry(sigma: float) -> PlaceSource:
+def test_sources_that_disagree_are_named_with_their_sigmas(caplog):
+    def odometry(sigma):
         return PlaceSource(PlaceChain(STATES[:, :3], sigma**2 * np.diag([0, 0, 0, 2, 2, 1.0])))
 
     right, large = papers(5), papers(5, size=1.1)

@@ -1,7 +1,5 @@
 """SIGINT and SIGTERM end commands quietly, while they import and while they work."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 import signal
@@ -17,14 +15,14 @@ from landmark_nav.signals import interrupting
 NUMBERS = [signal.SIGINT, signal.SIGTERM]
 
 
-def heeds_signals(process: subprocess.Popen[str]) -> bool:
+def heeds_signals(process):
     """Whether a process has a handler for SIGTERM, as Python by itself has not."""
     status = Path(f'/proc/{process.pid}/status').read_text()
     caught = next(line for line in status.splitlines() if line.startswith('SigCgt'))
     return bool(int(caught.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
 
 
-def signalled(command: list[str], number: int, after_s: float) -> tuple[int, str]:
+def signalled(command, number, after_s):
     """Status and complaints of a process that is signalled so long after it heeds signals."""
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -42,21 +40,21 @@ def signalled(command: list[str], number: int, after_s: float) -> tuple[int, str
 
 @pytest.mark.parametrize('after_s', [0.0, 0.3])
 @pytest.mark.parametrize('number', NUMBERS)
-def test_a_command_ends_quietly(number: int, after_s: float, tmp_path: Path) -> None:
+def test_a_command_ends_quietly(number, after_s, tmp_path):
     command = [sys.executable, '-m', 'landmark_nav', 'simulate', '--out', str(tmp_path / 'room')]
     assert signalled(command, number, after_s) == (128 + number, '')
 
 
 @pytest.mark.parametrize('after_s', [0.0, 0.3])
 @pytest.mark.parametrize('number', NUMBERS)
-def test_a_node_ends_quietly(number: int, after_s: float, tmp_path: Path) -> None:
+def test_a_node_ends_quietly(number, after_s, tmp_path):
     pytest.importorskip('rclpy', reason='ROS 2 is not installed')
     command = [sys.executable, '-m', 'landmark_nav.nodes.room_simulator']
     assert signalled(command, number, after_s) == (0, '')
 
 
 @pytest.mark.parametrize('module', ['__main__', 'nodes.room_simulator'])
-def test_executables_handle_signals_before_they_import_anything_else(module: str) -> None:
+def test_executables_handle_signals_before_they_import_anything_else(module):
     script = """
         import os, signal, sys
         before = set(sys.modules)
@@ -73,7 +71,7 @@ def test_executables_handle_signals_before_they_import_anything_else(module: str
     assert loaded == parents
 
 
-def test_importing_nodes_leaves_signals_alone() -> None:
+def test_importing_nodes_leaves_signals_alone():
     pytest.importorskip('rclpy', reason='ROS 2 is not installed')
     before = [signal.getsignal(number) for number in NUMBERS]
     import landmark_nav.nodes  # noqa: F401
@@ -82,10 +80,10 @@ def test_importing_nodes_leaves_signals_alone() -> None:
 
 
 @pytest.mark.parametrize('number', NUMBERS)
-def test_work_that_is_interrupted_cleans_up(number: signal.Signals) -> None:
+def test_work_that_is_interrupted_cleans_up(number):
     cleaned = []
 
-    def work() -> None:
+    def work():
         try:
             os.kill(os.getpid(), number)
         finally:
@@ -102,7 +100,7 @@ def test_work_that_is_interrupted_cleans_up(number: signal.Signals) -> None:
     assert cleaned == ['first', 'second']
 
 
-def test_signals_blocked_by_the_parent_are_handled() -> None:
+def test_signals_blocked_by_the_parent_are_handled():
     script = """
         import os, signal, sys
         from landmark_nav.signals import end_at_once
@@ -121,7 +119,7 @@ def test_signals_blocked_by_the_parent_are_handled() -> None:
     assert (process.returncode, output, complaint) == (7, '', '')
 
 
-def test_an_executable_blocks_signals_until_its_program_handles_them(tmp_path: Path) -> None:
+def test_an_executable_blocks_signals_until_its_program_handles_them(tmp_path):
     env = ['env', '--block-signal=INT,TERM', 'true']
     if subprocess.run(env, check=False, capture_output=True).returncode:
         pytest.skip('env of this system cannot block signals')

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -37,11 +35,11 @@ SCENE = Scene(3, ROOM, TARGETS, (Box((1.2, 1.0), 0.3, (0.5, 0.4, 0.7), 'books', 
 
 
 @pytest.fixture(scope='module')
-def renderer() -> Renderer:
+def renderer():
     return Renderer(SCENE, CAMERA)
 
 
-def camera_pose(pose: tuple[float, float, float], pan: float, tilt: float = 0.0):
+def camera_pose(pose, pan, tilt=0.0):
     rotation, center = MOUNT.camera_pose_base(pan, tilt)
     heading = rotation_rpy((0.0, 0.0, pose[2]))
     return heading @ rotation, heading @ center + [pose[0], pose[1], 0.0]
@@ -51,7 +49,7 @@ def project(points_map, rotation, center):
     return CAMERA.project((np.asarray(points_map) - center) @ rotation)
 
 
-def target_reference(item: WallItem, rotation, center, window):
+def target_reference(item, rotation, center, window):
     """Brightness of a target by ray casting alone, 4 x 4 rays a pixel, and where it is."""
     u0, u1, v0, v1 = window
     sub = (np.arange(4) + 0.5) / 4 - 0.5
@@ -65,7 +63,7 @@ def target_reference(item: WallItem, rotation, center, window):
     return bright.reshape(shape).mean(axis=(1, 3)), radius.reshape(shape).max(axis=(1, 3)) < 0.46
 
 
-def shift_between(image: np.ndarray, reference: np.ndarray, where: np.ndarray) -> np.ndarray:
+def shift_between(image, reference, where):
     """Sub-pixel shift (x, y) of `image` from `reference`, with gain and offset free."""
     blurred = [cv2.GaussianBlur(k.astype(np.float64), (5, 5), 1.0) for k in (image, reference)]
     dy, dx = np.gradient(blurred[1])
@@ -128,7 +126,7 @@ def test_nearer_things_cover_farther_ones(renderer):
     assert changed[cv2.erode(inside, np.ones((7, 7))) == 1].mean() > 0.95
 
 
-def test_a_camera_of_two_million_pixels_shows_the_same_as_a_small_one() -> None:
+def test_a_camera_of_two_million_pixels_shows_the_same_as_a_small_one():
     small = CameraModel(480, 270, 300.0, 300.0, 239.5, 134.5)
     rotation, center = MOUNT.camera_pose_map(np.array([2.0, 2.2, 0.4]), 0.3)
     views = [Renderer(SCENE, camera).render(rotation, center) for camera in (

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ CAMERA = CameraModel(128, 96, 100.0, 100.0, 63.5, 47.5)
 EXACT = DriveConfig(scale_sigma=0.0, track_sigma=0.0, slip_sigma_m=0.0, encoder_step_m=0.0)
 
 
-def run_unit(unit: PanTiltUnit, seconds: float) -> np.ndarray:
+def run_unit(unit, seconds):
     angles = []
     for _ in range(round(seconds / DT)):
         unit.step(DT)
@@ -45,7 +43,7 @@ class TestPanTiltUnit:
         assert rate[: int(0.2 / DT)].max() < 0.75 * config.max_rate_rad_s
 
 
-def drive(config: DriveConfig, seed: int = 0, free=lambda xy: True) -> DifferentialDrive:
+def drive(config, seed=0, free=lambda xy: True):
     return DifferentialDrive(config, (1.0, 2.0, 0.5), free, np.random.default_rng(seed))
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 import json
@@ -33,7 +31,7 @@ MOUNT = PanTiltMount((0.08, 0.0, 1.1), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope='module')
-def scenes() -> list[Scene]:
+def scenes():
     return [generate_scene(seed) for seed in SEEDS]
 
 
@@ -179,7 +177,7 @@ def test_documents_are_read_back(tmp_path, scenes):
     assert [item['kind'] for item in items].count('target') == 1
 
 
-def closed_room(corners) -> Room:
+def closed_room(corners):
     ends = zip(corners, [*corners[1:], corners[0]], strict=True)
     return Room(tuple(Wall(str(k), a, b, 2.5) for k, (a, b) in enumerate(ends)), ())
 
@@ -192,7 +190,7 @@ def closed_room(corners) -> Room:
         closed_room([(0.0, 0.0), (5.0, 0.0), (6.0, 2.0), (3.0, 4.0), (0.0, 3.0)]),
     ],
 )
-def test_a_measured_room_has_its_walls_a_few_millimetres_off_and_still_closed(room) -> None:
+def test_a_measured_room_has_its_walls_a_few_millimetres_off_and_still_closed(room):
     rng = np.random.default_rng(0)
     offs, papers, heights = [], [], []
     for _ in range(40):

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from collections import Counter
 import json
 from pathlib import Path
@@ -17,7 +15,6 @@ from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.pan_tilt_unit import PanControl
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.recording import drive_messages, sweep_messages
-from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
@@ -31,13 +28,13 @@ CAMERA = CameraModel(
 MOUNT = PanTiltMount((0.08, 0.0, 1.1), (0.0, 0.0, 0.0), (0.04, 0.01, 0.02))
 
 
-def make_world(seed: int = 3, people: int = 0, renderer: Renderer | None = None) -> RobotWorld:
+def make_world(seed=3, people=0, renderer=None):
     options = {'camera': CAMERA, 'mount': MOUNT, 'people': people, 'renderer': renderer}
     return RobotWorld(SCENE, POSE, seed, start_ns=5_000_000_000_000, **options)
 
 
 @pytest.fixture(scope='module')
-def world() -> RobotWorld:
+def world():
     return make_world()
 
 
@@ -96,7 +93,7 @@ def test_sweep_and_drive_are_recorded_as_a_robot_would(world, tmp_path):
     assert np.linalg.norm(truth[-1][:2] - truth[0][:2]) > 0.3
 
 
-def test_the_recorded_room_is_drawn_again() -> None:
+def test_the_recorded_room_is_drawn_again():
     bags = Path(__file__).parents[2] / 'bags'
     assert room_document(generate_scene(7).room) == (bags / 'room.yaml').read_text()
     assert robot_document(DEFAULT_MOUNT) == (bags / 'robot.yaml').read_text()

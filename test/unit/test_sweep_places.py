@@ -1,7 +1,5 @@
 """Poses of sweeps from given poses and odometry."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -22,7 +20,7 @@ WAY, FARTHER = np.array([1.8, 0.4, 0.9]), np.array([1.0, -0.2, 1.3])
 STANDS, DRIVES = 60, 100
 
 
-def drive() -> list[OdometrySample]:
+def drive():
     """Odometry of both sweeps and what follows."""
     shares = np.linspace(0.0, 1.0, DRIVES)[:, None]
     legs = [np.zeros((STANDS, 3)), shares * WAY, np.tile(WAY, (STANDS, 1))]
@@ -31,14 +29,14 @@ def drive() -> list[OdometrySample]:
     return [OdometrySample(STEP_NS * (k + 1), pose) for k, pose in enumerate(poses)]
 
 
-def span(first: int, last: int) -> tuple[int, int]:
+def span(first, last):
     return STEP_NS * (first + 1), STEP_NS * (last + 1)
 
 
 SPANS = [span(5, STANDS - 5), span(STANDS + DRIVES + 5, 2 * STANDS + DRIVES - 5)]
 
 
-def test_odometry_gives_relative_poses_and_errors_that_grow_with_the_way() -> None:
+def test_odometry_gives_relative_poses_and_errors_that_grow_with_the_way():
     places = places_by_odometry(SPANS, drive(), CONFIG)
     np.testing.assert_allclose(places.poses, [np.zeros(3), WAY], atol=1e-3)
     sigma = np.sqrt(np.diag(places.covariance)).reshape(2, 3)
@@ -46,7 +44,7 @@ def test_odometry_gives_relative_poses_and_errors_that_grow_with_the_way() -> No
     assert 0.005 < np.hypot(*sigma[1, :2]) < 0.2
 
 
-def test_a_pose_is_carried_on_with_what_odometry_adds() -> None:
+def test_a_pose_is_carried_on_with_what_odometry_adds():
     samples = drive()
     known = PoseEstimate(SPANS[1][1], np.array([0.5, 0.6, -2.0]), np.diag([1e-6, 4e-6, 1e-6]))
     now = carried_on(known, samples, CONFIG)
@@ -57,7 +55,7 @@ def test_a_pose_is_carried_on_with_what_odometry_adds() -> None:
     assert np.trace(now.covariance) > np.trace(known.covariance)
 
 
-def test_errors_of_given_poses_are_relative_to_the_first() -> None:
+def test_errors_of_given_poses_are_relative_to_the_first():
     first = PoseEstimate(1, np.array([1.0, 2.0, 0.5]), np.diag([1e-4, 1e-4, 1e-6]))
     second = PoseEstimate(2, np.array([3.0, 2.0, 0.1]), np.diag([4e-4, 1e-4, 4e-6]))
     (places,) = known_places([first, second], [], [], CONFIG)
@@ -83,14 +81,12 @@ def test_errors_of_given_poses_are_relative_to_the_first() -> None:
         ([SPANS[0], span(STANDS + 20, STANDS + DRIVES)], drive(), 'moved .* in sweep 2'),
     ],
 )
-def test_odometry_that_does_not_say_is_refused(
-    spans: list[tuple[int, int]], samples: list[OdometrySample], why: str
-) -> None:
+def test_odometry_that_does_not_say_is_refused(spans, samples, why):
     with pytest.raises(LandmarkNavError, match=why):
         places_by_odometry(spans, samples, CONFIG)
 
 
-def test_a_sweep_without_its_pose_is_named() -> None:
+def test_a_sweep_without_its_pose_is_named():
     given = PoseEstimate(1, np.zeros(3), np.eye(3))
     with pytest.raises(LandmarkNavError, match='sweep 2 has no sweep/pose'):
         known_places([given, None], [], [], CONFIG)
@@ -101,7 +97,7 @@ TRAJECTORY = [JointSample(10**9 * k, 0.1 * k, 0.01) for k in range(1, 6)]
 IMAGES = {10**9 * k: (np.full((48, 64), k, np.uint8), CAMERA) for k in range(8)}
 
 
-def test_frames_of_the_trajectory_in_order_of_time() -> None:
+def test_frames_of_the_trajectory_in_order_of_time():
     sweep = assemble_sweep(TRAJECTORY[::-1], IMAGES)
     assert [frame.stamp_ns for frame in sweep.frames] == [s.stamp_ns for s in TRAJECTORY]
     assert [int(frame.image[0, 0]) for frame in sweep.frames] == [1, 2, 3, 4, 5]
@@ -109,7 +105,7 @@ def test_frames_of_the_trajectory_in_order_of_time() -> None:
     assert sweep.frames[0].tilt_rad == 0.01
 
 
-def test_missing_frames_are_named_by_their_angles(caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_frames_are_named_by_their_angles(caplog):
     some = {stamp: IMAGES[stamp] for stamp in IMAGES if stamp not in (2 * 10**9, 5 * 10**9)}
     sweep = assemble_sweep(TRAJECTORY, some)
     assert [frame.stamp_ns for frame in sweep.frames] == [10**9, 3 * 10**9, 4 * 10**9]
@@ -128,6 +124,6 @@ def test_missing_frames_are_named_by_their_angles(caplog: pytest.LogCaptureFixtu
         ),
     ],
 )
-def test_what_is_no_sweep_is_refused(trajectory, images, message) -> None:
+def test_what_is_no_sweep_is_refused(trajectory, images, message):
     with pytest.raises(LandmarkNavError, match=message):
         assemble_sweep(trajectory, images)

@@ -1,25 +1,23 @@
 """Pan and tilt at the stamp of an image: interpolated, or refused with the reason."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.storage.bags.timelines import JointHistory
-from landmark_nav.types import FloatArray, JointSample, Refusal
+from landmark_nav.types import JointSample, Refusal
 
 MS = 1_000_000
 RATE = 0.9
 
 
-def turning(*stamps_ms: int) -> JointHistory:
+def turning(*stamps_ms):
     return JointHistory(JointSample(t * MS, 1e-3 * RATE * t, -2e-4 * t) for t in stamps_ms)
 
 
 @pytest.mark.parametrize('at_ms', [99, 100, 113, 120, 149, 150, 151.5])
-def test_the_pan_of_a_camera_that_turns_is_that_of_the_stamp(at_ms: float) -> None:
+def test_the_pan_of_a_camera_that_turns_is_that_of_the_stamp(at_ms):
     found = turning(120, 100, 150).at(int(at_ms * MS))
     assert isinstance(found, JointSample)
     assert found.stamp_ns == int(at_ms * MS)
@@ -39,16 +37,14 @@ def test_the_pan_of_a_camera_that_turns_is_that_of_the_stamp(at_ms: float) -> No
         ((100, 1300), 150, 'no joint_states for 1.2 s'),
     ],
 )
-def test_what_no_joint_state_gives_is_refused(
-    known_ms: tuple[int, ...], at_ms: int, words: str
-) -> None:
+def test_what_no_joint_state_gives_is_refused(known_ms, at_ms, words):
     refusal = turning(*known_ms).at(at_ms * MS)
     assert isinstance(refusal, Refusal)
     assert str(refusal) == words
 
 
 @pytest.mark.parametrize('period_ms', [10, 20, 50])
-def test_what_interpolation_leaves_open_is_claimed(period_ms: int) -> None:
+def test_what_interpolation_leaves_open_is_claimed(period_ms):
     """A unit that turns here and there, and swings after each stop."""
     rng, step_ms = np.random.default_rng(1), 5
     unit, true = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.0)), []
@@ -66,9 +62,7 @@ def test_what_interpolation_leaves_open_is_claimed(period_ms: int) -> None:
     assert np.mean(np.abs(normalized) > 3.0) < 0.01
 
 
-def interpolated(
-    true: FloatArray, step_ms: int, period_ms: int, shift_ms: int = 0
-) -> tuple[FloatArray, FloatArray]:
+def interpolated(true, step_ms, period_ms, shift_ms=0):
     """Errors and sigmas (n,) of pans that are known each `period_ms`, at all steps between."""
     every, first = period_ms // step_ms, shift_ms // step_ms
     known = [JointSample(k * step_ms * MS, true[k]) for k in range(first, len(true), every)]
@@ -82,7 +76,7 @@ def interpolated(
 
 
 @pytest.mark.parametrize(('period_ms', 'shift_ms'), [(100, 0), (100, 30), (200, 0), (200, 70)])
-def test_what_few_joint_states_do_not_show_is_claimed(period_ms: int, shift_ms: int) -> None:
+def test_what_few_joint_states_do_not_show_is_claimed(period_ms, shift_ms):
     """A unit that is sent on ten times a second turns unevenly; it starts, stops and swings."""
     rng, step_ms, goal, rate = np.random.default_rng(2), 5, 0.0, 0.0
     unit, smooth = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.0, pan_limit_rad=6.3)), []
@@ -103,7 +97,7 @@ def test_what_few_joint_states_do_not_show_is_claimed(period_ms: int, shift_ms: 
 
 
 @pytest.mark.parametrize('period_ms', [20, 200])
-def test_a_driver_that_reports_the_pan_within_half_a_turn(period_ms: int) -> None:
+def test_a_driver_that_reports_the_pan_within_half_a_turn(period_ms):
     stamps_ms = range(0, 20_000, period_ms)
     true = [1e-3 * RATE * t for t in stamps_ms]
     known = zip(stamps_ms, wrap_rad(true).tolist(), strict=True)
@@ -119,7 +113,7 @@ def test_a_driver_that_reports_the_pan_within_half_a_turn(period_ms: int) -> Non
         np.testing.assert_allclose(turned, [-0.3 * RATE, 0.0, 0.3 * RATE], atol=1e-9)
 
 
-def test_a_tilt_of_another_driver_is_interpolated_and_stays() -> None:
+def test_a_tilt_of_another_driver_is_interpolated_and_stays():
     samples = [JointSample(t * MS, 0.1) for t in range(0, 500, 20)]
     history = JointHistory(samples, [(250 * MS, 0.5), (150 * MS, 0.3)])
     for at_ms, tilt in ((100, 0.3), (150, 0.3), (175, 0.35), (230, 0.46), (400, 0.5)):

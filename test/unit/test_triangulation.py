@@ -1,11 +1,8 @@
-from __future__ import annotations
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from landmark_nav.arrays import FloatArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
@@ -23,21 +20,21 @@ POSE = np.array([3.0, 2.0, 2.8])
 SIGMA = 1e-3
 
 
-def variances(n: int) -> FloatArray:
+def variances(n):
     return np.full(n, SIGMA**2)
 
 
-def expect_fix(found: Fix | Refusal) -> Fix:
+def expect_fix(found):
     assert isinstance(found, Fix), str(found)
     return found
 
 
-def expect_refusal(found: Fix | Refusal, reason: str) -> None:
+def expect_refusal(found, reason):
     assert isinstance(found, Refusal), f'a fix at {found.pose}'
     assert reason in str(found)
 
 
-def joint_map_covariance(n: int) -> FloatArray:
+def joint_map_covariance(n):
     loading = np.tile(np.eye(2), (n, 1)) * 0.01
     return np.asarray(loading @ loading.T + 0.006**2 * np.eye(2 * n))
 
@@ -45,7 +42,7 @@ def joint_map_covariance(n: int) -> FloatArray:
 class TestRecovery:
     @pytest.mark.parametrize('n', [3, 4, 6])
     @pytest.mark.parametrize('heading', [2.8, np.pi, -np.pi + 1e-9, 0.0])
-    def test_noiseless(self, n: int, heading: float) -> None:
+    def test_noiseless(self, n, heading):
         pose = np.array([3.0, 2.0, heading])
         fix = expect_fix(triangulate(LANDMARKS[:n], bearings(pose, LANDMARKS[:n]), variances(n)))
         np.testing.assert_allclose(fix.pose[:2], pose[:2], atol=1e-6)
@@ -55,12 +52,12 @@ class TestRecovery:
 
     @settings(max_examples=50)
     @given(st.floats(0.7, 5.4), st.floats(0.7, 3.4), st.floats(-np.pi, np.pi))
-    def test_anywhere_in_the_room(self, x: float, y: float, heading: float) -> None:
+    def test_anywhere_in_the_room(self, x, y, heading):
         pose = np.array([x, y, heading])
         found = triangulate(LANDMARKS, bearings(pose, LANDMARKS), variances(6))
         np.testing.assert_allclose(expect_fix(found).pose[:2], pose[:2], atol=1e-6)
 
-    def test_finds_outliers(self) -> None:
+    def test_finds_outliers(self):
         seen = bearings(POSE, LANDMARKS)
         seen[2] += 0.03
         seen[4] -= 1.0
@@ -69,7 +66,7 @@ class TestRecovery:
         np.testing.assert_allclose(fix.pose, POSE, atol=1e-6)
 
     @pytest.mark.parametrize('seed', range(10))
-    def test_finds_mistaken_landmarks(self, seed: int) -> None:
+    def test_finds_mistaken_landmarks(self, seed):
         """Three of ten bearings, to anything: from all of them least squares leads nowhere."""
         rng = np.random.default_rng(seed)
         azimuth = rng.uniform(-np.pi, np.pi, 10)
@@ -83,7 +80,7 @@ class TestRecovery:
 
 class TestCovariance:
     @pytest.mark.parametrize('n', [3, 4, 6])
-    def test_agrees_with_monte_carlo(self, n: int) -> None:
+    def test_agrees_with_monte_carlo(self, n):
         rng = np.random.default_rng(n)
         landmarks, trials = LANDMARKS[:n], 1500
         covariance = joint_map_covariance(n)
@@ -106,12 +103,12 @@ class TestCovariance:
 
 
 class TestRefusal:
-    def test_fewer_than_three(self) -> None:
+    def test_fewer_than_three(self):
         for n in (0, 1, 2):
             found = triangulate(LANDMARKS[:n], np.zeros(n), variances(n))
             expect_refusal(found, 'fewer than three')
 
-    def test_danger_circle(self) -> None:
+    def test_danger_circle(self):
         angles = np.array([0.3, 1.5, 4.0])
         landmarks = 2.0 * np.column_stack([np.cos(angles), np.sin(angles)])
         pose = np.array([2.0 * np.cos(2.6), 2.0 * np.sin(2.6), 0.4])
@@ -121,21 +118,21 @@ class TestRefusal:
         tight = np.full(3, 1e-10)
         expect_refusal(triangulate(landmarks, bearings(near, landmarks), tight), 'danger circle')
 
-    def test_one_landmark_thrice(self) -> None:
+    def test_one_landmark_thrice(self):
         landmarks = np.tile(LANDMARKS[:1], (3, 1))
         found = triangulate(landmarks, np.full(3, 0.3), variances(3))
         expect_refusal(found, 'degenerate')
 
-    def test_bearings_that_do_not_meet(self) -> None:
+    def test_bearings_that_do_not_meet(self):
         seen = bearings(POSE, LANDMARKS[:4]) + np.array([0.0, 0.1, 0.0, -0.1])
         expect_refusal(triangulate(LANDMARKS[:4], seen, variances(4)), 'do not meet')
 
-    def test_too_close_to_a_landmark(self) -> None:
+    def test_too_close_to_a_landmark(self):
         pose = np.array([2.2, 3.8, 0.0])
         found = triangulate(LANDMARKS, bearings(pose, LANDMARKS), variances(6))
         expect_refusal(found, 'too close')
 
-    def test_far_from_the_expected_place(self) -> None:
+    def test_far_from_the_expected_place(self):
         seen = bearings(POSE, LANDMARKS)
         near = PoseEstimate(
             0, POSE + np.array([0.05, 0.0, 0.02]), np.diag([0.05, 0.05, 0.02]) ** 2
@@ -147,23 +144,23 @@ class TestRefusal:
 
 
 class TestBadInput:
-    def test_shapes(self) -> None:
+    def test_shapes(self):
         with pytest.raises(LandmarkNavError, match='5 bearings'):
             triangulate(LANDMARKS, np.zeros(5), variances(5))
 
-    def test_not_a_number(self) -> None:
+    def test_not_a_number(self):
         seen = bearings(POSE, LANDMARKS)
         seen[0] = np.nan
         with pytest.raises(LandmarkNavError, match='not a number'):
             triangulate(LANDMARKS, seen, variances(6))
 
-    def test_variances(self) -> None:
+    def test_variances(self):
         with pytest.raises(LandmarkNavError, match='positive'):
             triangulate(LANDMARKS, bearings(POSE, LANDMARKS), np.zeros(6))
 
 
 class TestModel:
-    def test_gradients_against_differences(self) -> None:
+    def test_gradients_against_differences(self):
         step = 1e-6
         for axis in range(2):
             offset = np.zeros(3)
@@ -174,7 +171,7 @@ class TestModel:
                 bearing_gradients(POSE, LANDMARKS)[:, axis], expected, atol=1e-8
             )
 
-    def test_lever_arm_there_and_back(self) -> None:
+    def test_lever_arm_there_and_back(self):
         mount = PanTiltMount(axis_xyz=(0.3, -0.1, 1.0))
         spread = np.array([[0.02, 0.001, 0.003], [0.001, 0.03, -0.002], [0.003, -0.002, 0.01]])
         base = PoseEstimate(7, np.array([1.0, 2.0, np.pi / 2.0]), spread)

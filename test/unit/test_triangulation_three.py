@@ -1,12 +1,9 @@
-from __future__ import annotations
-
 from hypothesis import assume, given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import bearings
 from landmark_nav.localization.triangulation.model import (
@@ -21,7 +18,7 @@ POSES = st.tuples(COORDINATE, COORDINATE, st.floats(-np.pi, np.pi)).map(np.array
 
 
 @given(LANDMARKS, POSES)
-def test_recovers_the_pose(landmarks: FloatArray, pose: FloatArray) -> None:
+def test_recovers_the_pose(landmarks, pose):
     assume(np.hypot(*(landmarks - pose[:2]).T).min() > 0.3)
     assume(danger_distance(pose[:2], landmarks)[1] > 0.05)
     assume(np.abs(np.linalg.det(np.column_stack([landmarks, np.ones(3)]))) > 0.1)
@@ -30,7 +27,7 @@ def test_recovers_the_pose(landmarks: FloatArray, pose: FloatArray) -> None:
     assert abs(wrap_rad(found[2] - pose[2])) < 1e-8
 
 
-def test_agrees_with_brute_force_on_noisy_bearings() -> None:
+def test_agrees_with_brute_force_on_noisy_bearings():
     rng = np.random.default_rng(5)
     compared = 0
     while compared < 100:
@@ -41,9 +38,7 @@ def test_agrees_with_brute_force_on_noisy_bearings() -> None:
         if np.hypot(*(landmarks - pose[:2]).T).min() < 0.5:
             continue
 
-        def misfit(
-            guess: FloatArray, k: FloatArray = landmarks, b: FloatArray = seen
-        ) -> FloatArray:
+        def misfit(guess, k=landmarks, b=seen):
             return bearing_residuals(guess, k, b)
 
         brute = least_squares(misfit, pose, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
@@ -54,7 +49,7 @@ def test_agrees_with_brute_force_on_noisy_bearings() -> None:
 
 
 @pytest.mark.parametrize('second', [[-3.0, 0.0], [3.0, 0.0]])
-def test_two_landmarks_in_one_line_with_the_robot(second: list[float]) -> None:
+def test_two_landmarks_in_one_line_with_the_robot(second):
     landmarks = np.array([[1.0, 0.0], second, [0.0, 2.0]])
     for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
         pose = np.array([0.0, 0.0, 2.9])

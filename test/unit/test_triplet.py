@@ -1,7 +1,5 @@
 """The chosen triplet is in view and within reach, and the fix has the predicted covariance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 
@@ -46,7 +44,7 @@ from landmark_nav.types import Detections, LandmarkMap, PoseEstimate, Refusal, T
 
 
 class TestSelection:
-    def test_predicted_covariance_is_that_of_the_fix(self) -> None:
+    def test_predicted_covariance_is_that_of_the_fix(self):
         landmark_map = random_map(40)
         triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
         places = triplet.ids - 100
@@ -64,7 +62,7 @@ class TestSelection:
         ).covariance
         np.testing.assert_allclose(predicted, fix.covariance, rtol=1e-6, atol=1e-12)
 
-    def test_no_other_triplet_in_a_view_is_much_better(self) -> None:
+    def test_no_other_triplet_in_a_view_is_much_better(self):
         """Against every triple of visible landmarks, one pan after the other."""
         landmark_map = random_map(25, seed=3)
         triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
@@ -80,7 +78,7 @@ class TestSelection:
         # Margins for the prior's spread keep the outermost out of the selection.
         assert mine <= 1.35 * best
 
-    def test_the_view_holds_all_three(self) -> None:
+    def test_the_view_holds_all_three(self):
         for seed in range(8):
             landmark_map = random_map(40, seed)
             triplet = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
@@ -92,7 +90,7 @@ class TestSelection:
             assert np.abs(wrap_rad(triplet.bearing_rad - triplet.pan_rad)).max() < 0.42
             assert triplet.stamp_ns == PRIOR.stamp_ns
 
-    def test_joint_limits(self) -> None:
+    def test_joint_limits(self):
         landmark_map = random_map(40)
         limits = (0.4, 1.1)
         triplet = chosen(
@@ -109,7 +107,7 @@ class TestSelection:
         )
         assert wide[0] <= turned.pan_rad <= wide[1]
 
-    def test_pan_across_the_seam(self) -> None:
+    def test_pan_across_the_seam(self):
         prior = PoseEstimate(0, np.array([3.0, 2.0, np.pi]), PRIOR.covariance)
         landmark_map = LandmarkMap(
             tuple(landmark(k, (WIDTH, y), (-1.0, 0.0), 1.2) for k, y in enumerate((1.0, 2.1, 3.1)))
@@ -118,7 +116,7 @@ class TestSelection:
         assert abs(wrap_rad(triplet.pan_rad - np.pi)) < 0.1
         assert set(triplet.ids) == {100, 101, 102}
 
-    def test_hysteresis(self) -> None:
+    def test_hysteresis(self):
         landmark_map = random_map(40)
         first = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
         moved = PoseEstimate(43, PRIOR.pose + np.array([-0.1, 0.0, 0.0]), PRIOR.covariance)
@@ -130,7 +128,7 @@ class TestSelection:
         changed = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, go, previous=first))
         assert set(changed.ids) == set(fresh.ids)
 
-    def test_landmarks_that_are_seldom_found_are_avoided(self) -> None:
+    def test_landmarks_that_are_seldom_found_are_avoided(self):
         landmark_map = random_map(40)
         first = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
         rate = np.ones(40)
@@ -140,14 +138,14 @@ class TestSelection:
 
 
 class TestRefusal:
-    def test_empty_map(self) -> None:
+    def test_empty_map(self):
         found = select_triplet(PRIOR, LandmarkMap(()), CAMERA, MOUNT, CONFIG)
         assert isinstance(found, Refusal)
         assert 'fewer than three' in found.reason
         view = visible_landmarks(PRIOR, LandmarkMap(()), CAMERA, MOUNT, 0.0, 0.0, CONFIG)
         assert len(view) == 0
 
-    def test_three_that_fit_no_view(self) -> None:
+    def test_three_that_fit_no_view(self):
         spread = LandmarkMap(
             (
                 landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),
@@ -159,14 +157,14 @@ class TestRefusal:
         assert isinstance(found, Refusal)
         assert 'fit one view' in found.reason
 
-    def test_a_triplet_above_the_greatest_sigma_is_refused(self) -> None:
+    def test_a_triplet_above_the_greatest_sigma_is_refused(self):
         strict = TripletConfig(max_sigma_m=1e-4)
         found = select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, strict)
         assert isinstance(found, Refusal)
         assert 'accurate enough' in found.reason
 
 
-def camera_image(found: list[int], missed: list[int] | None = None) -> Detections:
+def camera_image(found, missed=None):
     n = len(found)
     return Detections(
         0,
@@ -180,7 +178,7 @@ def camera_image(found: list[int], missed: list[int] | None = None) -> Detection
 
 
 class TestOneView:
-    def test_an_image_that_hangs_no_more_is_given_up(self) -> None:
+    def test_an_image_that_hangs_no_more_is_given_up(self):
         camera = ActiveCamera(random_map(40), MOUNT, CONFIG)
         first = camera.choose(PRIOR, CAMERA, CameraState(0.0)).chosen
         assert isinstance(first, Triplet)
@@ -193,7 +191,7 @@ class TestOneView:
 
 
 class TestVisibility:
-    def test_wall_between(self) -> None:
+    def test_wall_between(self):
         behind = landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2)
         behind = replace(behind, viewpoint=np.array([4.25, 2.2, 1.1]))
         prior = PoseEstimate(0, np.array([2.0, 2.0, 0.0]), PRIOR.covariance)
@@ -209,7 +207,7 @@ class TestVisibility:
         )
         assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=walls), *view)) == 0
 
-    def test_patch_must_be_whole_in_the_image(self) -> None:
+    def test_patch_must_be_whole_in_the_image(self):
         landmark_map = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),))
         prior = PoseEstimate(0, np.array([3.0, 2.0, 0.0]), PRIOR.covariance)
         seen = [
@@ -224,7 +222,7 @@ class TestVisibility:
 class TestGeometry:
     @settings(max_examples=60)
     @given(st.integers(0, 10_000), st.integers(3, 9))
-    def test_tours_in_one_view_against_a_grid_of_pans(self, seed: int, n: int) -> None:
+    def test_tours_in_one_view_against_a_grid_of_pans(self, seed, n):
         rng = np.random.default_rng(seed)
         azimuth = rng.uniform(-np.pi, np.pi, n)
         reach = rng.uniform(-0.1, 0.6, n)
@@ -249,7 +247,7 @@ class TestGeometry:
                 assert limits[0] <= pan <= limits[1]
                 assert np.all(np.abs(wrap_rad(pan - azimuth[triple])) <= reach[triple] + 1e-12)
 
-    def test_variance_against_the_inverse_matrix(self) -> None:
+    def test_variance_against_the_inverse_matrix(self):
         landmark_map = random_map(12)
         axis = np.array([3.1, 2.2])
         triples = np.array(list(combinations(range(12), 3)))
@@ -271,7 +269,7 @@ class TestGeometry:
 class TestSearch:
     @settings(max_examples=30)
     @given(st.integers(0, 10_000), st.integers(3, 80), st.sampled_from([0.01, 0.3]))
-    def test_pruned_is_exhaustive(self, seed: int, n: int, spread_m: float) -> None:
+    def test_pruned_is_exhaustive(self, seed, n, spread_m):
         rng = np.random.default_rng(seed)
         landmark_map = random_map(n, seed)
         points = PRIOR.pose[:2] + spread_m * rng.normal(size=(4, 2))
@@ -292,10 +290,10 @@ class TestSearch:
 
 
 class TestRanking:
-    def test_the_spread_of_the_prior_counts(self) -> None:
+    def test_the_spread_of_the_prior_counts(self):
         """A small one changes next to nothing, a wide one makes near landmarks a gamble."""
 
-        def scores(sigma_m: float) -> tuple[float, set[int]]:
+        def scores(sigma_m):
             prior = PoseEstimate(0, PRIOR.pose, np.diag([sigma_m, sigma_m, 0.005]) ** 2)
             # Without margins for it, so that the same views remain.
             config = TripletConfig(margin_sigmas=0.0)
@@ -309,7 +307,7 @@ class TestRanking:
             assert others == ids
         assert scores(0.4)[0] > 1.1 * exact
 
-    def test_turning_costs(self) -> None:
+    def test_turning_costs(self):
         landmark_map = random_map(40)
         hasty = TripletConfig(dwell_time_s=0.05)
         for pan in (-2.0, 0.0, 2.0):
@@ -318,7 +316,7 @@ class TestRanking:
             assert near.travel_s[0] <= travel_s(abs(chosen(free.chosen).pan_rad - pan), 1.0, 8.0)
             assert abs(chosen(near.chosen).pan_rad - pan) < 1.0
 
-    def test_reasons(self) -> None:
+    def test_reasons(self):
         landmark_map = random_map(40)
         ranking = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(0.0))
         verdicts = ranking.verdicts()

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 import re
 
@@ -30,7 +28,7 @@ TEXEL_M = 0.01
 SIGMA_M = 0.004
 
 
-def wallpaper(seed: int) -> np.ndarray:
+def wallpaper(seed):
     """A texture (height, length) of one wall, 1 cm a pixel."""
     noise = np.random.default_rng(seed).normal(size=(260, 600)).astype(np.float32)
     blurred = cv2.GaussianBlur(noise, (0, 0), 2.0)
@@ -67,7 +65,7 @@ def landmark(identity, true_xz, *, texel_m=TEXEL_M, error_m=(0.0, 0.0), paper=0)
     )
 
 
-def make_map(*landmarks, stamp_ns=1) -> LandmarkMap:
+def make_map(*landmarks, stamp_ns=1):
     place = PoseEstimate(stamp_ns, np.array([3.0, 2.0, 0.0]), np.eye(3) * 1e-6)
     return LandmarkMap(tuple(landmarks), 'map', WALLS, (place,), {'bag': f'of {stamp_ns}'})
 
@@ -221,7 +219,7 @@ def test_maps_of_two_rooms_are_distinguished_in_one_sentence(tmp_path):
 POSE, RISE_M, SCALE = np.array([1.5, -2.0, 2.1]), -0.033, 1.03
 
 
-def in_own_frame(learned: LandmarkMap) -> LandmarkMap:
+def in_own_frame(learned):
     """The same map as if it had been learned without a plan: in another frame and metre."""
     moved = in_frame_of(FrameAlignment(POSE, RISE_M, SCALE, 1e-16 * np.eye(5), 0), learned)
     own = {'frame': 'base_link at the first sweep', 'scale': 'odom', 'scale_sigma': '0.02'}

@@ -23,7 +23,7 @@ ROOM = Room(
 )
 
 
-def placed(south: np.ndarray, along: np.ndarray, shared_m: float = 0.001) -> Adjustment:
+def placed(south, along, shared_m=0.001):
     """Patches so far before the south wall; flat posters hang on the north wall."""
     x = np.concatenate([along, np.linspace(0.5, 5.5, 8)])
     y = np.concatenate([south, np.full(8, 3.99)])
@@ -42,7 +42,7 @@ def placed(south: np.ndarray, along: np.ndarray, shared_m: float = 0.001) -> Adj
     )
 
 
-def check(south: np.ndarray, along: np.ndarray, **options: float) -> str:
+def check(south, along, **options):
     free = placed(south, along, **options)
     walls = [0] * len(along) + [2] * 8
     return check_walls(free, walls, ROOM, AdjustmentConfig())
@@ -83,9 +83,7 @@ ROUGH = np.random.default_rng(1).uniform(-0.05, 0.05, 12)
         (np.repeat([0.0, 0.05], 6) - 0.05, TWO_IMAGES, 0.001),
     ],
 )
-def test_a_wall_that_may_fit_is_not_reported(
-    south: np.ndarray, along: np.ndarray, shared_m: float
-) -> None:
+def test_a_wall_that_may_fit_is_not_reported(south, along, shared_m):
     assert not check(south, along, shared_m=shared_m)
 
 
@@ -110,9 +108,7 @@ def test_a_wall_that_may_fit_is_not_reported(
         ),
     ],
 )
-def test_a_wall_that_is_elsewhere_is_named_with_its_residuals(
-    south: np.ndarray, along: np.ndarray, words: str
-) -> None:
+def test_a_wall_that_is_elsewhere_is_named_with_its_residuals(south, along, words):
     with pytest.raises(LandmarkNavError, match=words):
         check(south, along)
 
@@ -124,7 +120,7 @@ def test_fronts_of_furniture_are_not_the_wall() -> None:
     assert 'or furniture hides it' in reported
 
 
-def warning(off_cm: list[float], shared_m: float = 0.002, hanging_m: float = 0.001) -> str:
+def warning(off_cm, shared_m=0.002, hanging_m=0.001):
     """What is said of four walls whose patches hang so far before them."""
     walls = [
         WallResidual(name, 20, 5, off / 100.0, shared_m * np.eye(4)[k])
@@ -133,7 +129,7 @@ def warning(off_cm: list[float], shared_m: float = 0.002, hanging_m: float = 0.0
     return wall_warnings(walls, hanging_m, AdjustmentConfig())
 
 
-def test_walls_measured_with_a_tape_are_not_flagged() -> None:
+def test_walls_measured_with_a_tape_are_not_flagged():
     rng = np.random.default_rng(3)
     common = abs(rng.normal(0.0, 1.5, 1000))
     off = common[:, None] + rng.normal(0.0, np.hypot(0.5, 0.2), (1000, 4))
@@ -146,16 +142,14 @@ def test_walls_measured_with_a_tape_are_not_flagged() -> None:
     'off_cm',
     [[5.0, 0.3, 0.1, 0.4], [4.0, 0.2, 4.1, 0.0], [5.2, 5.1, 5.3, 5.2], [-3.0, -2.6, -2.8, -2.7]],
 )
-def test_a_room_that_is_wrong_as_a_whole_is_reported_with_its_residuals(
-    off_cm: list[float],
-) -> None:
+def test_a_room_that_is_wrong_as_a_whole_is_reported_with_its_residuals(off_cm):
     reported = warning(off_cm)
     side = 'before' if off_cm[0] > 0.0 else 'behind'
     assert f'{abs(off_cm[0]):.1f} cm {side} a' in reported
     assert all(f' {name}' in reported for name in 'abcd')
 
 
-def test_things_that_hang_differently_far_flag_no_wall() -> None:
+def test_things_that_hang_differently_far_flag_no_wall():
     assert warning([3.0, 0.2, 1.0, 0.4])
     assert not warning([3.0, 0.2, 1.0, 0.4], hanging_m=0.03)
     assert not warning([3.0, 0.2, 1.0, 0.4], shared_m=0.02)

@@ -1,7 +1,5 @@
 """Walls with a sigma move to their patches, and no farther."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +8,12 @@ import pytest
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig
 from landmark_nav.learning.adjustment.wall_fit import moved_walls
-from landmark_nav.types import FloatArray
 
 CORNERS = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
 CONFIG = AdjustmentConfig()
 
 
-def room_of(corners: FloatArray, sigma_m: float | None) -> Room:
+def room_of(corners, sigma_m):
     ends = np.roll(corners, -1, axis=0)
     return Room(
         tuple(
@@ -26,7 +23,7 @@ def room_of(corners: FloatArray, sigma_m: float | None) -> Room:
     )
 
 
-def patches(rng: np.random.Generator, outliers: int = 3) -> tuple[Adjustment, list[int]]:
+def patches(rng, outliers=3):
     """Patches that stereo placed on the walls of CORNERS, some of each before them."""
     count = 15
     start, end = CORNERS, np.roll(CORNERS, -1, axis=0)
@@ -48,7 +45,7 @@ def patches(rng: np.random.Generator, outliers: int = 3) -> tuple[Adjustment, li
 
 
 @pytest.mark.parametrize('seed', range(4))
-def test_walls_that_are_off_move_to_their_patches(seed: int) -> None:
+def test_walls_that_are_off_move_to_their_patches(seed):
     rng = np.random.default_rng(seed)
     free, walls = patches(rng)
     given = room_of(CORNERS + rng.uniform(-0.1, 0.1, CORNERS.shape), 0.1)
@@ -58,7 +55,7 @@ def test_walls_that_are_off_move_to_their_patches(seed: int) -> None:
     assert all(wall.sigma_m and wall.sigma_m < 0.05 for wall in moved.walls)
 
 
-def test_walls_that_are_measured_or_show_nothing_stay() -> None:
+def test_walls_that_are_measured_or_show_nothing_stay():
     free, walls = patches(np.random.default_rng(5))
     off = CORNERS + np.array([0.1, 0.0])
     measured = room_of(off, None)

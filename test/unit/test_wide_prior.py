@@ -1,7 +1,5 @@
 """Localization within a wide prior, where landmarks look different from the expected view."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,30 +11,30 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator import EstimatorConfig
 from landmark_nav.localization.looking import LookingConfig
-from landmark_nav.localization.observer import Observation, Observer
+from landmark_nav.localization.observer import Observer
 from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.localization.relocalization.verification import Verification
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_residuals
-from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
+from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
 
 TRUTH = np.array([2.3, 2.1, 0.4])
 FRAME = camera_image(TRUTH, -0.2, np.random.default_rng(4))
 SURE = np.array([0.02, 0.02, 0.01])
 
 
-def reported(error: FloatArray, sigma: FloatArray, truth: FloatArray = TRUTH) -> PoseEstimate:
+def reported(error, sigma, truth=TRUTH):
     return PoseEstimate(0, truth + error, np.diag(np.square(sigma)))
 
 
-def look(prior: PoseEstimate, frame: CameraFrame = FRAME) -> Observation:
+def look(prior, frame=FRAME):
     return observer(MAP).look(frame, expected(prior))
 
 
-def observer(landmarks: LandmarkMap) -> Observer:
+def observer(landmarks):
     return Observer(landmarks, Calibration.exact(MOUNT), LookingConfig(), EstimatorConfig())
 
 
-def errors_of(seen: Observation) -> FloatArray:
+def errors_of(seen):
     """Of the bearings, against the truth."""
     axis = axis_from_base(reported(np.zeros(3), SURE), MOUNT).pose
     index = MAP.indices(seen.detections.ids)
@@ -45,9 +43,7 @@ def errors_of(seen: Observation) -> FloatArray:
 
 @pytest.mark.parametrize('away_m', [0.3, 0.6, 1.0])
 @pytest.mark.parametrize('turned_deg', [5.0, -15.0])
-def test_a_pose_that_is_known_to_be_far_off_finds_the_same_landmarks(
-    away_m: float, turned_deg: float
-) -> None:
+def test_a_pose_that_is_known_to_be_far_off_finds_the_same_landmarks(away_m, turned_deg):
     usual = look(reported(np.zeros(3), SURE))
     assert len(usual.detections) >= 4
     sigma = np.array([away_m, away_m, np.radians(abs(turned_deg))])
@@ -61,12 +57,12 @@ def test_a_pose_that_is_known_to_be_far_off_finds_the_same_landmarks(
         assert np.abs(errors_of(seen)).max() < 0.01
 
 
-def test_a_pose_that_is_claimed_to_be_known_is_taken_at_its_word() -> None:
+def test_a_pose_that_is_claimed_to_be_known_is_taken_at_its_word():
     seen = look(reported(np.array([0.6, 0.3, 0.2]), SURE))
     assert len(seen.detections) <= 1
 
 
-def test_another_room_or_a_dark_image_shows_nothing() -> None:
+def test_another_room_or_a_dark_image_shows_nothing():
     wide = reported(np.array([0.3, -0.3, 0.1]), np.array([0.5, 0.5, 0.2]))
     other = textured_room(ROOM, seed=31, feature_m=0.045)
     for frame in (
@@ -79,7 +75,7 @@ def test_another_room_or_a_dark_image_shows_nothing() -> None:
         assert not len(look(wide, frame).detections)
 
 
-def test_a_place_is_reported_as_well_as_its_covariance_states() -> None:
+def test_a_place_is_reported_as_well_as_its_covariance_states():
     rng = np.random.default_rng(9)
     squares = []
     for _ in range(12):
@@ -96,7 +92,7 @@ def test_a_place_is_reported_as_well_as_its_covariance_states() -> None:
     assert 1.0 < np.mean(squares) < 6.0
 
 
-def test_two_places_that_the_prior_allows_are_none() -> None:
+def test_two_places_that_the_prior_allows_are_none():
     """Every poster hangs a second time, a step aside of the first: a row of posters."""
     shift = np.array([0.0, 0.7, 0.0])
     east = [k for k in MAP.landmarks if k.normal[0] < -0.9]
