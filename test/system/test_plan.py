@@ -1,9 +1,5 @@
 """`landmark-nav plan` as a user calls it."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +14,7 @@ from landmark_nav.storage.setup_files import load_room
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Room and robot of a user."""
     corners = [(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]
     walls = tuple(
@@ -34,7 +30,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def plan(folder: Path, *options: str, out: str = 'new/plan.yaml') -> int:
+def plan(folder, *options, out='new/plan.yaml'):
     return main(
         [
             'plan', '--room', str(folder / 'room.yaml'), '--robot', str(folder / 'robot.yaml'),
@@ -43,7 +39,7 @@ def plan(folder: Path, *options: str, out: str = 'new/plan.yaml') -> int:
     )  # fmt: skip
 
 
-def test_a_plan_is_written_and_drawn(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_is_written_and_drawn(folder, capsys):
     assert plan(folder) == 0
     text = (folder / 'new' / 'plan.yaml').read_text()
     document = yaml.safe_load(text)
@@ -71,7 +67,7 @@ def test_a_plan_is_written_and_drawn(folder: Path, capsys: pytest.CaptureFixture
     assert (folder / 'new' / 'plan.png').read_bytes() == drawn
 
 
-def test_another_camera_and_a_room_without_papers_give_other_plans(folder: Path) -> None:
+def test_another_camera_and_a_room_without_papers_give_other_plans(folder):
     assert plan(folder, out='a.yaml') == 0
     assert plan(folder, '--focal', '300', '--size', '640', '480', out='b.yaml') == 0
     room = load_room(folder / 'room.yaml')
@@ -97,13 +93,8 @@ def test_another_camera_and_a_room_without_papers_give_other_plans(folder: Path)
     ],
 )
 def test_what_can_not_be_planned_is_reported_in_a_line(
-    options: tuple[str, ...],
-    out: str,
-    status: int,
-    message: str,
-    folder: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    options, out, status, message, folder, capsys
+):
     assert plan(folder, *options, out=out) == status
     assert message in capsys.readouterr().err.splitlines()[-1]
     assert not (folder / 'new').exists()

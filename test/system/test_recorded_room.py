@@ -1,11 +1,6 @@
 """The offline commands on the recorded room of bags/, against its expected figures."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 import json
-from pathlib import Path
-from typing import Any
 
 from drive_faults import displaced_drive, late_drive, starved_drive
 from harness import BAGS, evaluate, start_of
@@ -17,7 +12,6 @@ from landmark_nav.cli.main import main
 from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.scene import Box
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import save_calibration
@@ -25,7 +19,7 @@ from landmark_nav.storage.setup_files import load_robot, load_room
 
 
 @pytest.fixture(scope='module')
-def figures(recorded: Path) -> tuple[dict[str, float], Path]:
+def figures(recorded):
     """What `learn` and `evaluate` measure, by the names of expected.json, and the map."""
     learned = json.loads((recorded / 'learn.json').read_text())
     run = json.loads((recorded / 'run.json').read_text())
@@ -41,7 +35,7 @@ def figures(recorded: Path) -> tuple[dict[str, float], Path]:
     }, recorded
 
 
-def test_as_expected(figures: tuple[dict[str, float], Path]) -> None:
+def test_as_expected(figures):
     expected = json.loads((BAGS / 'expected.json').read_text())
     del expected['note']
     measured = figures[0]
@@ -51,13 +45,13 @@ def test_as_expected(figures: tuple[dict[str, float], Path]) -> None:
         assert low <= measured[name] <= high, name
 
 
-def test_the_images_show_the_map(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_images_show_the_map(recorded, capsys):
     robot = ['--robot', str(BAGS / 'robot.yaml')]
     assert main(['check', str(BAGS / 'drive'), *robot, '--map', str(recorded / 'map')]) == 0
     assert 'place found' in capsys.readouterr().out
 
 
-def off_boxes_m(point: np.ndarray, boxes: tuple[Box, ...]) -> float:
+def off_boxes_m(point, boxes):
     """Distance in plan from the next side of a piece of furniture."""
     away = []
     for box in boxes:
@@ -69,9 +63,7 @@ def off_boxes_m(point: np.ndarray, boxes: tuple[Box, ...]) -> float:
     return min(away)
 
 
-def test_landmarks_lie_where_things_really_hang_or_stand(
-    figures: tuple[dict[str, float], Path],
-) -> None:
+def test_landmarks_lie_where_things_really_hang_or_stand(figures):
     scene = json.loads((BAGS / 'scene.json').read_text())
     boxes = generate_scene(scene['seed']).boxes
     items = [item for item in scene['items'] if item['kind'] != 'door']
@@ -86,9 +78,7 @@ def test_landmarks_lie_where_things_really_hang_or_stand(
     assert min(np.linalg.norm(k.position - centers[target]) for k in landmarks) < 0.02
 
 
-def test_the_planner_predicts_landmarks_and_sweep_errors(
-    figures: tuple[dict[str, float], Path],
-) -> None:
+def test_the_planner_predicts_landmarks_and_sweep_errors(figures):
     sweeps = json.loads((figures[1] / 'learn.json').read_text())['sweeps']
     room, mount = load_room(BAGS / 'room.yaml'), load_robot(BAGS / 'robot.yaml')
     poses = np.array([sweep['pose'] for sweep in sweeps])
@@ -101,12 +91,10 @@ def test_the_planner_predicts_landmarks_and_sweep_errors(
 
 
 @pytest.fixture
-def driven(recorded: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
+def driven(recorded, tmp_path):
     """What `evaluate` measures on this map, of another drive or with another `robot.yaml`."""
 
-    def run(
-        drive: Path | None = None, known: Calibration | None = None, *, start: bool = True
-    ) -> dict[str, Any]:
+    def run(drive=None, known=None, *, start=True):
         robot = None if known is None else tmp_path / 'robot.yaml'
         if robot and known:
             save_calibration(known, robot)
@@ -118,11 +106,8 @@ def driven(recorded: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
 
 
 def test_joint_states_that_are_stamped_late_are_reported_and_put_right(
-    figures: tuple[dict[str, float], Path],
-    driven: Callable[..., dict[str, Any]],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    figures, driven, tmp_path, capsys
+):
     run = driven(late_drive(Bag(BAGS / 'drive'), tmp_path / 'late', 0.04))
     delay = run['calibration']['joint_delay']
     assert delay['value'] == pytest.approx(0.04, abs=0.002)
@@ -131,9 +116,7 @@ def test_joint_states_that_are_stamped_late_are_reported_and_put_right(
     assert 'camera: joint_states' in capsys.readouterr().out
 
 
-def test_joint_states_that_become_late_are_not_put_right_from_the_start(
-    driven: Callable[..., dict[str, Any]], tmp_path: Path
-) -> None:
+def test_joint_states_that_become_late_are_not_put_right_from_the_start(driven, tmp_path):
     """What is measured in the end is wrong before."""
     run = driven(late_drive(Bag(BAGS / 'drive'), tmp_path / 'late', 0.2, 6.0))
     assert run['calibration']['joint_delay']['value'] == pytest.approx(0.2, abs=0.005)
@@ -141,16 +124,14 @@ def test_joint_states_that_become_late_are_not_put_right_from_the_start(
     assert run['nees']['mean'] < run['nees']['interval_95'][1]
 
 
-def test_images_are_drawn(figures: tuple[dict[str, float], Path]) -> None:
+def test_images_are_drawn(figures):
     for name in ('map/map.png', 'map/panorama_1.png', 'map/panorama_2.png'):
         assert (figures[1] / name).stat().st_size > 10_000
     assert (figures[1] / 'run.html').stat().st_size > 100_000
 
 
 @pytest.mark.xfail(strict=True, reason='heading off by 0.29 degrees, which its sigma says')
-def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(
-    driven: Callable[..., dict[str, Any]], tmp_path: Path
-) -> None:
+def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(driven, tmp_path):
     """No start is given; it looks above or below, or is rolled, from the first image on."""
     drive = displaced_drive(Bag(BAGS / 'drive'), tmp_path / 'displaced', (-1.0, 0.0, 1.5))
     run = driven(drive, start=False)
@@ -160,9 +141,7 @@ def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(
     assert run['silently_wrong'] == 0
 
 
-def test_what_a_starved_machine_loses_is_in_the_covariance(
-    driven: Callable[..., dict[str, Any]], tmp_path: Path
-) -> None:
+def test_what_a_starved_machine_loses_is_in_the_covariance(driven, tmp_path):
     run = driven(starved_drive(Bag(BAGS / 'drive'), tmp_path / 'starved'), start=False)
     assert run['silently_wrong'] == 0
     assert run['nees']['mean'] < 5.0
@@ -170,9 +149,7 @@ def test_what_a_starved_machine_loses_is_in_the_covariance(
 
 
 @pytest.mark.parametrize('start', [True, False])
-def test_the_estimator_is_as_good_where_the_mount_is_exact(
-    driven: Callable[..., dict[str, Any]], start: bool
-) -> None:
+def test_the_estimator_is_as_good_where_the_mount_is_exact(driven, start):
     run = driven(known=Calibration.exact(load_robot(BAGS / 'robot.yaml')), start=start)
     assert (run['found'] is None) == start
     assert run['integrity']['undetected_wrong'] == 0
@@ -194,9 +171,7 @@ def test_the_estimator_is_as_good_where_the_mount_is_exact(
         {'axis_pitch': 0.014, 'camera_roll': 0.014, 'axis_z': 0.03},
     ],
 )
-def test_the_estimator_knows_how_wrong_it_may_be(
-    driven: Callable[..., dict[str, Any]], error: dict[str, float]
-) -> None:
+def test_the_estimator_knows_how_wrong_it_may_be(driven, error):
     right = Calibration.of_mount(load_robot(BAGS / 'robot.yaml'))
     wrong = right.with_values(**{name: right[name][0] + off for name, off in error.items()})
     run = driven(known=wrong)

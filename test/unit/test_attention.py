@@ -1,7 +1,5 @@
 """Attention as a whole: what is selected in synthetic panoramas, and what is not."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +7,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.attention import attend, attention_maps, AttentionConfig, FEATURES
-from landmark_nav.types import Candidate, Panorama
+from landmark_nav.types import Panorama
 
 WIDTH, HEIGHT = 1601, 300
 
@@ -75,7 +73,7 @@ def clutter(rng):
     return gray
 
 
-def away_px(candidate: Candidate, column, row, width=WIDTH):
+def away_px(candidate, column, row, width=WIDTH):
     across = (candidate.column - column + width / 2) % width - width / 2
     return max(abs(across), abs(candidate.row - row))
 

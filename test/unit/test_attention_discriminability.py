@@ -1,7 +1,5 @@
 """Patches that a neighbouring location could be mistaken for are refused."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

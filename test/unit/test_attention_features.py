@@ -1,7 +1,5 @@
 """Feature maps, symmetry and conspicuity on patterns whose answer is known."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

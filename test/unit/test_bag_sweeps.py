@@ -1,7 +1,5 @@
 """Sweeps come out of bags and folders of images, with what is missing named."""
 
-from __future__ import annotations
-
 import re
 
 from bag_writers import camera_image, FACTORY, full_turn, MOUNT, SECOND, START, write_sweep

@@ -1,7 +1,5 @@
 """Bags are read in each file format, and damage is reported."""
 
-from __future__ import annotations
-
 import gc
 from itertools import groupby
 

@@ -1,14 +1,9 @@
 """A file of runs becomes stages, each done once; two tables are compared run by run."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
-from landmark_nav.batch.jobs import read_runs, Run
+from landmark_nav.batch.jobs import read_runs
 from landmark_nav.batch.results import compare, read_table
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError
@@ -27,7 +22,7 @@ LONG_FIELD = f'run,failure\na,{"x" * 200_000}'
 
 
 @pytest.fixture
-def recordings(tmp_path: Path) -> Path:
+def recordings(tmp_path):
     for room in ('attic', 'hall'):
         for name in ('sweeps', 'drive'):
             (tmp_path / 'rooms' / room / name).mkdir(parents=True)
@@ -36,13 +31,13 @@ def recordings(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def runs_of(folder: Path, text: str) -> list[Run]:
+def runs_of(folder, text):
     file = folder / 'jobs.yaml'
     file.write_text(text)
     return read_runs(file, '1')
 
 
-def test_parameters_of_a_grid_and_contents_of_files_make_a_stage(recordings: Path) -> None:
+def test_parameters_of_a_grid_and_contents_of_files_make_a_stage(recordings):
     robot, path = recordings / 'bare.yaml', recordings / 'config.yaml'
     robot.write_text('pan_axis: {xyz: [0, 0, 1]}')
     found = set()
@@ -76,26 +71,26 @@ def test_parameters_of_a_grid_and_contents_of_files_make_a_stage(recordings: Pat
         f'runs: [{{simulate: {{}}}}]\ngrid: {HUGE_GRID}',
     ],
 )
-def test_a_wrong_file_is_refused_in_a_line(tmp_path: Path, text: str) -> None:
+def test_a_wrong_file_is_refused_in_a_line(tmp_path, text):
     with pytest.raises(LandmarkNavError):
         runs_of(tmp_path, text)
 
 
 @pytest.mark.parametrize('text', ['', 'a,b', 'run,failure\na,"', LONG_FIELD])
-def test_a_wrong_table_is_refused_in_a_line(tmp_path: Path, text: str) -> None:
+def test_a_wrong_table_is_refused_in_a_line(tmp_path, text):
     (tmp_path / 'table.csv').write_text(text, newline='')
     with pytest.raises(LandmarkNavError, match=r'table\.csv'):
         read_table(tmp_path)
 
 
-def table(errors_m: Any, failure: str = '') -> list[dict[str, Any]]:
+def table(errors_m, failure=''):
     return [
         {'run': str(k), 'position_rmse_m': error, 'failure': failure}
         for k, error in enumerate(errors_m)
     ]
 
 
-def test_only_a_change_beyond_its_interval_is_worse() -> None:
+def test_only_a_change_beyond_its_interval_is_worse():
     rng = np.random.default_rng(5)
     wrong, low = 0, []
     for _ in range(400):
@@ -110,6 +105,6 @@ def test_only_a_change_beyond_its_interval_is_worse() -> None:
     assert not compare(table(before - 0.004), table(before))[1].worse
 
 
-def test_one_run_that_fails_now_is_worse() -> None:
+def test_one_run_that_fails_now_is_worse():
     failures, *_ = compare(table([0.01], 'no place found'), table([0.01]))
     assert failures.worse

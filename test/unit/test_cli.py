@@ -1,12 +1,9 @@
 from __future__ import annotations
 
-import argparse
 import os
-from pathlib import Path
 import subprocess
 import sys
 import types
-from typing import Any
 
 import pytest
 
@@ -17,7 +14,7 @@ EVALUATE = ['evaluate', 'b', '--map', 'm', '--robot', 'r']
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
+def command(monkeypatch):
     """Command `learn` replaced by one that each test gives its own `run`."""
     module = types.ModuleType('landmark_nav.cli.learn')
 
@@ -26,8 +23,8 @@ def command(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     return module
 
 
-def failing(error: BaseException) -> Any:
-    def run(args: argparse.Namespace) -> int:
+def failing(error):
+    def run(args):
         raise error
 
     return run
@@ -42,17 +39,13 @@ def failing(error: BaseException) -> Any:
         (['map', 'shw', 'm'], 'show'),
     ],
 )
-def test_what_was_meant_is_asked_for(
-    words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_meant_is_asked_for(words, meant, capsys):
     assert main(words) == 2
     assert f'did you mean {meant}?' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('arguments', [[], ['no-such-thing'], ['learn', '--frobnicate']])
-def test_wrong_usage_is_status_2(
-    arguments: list[str], command: types.ModuleType, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_usage_is_status_2(arguments, command, capsys):
     assert main(arguments) == 2
     assert 'usage: landmark-nav' in capsys.readouterr().err
 
@@ -68,9 +61,7 @@ def test_wrong_usage_is_status_2(
         (ModuleNotFoundError('x', name='std_srvs.srv'), 'needs ROS 2 and std_srvs is not inst'),
     ],
 )
-def test_what_a_user_can_mend_is_one_line(
-    error: Exception, line: str, command: types.ModuleType, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_user_can_mend_is_one_line(error, line, command, capsys):
     command.run = failing(error)  # type: ignore[attr-defined]
     assert main(['learn', 'bag']) == 1
     printed = capsys.readouterr().err
@@ -78,9 +69,7 @@ def test_what_a_user_can_mend_is_one_line(
     assert printed.count('\n') == 1
 
 
-def test_a_bug_keeps_its_traceback_and_an_interruption_its_status(
-    command: types.ModuleType,
-) -> None:
+def test_a_bug_keeps_its_traceback_and_an_interruption_its_status(command):
     command.run = failing(ModuleNotFoundError('x', name='landmark_nav.gone'))  # type: ignore[attr-defined]
     with pytest.raises(ModuleNotFoundError):
         main(['learn', 'bag'])
@@ -109,7 +98,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
         process.wait(timeout=20)
 
 
-def test_help_loads_nothing_heavy() -> None:
+def test_help_loads_nothing_heavy():
     code = (
         'import sys\n'
         'from landmark_nav.cli.main import main\n'
@@ -143,9 +132,7 @@ def test_help_loads_nothing_heavy() -> None:
         ([*EVALUATE, '--start-sigma', 'inf', '0.1'], 'inf is not from 1e-09 to 2e+07'),
     ],
 )
-def test_arguments_that_cannot_be_are_status_2_and_one_line(
-    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_arguments_that_cannot_be_are_status_2_and_one_line(arguments, complaint, capsys):
     assert main(arguments) == 2
     line = capsys.readouterr().err.splitlines()[-1]
     assert complaint in line
@@ -153,9 +140,7 @@ def test_arguments_that_cannot_be_are_status_2_and_one_line(
 
 
 @pytest.mark.parametrize('name', COMMANDS)
-def test_every_command_explains_itself_without_ros(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_explains_itself_without_ros(name, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, 'rclpy', None)
     assert main([name, '--help']) == 0
     text = ' '.join(capsys.readouterr().out.split())
@@ -167,7 +152,7 @@ def test_every_command_explains_itself_without_ros(
 @pytest.mark.parametrize(
     ('line', 'offered'), [('landmark-nav ev', 'evaluate'), ('landmark-nav learn --ro', '--robot')]
 )
-def test_a_shell_completes_commands_and_options(line: str, offered: str, tmp_path: Path) -> None:
+def test_a_shell_completes_commands_and_options(line, offered, tmp_path):
     environment = os.environ | {
         '_ARGCOMPLETE': '1',
         '_ARGCOMPLETE_STDOUT_FILENAME': str(tmp_path / 'offered'),

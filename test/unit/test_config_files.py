@@ -18,17 +18,17 @@ ROBOT = BAGS / 'robot.yaml'
 PLAIN = load_configuration(None, ROBOT)
 
 
-def load(folder: Path, text: str, *nodes: str, robot: Path = ROBOT) -> Configuration:
+def load(folder, text, *nodes, robot=ROBOT):
     path = folder / 'config.yaml'
     path.write_text(text)
     return load_configuration(path, robot, *(nodes or READS))
 
 
-def for_all(parameters: str) -> str:
+def for_all(parameters):
     return f'/**: {{ros__parameters: {{{parameters}}}}}'
 
 
-def test_users_change_few_and_find_the_defaults_in_the_file() -> None:
+def test_users_change_few_and_find_the_defaults_in_the_file():
     path = shipped_config('landmark_nav.yaml')
     assert load_configuration(path, ROBOT, *READS) == PLAIN
     (section,) = yaml.safe_load(path.read_text()).values()
@@ -36,7 +36,7 @@ def test_users_change_few_and_find_the_defaults_in_the_file() -> None:
     assert len(flat(inside)) <= 12
 
 
-def test_parameters_are_few_and_described_and_all_have_a_reader() -> None:
+def test_parameters_are_few_and_described_and_all_have_a_reader():
     known = {name: (field, value) for name, field, value in leaves(Configuration())}
     assert len(known) <= 40
     for name, (field, value) in known.items():
@@ -48,7 +48,7 @@ def test_parameters_are_few_and_described_and_all_have_a_reader() -> None:
     assert all(k in known or any(name.startswith(f'{k}.') for name in known) for k in read)
 
 
-def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
+def test_what_is_named_changes_and_all_else_stays(tmp_path):
     config = load(tmp_path, for_all('estimator: {step_probability: 0}, capture.frames: 36'))
     assert config.estimator.step_probability == 0.0
     assert isinstance(config.estimator.step_probability, float)
@@ -58,25 +58,21 @@ def test_what_is_named_changes_and_all_else_stays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('text', ['', '# estimator: 1\n', for_all(''), for_all('estimator: {}')])
-def test_where_nothing_is_named_nothing_changes(tmp_path: Path, text: str) -> None:
+def test_where_nothing_is_named_nothing_changes(tmp_path, text):
     assert load(tmp_path, text) == PLAIN
 
 
-def test_parameters_of_ros_itself_are_passed_over(tmp_path: Path) -> None:
+def test_parameters_of_ros_itself_are_passed_over(tmp_path):
     given = 'use_sim_time: true, qos_overrides: {/odom: {subscription: {depth: 1}}}'
     assert load(tmp_path, for_all(given)) == PLAIN
 
 
-def test_a_file_for_other_nodes_alone_is_reported(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_file_for_other_nodes_alone_is_reported(tmp_path, caplog):
     load(tmp_path, 'odometry_fuson: {ros__parameters: {map_frame: own}}', 'odometry_fusion')
     assert 'odometry_fuson' in caplog.text
 
 
-def test_a_file_of_the_last_release_is_taken_with_warnings(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_file_of_the_last_release_is_taken_with_warnings(tmp_path, caplog):
     text = (
         'observation: {triplet: {max_range_m: 9.0, hysteresis: 0.1}}\n'
         'estimator: {tail_freedom: 4.0}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
@@ -101,9 +97,7 @@ def test_a_file_of_the_last_release_is_taken_with_warnings(
         ('command: {speed_rad_s: 0.5}', 'triplet.pan_rate_rad_s', 0.5),
     ],
 )
-def test_facts_of_the_robot_still_come_from_where_they_were(
-    tmp_path: Path, name: str, fact: str, value: float
-) -> None:
+def test_facts_of_the_robot_still_come_from_where_they_were(tmp_path, name, fact, value):
     config: Any = load(tmp_path, for_all(name))
     section, field = fact.split('.')
     assert getattr(getattr(config, section), field) == value
@@ -124,6 +118,6 @@ def test_facts_of_the_robot_still_come_from_where_they_were(
         ('- fusion', 'holds no mapping'),
     ],
 )
-def test_what_cannot_be_is_named(tmp_path: Path, text: str, complaint: str) -> None:
+def test_what_cannot_be_is_named(tmp_path, text, complaint):
     with pytest.raises(LandmarkNavError, match=rf'config\.yaml.*{complaint}'):
         load(tmp_path, text)

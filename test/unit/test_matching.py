@@ -9,13 +9,13 @@ from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.stereo.magnification import log_magnification, MARGIN
 from landmark_nav.matching import Match, match_template
 from landmark_nav.matching.alignment import align
-from landmark_nav.types import FloatArray, Refusal
+from landmark_nav.types import Refusal
 
 
 class Texture:
     """A random continuous texture: waves, so that it can be sampled exactly anywhere."""
 
-    def __init__(self, seed: int, deviation: float = 40.0, shortest_px: float = 5.0) -> None:
+    def __init__(self, seed, deviation=40.0, shortest_px=5.0):
         rng = np.random.default_rng(seed)
         length = rng.uniform(shortest_px, 6 * shortest_px, 60)
         angle = rng.uniform(0.0, 2.0 * np.pi, 60)
@@ -31,9 +31,7 @@ class Texture:
         return (128.0 + self._amplitude * np.einsum('ky,kx->yx', y, x).real).astype(np.float32)
 
 
-def match_shifted(
-    seed: int, noise: float, shortest_px: float = 5.0
-) -> tuple[FloatArray, Match | Refusal]:
+def match_shifted(seed, noise, shortest_px=5.0):
     """Error of a match at a random shift; the search image has noise, gain and offset."""
     rng = np.random.default_rng([seed, 1])
     texture = Texture(seed, shortest_px=shortest_px)
@@ -46,7 +44,7 @@ def match_shifted(
     return found.xy - truth if isinstance(found, Match) else truth * np.nan, found
 
 
-def test_a_sub_pixel_shift_is_recovered_without_noise() -> None:
+def test_a_sub_pixel_shift_is_recovered_without_noise():
     errors = np.array([match_shifted(seed, 0.0)[0] for seed in range(60)])
     assert np.abs(errors).max() < 0.03
     assert np.abs(errors.mean(axis=0)).max() < 0.01
@@ -71,7 +69,7 @@ def test_noise_moves_matches_as_far_as_their_covariance_states(
     assert 0.75 < np.mean(nees) / 2.0 < 1.25
 
 
-def test_gain_and_offset_change_neither_place_nor_score() -> None:
+def test_gain_and_offset_change_neither_place_nor_score():
     texture = Texture(3)
     template, search = texture.sample(30, 30, 9.3, 11.6), texture.sample(60, 60)
     plain = match_template(search, template)
@@ -98,9 +96,7 @@ _REPEATED = np.tile(Texture(8).sample(24, 30), (1, 3))
         (_REPEATED, _REPEATED[2:28, 12:40].copy(), 'ambiguous'),
     ],
 )
-def test_a_template_without_one_clear_place_is_refused(
-    search: Float32Array, template: Float32Array, reason: str
-) -> None:
+def test_a_template_without_one_clear_place_is_refused(search, template, reason):
     found = match_template(search, template)
     assert isinstance(found, Refusal)
     assert reason in found.reason
@@ -109,7 +105,7 @@ def test_a_template_without_one_clear_place_is_refused(
         assert isinstance(match_template(search, template, max_second_ratio=1.01), Match)
 
 
-def test_the_negative_of_a_patch_aligns_with_nothing() -> None:
+def test_the_negative_of_a_patch_aligns_with_nothing():
     template = Texture(5).sample(32, 28, 12.0, 12.0)
     search = Texture(5).sample(56, 52)
     found = align(search, template, (12.0, 12.0), (0.0, 0.0))
@@ -121,9 +117,7 @@ def test_the_negative_of_a_patch_aligns_with_nothing() -> None:
 SIZE = 28 + 2 * MARGIN
 
 
-def two_views(
-    rng: np.random.Generator, larger: float, *, blur: float = 0.0
-) -> tuple[Float32Array, Float32Array]:
+def two_views(rng, larger, *, blur=0.0):
     """A pattern, and the same a little beside and `larger`, darker and blurred."""
     texture = smooth_texture(rng, 1.0, 1.0, 0.04)
     # Finer than the views: OpenCV knows 32 steps a pixel.
@@ -144,7 +138,7 @@ def two_views(
 
 
 @pytest.mark.parametrize('larger', [0.9, 0.97, 1.0, 1.03, 1.12])
-def test_how_much_larger_a_view_shows_a_pattern_is_recovered(larger: float) -> None:
+def test_how_much_larger_a_view_shows_a_pattern_is_recovered(larger):
     for seed in range(5):
         template, found = two_views(np.random.default_rng(seed), larger)
         reported = log_magnification(template, found, 1.0)
@@ -152,7 +146,7 @@ def test_how_much_larger_a_view_shows_a_pattern_is_recovered(larger: float) -> N
         assert reported[0] == pytest.approx(np.log(larger), rel=0.05, abs=1e-3)
 
 
-def test_its_sigma_is_that_of_the_noise() -> None:
+def test_its_sigma_is_that_of_the_noise():
     rng = np.random.default_rng(3)
     normalized = []
     for seed in range(100):
@@ -164,7 +158,7 @@ def test_its_sigma_is_that_of_the_noise() -> None:
     assert 0.8 < np.sqrt(np.mean(np.square(normalized))) < 1.25
 
 
-def test_what_has_no_pattern_gives_nothing() -> None:
+def test_what_has_no_pattern_gives_nothing():
     flat = np.full((SIZE, SIZE), 90.0, np.float32)
     assert log_magnification(flat, flat, 1.0) is None
     # Stripes grow across alone, and would from any depth.

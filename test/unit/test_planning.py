@@ -1,9 +1,5 @@
-from __future__ import annotations
-
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +14,6 @@ from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import (
     exchange,
     forecast,
-    Plan,
     plan_positions,
 )
 from landmark_nav.planning.views import (
@@ -55,17 +50,17 @@ L_SHAPED = Room(
 )
 
 
-def silent(items: Iterable[Any], _what: str, _total: int) -> Iterator[Any]:
+def silent(items, _what, _total):
     return iter(items)
 
 
 @pytest.fixture(scope='module')
-def plan() -> Plan:
+def plan():
     return plan_positions(ROOM, MOUNT, 2, CONFIG, np.random.default_rng(1))
 
 
 class TestRoomGrid:
-    def test_floor_keeps_off_the_walls(self) -> None:
+    def test_floor_keeps_off_the_walls(self):
         floor = free_floor(L_SHAPED, 0.5, 0.25, 10000)
         assert L_SHAPED.contains(floor).all()
         # The inner corner at (3, 2) is round for whoever keeps off it.
@@ -78,14 +73,12 @@ class TestRoomGrid:
         ('size', 'least', 'most'),
         [((60.0, 40.0), 250, 480), ((4.0, 0.7), 0, 0), ((4.0, 0.8), 11, 480)],
     )
-    def test_floor_has_no_more_points_than_asked_for(
-        self, size: tuple[float, float], least: int, most: int
-    ) -> None:
+    def test_floor_has_no_more_points_than_asked_for(self, size, least, most):
         assert least <= len(free_floor(rectangle_room(*size), 0.4, 0.1, 400)) <= most
 
 
 class TestViews:
-    def test_hidden_and_oblique_walls_show_nothing(self) -> None:
+    def test_hidden_and_oblique_walls_show_nothing(self):
         samples = sample_walls(L_SHAPED, 0.25, 1000)
         config = PlanConfig(stereo=StereoConfig(max_incidence_rad=0.9))
         views = look(np.array([[1.2, 2.6, 0.0]]), samples, L_SHAPED, MOUNT, config)
@@ -100,11 +93,11 @@ class TestViews:
 
 
 class TestSearch:
-    def test_finds_the_best_set_of_a_smooth_cost(self) -> None:
+    def test_finds_the_best_set_of_a_smooth_cost(self):
         xy = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), -1).reshape(-1, 2)
         goals = np.array([[0.2, 0.1], [3.9, 0.3], [2.1, 2.8]])
 
-        def cost(places: Any) -> float:
+        def cost(places):
             gap = np.linalg.norm(xy[places][:, None] - goals, axis=-1)
             return float(gap.min(axis=0).sum())
 
@@ -115,7 +108,7 @@ class TestSearch:
 
 
 class TestPlan:
-    def test_beats_random_places_and_left_and_right(self, plan: Plan) -> None:
+    def test_beats_random_places_and_left_and_right(self, plan):
         assert plan.left_right is not None
         assert plan.best.cost_m < plan.left_right.cost_m
         assert plan.best.cost_m < plan.random[0].cost_m
@@ -128,9 +121,7 @@ class TestPlan:
         assert len(plan.accuracy_map.floor_xy) > 2 * len(plan.best.floor_xy)
         assert plan.accuracy_map.cost_m == pytest.approx(plan.best.cost_m, rel=0.1)
 
-    def test_headings_are_planned_where_the_camera_does_not_turn_all_round(
-        self, plan: Plan
-    ) -> None:
+    def test_headings_are_planned_where_the_camera_does_not_turn_all_round(self, plan):
         limited = replace(CONFIG, pan_min_rad=0.5, pan_max_rad=2.5)
         best = plan_positions(ROOM, MOUNT, 2, limited, np.random.default_rng(1)).best
         assert plan.best.cost_m < best.cost_m < 0.02
@@ -147,19 +138,19 @@ class TestPlan:
         (other,) = forecast([turned], cells, ROOM, still, ahead)
         assert one.cost_m == pytest.approx(other.cost_m)
 
-    def test_does_not_depend_on_chance(self, plan: Plan) -> None:
+    def test_does_not_depend_on_chance(self, plan):
         again = plan_positions(ROOM, MOUNT, 2, CONFIG, np.random.default_rng(2))
         np.testing.assert_array_equal(again.best.poses_map_base, plan.best.poses_map_base)
         np.testing.assert_array_equal(again.best.sigma_m, plan.best.sigma_m)
 
-    def test_a_room_whose_walls_were_found_names_no_papers(self) -> None:
+    def test_a_room_whose_walls_were_found_names_no_papers(self):
         free = plan_positions(rectangle_room(5.0, 4.0), MOUNT, 2, CONFIG, np.random.default_rng(1))
         places = free.best.poses_map_base
         assert np.linalg.norm(places[1, :2] - places[0, :2]) > 0.5
         assert np.isfinite(free.best.sigma_m).all()
         assert free.best.cost_m < np.median([other.cost_m for other in free.random])
 
-    def test_a_mirrored_room_is_worth_the_same(self, plan: Plan) -> None:
+    def test_a_mirrored_room_is_worth_the_same(self, plan):
         mirrored = rectangle_room(
             5.0,
             4.0,
@@ -174,7 +165,7 @@ class TestPlan:
         np.testing.assert_allclose(same.sigma_m, plan.best.sigma_m, rtol=1e-6)
         assert same.landmarks.sum() == pytest.approx(plan.best.landmarks.sum())
 
-    def test_blank_walls_above_the_image_give_nothing(self, plan: Plan) -> None:
+    def test_blank_walls_above_the_image_give_nothing(self, plan):
         config = replace(CONFIG, texture_low_m=3.9, texture_high_m=4.0)
         tall = rectangle_room(5.0, 4.0, PAPERS, height=4.0)
         (nothing,) = forecast([plan.best.poses_map_base], plan.best.floor_xy, tall, MOUNT, config)
@@ -205,13 +196,11 @@ class TestBadInput:
             ),
         ],
     )
-    def test_what_can_not_be_planned_is_one_line(
-        self, room: Room, count: int, message: str
-    ) -> None:
+    def test_what_can_not_be_planned_is_one_line(self, room, count, message):
         with pytest.raises(LandmarkNavError, match=message):
             plan_positions(room, MOUNT, count, CONFIG, np.random.default_rng(0))
 
-    def test_forecast_of_a_place_without_papers(self) -> None:
+    def test_forecast_of_a_place_without_papers(self):
         poses = np.array([[2.0, 2.5, 0.0], [2.5, 0.5, 0.0]])
         with pytest.raises(LandmarkNavError, match='1 of 2 places do not see all 3 papers'):
             forecast([poses], poses[:, :2], ROOM, MOUNT, CONFIG)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 import tracemalloc
-from typing import Any
 
 import numpy as np
 from patch_texels import patch_points
@@ -29,7 +28,7 @@ from landmark_nav.learning.stereo.wall_patch import (
     wall_texture,
     WallPatch,
 )
-from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
+from landmark_nav.types import Candidate, Panorama, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
 CONFIG = StereoConfig()
@@ -38,7 +37,7 @@ HEADINGS = (0.4, -2.0)
 EAST = 1
 
 
-def views_of(scene: Scene, seed: int | None = 0) -> list[Panorama]:
+def views_of(scene, seed=0):
     rng = None if seed is None else np.random.default_rng(seed)
     return [
         draw_panorama(scene, center, heading, rng=rng)
@@ -46,31 +45,29 @@ def views_of(scene: Scene, seed: int | None = 0) -> list[Panorama]:
     ]
 
 
-def patch_at(panorama: Panorama, point: FloatArray) -> WallPatch | Refusal:
+def patch_at(panorama, point):
     return hypothesize(candidate_at(panorama, point, 32), 0, panorama, ROOM, CONFIG)
 
 
-def match_at(
-    panoramas: list[Panorama], point: FloatArray, config: StereoConfig = CONFIG
-) -> tuple[WallPatch, PatchMeasurement | Refusal]:
+def match_at(panoramas, point, config=CONFIG):
     patch = patch_at(panoramas[0], point)
     assert isinstance(patch, WallPatch)
     return patch, match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, config)
 
 
-def direction_to(panorama: Panorama, point: FloatArray) -> FloatArray:
+def direction_to(panorama, point):
     """Azimuth in the base frame, and tangent, of a point."""
     d = point - panorama.center_map
     return np.array([np.arctan2(d[1], d[0]) - panorama.heading_rad, d[2] / np.hypot(d[0], d[1])])
 
 
 @pytest.fixture(scope='module')
-def scene() -> Scene:
+def scene():
     return textured_room(ROOM, seed=2, feature_m=0.05)
 
 
 @pytest.fixture(scope='module')
-def panoramas(scene: Scene) -> list[Panorama]:
+def panoramas(scene):
     return views_of(scene)
 
 
@@ -83,9 +80,7 @@ def panoramas(scene: Scene) -> list[Panorama]:
         ((2.5, 0.0, 1.3), 0),
     ],
 )
-def test_a_candidate_lies_where_its_ray_meets_the_wall(
-    panoramas: list[Panorama], point: tuple[float, ...], wall: int
-) -> None:
+def test_a_candidate_lies_where_its_ray_meets_the_wall(panoramas, point, wall):
     patch = patch_at(panoramas[0], np.array(point))
     assert isinstance(patch, WallPatch)
     assert patch.wall == wall
@@ -106,15 +101,13 @@ def test_a_candidate_lies_where_its_ray_meets_the_wall(
         ((6.0, 0.1, 1.1), 'across the corner'),
     ],
 )
-def test_what_is_no_patch_of_wall_is_refused(
-    panoramas: list[Panorama], point: tuple[float, ...], reason: str
-) -> None:
+def test_what_is_no_patch_of_wall_is_refused(panoramas, point, reason):
     found = patch_at(panoramas[0], np.array(point))
     assert isinstance(found, Refusal)
     assert reason in found.reason
 
 
-def test_a_wall_seen_along_is_refused() -> None:
+def test_a_wall_seen_along_is_refused():
     long = rectangle_room(12.0, 3.0)
     panorama = replace(
         draw_panorama(Scene(()), np.array([1.0, 1.0, 1.1]), 0.0), center_map=CENTERS[0] * 0.5
@@ -125,7 +118,7 @@ def test_a_wall_seen_along_is_refused() -> None:
     assert found.reason == 'too oblique'
 
 
-def test_a_wall_looks_the_same_from_both_places(panoramas: list[Panorama], scene: Scene) -> None:
+def test_a_wall_looks_the_same_from_both_places(panoramas, scene):
     point, normal = np.array([6.0, 2.4, 1.15]), ROOM.normals[EAST]
     first, second = (
         wall_texture(panorama, grey, point, normal, (40, 60), 0.014)
@@ -138,7 +131,7 @@ def test_a_wall_looks_the_same_from_both_places(panoramas: list[Panorama], scene
         assert np.abs(texture - truth[..., 0]).mean() < 4.0
 
 
-def test_the_seam_of_a_panorama_does_not_show(scene: Scene) -> None:
+def test_the_seam_of_a_panorama_does_not_show(scene):
     point, normal = np.array([6.0, 2.4, 1.15]), ROOM.normals[EAST]
     textures = []
     # The point ahead, and right behind, where the panorama is cut.
@@ -152,7 +145,7 @@ def test_the_seam_of_a_panorama_does_not_show(scene: Scene) -> None:
     assert np.abs(textures[0] - textures[1]).max() < 3.0
 
 
-def test_a_patch_out_of_the_image_has_no_texture(panoramas: list[Panorama]) -> None:
+def test_a_patch_out_of_the_image_has_no_texture(panoramas):
     grey = greys_of(panoramas)[0]
     high = np.array([6.0, 2.0, 2.6])
     assert wall_texture(panoramas[0], grey, high, ROOM.normals[EAST], (40, 40), 0.014) is None
@@ -161,7 +154,7 @@ def test_a_patch_out_of_the_image_has_no_texture(panoramas: list[Panorama]) -> N
     assert wall_texture(blind, grey, point, ROOM.normals[EAST], (40, 40), 0.014) is None
 
 
-def test_the_search_is_as_wide_as_places_are_uncertain(panoramas: list[Panorama]) -> None:
+def test_the_search_is_as_wide_as_places_are_uncertain(panoramas):
     point = np.array([6.0, 2.5, 1.2])
     given = panoramas[1].center_map + np.array([0.0, 0.0, 0.12])
     found = []
@@ -177,7 +170,7 @@ def test_the_search_is_as_wide_as_places_are_uncertain(panoramas: list[Panorama]
     assert found[1].tangent == pytest.approx(usual.tangent, abs=5e-4)
 
 
-def points_on_walls() -> FloatArray:
+def points_on_walls():
     rng = np.random.default_rng(5)
     return np.array(
         [
@@ -188,9 +181,7 @@ def points_on_walls() -> FloatArray:
     )
 
 
-def measurements_and_errors(
-    panoramas: list[Panorama], moved: Panorama | None = None
-) -> tuple[list[PatchMeasurement], FloatArray]:
+def measurements_and_errors(panoramas, moved=None):
     """Measurements in the second view, taken to be where `moved` is, and their errors (n, 2)."""
     found, errors = [], []
     for point in points_on_walls():
@@ -205,9 +196,7 @@ def measurements_and_errors(
 
 
 @pytest.mark.parametrize('rise_m', [0.0, -0.2, 0.3])
-def test_patches_are_found_again_from_the_other_place(
-    scene: Scene, panoramas: list[Panorama], rise_m: float
-) -> None:
+def test_patches_are_found_again_from_the_other_place(scene, panoramas, rise_m):
     """Also where the camera is higher or lower there."""
     center = CENTERS[1] + np.array([0.0, 0.0, rise_m])
     other = draw_panorama(scene, center, HEADINGS[1], rng=np.random.default_rng(3))
@@ -221,7 +210,7 @@ def test_patches_are_found_again_from_the_other_place(
     assert np.mean((errors / sigma) ** 2) < 3.0
 
 
-def test_a_pose_that_is_a_little_wrong_changes_nothing(panoramas: list[Panorama]) -> None:
+def test_a_pose_that_is_a_little_wrong_changes_nothing(panoramas):
     moved = replace(
         panoramas[1],
         center_map=CENTERS[1] + np.array([0.015, -0.01, 0.005]),
@@ -233,7 +222,7 @@ def test_a_pose_that_is_a_little_wrong_changes_nothing(panoramas: list[Panorama]
     assert np.abs(errors).max() < 1e-3
 
 
-def hanging(scene: Scene, before_wall_m: float) -> tuple[Scene, FloatArray]:
+def hanging(scene, before_wall_m):
     """Scene with a textured board before the east wall, and the board's centre."""
     center = np.array([6.0 - before_wall_m, 2.6, 1.15])
     texture = smooth_texture(np.random.default_rng(9), 1.2, 1.2, 0.05)
@@ -242,9 +231,7 @@ def hanging(scene: Scene, before_wall_m: float) -> tuple[Scene, FloatArray]:
 
 
 @pytest.mark.parametrize('before_wall_m', [0.05, 0.4])
-def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(
-    scene: Scene, before_wall_m: float
-) -> None:
+def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(scene, before_wall_m):
     changed, center = hanging(scene, before_wall_m)
     panoramas = views_of(changed)
     patch, seen = match_at(panoramas, center)
@@ -258,7 +245,7 @@ def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(
     assert met[0] == pytest.approx(center[0], abs=0.015)
 
 
-def test_what_only_one_place_sees_is_refused(scene: Scene) -> None:
+def test_what_only_one_place_sees_is_refused(scene):
     changed, center = hanging(scene, 0.8)
     panoramas = [views_of(changed)[0], views_of(scene)[1]]
     _, seen = match_at(panoramas, center)
@@ -286,9 +273,7 @@ def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it() -> None:
     assert isinstance(seen, PatchMeasurement)
 
 
-def test_on_the_baseline_scale_gives_depth_and_above_the_camera_parallax_does(
-    panoramas: list[Panorama],
-) -> None:
+def test_on_the_baseline_scale_gives_depth_and_above_the_camera_parallax_does(panoramas):
     way = CENTERS[1] - CENTERS[0]
     ahead = CENTERS[0] + (6.0 - CENTERS[0][0]) / way[0] * way
     level = np.add(ahead, [0.0, 0.0, 0.02])
@@ -315,9 +300,7 @@ def test_on_the_baseline_scale_gives_depth_and_above_the_camera_parallax_does(
         ({}, 'not covered'),
     ],
 )
-def test_what_the_other_place_does_not_show_is_refused(
-    panoramas: list[Panorama], moved: dict[str, Any], reason: str
-) -> None:
+def test_what_the_other_place_does_not_show_is_refused(panoramas, moved, reason):
     covered = np.full_like(panoramas[1].mask, bool(moved))
     other = replace(panoramas[1], mask=covered, **moved)
     _, seen = match_at([panoramas[0], other], np.array([6.0, 2.2, 1.1]))
@@ -325,7 +308,7 @@ def test_what_the_other_place_does_not_show_is_refused(
     assert reason in seen.reason
 
 
-def test_a_place_close_to_a_wall_is_searched_within_reason() -> None:
+def test_a_place_close_to_a_wall_is_searched_within_reason():
     patch = WallPatch(
         Candidate(0.0, 0.0, 30, 30, 1.0),
         source=0,
