@@ -141,9 +141,7 @@ def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(graph, domain_
     context.try_shutdown()
 
 
-def test_what_is_awaited_is_logged_and_once_that_it_is_there(
-    graph: Robot, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_awaited_is_logged_and_once_that_it_is_there(graph, caplog, monkeypatch):
     # Another test may have sent what the package logs to a node.
     package = logging.getLogger('landmark_nav')
     monkeypatch.setattr(package, 'propagate', True)

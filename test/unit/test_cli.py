@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -77,7 +75,7 @@ def test_a_bug_keeps_its_traceback_and_an_interruption_its_status(command):
     assert main(['learn', 'bag']) == 130
 
 
-def test_a_reader_that_leaves_is_no_error() -> None:
+def test_a_reader_that_leaves_is_no_error():
     # The other end of the pipe is closed before anything is written.
     code = (
         'import sys, types\n'

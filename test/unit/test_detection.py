@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 from east_wall import (
@@ -64,7 +62,7 @@ def test_a_prior_that_is_far_off_finds_nothing_false():
 
 
 @pytest.mark.parametrize('away_m', [1.6, 2.4, 4.5])
-def test_patches_are_found_at_half_and_twice_the_distance(away_m: float) -> None:
+def test_patches_are_found_at_half_and_twice_the_distance(away_m):
     # Learned from 3 m.
     pose = np.array([6.0 - away_m - MOUNT.axis_xyz[0], 2.4, 0.0])
     frame = draw_frame(SCENE, LENS, MOUNT, pose, rng=np.random.default_rng(2))
@@ -74,7 +72,7 @@ def test_patches_are_found_at_half_and_twice_the_distance(away_m: float) -> None
     assert np.abs(errors_of(result, pose, landmarks)).max() < 1.5e-3
 
 
-def test_patches_are_found_aslant() -> None:
+def test_patches_are_found_aslant():
     # From 55 degrees off the normal.
     pose = np.array([4.4, 0.3, np.radians(55.0)])
     frame = draw_frame(SCENE, LENS, MOUNT, pose, rng=np.random.default_rng(3))
@@ -100,7 +98,7 @@ def seen_from_elsewhere(landmark_map, view):
     )
 
 
-def test_a_virtual_view_shows_what_the_nearest_panorama_saw() -> None:
+def test_a_virtual_view_shows_what_the_nearest_panorama_saw():
     # Things look otherwise from the other side, as what stands out or shines does.
     beside = np.array([3.0, 2.3, 1.15])
     landmarks = seen_from_elsewhere(map_of(PLACES, viewpoint=np.array([4.8, -1.5, 1.15])), beside)
@@ -132,7 +130,7 @@ def test_a_covered_landmark_is_refused():
     assert np.abs(errors_of(result, HERE)).max() < 2e-4
 
 
-def test_an_image_that_was_rehung_higher_is_refused() -> None:
+def test_an_image_that_was_rehung_higher_is_refused():
     # By 2 cm, which is 3 pixels from here: inside the window, but not where the others have it.
     frame = draw_frame(SCENE, LENS, MOUNT, HERE)
     moved = LANDMARKS.landmarks[1]
@@ -147,7 +145,7 @@ def test_an_image_that_was_rehung_higher_is_refused() -> None:
 
 
 @pytest.mark.parametrize('over', [{'tilt_rad': 0.006}, {'roll_rad': 0.006}], ids=str)
-def test_a_floor_that_is_tilted_moves_all_heights_and_refuses_none(over: dict[str, float]) -> None:
+def test_a_floor_that_is_tilted_moves_all_heights_and_refuses_none(over):
     # By 2.4 pixels in the middle, or at one focal length aside.
     frame = replace(draw_frame(SCENE, LENS, MOUNT, HERE), tilt_rad=over.get('tilt_rad', 0.0))
     if 'roll_rad' in over:

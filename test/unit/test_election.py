@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.learning.adjustment import Adjustment
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
-from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
+from landmark_nav.types import Candidate, Landmark, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
 CENTERS = (np.array([2.2, 2.0, 1.1]), np.array([3.6, 2.9, 1.1]))
@@ -193,9 +191,7 @@ def test_what_all_landmarks_share_refuses_none(panoramas):
 
 
 @pytest.mark.parametrize(('apart_m', 'elected'), [(0.1, 1), (0.24, 1), (0.3, 2), (0.6, 2)])
-def test_what_a_stronger_landmark_covers_is_refused(
-    panoramas: list[Panorama], apart_m: float, elected: int
-) -> None:
+def test_what_a_stronger_landmark_covers_is_refused(panoramas, apart_m, elected):
     # Patches of 0.45 m: 0.27 m apart leave 40 % common.
     patches = [
         patch_at((6.0, 2.4, 1.2), saliency=0.3),
@@ -227,7 +223,7 @@ def test_no_more_than_the_strongest_are_kept(panoramas):
     assert outcomes[0].reason == 'enough landmarks'
 
 
-def test_what_its_measurements_alone_do_not_place_is_refused(panoramas: list[Panorama]) -> None:
+def test_what_its_measurements_alone_do_not_place_is_refused(panoramas):
     # The wall makes its place look certain, whatever stands there.
     patch = patch_at((6.0, 2.4, 1.2))
     spread = np.diag([0.025, 0.002, 0.002])

@@ -246,25 +246,6 @@ def test_what_is_no_measurement_changes_nothing(change):
     assert (run.filter.snapshot.covariance == before.covariance).all()
 
 
-def test_a_landmark_counts_once():
-    drive = simulated(5, seconds=4.0)
-    twice = [
-        replace(
-            seen,
-            **{
-                name: np.concatenate([getattr(seen, name)] * 2)
-                for name in ('columns', 'points', 'covariance', 'pan_rad')
-            },
-        )
-        if isinstance(seen, ImagePoints)
-        else seen
-        for seen in drive.events
-    ]
-    once = driven(drive).covariances
-    drive.events = twice
-    assert driven(drive).covariances == pytest.approx(once, rel=1e-9)
-
-
 def test_the_noise_of_the_wheels_is_learned():
     quiet = OdometryNoiseConfig().scaled(3.0, 3.0, 3.0)
     factors = driven(simulated(9), odometry=quiet).filter.noise_factors

@@ -16,7 +16,6 @@ from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import JointFilter, Status
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.noise import Motion
-from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.types import (
@@ -27,8 +26,6 @@ from landmark_nav.types import (
     PoseEstimate,
     Refusal,
 )
-
-Seen = tuple[Detections, JointSample]
 
 
 def arriving(drive, shift_ns=0):
@@ -104,24 +101,6 @@ def test_messages_lose_nothing():
     assert read.calibration.sigmas == pytest.approx(expected.calibration.sigmas)
     assert read.tilt_sigma_rad == pytest.approx(expected.tilt_sigma_rad)
     assert (speeds.linear_m_s, speeds.angular_rad_s) == (0.3, -0.2)
-
-
-def test_a_clock_that_was_set_back_goes_on_from_the_last_pose():
-    drive = simulated(3, seconds=8.0)
-    fusion, shift = fused(drive), 100 * NS
-    fusion.initialize(replace(drive.start, stamp_ns=shift))
-    arrivals = list(arriving(drive, shift))
-    half = len(arrivals) // 2
-    for what in arrivals[:half]:
-        take(fusion, what)
-    before = fusion.estimate()
-    refusals = [take(fusion, what) for what in list(arriving(drive))[half:]]
-    assert before is not None
-    distrusted = [r for r in refusals if isinstance(r, Distrusted)]
-    assert len(distrusted) == 1
-    assert not any(isinstance(r, Refusal) for r in refusals if not isinstance(r, Distrusted))
-    assert np.abs(error(fusion, drive)[:2]).max() < 0.03
-    assert fusion.status_at()[0] is not Status.LOST
 
 
 @pytest.mark.parametrize('seconds', [3600, 1_000_000, 1_700_000_000])

@@ -1,7 +1,5 @@
 """Angles, planar poses, cylinder and walls."""
 
-from __future__ import annotations
-
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -210,7 +208,7 @@ def test_the_corner_hides_what_lies_behind():
     assert ROOM.visible([5.0, 1.0], on_walls).tolist() == [False, True, True, True]
 
 
-def test_nearest_wall_measures_to_the_segment_not_its_line() -> None:
+def test_nearest_wall_measures_to_the_segment_not_its_line():
     # (5, 2.5) is 0.5 m above wall 2; the line of wall 1, x = 6, is 1 m away.
     assert ROOM.nearest_wall([[5.0, 2.5], [0.2, 2.0], [3.0, 0.1]]).tolist() == [2, 5, 0]
 

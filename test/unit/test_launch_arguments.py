@@ -122,16 +122,6 @@ def test_every_include_hands_on_all_arguments(path):
 
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
-def test_what_is_handed_on_under_its_name_has_a_default_where_it_had_one(path):
-    objects = described(path)
-    own = declared(objects)
-    for other, given in included(objects):
-        optional = {name for name, default in declared(described(other)).items() if default}
-        handed_on = {name for name, value in given.items() if used(value) == {name}}
-        assert {name for name in handed_on & optional if not own[name]} == set()
-
-
-@pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
 def test_nodes_are_executables_of_the_package(path):
     executables = {file.name for file in (REPOSITORY / 'resource' / 'executables').iterdir()}
     nodes = [item for item in described(path) if item.kind == 'Node']

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -27,7 +25,7 @@ from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
-from landmark_nav.types import Landmark, Panorama, PoseEstimate, Refusal, Sweep
+from landmark_nav.types import Landmark, PoseEstimate, Refusal, Sweep
 
 CAMERA = CameraModel(
     300, 220, 250.0, 250.0, 150.0, 110.0, distortion=(-0.18, 0.05, 0.001, -0.001, 0.0)
@@ -270,7 +268,7 @@ def test_bare_walls_cannot_be_learned():
     assert '\n' not in str(caught.value)
 
 
-def test_walls_that_stand_elsewhere_carry_no_landmarks(panoramas: list[Panorama]) -> None:
+def test_walls_that_stand_elsewhere_carry_no_landmarks(panoramas):
     # North and east are given farther away than they are, south and west are right.
     larger = rectangle_room(6.5, 6.0)
     learned = learn_from_panoramas(panoramas, larger, LearningConfig())

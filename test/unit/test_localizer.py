@@ -32,7 +32,6 @@ from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import (
-    CameraFrame,
     Detections,
     FloatArray,
     PoseEstimate,
@@ -105,33 +104,6 @@ def test_fixes_err_as_their_covariances_say(run):
     sigma = np.array([np.sqrt(np.diag(fix.covariance)) for fix, _ in run.fixes])
     assert np.abs(errors / sigma).max() < 4.5
     assert np.mean((errors / sigma) ** 2) < 2.5
-
-
-def test_without_a_start_the_place_is_found_from_what_is_seen():
-    rng = np.random.default_rng(4)
-    localizer = Localizer(MAP, EXACT, LocalizationConfig())
-    assert localizer.estimate() is None
-    dark = np.zeros((LENS.height, LENS.width, 3), np.uint8)
-    nothing = localizer.add_frame(CameraFrame(-FRAME_NS, dark, LENS, 0.0))
-    assert isinstance(nothing, Refusal)
-    assert nothing.reason == 'nothing recognised'
-    outcomes = []
-    for step in drive(rng, 4.0):
-        localizer.add_odometry(step.odometry)
-        if step.stamp_ns % FRAME_NS:
-            continue
-        frame = camera_image(step.pose, 0.8 * step.stamp_ns * 1e-9 - 1.0, rng)
-        outcomes.append(localizer.add_frame(replace(frame, stamp_ns=step.stamp_ns)))
-        if isinstance(outcomes[-1], PoseEstimate):
-            found = error_of(outcomes[-1], step.pose)
-            assert np.abs(found / np.sqrt(np.diag(outcomes[-1].covariance))).max() < 4.0
-    kinds = [type(outcome) for outcome in outcomes]
-    assert kinds.count(PoseEstimate) == 1
-    # From then on it tracks.
-    after = kinds.index(PoseEstimate) + 1
-    assert all(issubclass(kind, Refusal) for kind in kinds[: after - 1])
-    assert set(kinds[after:]) == {LocalizationUpdate}
-    assert np.hypot(*error_of(outcomes[-1].fused, step.pose)[:2]) < 0.03
 
 
 DRIVE = Path(__file__).resolve().parents[2] / 'bags' / 'drive'

@@ -1,11 +1,8 @@
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 from scenes import smooth_texture
 
-from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.stereo.magnification import log_magnification, MARGIN
 from landmark_nav.matching import Match, match_template
 from landmark_nav.matching.alignment import align
@@ -24,7 +21,7 @@ class Texture:
         self._phase = rng.uniform(0.0, 2.0 * np.pi, 60)
         self._amplitude = deviation * np.sqrt(2.0 / 60)
 
-    def sample(self, columns: int, rows: int, x0: float = 0.0, y0: float = 0.0) -> Float32Array:
+    def sample(self, columns, rows, x0=0.0, y0=0.0):
         # Each wave is a product of one along x and one along y.
         x = np.exp(1j * np.outer(self._kx, x0 + np.arange(columns)))
         y = np.exp(1j * (np.outer(self._ky, y0 + np.arange(rows)) + self._phase[:, None]))
@@ -52,9 +49,7 @@ def test_a_sub_pixel_shift_is_recovered_without_noise():
 
 @pytest.mark.parametrize('noise', [20.0, 35.0])
 @pytest.mark.parametrize('shortest_px', [3.0, 5.0, 10.0])
-def test_noise_moves_matches_as_far_as_their_covariance_states(
-    noise: float, shortest_px: float
-) -> None:
+def test_noise_moves_matches_as_far_as_their_covariance_states(noise, shortest_px):
     # Fine texture and coarse.
     trials = [match_shifted(seed, noise, shortest_px) for seed in range(150)]
     errors = np.array([error for error, _ in trials])

@@ -1,8 +1,5 @@
 """Results of the stages survive encoding and decoding, or are refused by name."""
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 import numpy as np
 import pytest
 from wire import assert_same, both, FACTORY, MOUNT, over_the_wire, STAMP
@@ -13,8 +10,8 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
-from landmark_nav.messages.layouts import DETECTIONS, GLOBAL_POSE, GlobalPose, Layout
+from landmark_nav.messages.clouds import pack_cloud
+from landmark_nav.messages.layouts import DETECTIONS, GLOBAL_POSE, GlobalPose
 from landmark_nav.types import (
     Detections,
     JointSample,
@@ -42,31 +39,6 @@ def test_a_tilt_comes_alone_where_its_joint_has_a_driver_of_its_own(deliver):
     assert decode.lone_tilt(deliver(msg), MOUNT) is None
     msg.name = ['wheel_left', MOUNT.tilt_joint]
     assert decode.lone_tilt(deliver(msg), MOUNT) == (STAMP, -0.5)
-
-
-SCALARS = st.sampled_from(['<u4', '<i2', 'u1', '<f4', '<f8'])
-
-
-@settings(max_examples=40)
-@given(
-    data=st.data(),
-    kinds=st.lists(st.tuples(SCALARS, st.integers(1, 4)), min_size=1, max_size=5),
-    count=st.integers(0, 6),
-)
-def test_clouds_come_back(data, kinds, count):
-    dtype = np.dtype(
-        [
-            (f'f{k}', kind) if size == 1 else (f'f{k}', kind, (size,))
-            for k, (kind, size) in enumerate(kinds)
-        ]
-    )
-    raw = data.draw(hnp.arrays(np.uint8, count * dtype.itemsize))
-    points = np.frombuffer(raw.tobytes(), dtype=dtype)
-    msg = over_the_wire(pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'map'), points))
-    again = unpack_cloud(msg, Layout('any', dtype))
-    assert again.dtype.names == dtype.names
-    for name in dtype.names:
-        np.testing.assert_array_equal(again[name], points[name])
 
 
 def test_detections_of_older_recordings_know_of_no_delay():

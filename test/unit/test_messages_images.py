@@ -186,14 +186,6 @@ def test_a_png_of_sixteen_bits_is_read_as_such():
     np.testing.assert_array_equal(decode.image(msg, grey=True), words >> 2)
 
 
-def test_a_mosaic_in_a_png_is_coloured():
-    bgr = quarters()
-    mosaic = packed(bgr, 'bayer_gbrg8')
-    data = cv2.imencode('.png', np.asarray(mosaic.data).reshape(32, 32))[1]
-    found = decode.image(compressed(data, 'bayer_gbrg8; png compressed bayer_gbrg8'))
-    assert np.abs(found[5:10, 5:10].astype(int) - bgr[5:10, 5:10]).max() <= 8
-
-
 def test_an_orientation_tag_turns_nothing():
     wide = np.zeros((32, 64, 3), np.uint8)
     wide[:, 32:] = 255

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -81,7 +79,7 @@ def test_a_wall_that_is_reported_too_near_or_too_far_is_found_where_it_is(east_m
         assert patch.wall == 1
 
 
-def test_what_is_gone_is_found_at_no_depth() -> None:
+def test_what_is_gone_is_found_at_no_depth():
     # A person who stood there at the first sweep alone.
     furnished = replace(SCENE, boards=(*SCENE.boards, board((4.3, 2.5, 1.1), EAST, 8)))
     panoramas = views_of(furnished, SCENE)

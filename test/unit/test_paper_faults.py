@@ -1,7 +1,5 @@
 """The single fault that keeps reference papers from fitting together is named, with its size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -109,7 +107,7 @@ def in_unit(length_m):
     return replace(ROOM, walls=walls, papers=papers)
 
 
-def test_papers_given_on_the_opposite_wall_are_named() -> None:
+def test_papers_given_on_the_opposite_wall_are_named():
     # At their distances along the wall, which are not those of two papers that are exchanged.
     opposite = tuple(replace(paper, center=(0.0, *paper.center[1:])) for paper in EAST)
     assert [f.kind for f in judged(EAST, replace(ROOM, papers=opposite)).faults] == ['mirrored']
@@ -119,7 +117,7 @@ def test_a_room_in_feet_is_named():
     assert [fault.kind for fault in judged(EAST, in_unit(0.3048)).faults] == ['feet']
 
 
-def test_a_paper_that_nobody_sees_is_not_laid_to_others_colours() -> None:
+def test_a_paper_that_nobody_sees_is_not_laid_to_others_colours():
     # Two faults: green is covered, blue and red hang on each other's places.
     papers = (replace(EAST[0], color='blue'), replace(EAST[2], color='red'))
     views = [PaperView({'green': NONE, **view.outlines}, EYE_M) for view in views_of(papers)]

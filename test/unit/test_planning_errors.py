@@ -1,7 +1,5 @@
 """First-order predictions of planning against the stages themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scenes import rectangle_room
@@ -32,7 +30,7 @@ def errors_at(eye):
 
 
 class TestPaperPose:
-    def test_covariance_is_that_of_fits_to_noisy_edges(self) -> None:
+    def test_covariance_is_that_of_fits_to_noisy_edges(self):
         # Least squares of the twelve edges, its derivatives by differences, many times.
         eye = np.array([2.4, 2.2, 1.1])
         rng = np.random.default_rng(5)

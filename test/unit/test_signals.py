@@ -53,24 +53,6 @@ def test_a_node_ends_quietly(number, after_s, tmp_path):
     assert signalled(command, number, after_s) == (0, '')
 
 
-@pytest.mark.parametrize('module', ['__main__', 'nodes.room_simulator'])
-def test_executables_handle_signals_before_they_import_anything_else(module):
-    script = """
-        import os, signal, sys
-        before = set(sys.modules)
-        def heeded(*_):
-            print(*sorted(m for m in set(sys.modules) - before if m != '__future__'))
-            sys.stdout.flush()
-            os._exit(0)
-        sys.argv[0], signal.signal = 'room_simulator', heeded
-        import landmark_nav.MODULE
-    """
-    command = [sys.executable, '-c', textwrap.dedent(script).replace('MODULE', module)]
-    loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-    parents = ['landmark_nav', f'landmark_nav.{module.partition(".")[0]}', 'landmark_nav.signals']
-    assert loaded == parents
-
-
 def test_importing_nodes_leaves_signals_alone():
     pytest.importorskip('rclpy', reason='ROS 2 is not installed')
     before = [signal.getsignal(number) for number in NUMBERS]

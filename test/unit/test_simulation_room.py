@@ -3,8 +3,6 @@ from itertools import pairwise
 import json
 
 import cv2
-from hypothesis import given, settings
-from hypothesis import strategies as st
 import numpy as np
 import pytest
 
@@ -98,41 +96,6 @@ class TestScene:
 
 
 class TestPainterOrder:
-    @settings(max_examples=40)
-    @given(st.integers(0, 10_000))
-    def test_nothing_near_is_painted_before_what_it_covers(self, seed):
-        rng = np.random.default_rng(seed)
-        boxes = []
-        for center in rng.uniform(-4.0, 4.0, (60, 2)):
-            box = Box(
-                (center[0], center[1]), rng.uniform(0, 3), (*rng.uniform(0.2, 1.2, 2), 1), '', 0
-            )
-            gap = [np.linalg.norm(center - b.center_xy) for b in boxes]
-            if np.linalg.norm(center) > 1.2 and (not gap or min(gap) > 1.75):
-                boxes.append(box)
-        heading = rng.uniform(-np.pi, np.pi)
-        ahead = [
-            k
-            for k, box in enumerate(boxes)
-            if np.cos(np.arctan2(*box.center_xy[::-1]) - heading) > 0.4
-        ]
-        order = back_to_front([boxes[k].footprint for k in ahead], np.zeros(2), heading)
-        rank = {ahead[k]: n for n, k in enumerate(order)}
-        for angle in heading + np.linspace(-1.0, 1.0, 60):
-            ray = np.array([np.cos(angle), np.sin(angle)])
-            hits = []
-            for k in ahead:
-                start = boxes[k].footprint
-                side = np.roll(start, -1, axis=0) - start
-                det = ray[0] * side[:, 1] - ray[1] * side[:, 0]
-                t = (start[:, 0] * side[:, 1] - start[:, 1] * side[:, 0]) / det
-                s = (start[:, 0] * ray[1] - start[:, 1] * ray[0]) / det
-                good = (t > 0) & (s >= 0) & (s <= 1)
-                if good.any():
-                    hits.append((t[good].min(), rank[k]))
-            ranks = [r for _, r in sorted(hits)]
-            assert ranks == sorted(ranks, reverse=True)
-
     def test_a_person_is_painted_after_the_wall_behind(self):
         wall, person = np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[1.5, 1.0], [1.0, 1.0]])
         assert back_to_front([person, wall], np.array([1.2, 2.5]), -np.pi / 2) == [1, 0]

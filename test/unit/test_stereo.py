@@ -1,7 +1,5 @@
 """A patch of a wall is found again from another position, or refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 import tracemalloc
 
@@ -257,7 +255,7 @@ def test_what_only_one_place_sees_is_refused(scene):
     )
 
 
-def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it() -> None:
+def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it():
     # Its rear edge lies on the wall, so both outlines agree; within them each place sees another
     # part of its side, which reaches half a metre into the room.
     grey = Board(np.array([6.0, 2.5, 1.25]), ROOM.normals[EAST], 5.0, 2.5, flat_texture(GREY))

@@ -203,19 +203,6 @@ def test_the_commands_report_it_by_their_exit_status(tmp_path, capsys):
     assert 'attic' in capsys.readouterr().out
 
 
-def test_maps_of_two_rooms_are_distinguished_in_one_sentence(tmp_path):
-    other = tuple(replace(wall, start=wall.end, end=wall.start) for wall in WALLS)
-    here = make_map(*(landmark(k, p) for k, p in enumerate(PLACES)), stamp_ns=1)
-    there = make_map(*(landmark(k, p, paper=9) for k, p in enumerate(PLACES)), stamp_ns=2)
-    remeasured = replace(here, walls=other)
-    paths = [str(tmp_path / name) for name in 'abc']
-    for learned, path in zip((here, replace(there, walls=other), remeasured), paths, strict=True):
-        save_map(learned, path)
-    a, b, c = paths
-    assert main(['map', 'diff', a, b]) == 1
-    assert main(['map', 'diff', a, c]) == 0
-
-
 POSE, RISE_M, SCALE = np.array([1.5, -2.0, 2.1]), -0.033, 1.03
 
 

@@ -1,7 +1,5 @@
 """Walls of the plan against patches located by stereo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -113,7 +111,7 @@ def test_a_wall_that_is_elsewhere_is_named_with_its_residuals(south, along, word
         check(south, along)
 
 
-def test_fronts_of_furniture_are_not_the_wall() -> None:
+def test_fronts_of_furniture_are_not_the_wall():
     # Along less than half of a wall with nothing on it a shelf is likelier; it may be the wall.
     reported = check(np.full(24, 0.35), np.linspace(1.0, 3.9, 24))
     assert 'may be wrong: south has its 24 patches 35.0 cm before it' in reported
