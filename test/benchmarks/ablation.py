@@ -46,7 +46,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     'one peak (stereo)': {f'{_LEARN}stereo.wall_patch:StereoConfig.max_second_ratio': 1.0},
     'search off the walls': {f'{_LEARN}stereo.found_again:match_freely': lambda *_: Refusal('')},
     'exposures, vignetting': {
-        f'{_LEARN}sweep_pipeline:measure_photometry': lambda s, _: Photometry.none(len(s.frames)),
+        f'{_LEARN}sweep_pipeline:measure_photometry': lambda s, _: Photometry.none(len(s.frames))
     },
     'median': {f'{_LEARN}panorama.synthesis:PanoramaConfig.blend': 'feather'},
     'calibration by overlaps': {f'{_LEARN}calibration.sweep_calibration:_WORTH_PX': BEST},
@@ -77,9 +77,7 @@ LEARNING: dict[str, dict[str, Any]] = {
             np.zeros((4, 1 + 2 * len(room.papers)))
         ),
     },
-    'tilt of the axis': {
-        f'{_LEARN}sweep_pipeline:levelled': lambda mount, *_: (mount, ()),
-    },
+    'tilt of the axis': {f'{_LEARN}sweep_pipeline:levelled': lambda mount, *_: (mount, ())},
     'brightness of edges': {f'{_LEARN}reference_area.edges:_SAME_PX': 0.0},
     'gamma of edges': {f'{_LEARN}reference_area.edges:_GAMMA_STEP': 1e-9},
     'corners of papers': {f'{_LEARN}reference_area.fit:_CORNER_PX': 0.0},

@@ -42,13 +42,7 @@ from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    LandmarkMap,
-    OdometrySample,
-    Sweep,
-)
+from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, OdometrySample, Sweep
 
 # Wrong without a word.
 WRONG_M = 0.3

@@ -77,11 +77,7 @@ class Outcome:
 
 
 def outcome(
-    events: Iterator[Any],
-    localizer: Localizer,
-    start: FloatArray,
-    at_s: float,
-    over_s: float,
+    events: Iterator[Any], localizer: Localizer, start: FloatArray, at_s: float, over_s: float
 ) -> Outcome:
     """Drive, with a fault from `at_s` on, for `over_s`."""
     done, true, period_s, ticks = Outcome(over_s), np.zeros(3), 0.05, 0

@@ -38,8 +38,7 @@ def driven(robot: int, data: Path, folder: Path, seconds: float = np.inf) -> dic
     bag, posts = Bag(log), load_map(folder / 'log_map')
     first = next(iter(sensor_events(bag, calibration.mount))).stamp_ns
     events = takewhile(
-        lambda event: event.stamp_ns - first < 1e9 * seconds,
-        sensor_events(bag, calibration.mount),
+        lambda event: event.stamp_ns - first < 1e9 * seconds, sensor_events(bag, calibration.mount)
     )
     run = replay(
         events,

@@ -20,13 +20,7 @@ CAMERA = REPOSITORY / 'test' / 'setups' / 'camera_quarter_vga.yaml'
 SEED = 2718
 WORSE = 0.05
 # +1 where more is better.
-FIGURES = {
-    'fused_mm': -1,
-    'fused_deg': -1,
-    'crlb_ratio': -1,
-    'availability': 1,
-    'landmarks': 1,
-}
+FIGURES = {'fused_mm': -1, 'fused_deg': -1, 'crlb_ratio': -1, 'availability': 1, 'landmarks': 1}
 
 Figures = dict[str, float]
 

@@ -48,10 +48,7 @@ def counting(domain_id):
 def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(domain_id, monkeypatch):
     """Its answer would be lost, and asking twice would do twice what is asked for."""
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with (
-        counting(domain_id) as (node, executor),
-        RobotClient(domain_id, lambda: None) as client,
-    ):
+    with counting(domain_id) as (node, executor), RobotClient(domain_id, lambda: None) as client:
         with pytest.raises(LandmarkNavError, match='the node of /deep/down/count to know'):
             client.call('/deep/down/count', 2.0)
         for _ in range(20):

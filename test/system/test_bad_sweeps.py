@@ -19,12 +19,7 @@ def known():
 
 
 @pytest.mark.parametrize(
-    'name',
-    [
-        'an overexposed window',
-        'upside down, as given',
-        'people in most images',
-    ],
+    'name', ['an overexposed window', 'upside down, as given', 'people in most images']
 )
 def test_a_map_is_right_or_the_refusal_clear(known, name, tmp_path):
     good, reported = judge(known[name], tmp_path, SEED)

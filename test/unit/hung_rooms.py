@@ -68,9 +68,7 @@ def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Pano
 
 
 def measurements_of(
-    world: World,
-    rng: np.random.Generator | None,
-    common: tuple[float, float] = COMMON,
+    world: World, rng: np.random.Generator | None, common: tuple[float, float] = COMMON
 ) -> list[list[PatchMeasurement]]:
     """The first view proposed each landmark; the other found it with its own noise as well."""
     groups = []

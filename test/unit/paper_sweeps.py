@@ -79,10 +79,7 @@ def sweep_at(
 
 
 def locate(
-    sweep: Sweep,
-    room: Room,
-    mount: PanTiltMount = MOUNT,
-    config: ReferenceAreaConfig = CONFIG,
+    sweep: Sweep, room: Room, mount: PanTiltMount = MOUNT, config: ReferenceAreaConfig = CONFIG
 ) -> SweepPlace:
     view = synthesize_cylinder(sweep, mount, PanoramaConfig())
     return locate_sweep(sweep, view, room, mount, config)

@@ -19,14 +19,7 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.surfaces import light_of, values_of
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    ImageArray,
-    Landmark,
-    Panorama,
-    Sweep,
-)
+from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Landmark, Panorama, Sweep
 
 Color = tuple[float, float, float]
 

@@ -92,10 +92,7 @@ def test_pan_and_tilt_are_of_the_time_of_the_image(tmp_path, step_back_ns, tilt_
     [
         ({'damaged': range(10)}, 'does not decode'),
         ({'info': False}, 'camera/camera_info is missing'),
-        (
-            {'bad': lambda topic, k: topic == 'odom'},
-            r'/odom: odometry position at .*nan',
-        ),
+        ({'bad': lambda topic, k: topic == 'odom'}, r'/odom: odometry position at .*nan'),
         ({'late_joints': True}, 'no joint state near it'),
     ],
 )

@@ -2,15 +2,7 @@
 
 from dataclasses import replace
 
-from hung_rooms import (
-    AS_EXPECTED,
-    measurements_of,
-    nees,
-    panoramas_at,
-    POSES,
-    PRIOR,
-    world_of,
-)
+from hung_rooms import AS_EXPECTED, measurements_of, nees, panoramas_at, POSES, PRIOR, world_of
 import numpy as np
 import pytest
 from scenes import rectangle_room

@@ -19,13 +19,7 @@ from landmark_nav.localization.estimator import (
     protection_level,
     Status,
 )
-from landmark_nav.localization.estimator.factors import (
-    CALIBRATION,
-    DELAY,
-    moved,
-    project,
-    STATES,
-)
+from landmark_nav.localization.estimator.factors import CALIBRATION, DELAY, moved, project, STATES
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack

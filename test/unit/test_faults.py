@@ -29,13 +29,7 @@ from landmark_nav.localization import observer
 from landmark_nav.localization.late_joints import JointDelay
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization.search import localize_within_prior
-from landmark_nav.types import (
-    CameraFrame,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 LATE_S = 0.2
 

@@ -5,39 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rendered_drives import (
-    camera_image,
-    drive,
-    error_of,
-    FRAME_NS,
-    LENS,
-    MAP,
-    MOUNT,
-    start_of,
-)
+from rendered_drives import camera_image, drive, error_of, FRAME_NS, LENS, MAP, MOUNT, start_of
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.localization.debug_image import draw_observation
 from landmark_nav.localization.detection.expectation import Expectation
 from landmark_nav.localization.estimator import EstimatorConfig
-from landmark_nav.localization.localizer import (
-    LocalizationConfig,
-    LocalizationUpdate,
-    Localizer,
-)
+from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observer import Observation, Observer
 from landmark_nav.localization.triplet import CameraState, TripletConfig
 from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.types import (
-    Detections,
-    FloatArray,
-    PoseEstimate,
-    Refusal,
-    Triplet,
-)
+from landmark_nav.types import Detections, FloatArray, PoseEstimate, Refusal, Triplet
 
 EXACT = Calibration.exact(MOUNT)
 

@@ -7,10 +7,7 @@ from paper_sweeps import CONFIG, EAST
 import pytest
 from scenes import rectangle_room
 
-from landmark_nav.learning.reference_area import (
-    paper_faults,
-    PaperView,
-)
+from landmark_nav.learning.reference_area import paper_faults, PaperView
 from landmark_nav.learning.reference_area.edges import PaperOutlines
 
 EYE_M = 1.1

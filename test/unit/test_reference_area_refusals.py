@@ -89,9 +89,7 @@ def test_a_paper_that_is_partly_covered_gives_no_wrong_place(share, tall):
 
 
 @pytest.mark.parametrize(
-    'center',
-    [(2.0, 0.0, 1.3), (6.0, 2.38, 1.35), (6.0, 2.3, 1.43), (6.0, 2.315, 1.35)],
-    ids=str,
+    'center', [(2.0, 0.0, 1.3), (6.0, 2.38, 1.35), (6.0, 2.3, 1.43), (6.0, 2.315, 1.35)], ids=str
 )
 def test_papers_that_hang_elsewhere_than_the_room_states(center):
     """A refusal, or, where what is seen of the paper can't be its, the place by the others."""

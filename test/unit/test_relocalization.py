@@ -8,24 +8,13 @@ import pickle
 import numpy as np
 from place_scenes import assert_right, learned, LENS, MAP, MOUNT, PANS, ROOM, SCENE, sweep
 import pytest
-from scenes import (
-    Board,
-    draw_frame,
-    Scene,
-    textured_room,
-)
+from scenes import Board, draw_frame, Scene, textured_room
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry import se2
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
-from landmark_nav.types import (
-    CameraFrame,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 
 def located_at_rest(frames, landmark_map=MAP):

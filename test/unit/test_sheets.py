@@ -12,11 +12,7 @@ from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.learning.relative_pose.epipolar import center
 from landmark_nav.learning.relative_pose.scale import PlaceSource, scale_sigma, SheetSource
-from landmark_nav.learning.relative_pose.sheet_tracks import (
-    FINE,
-    sheet_misses,
-    sheet_tracks,
-)
+from landmark_nav.learning.relative_pose.sheet_tracks import FINE, sheet_misses, sheet_tracks
 from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
 from landmark_nav.types import Panorama, PlaceChain

@@ -71,12 +71,7 @@ def panoramas(scene):
 
 @pytest.mark.parametrize(
     ('point', 'wall'),
-    [
-        ((6.0, 2.5, 1.2), 1),
-        ((3.0, 5.0, 1.0), 2),
-        ((0.0, 1.5, 0.9), 3),
-        ((2.5, 0.0, 1.3), 0),
-    ],
+    [((6.0, 2.5, 1.2), 1), ((3.0, 5.0, 1.0), 2), ((0.0, 1.5, 0.9), 3), ((2.5, 0.0, 1.3), 0)],
 )
 def test_a_candidate_lies_where_its_ray_meets_the_wall(panoramas, point, wall):
     patch = patch_at(panoramas[0], np.array(point))

@@ -6,11 +6,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig
-from landmark_nav.learning.adjustment.wall_fit import (
-    check_walls,
-    wall_warnings,
-    WallResidual,
-)
+from landmark_nav.learning.adjustment.wall_fit import check_walls, wall_warnings, WallResidual
 
 CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 4.0), (0.0, 4.0)]
 ROOM = Room(
