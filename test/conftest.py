@@ -24,7 +24,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope='session')
-def shared_data() -> Path:
+def shared_data():
     """Folder of data that this project did not draw, beside the repository."""
     folder = REPOSITORY.parent / 'shared' / 'data'
     if not folder.is_dir():
@@ -33,14 +33,12 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope='session')
-def once(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Callable[[str, Callable[[Path], object]], Path]:
+def once(tmp_path_factory):
     """Make a folder of that name once for all processes of a run, and return it."""
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if 'PYTEST_XDIST_WORKER' in os.environ else base
 
-    def made(name: str, make: Callable[[Path], object]) -> Path:
+    def made(name, make):
         folder = shared / f'once_{name}'
         with (shared / f'{name}.lock').open('w') as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -54,7 +52,7 @@ def once(
 
 
 @pytest.fixture(scope='session')
-def recorded(once: Once) -> Path:
+def recorded(once):
     """Folder of what `learn` and `evaluate` make of bags/: `map`, `learn.json`, `run.json`."""
     from small import recorded_room
 

@@ -10,12 +10,11 @@ a fix. Nothing was tuned on the seeds from 901 on.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from harness import learned_room, summary
+from harness import learned_room, print_row, rooms_parser, summary
 import numpy as np
 
 from landmark_nav.calibration import Calibration
@@ -30,7 +29,6 @@ from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
-from landmark_nav.storage.maps import load_map
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Triplet
 
 STATE_RATE_HZ = 20
@@ -51,26 +49,18 @@ class Run(NamedTuple):
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--seeds', type=int, nargs='+', required=True)
+    parser = rooms_parser(__doc__)
     parser.add_argument('--seconds', type=float, default=30.0, help='of each drive (30)')
-    parser.add_argument('--maps', help='maps learned before; {seed} stands for the seed')
     arguments = parser.parse_args()
     runs: dict[str, list[Run]] = {}
     for seed in arguments.seeds:
-        scene, landmark_map = generate_scene(seed), learned(seed, arguments.maps)
-        for name, run in compare(seed, scene, landmark_map, arguments.seconds).items():
+        scene, learned = generate_scene(seed), learned_room(seed, arguments.maps)
+        for name, run in compare(seed, scene, learned, arguments.seconds).items():
             runs.setdefault(name, []).append(run)
-            print(_row(f'{seed} {name}', [run]), flush=True)
-    print('\n' + _HEADER)
-    for name, several in runs.items():
-        print(_row(name, several))
+            print_row(_row(f'{seed} {name}', [run]), 13)
+    for k, (name, several) in enumerate(runs.items()):
+        print_row(_row(name, several), 13, k == 0)
     return 0
-
-
-def learned(seed: int, maps: str | None) -> LandmarkMap:
-    """What is learned in a room, or was before."""
-    return learned_room(seed) if maps is None else load_map(maps.format(seed=seed))
 
 
 def compare(seed: int, scene: Scene, landmark_map: LandmarkMap, seconds: float) -> dict[str, Run]:
@@ -174,18 +164,16 @@ def _drive(
     return Run(pose_errors(fused, np.array(truth)), pose_errors(fixes, np.array(truth)), lost)
 
 
-_HEADER = (
-    f'{"camera":<28}{"rmse mm":>9}{"p95 mm":>9}{"rmse deg":>10}{"available":>11}'
-    f'{"fixes":>8}{"fix median mm":>15}'
-)
-
-
-def _row(name: str, runs: list[Run]) -> str:
+def _row(name: str, runs: list[Run]) -> dict[str, float | str]:
     fused = np.concatenate([run.fused for run in runs])
     fixes = np.concatenate([run.fixes for run in runs])
-    lost = np.concatenate([run.lost for run in runs])
-    off, found = summary(fused), np.mean(np.isfinite(fixes[:, 0]))
-    return (
-        f'{name:<28}{off["rmse"]:>9.1f}{off["p95"]:>9.1f}{off["heading"]:>10.3f}'
-        f'{1.0 - np.mean(lost):>11.3f}{found:>8.2f}{summary(fixes)["median"]:>15.1f}'
-    )
+    off = summary(fused)
+    return {
+        f'{"camera":<24}': f'{name:<24}',
+        'rmse_mm': off['rmse'],
+        'p95_mm': off['p95'],
+        'rmse_deg': off['heading'],
+        'available': 1.0 - np.mean(np.concatenate([run.lost for run in runs])),
+        'fixes': np.mean(np.isfinite(fixes[:, 0])),
+        'fix_median_mm': summary(fixes)['median'],
+    }

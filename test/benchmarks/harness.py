@@ -69,12 +69,21 @@ def evaluate(
     return dict(json.loads(figures.read_text()))
 
 
-def learned_room(seed: int, *options: str, kept: Path | None = None) -> LandmarkMap:
-    """Map of a simulated room, or of one that `kept` holds already."""
+def rooms_parser(text: str | None) -> argparse.ArgumentParser:
+    """Parser of the arguments of simulated rooms."""
+    parser = argparse.ArgumentParser(description=text)
+    parser.add_argument('--seeds', type=int, nargs='+', required=True)
+    parser.add_argument('--maps', help='maps that were kept; {seed} stands for the seed')
+    return parser
+
+
+def learned_room(seed: int, maps: str | None = None, *options: str) -> LandmarkMap:
+    """Map of a simulated room, learned as a user would; of `maps`, if they were kept."""
+    if maps:
+        return load_map(maps.format(seed=seed))
     with tempfile.TemporaryDirectory() as scratch:
-        room, out = kept or Path(scratch) / 'room', Path(scratch) / 'map'
-        if kept is None:
-            command('simulate', '--out', room, '--seed', seed, '--drive-seconds', 1, *options)
+        room, out = Path(scratch) / 'room', Path(scratch) / 'map'
+        command('simulate', '--out', room, '--seed', seed, '--drive-seconds', 1, *options)
         learn(room, out)
         return load_map(out)
 

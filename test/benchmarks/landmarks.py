@@ -2,10 +2,8 @@
 Landmarks against the truth, in simulated rooms: where they are, and from where they are found.
 
 ``python test/benchmarks landmarks --seeds 201 202`` simulates rooms, learns them from two sweeps
-and prints a line a room and their sum; it exits with 1 if a bound is missed. ``--rooms DIR``
-takes rooms that ``landmark-nav simulate --out DIR/SEED --seed SEED`` has written. The robot is
-given what a person with a tape would have measured, unless ``--exact`` is given or the rooms
-were kept.
+and prints a line a room and their sum; it exits with 1 if a bound is missed. The robot is given
+what a person with a tape would have measured, unless ``--exact`` is given.
 
 =================  ===============================================================================
 ``median``, ``p95``  distance of landmarks from the truth, millimetres; ``false`` ones are not on
@@ -25,9 +23,8 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 
-from harness import learned_room, print_row
+from harness import learned_room, print_row, rooms_parser
 from landmark_truth import TrueWalls
 import numpy as np
 import numpy.typing as npt
@@ -42,7 +39,6 @@ from landmark_nav.localization.triplet.visibility import (
 )
 from landmark_nav.simulation.furnishing import another_day, generate_scene
 from landmark_nav.simulation.world import RobotWorld
-from landmark_nav.storage.maps import load_map
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate
 
 MAX_MEDIAN_M = 0.006
@@ -176,14 +172,6 @@ def check_area(room: Room) -> npt.NDArray[np.int64]:
     return counts
 
 
-def learned_map(seed: int, arguments: argparse.Namespace) -> LandmarkMap:
-    """Map of a room: kept, or learned as a user would, in a room that was kept or is simulated."""
-    if arguments.maps:
-        return load_map(arguments.maps / str(seed))
-    kept = arguments.rooms / str(seed) if arguments.rooms else None
-    return learned_room(seed, *(['--exact'] if arguments.exact else []), kept=kept)
-
-
 def line_of(rooms: list[Room], seen: FloatArray, area: FloatArray) -> dict[str, float]:
     """Figures of one room or of many."""
     error = np.concatenate([room.error_m for room in rooms])
@@ -215,17 +203,15 @@ def meets_bounds(row: dict[str, float], arguments: argparse.Namespace) -> bool:
 
 def main() -> int:
     """Print a table."""
-    parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
-    parser.add_argument('--seeds', type=int, nargs='+', required=True)
-    parser.add_argument('--rooms', type=Path, help='folder of rooms that were kept')
+    parser = rooms_parser(__doc__.split('\n\n')[0])
     parser.add_argument('--exact', action='store_true', help='give the robot the exact room')
-    parser.add_argument('--maps', type=Path, help='folder of maps that were kept: MAPS/SEED')
     parser.add_argument('--poses', type=int, default=50, help='random poses in each room (50)')
     parser.add_argument('--area', action='store_true', help='check observation areas (a minute)')
     arguments = parser.parse_args()
     rooms, seen, area = [], [], []
+    options = ['--exact'] if arguments.exact else []
     for k, seed in enumerate(arguments.seeds):
-        rooms.append(check_places(seed, learned_map(seed, arguments)))
+        rooms.append(check_places(seed, learned_room(seed, arguments.maps, *options)))
         seen.append(check_detections(rooms[-1], arguments.poses))
         area.append(check_area(rooms[-1]) if arguments.area else np.zeros(4, np.int64))
         row = line_of(rooms[-1:], seen[-1], area[-1])

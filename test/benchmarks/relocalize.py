@@ -3,19 +3,17 @@ Robots put down anywhere: one sweep each, in rooms learned before and changed si
 
 ``python test/benchmarks relocalize --seeds 201 202 203`` simulates the rooms, learns their maps,
 dims a lamp, moves a box, places the robot at random and prints how many places were found; it
-exits with 1 if one was wrong or too few were right. ``--rooms DIR`` takes rooms that
+exits with 1 if one was wrong or too few were right. ``--maps DIR/room_{seed}/map`` takes what
 ``test/benchmarks rooms --out DIR`` has kept.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 import time
 
-from harness import as_jpeg, learned_room, print_row
+from harness import as_jpeg, learned_room, print_row, rooms_parser
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
@@ -23,7 +21,6 @@ from landmark_nav.localization.relocalization import Relocalizer
 from landmark_nav.simulation.furnishing import another_day, generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import RobotWorld
-from landmark_nav.storage.maps import load_map
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -41,23 +38,7 @@ PERIOD_NS = 10**8
 _CLEARANCE_M = 0.4
 
 
-@dataclass(frozen=True)
-class Row:
-    """What came of the poses in a room."""
-
-    seed: int
-    landmarks: int
-    poses: int
-    right: int
-    wrong: int
-    refused: int
-    median_mm: float
-    max_mm: float
-    max_deg: float
-    median_s: float
-
-
-def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> Row:
+def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> dict[str, float]:
     """Place the robot at random and let it look around, once at most, until it knows its place."""
     rng = np.random.default_rng([seed, 40])
     scene = another_day(generate_scene(seed), rng)
@@ -88,18 +69,18 @@ def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> Row:
             wrong += 1
             print(f'room {seed} at {np.round(pose, 2)}: WRONG, {np.round(found.pose, 2)}')
     position, heading = np.array(errors or [(np.nan, np.nan)]).T
-    return Row(
-        seed,
-        len(learned.landmarks),
-        poses,
-        len(errors) - wrong,
-        wrong,
-        refused,
-        1e3 * float(np.median(position)),
-        1e3 * float(position.max()),
-        float(heading.max()),
-        float(np.median(seconds)),
-    )
+    return {
+        'seed': seed,
+        'landmarks': len(learned.landmarks),
+        'poses': poses,
+        'right': len(errors) - wrong,
+        'wrong': wrong,
+        'refused': refused,
+        'median_mm': 1e3 * np.median(position),
+        'max_mm': 1e3 * position.max(),
+        'max_deg': heading.max(),
+        'median_s': np.median(seconds),
+    }
 
 
 def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
@@ -118,25 +99,18 @@ def camera_image(world: RobotWorld, pose: FloatArray, pan_rad: float) -> CameraF
     return replace(frame, image=as_jpeg(frame.image))
 
 
-def learned_map(seed: int, rooms: Path | None) -> LandmarkMap:
-    """Map of a room: kept, or made as a user would."""
-    return learned_room(seed) if rooms is None else load_map(rooms / f'room_{seed}' / 'map')
-
-
 def main() -> int:
     """Print a table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--seeds', type=int, nargs='+', required=True)
+    parser = rooms_parser(__doc__)
     parser.add_argument('--poses', type=int, default=20, help='in each room (20)')
     parser.add_argument('--frames', type=int, default=24, help='images of a sweep (24)')
-    parser.add_argument('--rooms', type=Path, help='folder of rooms that were kept')
     arguments = parser.parse_args()
     rows = [
-        check_room(seed, learned_map(seed, arguments.rooms), arguments.poses, arguments.frames)
+        check_room(seed, learned_room(seed, arguments.maps), arguments.poses, arguments.frames)
         for seed in arguments.seeds
     ]
     for k, row in enumerate(rows):
-        print_row(vars(row), 9, k == 0, 3)
-    right, wrong, poses = (sum(getattr(r, k) for r in rows) for k in ('right', 'wrong', 'poses'))
+        print_row(row, 9, k == 0)
+    right, wrong, poses = (sum(r[k] for r in rows) for k in ('right', 'wrong', 'poses'))
     print(f'{right} of {poses} right ({right / poses:.1%}), {wrong} wrong')
     return 0 if wrong == 0 and right >= MIN_RIGHT * poses else 1

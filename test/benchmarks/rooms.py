@@ -20,15 +20,21 @@ from scipy.optimize import brentq
 from scipy.stats import chi2
 import yaml
 
-MAX_POSITION_RMSE_M = 0.008
-MAX_HEADING_RMSE_DEG = 0.4
 MAX_CRLB_RATIO = 1.2
 EXCHANGED = 0.2
-MIN_AVAILABILITY = 0.95
-MIN_LANDMARKS = 20
-MIN_WALLS = 3
-MAX_SWEEP_ERROR_M = 0.02
-MAX_SWEEP_ERROR_DEG = 0.3
+# Least and greatest figures of every room.
+BOUNDS = {
+    'fused_mm': (0.0, 8.0),
+    'fused_deg': (0.0, 0.4),
+    'availability': (0.95, 1.0),
+    'landmarks': (20, np.inf),
+    'walls': (3, np.inf),
+    'target': (True, True),
+    'sweep_mm': (0.0, 20.0),
+    'sweep_deg': (0.0, 0.3),
+    'crlb_ratio': (0.0, MAX_CRLB_RATIO),
+    'beyond_5s': (0, 0),
+}
 
 
 def run_room(
@@ -60,18 +66,8 @@ def run_room(
 
 def meets_bounds(row: dict[str, float | bool]) -> bool:
     """Whether a room is as good as every room has to be."""
-    return bool(
-        row['fused_mm'] <= 1e3 * MAX_POSITION_RMSE_M
-        and row['fused_deg'] <= MAX_HEADING_RMSE_DEG
-        and row['availability'] >= MIN_AVAILABILITY
-        and row['landmarks'] >= MIN_LANDMARKS
-        and row['walls'] >= MIN_WALLS
-        and row['sweep_mm'] <= 1e3 * MAX_SWEEP_ERROR_M
-        and row['sweep_deg'] <= MAX_SWEEP_ERROR_DEG
-        and row['target']
-        and row['crlb_ratio'] <= MAX_CRLB_RATIO
-        and row['nees_low'] <= row['nees'] <= row['nees_high']
-        and row['beyond_5s'] == 0
+    return row['nees_low'] <= row['nees'] <= row['nees_high'] and all(
+        low <= row[name] <= high for name, (low, high) in BOUNDS.items()
     )
 
 

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 from bounds import memory_limit
 import pytest
 
 
 @pytest.fixture(autouse=True)
-def _memory() -> Iterator[None]:
+def _memory():
     with memory_limit():
         yield
 
 
 @pytest.fixture
-def scratch(tmp_path: Path) -> Path:
+def scratch(tmp_path):
     """Folder that the examples of one test share."""
     return tmp_path

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 import fcntl
+from importlib.util import find_spec
 from itertools import count
 import os
 from pathlib import Path
 import subprocess
 import tempfile
-from typing import Any, TYPE_CHECKING
 
 import pytest
 
 from landmark_nav.demo.graph import node_command, node_environment
 from landmark_nav.demo.supervisor import Supervisor
 
-if TYPE_CHECKING:
-    from graph import Graph
-
-    from landmark_nav.ros.robot_client import RobotClient
-
 _NUMBER = count(7 * os.getpid())
 
 
+class _WithoutRos(pytest.Module):
+    """Tests of a machine on which nothing of ROS 2 can be imported."""
+
+    def collect(self):
+        pytest.skip('ROS 2 is not installed', allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(module_path, parent):
+    return None if find_spec('rclpy') else _WithoutRos.from_parent(parent, path=module_path)
+
+
 @pytest.fixture
-def domain_id() -> Iterator[int]:
+def domain_id():
     """A domain that no other test on this machine uses, below the ephemeral ports."""
     for number in _NUMBER:
         domain = 10 + number % 88
@@ -39,23 +44,23 @@ def domain_id() -> Iterator[int]:
 
 
 @pytest.fixture
-def supervisor(domain_id: int, tmp_path: Path) -> Iterator[Supervisor]:
+def supervisor(domain_id, tmp_path):
     with Supervisor(tmp_path / 'logs', node_environment(domain_id)) as started:
         yield started
 
 
 @pytest.fixture
-def start(supervisor: Supervisor) -> Callable[..., None]:
+def start(supervisor):
     """Start a node as a process, with its parameter file and what is given."""
 
-    def start_node(name: str, **parameters: Any) -> None:
+    def start_node(name, **parameters):
         supervisor.start(name, node_command(name, **parameters))
 
     return start_node
 
 
 @pytest.fixture(scope='session')
-def learned_map(once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
+def learned_map(once):
     """Folder of what is learned of the recorded room."""
     from harness import BAGS, learn
 
@@ -63,11 +68,11 @@ def learned_map(once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
 
 
 @pytest.fixture
-def play(domain_id: int) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+def play(domain_id):
     """Play a bag in a process of its own."""
     players = []
 
-    def play_bag(bag: Path, rate: float = 1.0) -> subprocess.Popen[bytes]:
+    def play_bag(bag, rate=1.0):
         command = node_command('bag_player', bag=str(bag), rate=rate)
         players.append(subprocess.Popen(command, env=node_environment(domain_id)))
         return players[-1]
@@ -79,9 +84,7 @@ def play(domain_id: int) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
 
 
 @pytest.fixture
-def client(
-    domain_id: int, supervisor: Supervisor, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[RobotClient]:
+def client(domain_id, supervisor, monkeypatch):
     # Only here: without ROS these fixtures must still be importable.
     from landmark_nav.ros.robot_client import RobotClient
 
@@ -91,7 +94,7 @@ def client(
 
 
 @pytest.fixture
-def graph(domain_id: int) -> Iterator[Graph]:
+def graph(domain_id):
     from graph import Graph
 
     made = Graph(domain_id)
@@ -100,7 +103,7 @@ def graph(domain_id: int) -> Iterator[Graph]:
 
 
 @pytest.fixture
-def setup_files(tmp_path: Path) -> dict[str, str]:
+def setup_files(tmp_path):
     """Paths of a `robot_file` and a `room_file`."""
     robot, room = tmp_path / 'robot.yaml', tmp_path / 'room.yaml'
     robot.write_text('pan_axis:\n  xyz: [0.08, 0.0, 1.1]\n')

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import time
 from typing import Any, TypeVar
 
@@ -16,29 +15,24 @@ Made = TypeVar('Made', bound=Any)
 class Graph:
     """Nodes that are added, and a way to let messages in; all are destroyed at its end."""
 
-    def __init__(self, domain_id: int) -> None:
+    def __init__(self, domain_id):
         self.context = Context()
         self.context.init(domain_id=domain_id)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.nodes: list[Any] = []
 
-    def add(self, node: Made) -> Made:
+    def add(self, node):
         self.nodes.append(node)
         self.executor.add_node(node)
         return node
 
-    def make(self, kind: Callable[..., Made], **parameters: Any) -> Made:
+    def make(self, kind, **parameters):
         """Make a node that is given parameters, and is not spun."""
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.nodes.append(kind(context=self.context, parameter_overrides=overrides))
         return self.nodes[-1]
 
-    def until(
-        self,
-        condition: Callable[[], bool],
-        meanwhile: Callable[[], object] = int,
-        what: Callable[[], str] = lambda: 'it did not come in time',
-    ) -> None:
+    def until(self, condition, meanwhile=int, what=lambda: 'it did not come in time'):
         """Let messages in until a condition holds."""
         deadline = time.monotonic() + 20.0
         while not condition():
@@ -46,7 +40,7 @@ class Graph:
             meanwhile()
             self.executor.spin_once(timeout_sec=0.02)
 
-    def close(self) -> None:
+    def close(self):
         self.executor.shutdown()
         for node in self.nodes:
             node.destroy_node()

@@ -10,8 +10,6 @@ from landmark_nav.demo.graph import node_command, node_environment
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.storage.bags import BagWriter
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 
 @pytest.fixture
 def recording(tmp_path):

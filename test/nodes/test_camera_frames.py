@@ -18,12 +18,7 @@ from landmark_nav.ros.inputs import IrrelevantError
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import JointSample
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
-
 MOUNT = PanTiltMount()
-
-
 RATE_RAD_S = 0.5
 
 
@@ -128,9 +123,6 @@ def test_messages_without_stamps_have_the_time_of_arrival():
         stamped(encode.joint_state(ros_factory, JointSample(stamp_ns, 0.0), MOUNT))
     assert heard == [7_000_000_005, 4_000_000_000]
     assert len(noted) == 1
-
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 
 RAW, COMPRESSED = 'camera/image_raw', 'camera/image_raw/compressed'

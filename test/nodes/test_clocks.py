@@ -1,9 +1,6 @@
 """Timers continue if the system time is set."""
 
 import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 from rclpy.clock_type import ClockType
 
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode

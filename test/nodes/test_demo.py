@@ -15,8 +15,6 @@ from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.topics import TOPIC_TYPES
 from landmark_nav.storage.maps import load_map
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 NODES = 7
 # The protection level comes of the joint estimator alone.
 SHOWN = {

@@ -19,9 +19,6 @@ from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
-
 THREADS = 2
 
 
@@ -84,9 +81,6 @@ def test_a_node_survives_what_its_callbacks_raise(threads):
     assert made[0].counted > 10
 
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
-
 class ClosedMeanwhile(Waitable[None]):
     """Was closed by another thread as the executor gathered what it waits for."""
 
@@ -117,15 +111,8 @@ class Quiet(LandmarkNode):
         return Health(Level.OK, 'well')
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('threads', [1, 3])
-def test_a_subscription_closed_by_another_thread_does_not_end_the_node(
-    threads, number, monkeypatch, domain_id
-):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    monkeypatch.setattr('sys.argv', ['node'])
-    # At its end the node would end the tests.
-    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
+@pytest.mark.parametrize(('threads', 'number'), [(1, signal.SIGTERM), (3, signal.SIGINT)])
+def test_a_subscription_closed_by_another_thread_does_not_end_the_node(threads, number):
     waitable = ClosedMeanwhile(ReentrantCallbackGroup())
     ticks: list[int] = []
 

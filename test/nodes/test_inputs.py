@@ -6,27 +6,23 @@ import logging
 import time
 from typing import Any
 
+from graph import Graph
 import numpy as np
 import pytest
-
-from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.messages import decode, encode
-from landmark_nav.types import JointSample, OdometrySample
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
-from graph import Graph
 import rclpy
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.messages import decode, encode
 from landmark_nav.ros.camera_frames import listen_for_joints
 from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import TOPICS
+from landmark_nav.types import JointSample, OdometrySample
 
 NS, NOW_NS = 10**9, 1_700_000_000 * 10**9
 MOUNT = PanTiltMount()

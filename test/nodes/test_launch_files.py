@@ -4,10 +4,7 @@ import ast
 import dataclasses
 from pathlib import Path
 
-import pytest
 import yaml
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from landmark_nav.configuration import Configuration, READS
 

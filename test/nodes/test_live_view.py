@@ -9,9 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
-
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.observer import Observation
 from landmark_nav.messages import decode

@@ -4,24 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 import time
-from typing import TYPE_CHECKING
 
 import numpy as np
-import pytest
 
 from landmark_nav.messages import decode, encode
+from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.pan_command import listen_for_pan, PanCommander
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import JointSample, OdometrySample
-
-if TYPE_CHECKING:
-    pass
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
-from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.pan_command import listen_for_pan, PanCommander
 
 RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 SELECTOR = 'triplet_selector'

@@ -3,12 +3,9 @@
 from pathlib import Path
 import signal
 
-import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+import pytest
 
 from landmark_nav.demo.graph import node_command, node_commands
 from landmark_nav.errors import LandmarkNavError

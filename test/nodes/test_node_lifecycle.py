@@ -7,9 +7,6 @@ import sys
 
 import pytest
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
-
 NODES = {
     'landmark_learner': ('room_file',),
     'odometry_fusion': ('robot_file',),

@@ -7,9 +7,6 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 from rclpy.parameter import Parameter
 
 from landmark_nav.configuration import Configuration, READS

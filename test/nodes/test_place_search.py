@@ -8,22 +8,17 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from rclpy.task import Future
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.expected_poses import ExpectedPoses
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
 from landmark_nav.messages import decode
-from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
-from rclpy.task import Future
-
 from landmark_nav.nodes.place_search import PlaceSearch
+from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate
 
 SECOND = 10**9
 SURE, WIDE = 1e-4 * np.eye(3), np.eye(3)
@@ -144,43 +139,3 @@ def test_a_place_in_a_map_that_is_gone_is_not_reported(search, reported):
     search.look(frame_at(SECOND))
     assert not reported
     assert search.active
-
-
-def answer(call):
-    """Go on with a call until it is answered."""
-    try:
-        while True:
-            call.send(None)
-    except StopIteration as end:
-        return str(end.value)
-
-
-def test_a_call_is_answered_with_the_place_it_reported(search, reported, services):
-    call = services['relocalize']()
-    call.send(None)
-    search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND))
-    assert answer(call) == 'found at (1.00, 2.00) m, 28.6 deg'
-    assert len(reported) == 1
-
-
-def test_simultaneous_calls_are_refused_together_and_may_be_repeated(search, services):
-    first, second, third = (services['relocalize']() for _ in range(3))
-    first.send(None)
-    second.send(None)
-    with pytest.raises(LandmarkNavError, match='no image came'):
-        answer(first)
-    third.send(None)
-    with pytest.raises(LandmarkNavError, match='no image came'):
-        second.send(None)
-    search._relocalizer = cast(Relocalizer, Finder())
-    search.look(frame_at(SECOND))
-    assert answer(third).startswith('found at')
-
-
-def test_the_search_ends_with_its_node(search, services, ended):
-    call = services['relocalize']()
-    call.send(None)
-    ended.set_result(None)
-    with pytest.raises(LandmarkNavError, match='the search ends with this node'):
-        answer(call)

@@ -1,20 +1,12 @@
 """A robot without a start pose finds its place, asked by service, over DDS."""
 
-from typing import TYPE_CHECKING
-
 from drive_faults import displaced_drive
 from harness import BAGS
 import numpy as np
-import pytest
 
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.storage.bags import Bag
-
-if TYPE_CHECKING:
-    pass
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 
 def test_the_place_found_by_a_displaced_camera_starts_the_fusion(

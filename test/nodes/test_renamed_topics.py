@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from itertools import count
 
-import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 from rclpy.node import Node
 from std_msgs.msg import Int32
 

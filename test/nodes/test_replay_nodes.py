@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from drive_faults import late_drive
 from harness import BAGS, start_of
@@ -17,11 +17,6 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import PoseEstimate
-
-if TYPE_CHECKING:
-    pass
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 # How exact the start is given, 1 sigma.
 START_SIGMA = (0.02, 0.02, 0.01)

@@ -3,9 +3,6 @@
 from contextlib import contextmanager
 
 import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 

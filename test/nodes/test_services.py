@@ -11,9 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 from std_srvs.srv import Trigger
 
 from landmark_nav.demo.graph import node_command, node_environment

@@ -1,9 +1,6 @@
 """Sweeps reach the synthesizer raw or compressed, also one after the other."""
 
 import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import encode

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import rosbag_factory

@@ -21,8 +21,6 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import PoseEstimate
 
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
 REPOSITORY = Path(__file__).resolve().parents[2]
 # So few pixels that a starved machine also renders and encodes ten images a second.
 CAMERA, RATE_HZ, SEED = REPOSITORY / 'test' / 'setups' / 'camera_quarter_vga.yaml', 10, 7

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 import subprocess
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,15 +15,9 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.geometry import se2
+from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
-
-if TYPE_CHECKING:
-    pass
-
-pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-
-from landmark_nav.messages import decode
 
 RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 ROBOT = str(RECORDED / 'robot.yaml')

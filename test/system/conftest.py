@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 
 from landmark_nav.cli import learn
 
 
 @pytest.fixture(scope='module')
-def undrawn() -> Iterator[None]:
+def undrawn():
     """`learn` draws no figures, which take a sixth of its time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learn, '_draw', lambda *_: None)

@@ -18,7 +18,6 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Landmark, Panorama, Sweep
 
 Color = tuple[float, float, float]
@@ -331,9 +330,3 @@ def true_landmark(
         viewpoint=viewpoint,
         threshold=threshold,
     )
-
-
-def blurred_by(image: ImageArray, across_px: float, down_px: float) -> ImageArray:
-    """An image through a softer lens, which blurs light, not what a camera makes of it."""
-    light = cv2.GaussianBlur(light_of(image), (0, 0), sigmaX=across_px, sigmaY=down_px)
-    return values_of(np.asarray(light, np.uint16))

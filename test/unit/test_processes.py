@@ -143,8 +143,6 @@ def test_afterwards_signals_are_what_they_were():
 
 
 SLEEP = [*(sys.executable, '-S', '-c'), 'import time; print("up", flush=True); time.sleep(60)']
-
-
 STUBBORN = [
     *(sys.executable, '-S', '-c'),
     'import signal, time\n'
@@ -152,8 +150,6 @@ STUBBORN = [
     'print("up", flush=True)\n'
     'time.sleep(60)',
 ]
-
-
 FAILING = [
     *(sys.executable, '-S', '-c'),
     'print("first", flush=True); raise SystemExit("the wheel fell off")',
@@ -232,8 +228,6 @@ def test_a_killed_supervisor_leaves_no_process_behind(tmp_path):
 
 
 COMMAND = 'import landmark_nav.cli.main as m; seen = early(); m.main(["map", "--help"])'
-
-
 NODE = 'import landmark_nav.nodes; seen = early()'
 
 
