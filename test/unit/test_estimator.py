@@ -290,17 +290,6 @@ def test_an_image_that_comes_too_late_is_refused():
     assert isinstance(line.add_image(images[0]), Refusal)
 
 
-def test_missed_or_hidden_landmarks_raise_the_suspicion_slowly():
-    integrity, good = Integrity(), PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
-    integrity.add(0, driven(simulated(5, seconds=4.0)).updates[-1])
-    assert integrity.status(good)[0] is Status.OK
-    for k in range(1, 40):
-        integrity.add(k * NS // 5, None, missed=8)
-        if k == 1:
-            assert integrity.status(good)[0] is not Status.LOST
-    assert integrity.status(good)[0] is Status.LOST
-
-
 def test_the_protection_level_holds():
     inside, ratios = [], []
     for seed in range(8):

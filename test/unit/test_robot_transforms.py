@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
@@ -64,22 +63,3 @@ def test_the_tree_leads_from_the_map_to_the_camera(mount):
     rotation, center = mount.camera_pose_map(fused, joints.pan_rad, joints.tilt_rad)
     np.testing.assert_allclose(pose[:3, :3], rotation, atol=1e-9)
     np.testing.assert_allclose(pose[:3, 3], center, atol=1e-9)
-
-
-def test_map_to_odom_is_of_one_time_and_the_camera_is_given_once():
-    transforms = RobotTransforms(MOUNTS[0])
-    steps = [OdometrySample(STAMP + k, np.array([0.1 * k, 0.0, 0.0])) for k in range(3)]
-    for sample in steps:
-        taken(transforms, 'odom', encode.odometry(FACTORY, sample))
-    turn = np.array([1.0, 2.0, 0.5])
-    fused = OdometrySample(steps[1].stamp_ns, se2.compose(turn, steps[1].pose_odom_base))
-    message = encode.odometry(FACTORY, fused, np.eye(3), frame_id='map')
-    ((_, made),) = taken(transforms, 'odometry/fused', message)
-    whole = matrix(made.transforms[0].transform)
-    np.testing.assert_allclose(whole[:2, 3], turn[:2], atol=1e-12)
-    later = OdometrySample(STAMP + 99, fused.pose_odom_base)
-    unknown = encode.odometry(FACTORY, later, np.eye(3), frame_id='map')
-    assert taken(transforms, 'odometry/fused', unknown) == []
-    info = encode.camera_info(FACTORY, CAMERA, STAMP, 'optical')
-    assert len(taken(transforms, 'camera/camera_info', info)) == 1
-    assert taken(transforms, 'camera/camera_info', info) == []

@@ -40,18 +40,6 @@ def written(folder, text):
     return path
 
 
-def test_room_as_written(tmp_path):
-    room = load_room(written(tmp_path, ROOM))
-    assert room.frame_id == 'hall'
-    assert [(wall.id, wall.start, wall.height) for wall in room.walls][1] == ('east', (4, 0), 2.5)
-    (paper,) = room.papers
-    assert (paper.color, paper.center, paper.height) == ('red', (1, 0, 1.5), 0.3)
-    # Papers may be off their wall by what measuring errs, and need not be.
-    (paper,) = load_room(written(tmp_path, ROOM.replace('[1, 0, 1.5]', '[1, 0.05, 1.5]'))).papers
-    assert paper.center == (1, 0.05, 1.5)
-    assert load_room(written(tmp_path, ROOM.partition('reference_area')[0])).papers == ()
-
-
 def test_robot_as_written_and_defaults(tmp_path):
     mount = load_robot(written(tmp_path, ROBOT))
     assert mount.axis_xyz == (0.1, 0, 1.1)

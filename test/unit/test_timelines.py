@@ -16,17 +16,6 @@ def turning(*stamps_ms):
     return JointHistory(JointSample(t * MS, 1e-3 * RATE * t, -2e-4 * t) for t in stamps_ms)
 
 
-@pytest.mark.parametrize('at_ms', [99, 100, 113, 120, 149, 150, 151.5])
-def test_the_pan_of_a_camera_that_turns_is_that_of_the_stamp(at_ms):
-    found = turning(120, 100, 150).at(int(at_ms * MS))
-    assert isinstance(found, JointSample)
-    assert found.stamp_ns == int(at_ms * MS)
-    assert found.pan_rad == pytest.approx(1e-3 * RATE * at_ms, abs=1e-12)
-    assert found.tilt_rad == pytest.approx(-2e-4 * at_ms, abs=1e-12)
-    assert found.pan_rate_rad_s == pytest.approx(RATE)
-    assert found.pan_sigma_rad == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize(
     ('known_ms', 'at_ms', 'words'),
     [
