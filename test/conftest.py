@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import fcntl
 import os
 from pathlib import Path
@@ -16,9 +15,6 @@ os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 # How long an example takes depends on what else the machine does.
 settings.register_profile('any machine', deadline=None)
 settings.load_profile('any machine')
-
-# Makes a folder of that name once for all processes of a run.
-Once = Callable[[str, Callable[[Path], object]], Path]
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

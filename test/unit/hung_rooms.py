@@ -144,10 +144,9 @@ def world_hung(
     rng: np.random.Generator,
     hanging_m: float = CONFIG.hanging_sigma_m,
     relief_m: float = CONFIG.relief_sigma_m,
-    thing_m: float = CONFIG.hanging_length_m,
 ) -> World:
     """The world with its landmarks hung anew before the walls."""
-    thing = wall_stretches(world.points, world.walls, ROOM, thing_m)
+    thing = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
     off = rng.normal(0.0, CONFIG.common_hanging_sigma_m) + rng.normal(
         0.0, hanging_m, int(thing.max()) + 1
     )

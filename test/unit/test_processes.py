@@ -187,6 +187,14 @@ def test_a_dead_process_is_reported_with_its_last_lines(supervisor, tmp_path):
         assert supervisor.stop()['sleeper'] == -signal.SIGTERM
 
 
+def test_a_killed_process_is_recognised_by_its_signal(supervisor):
+    killer = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
+    with supervisor:
+        supervisor.start('short', [sys.executable, '-S', '-c', killer])
+        with pytest.raises(ProcessEndedError, match='signal SIGKILL: it printed nothing'):
+            check_until_something_happens(supervisor)
+
+
 def test_all_processes_end_even_if_they_ignore_signals(supervisor, tmp_path):
     with supervisor:
         supervisor.start('sleeper', SLEEP)
@@ -249,7 +257,5 @@ def after(start, **environment):
 
 @pytest.mark.parametrize('start', [COMMAND, NODE])
 def test_one_thread_unless_set_otherwise(start):
-    if start is NODE:
-        pytest.importorskip('rclpy', reason='ROS 2 is not installed')
     assert after(start) == ['1', '1', 'False']
     assert after(start, OPENBLAS_NUM_THREADS='2') == ['2', '1', 'False']
