@@ -20,7 +20,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.patches import patch_corners, PatchView
+from landmark_nav.geometry.patches import is_upright_edge, patch_corners, PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.quality import PanoramaQuality
 
@@ -256,13 +256,18 @@ class Panorama:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A patch around a pixel of a panorama, proposed by attention; the best `saliency` is 1."""
+    """
+    A patch around a pixel of a panorama, proposed by attention; the best `saliency` is 1.
+
+    `edge`: it is an upright edge, whose row is uncertain.
+    """
 
     column: float
     row: float
     width_px: int
     height_px: int
     saliency: float
+    edge: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,6 +320,11 @@ class Landmark:
     saliency: float = 0.0
     views: tuple[PatchView, ...] = ()
 
+    @cached_property
+    def edge(self) -> bool:
+        """Whether it is an upright edge: its row in an image is uncertain."""
+        return is_upright_edge(self.patch)
+
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
@@ -347,6 +357,11 @@ class LandmarkMap:
     def has_own_frame(self) -> bool:
         """Whether the map was learned without a plan and has a frame and scale of its own."""
         return 'frame' in self.provenance
+
+    @cached_property
+    def distinct(self) -> LandmarkMap:
+        """The map without edges, which are also found where they are not."""
+        return replace(self, landmarks=tuple(k for k in self.landmarks if not k.edge))
 
     @cached_property
     def ids(self) -> npt.NDArray[np.int64]:

@@ -323,7 +323,7 @@ class Observer:
         if self._vain > _EAGER and self._vain % _PATIENT:
             return None
         known = expected.calibration
-        seen = straight(frame, known), expected, self._map, known.mount, self._config
+        seen = straight(frame, known), expected, self._map.distinct, known.mount, self._config
         place = localize_within_prior(*seen)
         if isinstance(place, Refusal):
             return None
