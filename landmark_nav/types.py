@@ -374,6 +374,11 @@ class LandmarkMap:
         return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)], dtype=np.intp)
 
     @cached_property
+    def edges(self) -> npt.NDArray[np.bool_]:
+        """Which landmarks are edges, (n,)."""
+        return np.array([k.edge for k in self.landmarks], dtype=np.bool_)
+
+    @cached_property
     def positions(self) -> FloatArray:
         """Centres in map, (n, 3)."""
         return np.array([k.position for k in self.landmarks], dtype=np.float64).reshape(-1, 3)
