@@ -50,11 +50,11 @@ def is_upright_edge(patch: npt.NDArray[np.uint8]) -> bool:
     Its correlation does not show a shift along the edge (the aperture problem; Shi and Tomasi,
     Good Features to Track, CVPR 1994).
     """
-    image = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), _BLUR_PX)
-    shift = round(_ALONG * image.shape[0])
-    inner = np.ascontiguousarray(image[shift:-shift])
-    if not (shift and len(inner) and np.ptp(inner)):
+    shift = round(_ALONG * patch.shape[0])
+    if not shift or not np.ptp(patch[shift:-shift]):
         return False
+    image = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), _BLUR_PX)
+    inner = np.ascontiguousarray(image[shift:-shift])
     if cv2.matchTemplate(image, inner, cv2.TM_CCOEFF_NORMED).min() < _UNCHANGED:
         return False
     down, across = np.gradient(image)

@@ -133,4 +133,5 @@ def test_only_upright_edges_are_edges() -> None:
         step = np.where(across - 14.5 - slope * (down - 14.5) < 0, 60, 200).astype(np.uint8)
         assert is_upright_edge(step) is upright
         assert not is_upright_edge(np.where(down < 15, 60, step).astype(np.uint8))
-    assert not is_upright_edge(np.full((30, 30), 128, np.uint8))
+    for size in ((30, 30), (1, 30), (30, 1), (0, 0)):  # landmarks of other sources have no patch
+        assert not is_upright_edge(np.full(size, 128, np.uint8))
