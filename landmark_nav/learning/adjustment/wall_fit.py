@@ -354,7 +354,10 @@ def _fitted(
     share = off @ wall.along / wall.length
     design = np.stack([1.0 - share, share], 1)
     variance = np.einsum('i,nij,j->n', normal, free.own_covariance[on, :2, :2], normal)
-    variance += config.relief_sigma_m**2 + config.hanging_sigma_m**2
+    # Patches of one section of the wall hang equally far from it.
+    section = np.floor(off @ wall.along / config.hanging_length_m)
+    _, section, patches = np.unique(section, return_inverse=True, return_counts=True)
+    variance += config.relief_sigma_m**2 + config.hanging_sigma_m**2 * patches[section]
     prior = np.eye(2) / wall.sigma_m**2
     ends, information, tail = np.zeros(2), prior, variance + wall.sigma_m**2
     for _ in range(_STEPS):
