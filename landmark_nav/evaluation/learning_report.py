@@ -19,7 +19,7 @@ from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.reader import decoded
 from landmark_nav.storage.bags.sensors import truth_decoder
-from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
+from landmark_nav.types import Landmark, Panorama, Refusal
 
 SCHEMA = 1
 # Where landmarks on planes of their own are counted.
@@ -156,35 +156,3 @@ def check_truth_frame(bag: Bag, frame: str) -> None:
             f'{bag.path}: {topic} is in frame {found}, the map in {frame}: errors are right only '
             'where both are the same'
         )
-
-
-def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMount) -> FloatArray:
-    """
-    Intersections of the true rays to the patches with the planes of their landmarks.
-
-    The true location along the normal is unknown, as posters hang off the wall by an unknown
-    distance. It is set to that of the landmark, so that the two differ along the wall only.
-
-    Parameters
-    ----------
-    true_poses : ndarray, shape (k, 3)
-        True pose of the base at each panorama.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Locations in the order of the map.
-    """
-    truth = np.zeros((len(result.map.landmarks), 2))
-    for pose, panorama, candidates, outcomes in zip(
-        true_poses, result.panoramas, result.candidates, result.outcomes, strict=True
-    ):
-        axis = mount.axis_pose_map(pose)[:2]
-        for candidate, outcome in zip(candidates, outcomes, strict=True):
-            if isinstance(outcome, Landmark):
-                azimuth = float(panorama.cylinder.azimuth_rad(candidate.column)) + pose[2]
-                ray, normal = np.array([np.cos(azimuth), np.sin(azimuth)]), outcome.normal[:2]
-                reach = (outcome.position[:2] - axis) @ normal / (ray @ normal)
-                place = axis + reach * ray
-                truth[result.map.indices(np.array([outcome.id]))[0]] = place
-    return truth

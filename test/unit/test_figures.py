@@ -126,7 +126,7 @@ def a_run(truth=True, fixed=True):
 
 def test_lines_follow_odometry_where_images_are_far_apart(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr(run_figures, 'save', lambda figure, _path: drawn.append(figure))
+    monkeypatch.setattr(run_figures.style, 'save', lambda figure, _path: drawn.append(figure))
     run = a_run()
     # Half a circle out of sight.
     stamps = np.arange(0, 29 * 10**8 + 1, 10**7)

@@ -14,15 +14,8 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from landmark_nav.arrays import Float32Array
+from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.strips import caption, mark, patch_of, show, Strip, widest
-from landmark_nav.evaluation.figures.style import (
-    CANDIDATE,
-    framed,
-    LANDMARK,
-    new_figure,
-    ODOMETRY,
-    save,
-)
 from landmark_nav.learning.attention import (
     attend,
     attention_maps,
@@ -47,7 +40,7 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
     maps = attention_maps(_grey(panorama), config)
     found = _inside(strip, panorama, attended.candidates)
     names = list(maps.features)
-    figure = new_figure(2.6 * max(len(names), 4), 11.5)
+    figure = style.new_figure(2.6 * max(len(names), 4), 11.5)
     rows = figure.subfigures(4, 1, height_ratios=[2.5, 3.2, 3.1, 1.9])
     view, middle, fused, patches = np.ravel(np.asarray(rows))
     show(view.subplots(), strip.cut(panorama.image), 'panorama (part)')
@@ -63,7 +56,7 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
     show(right, strip.cut(panorama.image), 'hierarchical selection: candidates, strongest first')
     for number, (candidate, place) in enumerate(found, 1):
         label = str(number) if number <= _PATCHES else ''
-        mark(right, place, candidate, label, LANDMARK if label else CANDIDATE)
+        mark(right, place, candidate, label, style.LANDMARK if label else style.CANDIDATE)
         mark(left, place, candidate, '', 'white')
     for number, axes in enumerate(patches.subplots(1, _PATCHES), 1):
         axes.set_axis_off()
@@ -82,7 +75,7 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
         'strongest of this part, with size and saliency relative to the strongest of all.'
     )
     caption(figure, text)
-    save(figure, path)
+    style.save(figure, path)
     return text
 
 
@@ -94,7 +87,7 @@ def draw_features_alone(
     strip = _strip(panorama, attend(panorama, config).candidates[:30])
     columns = min(len(names), _COLUMNS)
     rows = -(-len(names) // columns)
-    figure = new_figure(max(4.6 * columns, 9.0), (5.2 if columns > 1 else 10.0) * rows + 0.7)
+    figure = style.new_figure(max(4.6 * columns, 9.0), (5.2 if columns > 1 else 10.0) * rows + 0.7)
     panels = np.ravel(np.asarray(figure.subfigures(rows, columns, squeeze=False)))
     for name, panel in zip(names, panels, strict=False):
         alone = config.alone(name)
@@ -112,8 +105,10 @@ def draw_features_alone(
         view = below.subplots()
         show(view, strip.cut(panorama.image))
         for number, (candidate, place) in enumerate(chosen, 1):
-            color = ODOMETRY if id(candidate) in refused else LANDMARK
-            mark(view, place, candidate, str(number), color, '--' if color != LANDMARK else '-')
+            color, line = (
+                (style.ODOMETRY, '--') if id(candidate) in refused else (style.LANDMARK, '-')
+            )
+            mark(view, place, candidate, str(number), color, line)
         _draw_patches(patches, panorama, [c for c, _ in chosen], refused)
     text = (
         'Figure 7. What attention selects by one feature at a time. Above, conspicuity maps; '
@@ -122,7 +117,7 @@ def draw_features_alone(
         'whole panorama.'
     )
     caption(figure, text)
-    save(figure, path)
+    style.save(figure, path)
     return text
 
 
@@ -136,7 +131,7 @@ def _draw_patches(
         candidate = chosen[number - 1]
         axes.set_axis_on()
         show(axes, patch_of(panorama, candidate, _PATCH_PX), str(number))
-        framed(axes, ODOMETRY if id(candidate) in refused else LANDMARK, 3.0)
+        style.framed(axes, style.ODOMETRY if id(candidate) in refused else style.LANDMARK, 3.0)
 
 
 def _strip(panorama: Panorama, candidates: Sequence[Candidate]) -> Strip:

@@ -11,22 +11,7 @@ from matplotlib.figure import Figure
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.evaluation.figures.style import (
-    add_ellipse,
-    draw_papers,
-    draw_sweep_places,
-    draw_walls,
-    free_labels,
-    FUSED,
-    keep_in_view,
-    key,
-    LANDMARK,
-    legend_beside,
-    metres_per_inch,
-    new_figure,
-    plain,
-    save,
-)
+from landmark_nav.evaluation.figures import style
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.types import LandmarkMap
 
@@ -40,37 +25,43 @@ _WALL_IN, _DIGIT_IN, _ROW_IN = 0.16, 0.08, 0.105
 
 def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -> None:
     """Draw a map."""
-    figure = new_figure(9.0, 6.6)
+    figure = style.new_figure(9.0, 6.6)
     axes = figure.add_subplot()
-    draw_walls(axes, landmarks.walls, _MARGIN_M)
+    style.draw_walls(axes, landmarks.walls, _MARGIN_M)
     draw_landmarks(axes, landmarks)
     _draw_certainty(axes, landmarks)
     for place in landmarks.panorama_poses:
-        add_ellipse(axes, place.pose, place.covariance[:2, :2], FUSED, _MAGNIFIED)
-    draw_sweep_places(axes, [place.pose for place in landmarks.panorama_poses], 'sweep')
+        style.add_ellipse(axes, place.pose, place.covariance[:2, :2], style.FUSED, _MAGNIFIED)
+    style.draw_sweep_places(axes, [place.pose for place in landmarks.panorama_poses], 'sweep')
     axes.set_title(
         f'{len(landmarks.landmarks)} landmarks learned from '
         f'{len(landmarks.panorama_poses)} panoramas'
     )
-    plain(axes)
+    style.plain(axes)
     text = 'landmark, its normal, its number where there is room'
     handles = [
-        key(LANDMARK, 'o', text, linestyle='-'),
-        key(LANDMARK, 'o', f'3 sigma, {_MAGNIFIED:.0f} times as large', markersize=13, alpha=0.35),
-        key(FUSED, '^', 'sweep, arrow along base_link +x'),
+        style.key(style.LANDMARK, 'o', text, linestyle='-'),
+        style.key(
+            style.LANDMARK,
+            'o',
+            f'3 sigma, {_MAGNIFIED:.0f} times as large',
+            markersize=13,
+            alpha=0.35,
+        ),
+        style.key(style.FUSED, '^', 'sweep, arrow along base_link +x'),
     ]
     drawn = list(papers)
-    draw_papers(axes, drawn)
+    style.draw_papers(axes, drawn)
     if drawn:
-        handles.append(key('#888888', 's', 'paper, in its colour'))
-    legend_beside(axes, 'below', (len(handles) + 1) // 2, handles)
+        handles.append(style.key('#888888', 's', 'paper, in its colour'))
+    style.legend_beside(axes, 'below', (len(handles) + 1) // 2, handles)
     number_landmarks(figure, axes, landmarks)
-    save(figure, path)
+    style.save(figure, path)
 
 
 def draw_landmarks(axes: Axes, landmarks: LandmarkMap) -> None:
     """Draw landmarks as dots."""
-    axes.plot(*landmarks.positions[:, :2].T, 'o', color=LANDMARK, markersize=4, zorder=6)
+    axes.plot(*landmarks.positions[:, :2].T, 'o', color=style.LANDMARK, markersize=4, zorder=6)
 
 
 def number_landmarks(
@@ -84,13 +75,13 @@ def number_landmarks(
     which = np.flatnonzero(np.broadcast_to(shown, len(landmarks.landmarks)))
     if not len(which):
         return
-    scale = metres_per_inch(figure, axes)
+    scale = style.metres_per_inch(figure, axes)
     ids, normals = landmarks.ids[which], landmarks.normals[which, :2]
     places = landmarks.positions[which, :2] - scale * _WALL_IN * normals
     sizes = scale * np.stack([_DIGIT_IN * np.char.str_len(ids.astype(str)), 0 * ids + _ROW_IN], 1)
-    free = free_labels(places - 0.5 * sizes, sizes)
+    free = style.free_labels(places - 0.5 * sizes, sizes)
     places, ids = places[free], ids[free]
-    keep_in_view(axes, places, 0.15 * scale)
+    style.keep_in_view(axes, places, 0.15 * scale)
     for number, (x, y) in zip(ids, places, strict=True):
         text = axes.text(
             x, y, str(number), fontsize=7, ha='center', va='center', color='#333333', zorder=8
@@ -103,6 +94,6 @@ def _draw_certainty(axes: Axes, landmarks: LandmarkMap) -> None:
     """Draw ellipses and normals of landmarks."""
     feet = landmarks.positions[:, :2]
     lines = list(np.stack([feet, feet + _NORMAL_M * landmarks.normals[:, :2]], 1))
-    axes.add_collection(LineCollection(lines, colors=LANDMARK, linewidths=1.0, zorder=5))
+    axes.add_collection(LineCollection(lines, colors=style.LANDMARK, linewidths=1.0, zorder=5))
     for foot, covariance in zip(feet, landmarks.covariances[:, :2, :2], strict=True):
-        add_ellipse(axes, foot, covariance, LANDMARK, _MAGNIFIED)
+        style.add_ellipse(axes, foot, covariance, style.LANDMARK, _MAGNIFIED)

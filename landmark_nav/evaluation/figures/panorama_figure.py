@@ -10,21 +10,14 @@ from matplotlib.artist import Artist
 from matplotlib.backend_bases import RendererBase
 import numpy as np
 
+from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.strips import mark
-from landmark_nav.evaluation.figures.style import (
-    CANDIDATE,
-    DPI,
-    free_labels,
-    LANDMARK,
-    new_figure,
-    save,
-)
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
 # Margins of the image: left, bottom, right, top, inches.
 _MARGINS_IN = (0.7, 0.6, 0.2, 0.4)
 # Width of a digit of a label and of its border, and height of the label.
-_DIGIT_PX, _BORDER_PX, _LABEL_PX = 0.09 * DPI, 0.06 * DPI, 0.19 * DPI
+_DIGIT_PX, _BORDER_PX, _LABEL_PX = 0.09 * style.DPI, 0.06 * style.DPI, 0.19 * style.DPI
 # Distance of a label from the patch below it.
 _ABOVE_PX = 2.0
 
@@ -44,17 +37,17 @@ def draw_panorama(
     rows, columns = panorama.image.shape[:2]
     # The figure has the resolution of the panorama, so that nothing is resampled.
     left, bottom, right, top = _MARGINS_IN
-    width, height = columns / DPI, rows / DPI
+    width, height = columns / style.DPI, rows / style.DPI
     size = (left + width + right, bottom + height + top)
-    figure = new_figure(*size, arranged=False)
+    figure = style.new_figure(*size, arranged=False)
     axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
-    figure.add_artist(_PanoramaArtist(panorama, left * DPI, bottom * DPI))
+    figure.add_artist(_PanoramaArtist(panorama, left * style.DPI, bottom * style.DPI))
     axes.patch.set_visible(False)
     elected = sum(isinstance(outcome, Landmark) for outcome in outcomes)
     for candidate, outcome, label in zip(
         candidates, outcomes, _labels(candidates, outcomes), strict=True
     ):
-        color = LANDMARK if isinstance(outcome, Landmark) else CANDIDATE
+        color = style.LANDMARK if isinstance(outcome, Landmark) else style.CANDIDATE
         # Patches across the seam are drawn at both ends.
         for column in (candidate.column - columns, candidate.column, candidate.column + columns):
             if -candidate.width_px < column < columns + candidate.width_px:
@@ -73,7 +66,7 @@ def draw_panorama(
         f'Panorama {number}: {len(candidates)} candidates (thin), '
         f'{elected} of them elected (bold, with id where there is room)'
     )
-    save(figure, path, tight=False)
+    style.save(figure, path, tight=False)
 
 
 class _PanoramaArtist(Artist):
@@ -100,6 +93,6 @@ def _labels(candidates: Sequence[Candidate], outcomes: Sequence[Landmark | Refus
         candidate, width = candidates[k], _BORDER_PX + _DIGIT_PX * len(word)
         top = candidate.row - 0.5 * candidate.height_px - _ABOVE_PX - _LABEL_PX
         sizes[row], corners[row] = (width, _LABEL_PX), (candidate.column - 0.5 * width, top)
-    free = free_labels(corners, sizes)
+    free = style.free_labels(corners, sizes)
     kept = {k: word for (k, word), is_free in zip(elected.items(), free, strict=True) if is_free}
     return [kept.get(k, '') for k in range(len(candidates))]

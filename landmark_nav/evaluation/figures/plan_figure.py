@@ -8,17 +8,7 @@ from matplotlib.axes import Axes
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.evaluation.figures.style import (
-    draw_papers,
-    draw_sweep_places,
-    draw_walls,
-    FUSED,
-    key,
-    legend_beside,
-    new_figure,
-    ODOMETRY,
-    save,
-)
+from landmark_nav.evaluation.figures import style
 from landmark_nav.geometry.walls import Room
 from landmark_nav.planning.planner import Plan
 from landmark_nav.planning.prediction import Forecast
@@ -31,20 +21,22 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     """Draw the map of expected accuracy with the proposed poses."""
     width, height = np.ptp(room.bounds, axis=0) + 2.0 * _MARGIN_M
     scale = 7.0 / max(width, height)
-    figure = new_figure(scale * width + 1.5, scale * height + 1.5)
+    figure = style.new_figure(scale * width + 1.5, scale * height + 1.5)
     axes = figure.add_subplot()
     _draw_accuracy(axes, plan.accuracy_map)
-    draw_walls(axes, room.walls, _MARGIN_M)
-    draw_papers(axes, room.papers)
-    handles = [key(FUSED, '^', f'proposed: {_cost(plan.best)} in the mean over the floor')]
+    style.draw_walls(axes, room.walls, _MARGIN_M)
+    style.draw_papers(axes, room.papers)
+    handles = [
+        style.key(style.FUSED, '^', f'proposed: {_cost(plan.best)} in the mean over the floor')
+    ]
     if plan.left_right is not None:
         poses = plan.left_right.poses_map_base
-        axes.plot(*poses[:, :2].T, 'o', color=ODOMETRY, markeredgecolor='white', zorder=7)
+        axes.plot(*poses[:, :2].T, 'o', color=style.ODOMETRY, markeredgecolor='white', zorder=7)
         text = f'left and right of the middle: {_cost(plan.left_right)}'
-        handles.append(key(ODOMETRY, 'o', text))
-    draw_sweep_places(axes, plan.best.poses_map_base, 'place')
+        handles.append(style.key(style.ODOMETRY, 'o', text))
+    style.draw_sweep_places(axes, plan.best.poses_map_base, 'place')
     middle = plan.random[len(plan.random) // 2]
-    handles.append(key('white', '', f'median of random places: {_cost(middle)}'))
+    handles.append(style.key('white', '', f'median of random places: {_cost(middle)}'))
     axes.set_title(
         f'Expected localization error, {len(plan.best.poses_map_base)} panoramas, '
         f'{plan.best.landmarks.sum():.0f} landmarks',
@@ -52,8 +44,8 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     )
     for side in ('top', 'right', 'left', 'bottom'):
         axes.spines[side].set_visible(False)
-    legend_beside(axes, 'above', 1, handles)
-    save(figure, path)
+    style.legend_beside(axes, 'above', 1, handles)
+    style.save(figure, path)
 
 
 def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:

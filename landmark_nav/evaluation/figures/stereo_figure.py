@@ -13,17 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 import numpy as np
 
+from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip
-from landmark_nav.evaluation.figures.style import (
-    CANDIDATE,
-    draw_sweep_places,
-    draw_walls,
-    FUSED,
-    HALO,
-    LANDMARK,
-    new_figure,
-    save,
-)
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
@@ -51,7 +42,7 @@ def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
     """
     source, candidate, landmark = _example(result)
     views = result.panoramas[source], result.panoramas[1 - source]
-    figure = new_figure(16.0, 7.8)
+    figure = style.new_figure(16.0, 7.8)
     left, right = np.ravel(np.asarray(figure.subfigures(1, 2, width_ratios=[1.0, 1.6])))
     above, below, plan = left.subplots(3, 1, height_ratios=[1.0, 1.0, 1.5])
     width = round(_SHARE * views[0].mask.shape[1])
@@ -79,7 +70,7 @@ def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
         'on it.'
     )
     caption(figure, text)
-    save(figure, path)
+    style.save(figure, path)
     return text
 
 
@@ -141,7 +132,7 @@ def _draw_epipolar(
     turn = there.mask.shape[1]
     at = (curve - [strip.start, strip.top]) % [turn, 1e9]
     inside = (at[:, 0] < strip.width) & (at[:, 1] < strip.bottom - strip.top)
-    axes.plot(*np.where(inside[:, None], at, np.nan).T, color=CANDIDATE, linewidth=1.5)
+    axes.plot(*np.where(inside[:, None], at, np.nan).T, color=style.CANDIDATE, linewidth=1.5)
     scale = reach / float(np.hypot(*(landmark.position - there.center_map)[:2]))
     size = (round(candidate.width_px * scale), round(candidate.height_px * scale))
     found = Candidate(float(match[0]), float(match[1]), *size, 1.0)
@@ -159,14 +150,19 @@ def _pixel(panorama: Panorama, points: FloatArray) -> FloatArray:
 def _draw_rays(
     axes: Axes, panoramas: tuple[Panorama, ...], landmark: Landmark, room: Room
 ) -> None:
-    draw_walls(axes, room.walls, _MARGIN_M)
+    style.draw_walls(axes, room.walls, _MARGIN_M)
     point = landmark.position[:2]
     centers = np.array([p.center_map[:2] for p in panoramas])
     for name, center, other in zip(_NAMES, centers, centers[::-1], strict=True):
-        axes.plot(*np.stack([center, point], -1), color=CANDIDATE, linewidth=1.5)
-        axes.plot(*center, 'o', color=FUSED, markersize=16, fillstyle='none')
+        axes.plot(*np.stack([center, point], -1), color=style.CANDIDATE, linewidth=1.5)
+        axes.plot(*center, 'o', color=style.FUSED, markersize=16, fillstyle='none')
         axes.annotate(
-            name, (center[0], center[1]), ha='center', va='center', color=FUSED, weight='bold'
+            name,
+            (center[0], center[1]),
+            ha='center',
+            va='center',
+            color=style.FUSED,
+            weight='bold',
         )
         # Beside the ray, on the side opposite to the other ray.
         way = (center - point) / np.hypot(*(center - point))
@@ -174,15 +170,17 @@ def _draw_rays(
         aside *= np.sign(aside @ (center - other)) or 1.0
         axes.annotate(
             f'd = {np.hypot(*(center - point)):.2f} m', tuple(0.5 * (center + point)),
-            tuple(5.0 * aside), textcoords='offset points', fontsize=9, path_effects=HALO,
+            tuple(5.0 * aside), textcoords='offset points', fontsize=9, path_effects=style.HALO,
             ha=('right', 'center', 'left')[round(aside[0]) + 1],
             va=('top', 'center', 'bottom')[round(aside[1]) + 1],
         )  # fmt: skip
-    axes.plot(*point, 'o', color=LANDMARK)
+    axes.plot(*point, 'o', color=style.LANDMARK)
     inward = centers.mean(axis=0) - point
     at = point + 0.5 * inward / np.hypot(*inward)
-    axes.annotate('a', (at[0], at[1]), ha='center', va='center', style='italic', path_effects=HALO)
-    axes.plot(*centers.T, ':', color=FUSED)
+    axes.annotate(
+        'a', (at[0], at[1]), ha='center', va='center', style='italic', path_effects=style.HALO
+    )
+    axes.plot(*centers.T, ':', color=style.FUSED)
 
 
 def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
@@ -202,7 +200,7 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
         x, y, grid, cmap='viridis_r', norm=LogNorm(1.0, 100.0), shading='nearest', zorder=1
     )
     lines = axes.contour(x, y, grid, _LEVELS_MM, colors='white', linewidths=1.0, zorder=2)
-    draw_walls(axes, room.walls, _MARGIN_M)
+    style.draw_walls(axes, room.walls, _MARGIN_M)
     bar = axes.figure.colorbar(heat, ax=axes, shrink=0.7, extend='both')
     bar.add_lines(lines)
     bar.set_ticks(
@@ -212,7 +210,7 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
     bar.set_label('standard deviation of a landmark from two rays [mm]')
     centers = np.array([p.center_map[:2] for p in pair])
     axes.plot(*centers.T, '--', color='white', zorder=3)
-    draw_sweep_places(axes, centers)
+    style.draw_sweep_places(axes, centers)
     along = centers[1] - centers[0]
     side = (cells - centers[0]) @ np.array([-along[1], along[0]])
     for letter, half in (('R', side > 0.0), ('S', side < 0.0)):
@@ -221,8 +219,8 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
             best = good & (sigma <= 1.3 * np.nanmin(sigma[good]))
             axes.annotate(
                 f'area {letter}', cells[best].mean(axis=0), ha='center', va='center', fontsize=16,
-                weight='bold', path_effects=HALO, zorder=6,
+                weight='bold', path_effects=style.HALO, zorder=6,
             )  # fmt: skip
-    axes.plot(*result.map.positions[:, :2].T, '.', color=LANDMARK, markersize=7, zorder=4)
+    axes.plot(*result.map.positions[:, :2].T, '.', color=style.LANDMARK, markersize=7, zorder=4)
     axes.set_title('areas R and S have the least uncertainty; dots: landmarks learned')
     return float(np.nanmin(sigma))
