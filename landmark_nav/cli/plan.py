@@ -99,18 +99,6 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
     """Return the text of ``plan.yaml``."""
     best = plan.best
     sigma = np.sqrt(np.diagonal(best.pose_covariance, axis1=1, axis2=2))
-    compared: dict[str, Any] = {
-        'random': {
-            'sets': len(plan.random),
-            'best_m': _short(plan.random[0].cost_m),
-            'median_m': _short(_median(plan.random).cost_m),
-        }
-    }
-    if plan.left_right is not None:
-        compared['left_right'] = {
-            'poses': [_pose(p) for p in plan.left_right.poses_map_base],
-            'mean_m': _short(plan.left_right.cost_m),
-        }
     document = {
         'schema': _SCHEMA,
         'frame_id': frame_id,
@@ -134,7 +122,13 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
                 'covered': round(float(np.isfinite(best.sigma_m).mean()), 4),
             },
         },
-        'compared': compared,
+        'compared': {
+            'random': {
+                'sets': len(plan.random),
+                'best_m': _short(plan.random[0].cost_m),
+                'median_m': _short(_median(plan.random).cost_m),
+            }
+        },
     }
     comment = (
         '# poses of base_link: x, y [m], heading [rad], sigma as papers or panoramas give it;\n'
@@ -161,10 +155,6 @@ def _summary(plan: Plan) -> str:
         _beside('median of random places', _median(plan.random), best),
         _beside(f'best of {len(plan.random)} random places', plan.random[0], best),
     ]
-    if plan.left_right is None:
-        lines.append('  left and right of the middle: not in this room')
-    else:
-        lines.append(_beside('left and right of the middle', plan.left_right, best))
     return wrapped(lines)
 
 

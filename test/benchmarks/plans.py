@@ -3,11 +3,11 @@ Does planning predict what happens? Learn from planned places in simulation, and
 
 ``python test/benchmarks plans --seeds 31 32 33`` plans in rooms out of seeds, and learns from the
 plan, from random places that it expects to be good, middling and bad (a tenth, a half and nine
-tenths of all random sets are better) and from the layout of Livatino and Madsen. For each it
-prints what was predicted, what the learned map claims and what is true: landmarks, their errors,
-and the localization error at random places with bearings of known noise to all landmarks that a
-turning camera sees there, each counted as 5 cm at most. Millimetres, root mean squares. The papers
-hang as exactly as the planner expects, and it is given how exact panoramas of the simulator are.
+tenths of all random sets are better). For each it prints what was predicted, what the learned map
+claims and what is true: landmarks, their errors, and the localization error at random places with
+bearings of known noise to all landmarks that a turning camera sees there, each counted as 5 cm at
+most. Millimetres, root mean squares. The papers hang as exactly as the planner expects, and it is
+given how exact panoramas of the simulator are.
 
 Below it says for each kind of layout, and for all, how many times as large as predicted the
 errors typically were (geometric mean over the maps, each of which is one draw of the errors that
@@ -77,8 +77,6 @@ def check_room(
     layouts = {'planned': plan.best}
     for rank in RANKS:
         layouts[f'random {rank:.0%}'] = plan.random[int(rank * (len(plan.random) - 1))]
-    if plan.left_right is not None:
-        layouts['left-right'] = plan.left_right
     given = replace(scene.room, papers=tuple(_as_given(p, config, rng) for p in scene.room.papers))
     for name, places in layouts.items():
         poses = places.poses_map_base

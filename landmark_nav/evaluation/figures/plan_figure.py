@@ -29,11 +29,6 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     handles = [
         style.key(style.FUSED, '^', f'proposed: {_cost(plan.best)} in the mean over the floor')
     ]
-    if plan.left_right is not None:
-        poses = plan.left_right.poses_map_base
-        axes.plot(*poses[:, :2].T, 'o', color=style.ODOMETRY, markeredgecolor='white', zorder=7)
-        text = f'left and right of the middle: {_cost(plan.left_right)}'
-        handles.append(style.key(style.ODOMETRY, 'o', text))
     style.draw_sweep_places(axes, plan.best.poses_map_base, 'place')
     middle = plan.random[len(plan.random) // 2]
     handles.append(style.key('white', '', f'median of random places: {_cost(middle)}'))
