@@ -24,26 +24,6 @@ from landmark_nav.geometry.patches import patch_corners, PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.quality import PanoramaQuality
 
-__all__ = [
-    'CameraFrame',
-    'Candidate',
-    'Detections',
-    'Expectation',
-    'FloatArray',
-    'ImageArray',
-    'JointSample',
-    'Landmark',
-    'LandmarkMap',
-    'OdometrySample',
-    'Panorama',
-    'PlaceChain',
-    'PoseEstimate',
-    'Refusal',
-    'RefusalCode',
-    'Sweep',
-    'Triplet',
-]
-
 
 class RefusalCode(Enum):
     """Reasons of a refusal that callers handle differently."""

@@ -4,16 +4,3 @@ from landmark_nav.diagnosis.doctor import diagnose, IMAGES, QUICK
 from landmark_nav.diagnosis.drives import THOROUGH
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding, table, worst
 from landmark_nav.diagnosis.papers import check_papers
-
-__all__ = [
-    'IMAGES',
-    'QUICK',
-    'THOROUGH',
-    'Delays',
-    'Diagnosis',
-    'Finding',
-    'check_papers',
-    'diagnose',
-    'table',
-    'worst',
-]

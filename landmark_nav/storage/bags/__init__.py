@@ -5,13 +5,3 @@ from landmark_nav.storage.bags.reader import Bag, BagMessage
 from landmark_nav.storage.bags.sensors import sensor_events, SensorEvent
 from landmark_nav.storage.bags.sweeps import read_sweeps
 from landmark_nav.storage.bags.writer import BagWriter
-
-__all__ = [
-    'Bag',
-    'BagMessage',
-    'BagWriter',
-    'SensorEvent',
-    'read_sweep_folder',
-    'read_sweeps',
-    'sensor_events',
-]
