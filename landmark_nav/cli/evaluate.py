@@ -20,7 +20,6 @@ from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.evaluation.replay import replay, UnknownPlaceError
 from landmark_nav.evaluation.report import (
     check_report,
-    drawn_panoramas,
     drive_page,
     FrameStrip,
     write_report,
@@ -260,7 +259,6 @@ def run(args: argparse.Namespace) -> int:
             report, done, errors, landmarks, done.calibration or calibration, strip, smoothed
         )
         if args.report:
-            page['data']['panoramas'] = drawn_panoramas(Path(args.map))
             title = f'{bag.path.name} on {Path(args.map).name}'
             inputs = {k: getattr(args, k) for k in ('bag', 'map', 'robot', 'config')}
             write_report(args.report, page, title, args.command_line, inputs)

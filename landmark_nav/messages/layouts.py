@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+import re
 
 import numpy as np
 import numpy.typing as npt
@@ -53,26 +54,23 @@ class Layout:
         return np.dtype([*fixed, *repeated])
 
 
+def _fields(text: str) -> np.dtype[np.void]:
+    """Type of a point from words ``name:type`` and, for several values, ``name:type*count``."""
+    fields = [re.split('[:*]', word) for word in text.split()]
+    return np.dtype(
+        [(name, f'<{kind}', *((int(count),) for count in more)) for name, kind, *more in fields]
+    )
+
+
 # `point` and the `size` of the template are in normalised image coordinates by camera_info; a
 # covariance of zero means that there is none. All rows repeat the joint delay that the node
 # assumes, and `near`: the pose of the base found in this image by a search within an uncertain
 # prior, zero without a search.
 DETECTIONS = Layout(
     'detections',
-    np.dtype(
-        [
-            ('id', '<u4'),
-            ('bearing', '<f8'),
-            ('bearing_variance', '<f8'),
-            ('score', '<f4'),
-            ('u', '<f4'),
-            ('v', '<f4'),
-            ('joint_delay', '<f8'),
-            ('point', '<f8', (2,)),
-            ('point_covariance', '<f8', (4,)),
-            ('size', '<f8', (2,)),
-            ('near', '<f8', (3,)),
-        ]
+    _fields(
+        'id:u4 bearing:f8 bearing_variance:f8 score:f4 u:f4 v:f4 joint_delay:f8 point:f8*2 '
+        'point_covariance:f8*4 size:f8*2 near:f8*3'
     ),
     optional=('joint_delay', 'point', 'point_covariance', 'size', 'near'),
 )
@@ -81,44 +79,15 @@ DETECTIONS = Layout(
 # calibration.
 EXPECTATION = Layout(
     'expectation',
-    np.dtype(
-        [
-            ('pose', '<f8', (3,)),
-            ('covariance', '<f8', (9,)),
-            ('speeds', '<f8', (2,)),
-            ('tilt_sigma', '<f8'),
-            ('values', '<f8', (15,)),
-            ('sigmas', '<f8', (15,)),
-        ]
-    ),
+    _fields('pose:f8*3 covariance:f8*9 speeds:f8*2 tilt_sigma:f8 values:f8*15 sigmas:f8*15'),
 )
 
 # All three rows repeat the covariance of the predicted fix and the pan to turn to.
-TRIPLET = Layout(
-    'triplet',
-    np.dtype(
-        [
-            ('id', '<u4'),
-            ('bearing', '<f8'),
-            ('bearing_sigma', '<f8'),
-            ('pan', '<f8'),
-            ('covariance', '<f8', (9,)),
-        ]
-    ),
-)
+TRIPLET = Layout('triplet', _fields('id:u4 bearing:f8 bearing_sigma:f8 pan:f8 covariance:f8*9'))
 
 # One row for each landmark; all fields but `id` are repeated.
 GLOBAL_POSE = Layout(
-    'global_pose',
-    np.dtype(
-        [
-            ('id', '<u4'),
-            ('pose', '<f8', (3,)),
-            ('covariance', '<f8', (9,)),
-            ('pan_rate', '<f8'),
-            ('joint_delay', '<f8'),
-        ]
-    ),
+    'global_pose', _fields('id:u4 pose:f8*3 covariance:f8*9 pan_rate:f8 joint_delay:f8')
 )
 
 # x, y, z must be float32: RViz draws no other point clouds.
@@ -129,29 +98,10 @@ GLOBAL_POSE = Layout(
 # height of each in the atlas; 0 where a landmark has fewer than others).
 LANDMARKS = Layout(
     'landmarks',
-    np.dtype(
-        [
-            ('id', '<u4'),
-            ('x', '<f4'),
-            ('y', '<f4'),
-            ('z', '<f4'),
-            ('normal_x', '<f4'),
-            ('normal_y', '<f4'),
-            ('normal_z', '<f4'),
-            ('width', '<f4'),
-            ('height', '<f4'),
-            ('viewpoint_x', '<f4'),
-            ('viewpoint_y', '<f4'),
-            ('viewpoint_z', '<f4'),
-            ('threshold', '<f4'),
-            ('saliency', '<f4'),
-            ('atlas_x', '<u4'),
-            ('atlas_y', '<u4'),
-            ('atlas_width', '<u4'),
-            ('atlas_height', '<u4'),
-            ('wall', '<i4'),
-            ('covariance', '<f8', (9,)),
-        ]
+    _fields(
+        'id:u4 x:f4 y:f4 z:f4 normal_x:f4 normal_y:f4 normal_z:f4 width:f4 height:f4 '
+        'viewpoint_x:f4 viewpoint_y:f4 viewpoint_z:f4 threshold:f4 saliency:f4 atlas_x:u4 '
+        'atlas_y:u4 atlas_width:u4 atlas_height:u4 wall:i4 covariance:f8*9'
     ),
     repeated={
         'shared_loading': ('<f8', 3),

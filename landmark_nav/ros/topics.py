@@ -47,39 +47,22 @@ class Topic:
     qos: QoSProfile
 
 
-_PROFILES = (
-    (
+# Profiles of the topics that are not RELIABLE.
+_PROFILES = {
+    **dict.fromkeys(
+        ('joint_states', 'odom', 'ground_truth/odom', 'camera/camera_info', 'camera/image_raw'),
         SENSOR_DATA,
-        'camera/image_raw',
-        'camera/image_raw/compressed',
-        'camera/camera_info',
-        'joint_states',
-        'odom',
-        'ground_truth/odom',
-        'triangulation_localizer/debug_image/compressed',
     ),
-    (SWEEP, 'sweep/image', 'sweep/image/compressed', 'sweep/camera_info'),
-    (RELIABLE, 'sweep/trajectory', 'sweep/pose', 'pan_tilt/command', 'cmd_vel', 'initialpose'),
-    (PANORAMAS, 'panorama/image', 'panorama/camera_info', 'panorama/pose'),
-    (LATCHED, *MAP_TOPICS),
-    (
-        RELIABLE,
-        'triplet',
-        'detections',
-        'triangulation/pose',
-        'global_localization/pose',
-        'odometry/fused',
-        'odometry_fusion/protection_level',
-        'odometry_fusion/path',
-        'odometry_fusion/odometry_path',
-        'odometry_fusion/markers',
-        'triangulation_localizer/markers',
-        'expectation',
-    ),
-)
-
+    'camera/image_raw/compressed': SENSOR_DATA,
+    'triangulation_localizer/debug_image/compressed': SENSOR_DATA,
+    **dict.fromkeys(('sweep/image', 'sweep/image/compressed', 'sweep/camera_info'), SWEEP),
+    **dict.fromkeys(('panorama/image', 'panorama/camera_info', 'panorama/pose'), PANORAMAS),
+    **dict.fromkeys(MAP_TOPICS, LATCHED),
+}
 TOPICS = {
-    name: Topic(TOPIC_TYPES[name], profile) for profile, *names in _PROFILES for name in names
+    name: Topic(kind, _PROFILES.get(name, RELIABLE))
+    for name, kind in TOPIC_TYPES.items()
+    if not name.startswith('tf')
 }
 TOPICS['/clock'] = Topic('rosgraph_msgs/msg/Clock', SENSOR_DATA)
 TOPICS['/diagnostics'] = Topic('diagnostic_msgs/msg/DiagnosticArray', RELIABLE)

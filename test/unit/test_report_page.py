@@ -13,7 +13,6 @@ from test_figures import a_map, a_panorama, a_run
 from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.learning_report import NO_WALL
 from landmark_nav.evaluation.report import (
-    drawn_panoramas,
     drive_page,
     FrameStrip,
     panoramas,
@@ -212,18 +211,6 @@ def test_pages_work_whatever_is_missing(opened, given):
     press(chrome, 'End')
     assert np.isfinite(robot_at(chrome)).all()
     assert chrome.get_log('browser') == []
-
-
-def test_panoramas_that_learn_drew_beside_the_map_are_shown(opened, tmp_path):
-    for number in (1, 2):
-        picture = np.full((60, 100 * number, 3), 90, np.uint8)
-        cv2.imwrite(str(tmp_path / f'panorama_{number}.png'), picture)
-    page = page_of()
-    page['data']['panoramas'] = drawn_panoramas(tmp_path)
-    assert [one['size'] for one in page['data']['panoramas']] == [[100, 60], [200, 60]]
-    chrome = opened(page)
-    assert chrome.execute_async_script(WIDTHS, '.panorama image') == [100, 200]
-    assert drawn_panoramas(tmp_path / 'nowhere') == []
 
 
 def test_a_page_that_is_not_laid_out_has_no_error_and_a_figure_is_explained(opened):

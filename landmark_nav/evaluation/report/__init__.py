@@ -2,7 +2,6 @@
 
 from landmark_nav.evaluation.report.collect import (
     calibration_page,
-    drawn_panoramas,
     drive_page,
     learning_page,
     Page,

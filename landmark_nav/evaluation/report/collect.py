@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
@@ -31,15 +30,13 @@ from landmark_nav.evaluation.smoothed_run import Smoothed
 from landmark_nav.geometry.walls import Paper, paper_bgr
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.localization.localizer import LocalizationUpdate
-from landmark_nav.storage.reading import read_image
-from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Landmark, LandmarkMap, Refusal
+from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, Refusal
 
 # Greatest number of images that are shown; more are thinned.
 _MOST_MOMENTS = 2000
 # Greatest number of points of a line of the plan.
 _MOST_POINTS = 2000
 _PATCH_PX, _PANORAMA_PX, _QUALITY = 96, 2400, 75
-_MOST_PANORAMAS = 8
 # Quantile of the residuals that the axes show; least weight of residuals, without outliers.
 _REACH, _LEAST_WEIGHT = 0.99, 0.1
 
@@ -350,28 +347,6 @@ def _residual_charts(before: Residuals, after: Residuals) -> list[dict[str, Any]
         label = f'residual {where} [px], {rms}'
         charts.append({'label': label, 'limit': limit, 't': [], 'series': series})
     return charts
-
-
-def drawn_panoramas(map_folder: Path) -> list[dict[str, Any]]:
-    """Panoramas that `learn` drew into the folder of a map, if there are any."""
-    shown = []
-    for number in range(1, _MOST_PANORAMAS + 1):
-        path = map_folder / f'panorama_{number}.png'
-        if path.is_file():
-            drawn = _without_border(read_image(path))
-            picture = _base64(jpeg(drawn, _PANORAMA_PX, _QUALITY))
-            shown.append({'image': picture, 'size': list(drawn.shape[1::-1]), 'candidates': []})
-    return shown
-
-
-def _without_border(drawn: ImageArray) -> ImageArray:
-    """Crop title and axes, which are white in dark mode and too small to read."""
-    inside = (drawn < 250).any(axis=2)
-    rows = np.flatnonzero(inside.mean(axis=1) > 0.5)
-    columns = np.flatnonzero(inside.mean(axis=0) > 0.5)
-    if not rows.size or not columns.size:
-        return drawn
-    return drawn[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
 def panoramas(result: LearningResult) -> list[dict[str, Any]]:

@@ -12,42 +12,26 @@ MAP_TOPICS = ('landmarks', 'landmarks/atlas', 'landmarks/markers')
 # Greatest number of names in a message.
 _MOST_NAMES = 5
 
-TOPIC_TYPES = {
-    'camera/image_raw': 'sensor_msgs/msg/Image',
-    'camera/image_raw/compressed': 'sensor_msgs/msg/CompressedImage',
-    'camera/camera_info': 'sensor_msgs/msg/CameraInfo',
-    'joint_states': 'sensor_msgs/msg/JointState',
-    'odom': 'nav_msgs/msg/Odometry',
-    'ground_truth/odom': 'nav_msgs/msg/Odometry',
-    'pan_tilt/command': 'trajectory_msgs/msg/JointTrajectory',
-    'sweep/image': 'sensor_msgs/msg/Image',
-    'sweep/image/compressed': 'sensor_msgs/msg/CompressedImage',
-    'sweep/camera_info': 'sensor_msgs/msg/CameraInfo',
-    'sweep/trajectory': 'trajectory_msgs/msg/JointTrajectory',
-    'sweep/pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
-    'panorama/image': 'sensor_msgs/msg/Image',
-    'panorama/camera_info': 'sensor_msgs/msg/CameraInfo',
-    'panorama/pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
-    'landmarks': 'sensor_msgs/msg/PointCloud2',
-    'landmarks/atlas': 'sensor_msgs/msg/Image',
-    'landmarks/markers': 'visualization_msgs/msg/MarkerArray',
-    'triplet': 'sensor_msgs/msg/PointCloud2',
-    'detections': 'sensor_msgs/msg/PointCloud2',
-    'triangulation/pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
-    'cmd_vel': 'geometry_msgs/msg/Twist',
-    'initialpose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
-    'global_localization/pose': 'sensor_msgs/msg/PointCloud2',
-    'odometry/fused': 'nav_msgs/msg/Odometry',
-    'odometry_fusion/protection_level': 'geometry_msgs/msg/PoseWithCovarianceStamped',
-    'odometry_fusion/path': 'nav_msgs/msg/Path',
-    'odometry_fusion/odometry_path': 'nav_msgs/msg/Path',
-    'odometry_fusion/markers': 'visualization_msgs/msg/MarkerArray',
-    'triangulation_localizer/markers': 'visualization_msgs/msg/MarkerArray',
-    'triangulation_localizer/debug_image/compressed': 'sensor_msgs/msg/CompressedImage',
-    'expectation': 'sensor_msgs/msg/PointCloud2',
-    'tf': 'tf2_msgs/msg/TFMessage',
-    'tf_static': 'tf2_msgs/msg/TFMessage',
+# Type -> topics.
+_BY_TYPE = {
+    'sensor_msgs/msg/Image': 'camera/image_raw sweep/image panorama/image landmarks/atlas',
+    'sensor_msgs/msg/CompressedImage': 'camera/image_raw/compressed sweep/image/compressed '
+    'triangulation_localizer/debug_image/compressed',
+    'sensor_msgs/msg/CameraInfo': 'camera/camera_info sweep/camera_info panorama/camera_info',
+    'sensor_msgs/msg/JointState': 'joint_states',
+    'sensor_msgs/msg/PointCloud2': 'landmarks triplet detections global_localization/pose '
+    'expectation',
+    'nav_msgs/msg/Odometry': 'odom ground_truth/odom odometry/fused',
+    'nav_msgs/msg/Path': 'odometry_fusion/path odometry_fusion/odometry_path',
+    'trajectory_msgs/msg/JointTrajectory': 'pan_tilt/command sweep/trajectory',
+    'geometry_msgs/msg/PoseWithCovarianceStamped': 'sweep/pose panorama/pose triangulation/pose '
+    'initialpose odometry_fusion/protection_level',
+    'geometry_msgs/msg/Twist': 'cmd_vel',
+    'visualization_msgs/msg/MarkerArray': 'landmarks/markers odometry_fusion/markers '
+    'triangulation_localizer/markers',
+    'tf2_msgs/msg/TFMessage': 'tf tf_static',
 }
+TOPIC_TYPES = {topic: kind for kind, topics in _BY_TYPE.items() for topic in topics.split()}
 
 
 def relative_name(topic: str) -> str:
