@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration, NAMES, shown, SHOWN_IN, UNITS
+from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.cli.check import checked
 from landmark_nav.cli.learn import panoramas_of_bag
 from landmark_nav.cli.lines import progress, wrapped
@@ -25,6 +25,11 @@ from landmark_nav.evaluation.calibration_run import (
     trade_offs,
 )
 from landmark_nav.evaluation.report import calibration_page, check_report, write_report
+from landmark_nav.evaluation.report.tables import (
+    calibration_tables,
+    calibration_verdict,
+    text_of,
+)
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
@@ -128,7 +133,8 @@ def run(args: argparse.Namespace) -> int:
         title = f'Calibration of {Path(args.robot).name}'
         page = calibration_page(report, residuals)
         write_report(args.report, page, title, args.command_line, inputs)
-    print(_summary(report, args.out))
+    lines = text_of(calibration_verdict(report), calibration_tables(report))
+    print(wrapped([*lines, f'written to {args.out}']))
     return 0
 
 
@@ -206,39 +212,3 @@ def _report(
         'side_slip_bound_rad': work.drives[-1].slip_bound_rad if work.drives else None,
         'contradicted': {name: {'off': off, 'sigma': s} for name, (off, s) in broken.items()},
     }
-
-
-def _summary(report: dict[str, Any], out: Path) -> str:
-    lines = [
-        f'sweeps: {report["sweeps"]}; drives: {report["drives"]}, with {report["images"]} images, '
-        f'localization lost in {report["lost"]}',
-        f'{"":16}{"prior":>12}{"found":>12}{"sigma":>10}     {"prior sigmas off":>16}',
-    ]
-    for name, row in report['calibration'].items():
-        factor, unit = SHOWN_IN[row['unit']]
-        off = row['difference_sigmas']
-        lines.append(
-            f'{name:16}{factor * row["prior"]:12.3f}{factor * row["value"]:12.3f}'
-            f'{factor * row["sigma"]:10.3f} {unit:4}'
-            + (f'{off:16.1f}' if off is not None else f'{"exact":>16}')
-            + ('' if row['observed'] or off is None else '   not shown')
-        )
-    for item in report['unobserved']:
-        lines.append(f'{", ".join(item["quantities"])}: record {item["motion"]}')
-    slip = report['side_slip_bound_rad']
-    if slip is not None:
-        lines.append(
-            f'side slip of the wheels leaves {np.degrees(slip):.2f} deg of axis_yaw (pan zero): '
-            'drive straight for longer to know it better'
-        )
-    for item in report['trade_offs']:
-        a, b = item['quantities']
-        what = 'sum' if item['correlation'] < 0.0 else 'difference'
-        lines.append(f'{a} and {b} look alike here: their {what} is known better than each')
-    residual = report.get('residual_px')
-    if residual and residual['before'] and residual['after']:
-        texts = (f'{r:.2f} -> {s:.2f}' for r, s in zip(*residual.values(), strict=True))
-        right, down = texts
-        lines.append(f'residuals of landmarks in images: {right} px to the right, {down} px down')
-    lines.append(f'written to {out}')
-    return wrapped(lines)

@@ -7,7 +7,6 @@ import os
 from pathlib import Path
 import shutil
 
-from landmark_nav.cli.evaluate import error_table
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.configuration import load_configuration
@@ -17,6 +16,7 @@ from landmark_nav.demo.scenario import Narrator, prepare_room, run_scenario
 from landmark_nav.demo.supervisor import Interruption, Supervisor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report
+from landmark_nav.evaluation.report.tables import drive_tables, table_lines
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.unmeasured import learn_located
@@ -151,7 +151,7 @@ def _report(
     write_json(folder / 'demo.json', measured)
     if measured.get('aligned'):
         narrator.print_line('errors after one rigid alignment: the map has a frame of its own')
-    for line in error_table(measured):
+    for line in table_lines(drive_tables(measured)[0]):
         narrator.print_line(line)
     checks = judge(measured)
     if unclean:

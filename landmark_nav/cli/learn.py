@@ -10,11 +10,10 @@ from itertools import islice
 import logging
 from pathlib import Path
 import time
-from typing import Any
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.check import checked
-from landmark_nav.cli.lines import NBSP, progress, wrapped
+from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.errors import inside, LandmarkNavError, release, UsageError
@@ -25,6 +24,7 @@ from landmark_nav.evaluation.learning_report import (
     truth_of_bag,
 )
 from landmark_nav.evaluation.report import check_report, learning_page, write_report
+from landmark_nav.evaluation.report.tables import learning_tables, learning_verdict, text_of
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
@@ -189,7 +189,9 @@ def run(args: argparse.Namespace) -> int:
         title = f'{args.out.name}, learned from {bag.path.name}'
         page = learning_page(report, result, room.papers)
         write_report(args.report, page, title, args.command_line, inputs)
-    print(_summary(report, result.panoramas, args.out))
+    lines = text_of(learning_verdict(report, result.warning), learning_tables(report))
+    lines += [f'panorama {k}: {p.quality}' for k, p in enumerate(result.panoramas, 1)]
+    print(wrapped([*lines, f'{seconds:.1f} s; map, map.png and panorama_K.png in {args.out}']))
     if args.report:
         print(f'drawn: {args.report}')
     return 0
@@ -310,55 +312,3 @@ def _provenance(args: argparse.Namespace) -> dict[str, str]:
         'robot': Path(args.robot).name,
         'landmark_nav': release(),
     }
-
-
-def _scale_line(name: str, scale: float, sigma: float, inflation: float, sheets: int) -> str:
-    """Format the scale by one source."""
-    count = f' ({sheets})' if sheets else ''
-    grown = f'; its variance grew by {inflation:.1f} to fit the panoramas' * (inflation > 1.0)
-    return (
-        f'  {name}{count} alone: lengths {100.0 * (scale - 1.0):+.2f} %, '
-        f'sigma {100.0 * sigma:.2g} %{grown}'
-    )
-
-
-def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path) -> str:
-    """Summarise the result of learning for people."""
-    lines = []
-    for number, (sweep, panorama) in enumerate(zip(report['sweeps'], panoramas, strict=True), 1):
-        x, y, heading = sweep['pose']
-        lines.append(
-            f'sweep {number}: {sweep["frames"]} frames, base_link at ({x:.3f}, {y:.3f}) m, '
-            f'{57.29578 * heading:.2f} deg; {sweep["candidates"]} candidates, '
-            f'{sweep["elected"]} elected'
-        )
-        if 'error' in sweep:
-            before = sweep['measured']
-            lines.append(
-                f'  error {1e3 * sweep["error_position_m"]:.1f} mm, '
-                f'{sweep["error_heading_deg"]:.3f} deg; '
-                f'before the refinement {1e3 * before["error_position_m"]:.1f} mm, '
-                f'{before["error_heading_deg"]:.3f} deg'
-            )
-        lines.append(f'  panorama: {panorama.quality}')
-    per_wall = report['landmarks_per_wall'].items()
-    walls = ', '.join(f'{wall}{NBSP}{count}' for wall, count in per_wall)
-    if found := report.get('unmeasured'):
-        lines.append(
-            f'no room.yaml: scale from {found["scale"]}, good to '
-            f'{100 * float(found["scale_sigma"]):.2g} %; frame: {found.get("frame", "as given")}'
-        )
-        lines.extend(_scale_line(**share) for share in found['sources'].values())
-    lines.append(
-        f'{report["elected"]} landmarks of {report["candidates"]} candidates '
-        f'({report["reconstructed"]} reconstructed): {walls}'
-    )
-    lines.extend(f'  {count:4d} refused: {why}' for why, count in report['refused'].items())
-    lines.extend(f'  {n:4d} not proposed: {why}' for why, n in report['ambiguous'].items())
-    stages = ', '.join(
-        f'{name.replace("_", " ")}{NBSP}{s["seconds"]:.1f}' for name, s in report['stages'].items()
-    )
-    peak = max(stage['peak_memory_mb'] for stage in report['stages'].values())
-    lines.append(f'{report["seconds"]:.1f} s ({stages}), peak memory {peak:.0f} MB')
-    lines.append(f'map, map.png and panorama_K.png in {folder}')
-    return wrapped(lines)

@@ -16,13 +16,12 @@ from tqdm import tqdm
 
 from landmark_nav.types import FloatArray
 
-NBSP = '\xa0'
 _WIDTH = 99
 _LEAST_WIDTH = 60
 
 
 def wrapped(lines: Iterable[str]) -> str:
-    """Join lines to a text; long lines are wrapped with a deeper indent, but not at NBSP."""
+    """Join lines to a text; long lines are wrapped with a deeper indent."""
     columns = shutil.get_terminal_size((_WIDTH, 24)).columns
     width = min(max(columns, _LEAST_WIDTH), _WIDTH)
     return '\n'.join(
@@ -34,7 +33,7 @@ def wrapped(lines: Iterable[str]) -> str:
             break_on_hyphens=False,
         )
         for line in lines
-    ).replace(NBSP, ' ')
+    )
 
 
 def evaluate_line(

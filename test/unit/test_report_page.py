@@ -272,6 +272,11 @@ def test_a_video_shows_the_drive(tmp_path, camera):
 
 def test_landmarks_on_planes_of_their_own_count_no_wall():
     sweeps = [{'sigma': [1e-3, 1e-3, 1e-3]}]
-    report = {'elected': 7, 'sweeps': sweeps, 'landmarks_per_wall': {'a': 2, 'b': 2, NO_WALL: 3}}
+    report = {
+        'elected': 7,
+        'candidates': 40,
+        'sweeps': sweeps,
+        'landmarks_per_wall': {'a': 2, 'b': 2, NO_WALL: 3},
+    }
     (walls,) = re.findall(r'on (\d+) walls', learning_verdict(report, '')['text'])
     assert int(walls) == 2
