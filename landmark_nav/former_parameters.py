@@ -130,18 +130,10 @@ _MOST_COMPARED = 20
 @dataclass(frozen=True)
 class Settled:
     """
-    Given parameters by their present meaning.
+    Given parameters by their present meaning: values by present names, and keys of `robot.yaml`.
 
-    Parameters
-    ----------
-    values : dict
-        Values of parameters, by their present names.
-    robot : dict
-        Values of keys of `robot.yaml`.
-    warnings : tuple of str
-        Warnings about former names, a line each.
-    unknown : dict
-        Unknown name -> suggestion of a known one; '' if none is similar.
+    `warnings` about former names have a line each; `unknown` names have the suggestion of a known
+    one, or ''.
     """
 
     values: dict[str, Any]

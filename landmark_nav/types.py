@@ -67,14 +67,9 @@ class Expectation(PoseEstimate):
     Expected pose of the base at a time, and calibration, for the search for landmarks.
 
     The covariance is that of the pan axis with the azimuth of the camera: errors of heading and
-    pan zero that cancel are not part of it.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Calibration; only its standard deviations are used, not the correlations.
-    tilt_sigma_rad : float
-        Standard deviation of the elevation of the view: of base, axis and camera together.
+    pan zero that cancel are not part of it. Of the calibration, only standard deviations are used,
+    not the correlations. `tilt_sigma_rad` is that of the elevation of the view: of base, axis and
+    camera together.
     """
 
     calibration: Calibration
@@ -89,14 +84,9 @@ class Expectation(PoseEstimate):
         self, sigma_m: float, sigma_rad: float, calibration: Mapping[str, float]
     ) -> Expectation:
         """
-        Return the expectation after possible steps of base and calibration.
+        Return the expectation after possible steps of base and calibration with these sigmas.
 
-        Parameters
-        ----------
-        sigma_m, sigma_rad : float
-            Sigmas of the steps of the base.
-        calibration : mapping of str to float
-            Sigmas of the steps of values of the calibration, by name; exact values do not change.
+        Exact values of the calibration do not change.
         """
         known = self.calibration
         steps = {name: step for name, step in calibration.items() if known[name][1] > 0.0}
@@ -192,27 +182,21 @@ class Panorama:
     ----------
     stamp_ns : int
         Start of the sweep.
-    image : ndarray, shape (height, width, 3)
-        BGR, uint8.
-    mask : ndarray of bool, shape (height, width)
-        Pixels that at least one frame covers.
+    image, mask : ndarray, shape (height, width, 3), (height, width)
+        BGR, uint8, and pixels that at least one frame covers.
     cylinder : Cylinder
         Geometry; azimuth 0 is ``base_link`` +x.
     center_map : ndarray, shape (3,)
         Viewpoint (pan axis at the height of the optical centre) in map, metres.
-    heading_rad : float
-        Heading of the base in map.
-    covariance : ndarray, shape (4, 4)
-        Covariance of x, y, z, heading.
-    quality : PanoramaQuality, optional
-        Quality of the panorama; messages do not hold it.
-    calibration : Calibration, optional
-        Calibration after the sweep; messages do not hold it.
+    heading_rad, covariance : float, ndarray, shape (4, 4)
+        Heading of the base in map, and covariance of x, y, z, heading.
+    quality, calibration : PanoramaQuality, Calibration, optional
+        Those after the sweep; messages do not hold them.
     made_with : ndarray, shape (15,), optional
         Values of the calibration with which the image was synthesized.
     by_calibration : ndarray, shape (4, 15), optional
-        Derivatives of x, y, z, heading by the calibration; 0 if anchor papers located the camera
-        itself.
+        Derivatives of x, y, z, heading by the calibration; 0 if anchor papers located the
+        camera itself.
     """
 
     stamp_ns: int
@@ -252,31 +236,23 @@ class Landmark:
 
     Parameters
     ----------
-    id : int
-        Unique in its map.
-    position : ndarray, shape (3,)
-        Centre in map, metres.
-    covariance : ndarray, shape (3, 3)
-        Total covariance of `position`.
+    position, covariance : ndarray, shape (3,), (3, 3)
+        Centre in map, metres, and its total covariance.
     shared_loading : ndarray, shape (3, m)
-        Loadings of the shared map factors, mostly the pose errors of the panoramas: the covariance
-        between landmarks k and l is ``L_k @ L_l.T``. Factors have unit variance; `m` is the same
-        for the whole map.
+        Loadings of the shared map factors, mostly the pose errors of the panoramas: the
+        covariance between landmarks k and l is ``L_k @ L_l.T``. Factors have unit variance;
+        `m` is the same for the whole map.
     normal : ndarray, shape (3,)
         Unit normal, horizontal, into the room.
-    width_m, height_m : float
-        Size of the patch on the wall.
     patch : ndarray, shape (rows, columns)
-        Grey texture in wall coordinates, uint8: columns run to the right as seen from inside the
-        room, rows downwards, centre of the array at `position`, square texels.
+        Grey texture in wall coordinates, uint8: columns run to the right as seen from inside
+        the room, rows downwards, centre of the array at `position`, square texels.
     viewpoint : ndarray, shape (3,)
         Viewpoint of the reference view in map; it determines the observation area.
     threshold : float
         Smallest normalized cross-correlation that counts as found.
     wall_id : str
         Wall that carries the patch; empty if the patch has a plane of its own.
-    saliency : float
-        Saliency of its candidate.
     views : tuple of PatchView
         The patch in other panoramas; old maps have none.
     """
@@ -414,10 +390,6 @@ class Detections:
 
     Parameters
     ----------
-    stamp_ns : int
-        Stamp of the image.
-    ids : ndarray of int, shape (n,)
-        Landmarks that were found.
     bearing_rad : ndarray, shape (n,)
         Bearings at the pan axis, counter-clockwise from ``base_link`` +x.
     variance_rad2 : ndarray, shape (n,)
@@ -425,26 +397,22 @@ class Detections:
         which all bearings of an image share.
     score : ndarray, shape (n,)
         Normalized cross-correlation.
-    uv_px : ndarray, shape (n, 2)
-        Pixels.
+    uv_px, covariance_px2 : ndarray, shape (n, 2), (n, 2, 2)
+        Pixels and their covariance, which is empty for bearings of another source.
     missed : ndarray of int, shape (m,)
         Landmarks that should be in view, were searched and were not found.
     pan_sigma_rad, pan_rad : float
-        Pan of the `JointSample` at `joint_delay_s` after the stamp, as azimuth in ``base_link``,
-        and its standard deviation.
-    joint_delay_s : float
-        Assumed joint delay.
-    covariance_px2 : ndarray, shape (n, 2, 2)
-        Covariance of `uv_px`; empty for bearings of another source.
-    points : ndarray, shape (n, 2)
-        Normalised image coordinates by camera_info: x/z to the right, y/z down; empty where only
-        bearings are known.
-    point_covariance : ndarray, shape (n, 2, 2)
-        Covariance of `points`, without that by an error of the focal length.
+        Pan of the `JointSample` at `joint_delay_s` (assumed) after the stamp, as azimuth in
+        ``base_link``, and its standard deviation.
+    points, point_covariance : ndarray, shape (n, 2), (n, 2, 2)
+        Normalised image coordinates by camera_info: x/z to the right, y/z down, and their
+        covariance, without that by an error of the focal length; empty where only bearings are
+        known.
     sizes : ndarray, shape (n, 2)
         Width and height of the templates in normalised image coordinates; empty if unknown.
     near : ndarray, shape (3,), optional
-        Pose of the base found in this image by a search within the prior, if that was uncertain.
+        Pose of the base found in this image by a search within the prior, if that was
+        uncertain.
     """
 
     stamp_ns: int

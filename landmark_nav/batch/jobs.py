@@ -46,21 +46,12 @@ _MOST_RUNS = 100_000
 @dataclass(frozen=True)
 class Stage:
     """
-    One command of a run.
+    One command of a run; its outputs are not among the `arguments`.
 
-    Attributes
-    ----------
-    command : str
-        Command of `landmark-nav`.
-    arguments : tuple of str
-        Arguments without outputs; ``@KEY/PLACE`` is a file of another stage.
-    config : str
-        Content of the file for ``--config``; empty for none.
-    after : tuple of str
-        Keys of the stages whose results it reads.
-    key : str
-        Command and hash of everything that the result depends on: version, command, arguments,
-        state of files, `config`, `after`.
+    ``@KEY/PLACE`` there is a file of another stage. `config` is the content of the file for
+    ``--config``, or empty; `after` are the keys of the stages whose results it reads; `key` is the
+    command and a hash of everything that the result depends on: version, arguments, state of
+    files, `config`, `after`.
     """
 
     command: str
@@ -81,16 +72,10 @@ class Run:
 
 def read_runs(path: Path, version: str) -> list[Run]:
     """
-    Read a file of runs.
+    Read a file of runs: YAML with `runs`, a list of mappings (docs/batch.md), and `grid`.
 
-    Raises `LandmarkNavError`: the file is invalid or holds no run.
-
-    Parameters
-    ----------
-    path : Path
-        YAML with `runs`, a list of mappings (docs/batch.md), and `grid`.
-    version : str
-        Version of the package; results of other versions are not reused.
+    Results of other versions of the package are not reused. Raises `LandmarkNavError`: the file is
+    invalid or holds no run.
     """
     document = read_yaml_mapping(path)
     check_spelling(document, ('runs', 'grid'), str(path))

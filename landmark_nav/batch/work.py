@@ -23,18 +23,7 @@ _DONE = 'done.json'
 
 @dataclass(frozen=True)
 class Outcome:
-    """
-    Outcome of a stage or a run.
-
-    Attributes
-    ----------
-    reason : str
-        Reason of a failure; empty after success.
-    cpu_s, wall_s : float
-        Processor time and elapsed time of the process.
-    memory_mb : float
-        Greatest memory of the process.
-    """
+    """Outcome of a stage or a run: reason of its failure, if it failed, and its costs."""
 
     reason: str = ''
     cpu_s: float = 0.0
@@ -59,23 +48,10 @@ def run_all(
     runs: Sequence[Run], results: Path, scheduler: str | None, workers: int | None
 ) -> Iterator[tuple[Run, Outcome]]:
     """
-    Execute the stages that have no results yet.
+    Execute the stages that have no results yet; ``stages/KEY`` in `results` is the folder of one.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Runs of the batch.
-    results : Path
-        Folder of the batch; ``stages/KEY`` is that of a stage.
-    scheduler : str, optional
-        Address of a running scheduler; by default local workers are started.
-    workers : int, optional
-        Number of local workers; by default one for each core.
-
-    Yields
-    ------
-    (Run, Outcome)
-        Runs as they end, with the sum of the costs of their stages and the first failure.
+    Yields runs as they end, with the sum of the costs of their stages and the first failure. By
+    default there is one local worker for each core; `scheduler` is the address of a running one.
     """
     # Imported here, as the import is slow; the package has no types.
     distributed: Any = import_module('distributed')

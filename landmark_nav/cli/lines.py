@@ -57,11 +57,6 @@ def progress(iterable: Iterable[T], description: str, total: int | None = None) 
 
     A terminal shows a bar after two seconds; other outputs get a line every ten seconds. If
     warnings are disabled, nothing is shown.
-
-    Yields
-    ------
-    object
-        Each item.
     """
     if not logging.getLogger().isEnabledFor(logging.WARNING):
         yield from iterable

@@ -35,23 +35,10 @@ _TOUR_M = 14.0
 @dataclass(frozen=True, eq=False)
 class DemoRoom:
     """
-    A room with the paths of the robot in it.
+    A room with the paths (n, 2) of the robot in map: to the second sweep, and of the drive.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of all random numbers.
-    room_file : Path or None
-        ``room.yaml`` for the nodes; None if they estimate walls and poses.
-    robot_file : Path
-        ``robot.yaml`` for the nodes.
-    mount : PanTiltMount
-        Mount of `robot_file`.
-    to_second_place, tour : ndarray, shape (n, 2)
-        Path from the first to the second sweep, and path of the drive, in map. Without a room
-        file, map is the frame of the base at the first sweep.
-    size_m : tuple of float
-        Extent of the room.
+    Without a room file the nodes estimate walls and poses, and map is the frame of the base at the
+    first sweep.
     """
 
     seed: int

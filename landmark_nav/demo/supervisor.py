@@ -37,15 +37,9 @@ class Supervisor:
     """
     Context manager for child processes, each in its own process group.
 
-    If `setpriv` (util-linux) is installed, they receive SIGTERM if this process is killed.
-
-    Parameters
-    ----------
-    log_folder : Path or None
-        Folder for the outputs of the processes, ``NAME.log``; if None, they share the output of
-        this process.
-    grace_s : float
-        Greatest time for the end of the processes after each signal.
+    If `setpriv` (util-linux) is installed, they receive SIGTERM if this process is killed. Their
+    outputs go to ``NAME.log`` in `log_folder`, or where those of this process go; after each
+    signal they have `grace_s` to end.
     """
 
     def __init__(
@@ -87,10 +81,7 @@ class Supervisor:
         """
         Check that all processes still run.
 
-        Raises
-        ------
-        ProcessEndedError
-            A process has ended. The message has its name, its status and its last lines.
+        Raises `ProcessEndedError` with name, status and last lines of one that has ended.
         """
         for child in self._children:
             status = child.process.poll()

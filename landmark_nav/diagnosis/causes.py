@@ -125,16 +125,9 @@ def verdict(
     """
     Find the likeliest single fault.
 
-    Parameters
-    ----------
-    motion : Motion
-        Motion as recorded.
-    joints : mapping of str to Track
-        Other joints that could be the pan, by name.
-    by_twist : Track, optional
-        Odometry integrated from its twists.
-    clocks : mapping of str to iterable of Clock
-        Start values of the clocks of streams, by stamps and times of recording.
+    `joints` are other joints that could be the pan, `by_twist` is odometry integrated from its
+    twists, and `clocks` are start values of the clocks of streams, by stamps and times of
+    recording.
     """
     none = _cause(IMAGES, 'none', motion, 0)
     found = [none]

@@ -25,16 +25,8 @@ def diagnose(
     """
     Check the streams of a bag of a drive, or of sweeps.
 
-    Raises `LandmarkNavError`: the bag cannot be read at all.
-
-    Parameters
-    ----------
-    mount : PanTiltMount
-        Names of the joints, and extrinsics of the camera.
-    room : Room, optional
-        Room whose size determines the unit of the odometry more exactly.
-    most_images : int
-        Greatest number of decoded images; more are decoded if these show a fault.
+    The size of a `room` determines the unit of the odometry more exactly. `most_images` are
+    decoded, more if these show a fault. Raises `LandmarkNavError`: the bag cannot be read at all.
     """
     # Warnings of the readers become findings.
     described: dict[str, None] = {}

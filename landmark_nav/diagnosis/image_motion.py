@@ -36,14 +36,7 @@ class StripView:
     """
     Map from the images of a camera to strips of azimuth by slope, at pan 0.
 
-    Parameters
-    ----------
-    camera : CameraModel
-        Intrinsics.
-    mount : PanTiltMount
-        Extrinsics, of which tilt and roll are used.
-    tilt_rad : float
-        Usual tilt of the joints.
+    Of the mount, tilt and roll are used; `tilt_rad` is the usual tilt of the joints.
     """
 
     def __init__(self, camera: CameraModel, mount: PanTiltMount, tilt_rad: float = 0.0) -> None:

@@ -53,16 +53,12 @@ class Looks:
         Indices of consecutive images that were both decoded.
     findings : tuple of Finding
         Findings of encoding, size and lens.
-    strips : dict
-        Strips of the decoded images, by index of the image.
-    small : dict
-        The same images in grey, reduced to 12 x 16 pixels.
-    sharpness : dict
-        Contrast of their fine details over that of coarse ones, about 0.5 in focus.
+    strips, small, sharpness : dict
+        Strips of the decoded images, the images in grey, reduced to 12 x 16 pixels, and
+        contrast of their fine details over that of coarse ones, about 0.5 in focus; all by
+        index of the image.
     view : StripView or None
         Map from images to strips; None if no image could be used.
-    camera : CameraModel or None
-        Intrinsics of the images.
     points : dict
         Pixels (m, 2) of points in an image and in the next one, by the index of the first.
     """
@@ -92,18 +88,10 @@ def look(
     most_images: int,
 ) -> Looks:
     """
-    Decode and examine images.
+    Decode and examine at most `most_images` images.
 
-    Parameters
-    ----------
-    topic : str
-        Topic of the images in the bag.
-    infos : tuple of str
-        Names in the contract of the topics that may hold the intrinsics.
-    mounted : PanTiltMount or CameraSetup
-        Extrinsics; a setup replaces the recorded intrinsics, and no points are tracked.
-    most_images : int
-        Greatest number of decoded images.
+    `infos` are names in the contract of the topics that may hold the intrinsics; a `CameraSetup`
+    replaces the recorded ones, and then no points are tracked.
     """
     chosen = _chosen(bag.counts[topic], most_images)
     rows: list[Row] = []

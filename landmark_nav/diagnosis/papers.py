@@ -13,18 +13,7 @@ from landmark_nav.storage.bags import Bag, read_sweeps
 
 
 def check_papers(bag: Bag, mount: PanTiltMount, room: Room) -> list[Finding]:
-    """
-    Locate each sweep of a bag by the papers of a room, as `learn` does.
-
-    Parameters
-    ----------
-    bag : Bag
-        Bag of sweeps; without sweeps there are no findings.
-    mount : PanTiltMount
-        Extrinsics of the camera.
-    room : Room
-        Walls and papers.
-    """
+    """Locate each sweep of a bag, if any, by the papers of a room, as `learn` does."""
     found: list[Finding] = []
     if not (bag.find('sweep/image') or bag.find('sweep/image/compressed')):
         return found

@@ -34,12 +34,7 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
     """
     Split a stream into two sources, the one with more messages first; None if there is only one.
 
-    Parameters
-    ----------
-    stream : Stream
-        Positions [m] and angles [rad] in its columns.
-    angles : tuple of int
-        Indices of the columns that are angles.
+    Columns hold positions [m], and angles [rad] if their index is in `angles`.
     """
     if not len(stream):
         return None

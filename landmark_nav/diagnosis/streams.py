@@ -27,20 +27,16 @@ class Stream:
 
     Parameters
     ----------
-    name : str
-        Name of the topic in the contract, without namespace.
-    topic : str
-        Name of the topic in the bag.
+    name, topic : str
+        Name in the contract, without namespace, and name in the bag.
     stamps_ns, logged_ns : ndarray of int, shape (n,)
         Stamps of the headers and times of recording.
     values : ndarray, shape (n, k)
         Measured values; (n, 0) if only the stamps are needed.
     frames : tuple of str
         Different frames in the messages, such as ``odom -> base_link``.
-    refused : int
-        Number of messages that cannot be decoded.
-    why : str
-        Reason for the first of these.
+    refused, why : int, str
+        Number of messages that cannot be decoded, and the reason for the first.
     origin_ns : int
         Origin of the seconds of all streams of a bag: its first time of recording.
     unstamped : int
@@ -135,16 +131,7 @@ def stream_of(
 
 
 def read_stream(bag: Bag, name: str, topic: str, values: Values = lambda _: np.empty(0)) -> Stream:
-    """
-    Read one topic of a bag.
-
-    Parameters
-    ----------
-    name, topic : str
-        Names of the topic in the contract and in the bag.
-    values : callable, optional
-        Function from a message to its values (k,).
-    """
+    """Read one topic of a bag, with what `values` makes of its messages, (k,) each."""
     return stream_of(bag, name, topic, *_rows(bag, topic, values))
 
 

@@ -36,16 +36,10 @@ def learning_report(
     seconds: float,
 ) -> dict[str, Any]:
     """
-    Metrics of learning.
+    Metrics of learning; errors by the `truth` of ``base_link``, if there is one.
 
-    Parameters
-    ----------
-    measured : sequence of Panorama
-        Panoramas before the adjustment, with poses by the papers alone, or by ``sweep/pose``.
-    frames : sequence of int
-        Number of frames of each sweep.
-    truth : PoseTrack
-        Ground truth of ``base_link``, used for errors only; may be empty.
+    `measured` are panoramas before the adjustment, with poses by the papers alone, or by
+    ``sweep/pose``; `frames` are the numbers of frames of the sweeps.
     """
     outcomes = [outcome for group in result.outcomes for outcome in group]
     refused = Counter(o.reason for o in outcomes if isinstance(o, Refusal))

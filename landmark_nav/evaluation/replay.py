@@ -42,21 +42,10 @@ def shifts_by_odometry(
     stamps_ns: npt.ArrayLike, after: npt.ArrayLike, odometry_ns: npt.ArrayLike
 ) -> IntArray:
     """
-    Shifts of stamps that make time monotonic although the clock was set back.
+    Shifts [ns] of stamps (m,) that make time monotonic although the clock was set back.
 
-    Parameters
-    ----------
-    stamps_ns : array_like of int, shape (m,)
-        Stamps of the odometry, or of another stream of the same recording.
-    after : array_like of int, shape (m,)
-        Index of the last odometry that arrived before each; -1 if there is none.
-    odometry_ns : array_like of int, shape (n,)
-        Stamps of the odometry in the order of arrival.
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-        Values to add to the stamps, ns; 0 if no clock was set back.
+    `after` (m,) are indices of the last odometry that arrived before each, -1 if there is none;
+    `odometry_ns` (n,) are stamps in the order of arrival. Shifts are 0 if no clock was set back.
     """
     stamps = np.asarray(stamps_ns, dtype=np.int64)
     clock = np.asarray(odometry_ns, dtype=np.int64)
@@ -91,20 +80,13 @@ class Replay:
         Initial pose, given or found.
     searched : tuple of int
         Stamps of the images of global localization, up to the start.
-    updates : tuple of LocalizationUpdate
-        Update of each image after that.
-    update_seconds : ndarray, shape (n,)
-        Computing time of each update.
-    odometry : PoseTrack
-        Dead reckoning from the start.
-    truth : PoseTrack
-        Ground truth; empty if there is none.
-    seconds : float
-        Computing time of the whole run, including reading and decoding.
-    odometry_noise : OdometryNoiseConfig
-        Noise of the odometry as learned by the end.
-    detection_sigma_factor : float
-        Factor on the given sigmas of detections as learned by the end.
+    update_seconds, seconds : ndarray, shape (n,), and float
+        Computing time of each update, and of the whole run, including reading and decoding.
+    odometry, truth : PoseTrack
+        Dead reckoning from the start, and ground truth; empty if there is none.
+    odometry_noise, detection_sigma_factor : OdometryNoiseConfig, float
+        Noise of the odometry, and factor on the given sigmas of detections, as learned by the
+        end.
     samples : tuple of OdometrySample
         Measured odometry, sorted by time.
     calibration : Calibration or None
@@ -191,22 +173,14 @@ def replay(
     start_covariance: FloatArray | None = None,
 ) -> Replay:
     """
-    Localize along a recorded drive.
+    Localize along a recorded drive, from measurements in the order of arrival.
+
+    Ground truth is used for metrics only. `start_pose` of the base in map, with its covariance, is
+    at the first image or odometry; by default it is found by global localization. `calibration` is
+    the prior of mount, lens and clocks.
 
     Raises `LandmarkNavError`: there is no image or no odometry, all stamps are equal, or the pose
     was never found (`UnknownPlaceError`).
-
-    Parameters
-    ----------
-    events : iterable of SensorEvent
-        Measurements in the order of arrival. Ground truth is used for metrics only.
-    calibration : Calibration
-        Prior of mount, lens and clocks.
-    start_pose : ndarray, shape (3,), optional
-        Pose of the base in map at the first image or odometry; by default it is found by global
-        localization.
-    start_covariance : ndarray, shape (3, 3), optional
-        Covariance of `start_pose`, required with it.
     """
     localizer = Localizer(landmark_map, calibration, config)
     start: PoseEstimate | None = None

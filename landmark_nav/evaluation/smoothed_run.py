@@ -28,18 +28,7 @@ _FAR = 31.8
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """
-    Smoothed poses.
-
-    Parameters
-    ----------
-    stamps_ns : ndarray of int, shape (n,)
-        Stamps of the images.
-    poses : ndarray, shape (n, 3)
-        Poses of ``base_link`` in map.
-    covariances : ndarray, shape (n, 3, 3)
-        Covariances of x, y, heading, given all measurements.
-    """
+    """Poses (n, 3) of ``base_link`` at the images, and covariances, given all measurements."""
 
     stamps_ns: npt.NDArray[np.int64]
     poses: FloatArray
@@ -118,15 +107,10 @@ def write_tum_files(
     run: Replay, folder: Path, smoothed: Smoothed | None = None
 ) -> tuple[Path, ...]:
     """
-    Write ``truth.tum``, ``fused.tum``, ``triangulation.tum`` and others into a folder.
+    Write ``truth.tum``, ``fused.tum``, ``triangulation.tum`` and others; return their paths.
 
     All are at the stamps of the images, so that other tools compare the same pairs of poses as
     `landmark_nav.evaluation.metrics`; a pose that is unknown at a stamp has no line.
-
-    Returns
-    -------
-    tuple of Path
-        Written files.
     """
     stamps = run.stamps_ns
     tracks = {

@@ -42,14 +42,9 @@ def pack_cloud(
     factory: MessageFactory, header: Any, points: npt.NDArray[np.void], dense: bool = True
 ) -> Any:
     """
-    Build a PointCloud2 out of a structured array.
+    Build a PointCloud2 out of points (n,) of little-endian scalars or one-dimensional sub-arrays.
 
-    Parameters
-    ----------
-    points : ndarray of a structured dtype, shape (n,)
-        Little-endian scalars or one-dimensional sub-arrays.
-    dense : bool
-        Whether all points are valid: none holds NaN.
+    `dense`: all points are valid, none holds NaN.
     """
     fields = []
     layout: Mapping[str, Any] = points.dtype.fields or {}

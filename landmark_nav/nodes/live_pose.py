@@ -51,11 +51,6 @@ class LivePose:
     Publishes paths and markers of the fused pose to subscribers, five times a second.
 
     The path of odometry starts at the first fused pose, so that both can be compared.
-
-    Parameters
-    ----------
-    frame_id : str
-        Frame of the fused pose.
     """
 
     def __init__(self, node: LandmarkNode, frame_id: str) -> None:

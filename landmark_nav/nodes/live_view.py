@@ -18,16 +18,7 @@ _PERIOD_S = 0.2
 
 
 class LiveView:
-    """
-    Publishes the debug image and the markers of the view if there are subscribers.
-
-    It publishes at most five debug images a second.
-
-    Parameters
-    ----------
-    frame_id : str
-        Frame of the map.
-    """
+    """Publishes the markers of the view and at most five debug images a second, to subscribers."""
 
     def __init__(self, node: LandmarkNode, frame_id: str) -> None:
         self._frame_id = frame_id

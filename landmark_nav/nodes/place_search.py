@@ -59,15 +59,8 @@ class PlaceSearch:
     """
     Localizes globally on request or if lost, and publishes on ``global_localization/pose``.
 
-    Parameters
-    ----------
-    fused : callable
-        Returns the newest fused pose, or None if its time differs from a stamp [ns] by more than a
-        limit [s].
-    odometry : OdometryNoiseConfig
-        Noise of the odometry.
-    looking : LookingConfig
-        Parameters of the search for expected landmarks.
+    `fused` returns the newest fused pose, or None if its time differs from a stamp [ns] by more
+    than a limit [s]; `looking` is for the search for expected landmarks.
     """
 
     def __init__(

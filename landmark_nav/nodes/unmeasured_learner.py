@@ -30,14 +30,7 @@ _MAX_BYTES = 2**29
 
 
 class UnmeasuredLearner:
-    """
-    Learns a map from ``sweep/*`` and ``odom`` by `learning.unmeasured`.
-
-    Parameters
-    ----------
-    given : Calibration
-        Calibration of ``robot.yaml``.
-    """
+    """Learns a map from ``sweep/*`` and ``odom`` by `learning.unmeasured`."""
 
     def __init__(self, node: LandmarkNode, given: Calibration, config: Configuration) -> None:
         self._node, self._given, self.config = node, given, config

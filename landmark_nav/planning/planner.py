@@ -49,19 +49,8 @@ def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> Index
     """
     Exchange one position at a time while that lowers the cost by more than `_MIN_GAIN`.
 
-    Parameters
-    ----------
-    cost : callable
-        Cost of a set of indices (n,), n >= 2.
-    xy : ndarray, shape (p, 2)
-        Possible positions.
-    start : ndarray of int, shape (n,)
-        First positions.
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        Indices, from left to right, so that equal sets are equal arrays.
+    `cost` is that of two or more indices of `xy` (p, 2). Returns indices from left to right, so
+    that equal sets are equal arrays.
     """
     chosen, least = start, cost(start)
     for _ in range(_MAX_ROUNDS):
@@ -92,19 +81,9 @@ def random_sets(
     xy: FloatArray, count: int, sets: int, rng: np.random.Generator
 ) -> npt.NDArray[np.intp]:
     """
-    Draw random sets of positions.
+    Draw indices (sets, count) of random sets of positions `xy` (p, 2).
 
-    Parameters
-    ----------
-    xy : ndarray, shape (p, 2)
-        Possible positions.
-    count, sets : int
-        Number of positions in a set, and number of sets.
-
-    Returns
-    -------
-    ndarray of int, shape (sets, count)
-        Indices; positions of a set are different, and `_MIN_DISTANCE_M` apart if possible.
+    Those of a set are different, and `_MIN_DISTANCE_M` apart if possible.
     """
     drawn = []
     for _ in range(sets):
@@ -155,19 +134,11 @@ def plan_positions(
     show: Show = lambda items, _what, _total: iter(items),
 ) -> Plan:
     """
-    Propose positions for panoramas.
+    Propose `count` positions for panoramas, 2 or more.
 
+    The proposal depends on `rng`, which draws the random sets, only if one of these is the best.
     Raises `LandmarkNavError`: fewer than two positions, one or two papers, or too few positions
     from which enough papers are in view.
-
-    Parameters
-    ----------
-    count : int
-        Number of positions, 2 or more.
-    rng : numpy.random.Generator
-        Draws the random sets; the proposal depends on it only if one of these is the best.
-    show : callable
-        Shows progress, see `Show`.
     """
     _check(room, count)
     floor = free_floor(room, config.clearance_m, config.spacing_m, _MAX_POSITIONS)
@@ -220,21 +191,9 @@ def forecast(
     config: PlanConfig,
 ) -> list[Forecast]:
     """
-    Predict the results of sets of poses.
+    Predict the results of sets of two or more poses (n, 3) of the base, on floor `cells` (c, 2).
 
     Raises `LandmarkNavError`: a pose does not see enough papers.
-
-    Parameters
-    ----------
-    sets : sequence of ndarray, shape (n, 3)
-        Poses of the base, two or more, all in view of the papers, if there are any.
-    cells : ndarray, shape (c, 2)
-        Floor cells for which the localization error is predicted.
-
-    Returns
-    -------
-    list of Forecast
-        In the order of `sets`.
     """
     samples = sample_walls(room, config.spacing_m, _MAX_SAMPLES)
     poses = np.concatenate(sets)

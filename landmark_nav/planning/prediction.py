@@ -49,27 +49,19 @@ def landmark_errors(
 
     Parameters
     ----------
-    azimuth_rad, range_m : ndarray, shape (n, s)
-        Azimuth in map and range of s points on walls from the panoramas.
-    weight : ndarray, shape (n, s)
-        Information of each measurement, 1 / rad^2; 0 if there is none.
-    normal : ndarray, shape (s, 2)
-        Normals of the walls.
-    wall : ndarray of int, shape (s,)
-        Index of the wall of each point.
-    landmarks : ndarray, shape (s,)
-        Number of landmarks at each point.
+    azimuth_rad, range_m, weight : ndarray, shape (n, s)
+        Azimuth in map and range of s points on walls from the panoramas, and information of
+        each measurement, 1 / rad^2; 0 if there is none.
+    normal, wall, landmarks : ndarray, shape (s, 2), (s,), (s,)
+        Normal and index of the wall of each point, and number of landmarks there.
     pose_covariance : ndarray, shape (3 n, 3 n)
         Joint covariance of x, y and heading of the panoramas before the adjustment.
-    config : AdjustmentConfig
-        Sigmas of the offsets from walls.
 
     Returns
     -------
-    own : ndarray, shape (s, 2, 2)
-        Covariance of the own error of a landmark.
-    loading : ndarray, shape (s, 2, m)
-        Loadings of the shared errors; the factors have unit variance.
+    own, loading : ndarray, shape (s, 2, 2), (s, 2, m)
+        Covariance of the own error of a landmark, and loadings of the shared errors; the
+        factors have unit variance.
     """
     # Derivatives of azimuths by the landmark; by the panorama they have the opposite sign, by its
     # heading they are -1.
@@ -113,7 +105,10 @@ def localization_sigma(
     bearing_sigma_rad: float,
 ) -> FloatArray:
     """
-    Localization error from bearings to all landmarks in view.
+    Localization error (c,) from bearings to all landmarks in view.
+
+    It is the root of the trace of the covariance of the position, m; inf if fewer than three
+    landmarks are in view, or if the position is not observable.
 
     Parameters
     ----------
@@ -123,14 +118,6 @@ def localization_sigma(
         Number of landmarks in view at each of s points.
     own, loading : ndarray, shape (s, 2, 2), (s, 2, m)
         Errors of landmarks, see `landmark_errors`.
-    bearing_sigma_rad : float
-        Sigma of a bearing.
-
-    Returns
-    -------
-    ndarray, shape (c,)
-        Root of the trace of the covariance of the position, m; inf if fewer than three landmarks
-        are in view, or if the position is not observable.
     """
     gx, gy = gradient[..., 0], gradient[..., 1]
     variance = gx * gx * own[:, 0, 0] + 2.0 * gx * gy * own[:, 0, 1] + gy * gy * own[:, 1, 1]
@@ -191,17 +178,13 @@ class Forecast:
 
     Parameters
     ----------
-    poses_map_base : ndarray, shape (n, 3)
-        Poses of the base.
-    pose_covariance : ndarray, shape (n, 3, 3)
-        Covariance of x, y and heading of the pan axis by papers or panoramas.
-    landmarks : ndarray, shape (s,)
-        Expected number of landmarks at each wall sample.
-    covariance : ndarray, shape (s, 2, 2)
-        Covariance of x and y of a landmark there.
+    poses_map_base, pose_covariance : ndarray, shape (n, 3), (n, 3, 3)
+        Poses of the base, and covariance of x, y and heading of the pan axis by papers or
+        panoramas.
+    landmarks, covariance : ndarray, shape (s,), (s, 2, 2)
+        Expected number of landmarks at each wall sample, and covariance of x and y of one.
     floor_xy, sigma_m : ndarray, shape (c, 2), (c,)
-        Cells of the free floor, and the localization error there, root of the trace; inf if too
-        few landmarks are in view.
+        Cells of the free floor, and the localization error there, see `localization_sigma`.
     """
 
     poses_map_base: FloatArray
@@ -230,16 +213,7 @@ class Forecast:
 
 
 class Predictor:
-    """
-    Predicts the localization error at floor cells for subsets of given poses of panoramas.
-
-    Parameters
-    ----------
-    views : Views
-        Poses of panoramas, one or more, and the visibility of wall samples from them.
-    cells : ndarray, shape (c, 2)
-        Floor cells where the robot will localize itself.
-    """
+    """Predicts the localization error at floor `cells` (c, 2) for subsets of given panoramas."""
 
     def __init__(
         self,

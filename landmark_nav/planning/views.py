@@ -29,19 +29,9 @@ class WallSamples(NamedTuple):
 
 def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> FloatArray:
     """
-    Grid of possible positions of the robot.
+    Grid (n, 2) of possible positions of the robot, row by row; empty in too narrow a room.
 
-    Parameters
-    ----------
-    spacing_m : float
-        Spacing of the grid; larger if there would be more than `most` points.
-    most : int
-        Largest number of points.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Row by row; empty in a room that is too narrow.
+    The spacing is larger if there would be more than `most` points.
     """
     low, high = room.bounds[0] + clearance_m, room.bounds[1] - clearance_m
     if np.any(high < low):
@@ -91,15 +81,15 @@ class Views:
 
     Parameters
     ----------
-    pose_map_base : ndarray, shape (p, 3)
-        Poses of the base.
-    eye : ndarray, shape (p, 3)
-        Viewpoints: the pan axis at the height of the optical centre, in map.
+    pose_map_base, eye : ndarray, shape (p, 3)
+        Poses of the base, and viewpoints: the pan axis at the height of the optical centre, in
+        map.
     covariance : ndarray, shape (p, 3, 3)
-        Covariance of x, y and heading of the pan axis, by papers; without papers, by the relative
-        poses of panoramas.
+        Covariance of x, y and heading of the pan axis, by papers; without papers, by the
+        relative poses of panoramas.
     by_papers : ndarray, shape (p, 3, m)
-        Loadings of the errors of papers, which all poses share; the factors have unit variance.
+        Loadings of the errors of papers, which all poses share; the factors have unit
+        variance.
     azimuth_rad, range_m : ndarray, shape (p, s)
         Azimuth in map and range of the samples.
     share : ndarray, shape (p, s)
@@ -161,20 +151,9 @@ def look(
     config: PlanConfig,
 ) -> Views:
     """
-    Compute the visibility of wall samples from poses.
+    Compute the visibility of wall samples from poses (n, 3) that see enough papers.
 
-    Parameters
-    ----------
-    poses_map_base : ndarray, shape (n, 3)
-        Poses of the base.
-    config : PlanConfig
-        Camera, and bounds of learning.
-
-    Returns
-    -------
-    Views
-        Only for poses that see enough papers, if the room has papers: a sweep at the others cannot
-        be located.
+    A sweep at other poses cannot be located; in a room without papers all are taken.
     """
     axis = mount.axis_pose_map(poses_map_base)[:, :2]
     eye = np.column_stack([axis, np.full(len(axis), eye_height(mount))])

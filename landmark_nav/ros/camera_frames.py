@@ -30,14 +30,8 @@ def listen_for_joints(
     """
     Subscribe to joint states.
 
+    `on_tilt` is called with stamp, ns, and tilt, rad, if the tilt joint has messages of its own.
     Diagnostics list the names of the joints while the pan joint is not among them.
-
-    Parameters
-    ----------
-    on_sample : callable
-        Called with each sample of pan and tilt.
-    on_tilt : callable
-        Called with stamp, ns, and tilt, rad, if the tilt joint has messages of its own.
     """
     names = decode.JointNames(mount)
 

@@ -24,17 +24,12 @@ _NOTHING_TO_DO = InvalidHandle, ExternalShutdownException, ShutdownException, Ti
 
 class CallbackExecutor(Executor):
     """
-    Executor that passes each callback to a thread and waits until the thread has begun it.
+    Executor that passes each callback to one of `threads` and waits until it has begun.
 
     The `MultiThreadedExecutor` of rclpy does not wait. A callback that no thread has begun counts
     as ready and is passed on again and again, which takes a core and delays the threads: joint
     states of 50 Hz were not handled for up to two seconds (issue 1452 of rclpy, not fixed in any
     version that the package supports).
-
-    Parameters
-    ----------
-    threads : int
-        Number of callbacks that may run at once.
     """
 
     def __init__(self, threads: int) -> None:
@@ -80,14 +75,9 @@ class CallbackExecutor(Executor):
 
 class LatestOnlyWorker:
     """
-    Handles messages in a thread of its own, one at a time.
+    Passes messages to `work`, which must not raise, in a thread of its own, one at a time.
 
     A waiting message is replaced by a newer one, so there is no queue.
-
-    Parameters
-    ----------
-    work : callable
-        Called with each message in the thread; it must not raise.
     """
 
     def __init__(self, work: Callable[[Any], None]) -> None:

@@ -41,19 +41,8 @@ class Input:
     """
     One input of a node: a topic, or several topics with the same data in different forms.
 
-    Parameters
-    ----------
-    topics : mapping of str to Topic or None
-        Names, relative or absolute, and their types and QoS if known.
-
-    Attributes
-    ----------
-    name : str
-        Resolved name of the first topic.
-    is_stream : bool
-        Whether it is sensor data, which arrive continuously.
-    is_awaited : bool
-        Whether the node cannot work without it.
+    `name` is the resolved name of the first topic. An input that `is_stream` is sensor data, which
+    arrive continuously; without one that `is_awaited` the node cannot work.
     """
 
     def __init__(self, node: Node, topics: Mapping[str, Topic | None]) -> None:

@@ -47,20 +47,11 @@ _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.RELIABILITY,))
 
 class LandmarkNode(ManagedNode):
     """
-    Base of the package's nodes.
+    Base of the package's nodes; `subcomponent` names its task in ``/diagnostics``.
 
     An error in a callback drops the message, is logged once and is counted in ``/diagnostics``; it
     does not end the node. Errors are bad input (`LandmarkNavError`), or bugs, of which the
     traceback is logged.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node and of its executable.
-    subcomponent : str
-        Name of its task in ``/diagnostics``.
-    **options
-        Options of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
     """
 
     def __init__(self, name: str, subcomponent: str, **options: Any) -> None:

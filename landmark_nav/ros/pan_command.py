@@ -28,18 +28,7 @@ _MIN_DURATION_S = 0.1
 
 
 class PanCommander:
-    """
-    Publishes pan commands.
-
-    Parameters
-    ----------
-    mount : PanTiltMount
-        Names of the joints, rate of the pan.
-    kind : str
-        Message type: a key of `_CLASSES`.
-    with_tilt : bool
-        Whether the tilt joint is commanded too, to 0.
-    """
+    """Publishes pan commands; if `with_tilt`, the tilt joint is commanded too, to 0."""
 
     def __init__(
         self, node: LandmarkNode, mount: PanTiltMount, kind: str, with_tilt: bool = False

@@ -21,16 +21,7 @@ FORMER_NAMES = {
 
 
 class RenamedPublisher:
-    """
-    Publisher that also serves nodes which subscribe to the former name only.
-
-    Parameters
-    ----------
-    publisher, former : Publisher
-        Publishers at the new and at the former name.
-    warn : callable
-        Logs a warning once.
-    """
+    """Publisher that also serves nodes which subscribe to the former name only."""
 
     def __init__(
         self,
@@ -57,18 +48,7 @@ class RenamedPublisher:
 
 
 class FormerSubscription:
-    """
-    Callback for the former name of a topic, if a node publishes only there.
-
-    Parameters
-    ----------
-    former, name : str
-        Resolved names of the topic.
-    callback : callable
-        Called with each message.
-    warn : callable
-        Logs a warning once.
-    """
+    """Callback for the former name of a topic, if a node publishes only there."""
 
     def __init__(
         self,

@@ -40,13 +40,6 @@ class ServiceDiscovery:
     announces its endpoints in the order of their creation by one reliable writer: a server that
     answers a client created later has discovered the earlier ones. So ``get_parameters`` of the
     server is called without names until it answers.
-
-    Parameters
-    ----------
-    node : Node
-        Node that has created a client of the service.
-    service : str
-        Name of the service.
     """
 
     def __init__(self, node: Node, service: str) -> None:
@@ -126,8 +119,6 @@ class RobotClient:
         ROS domain of the nodes; by default that of ``ROS_DOMAIN_ID``, else 0.
     watch : callable
         Called repeatedly while waiting; an exception ends the wait.
-    name, namespace : str
-        Name and namespace of the node; topics and services are in this namespace.
     drives : bool
         Whether it publishes velocities and start poses.
     observes : bool
@@ -137,10 +128,8 @@ class RobotClient:
     ----------
     status : dict
         Node -> last `NodeStatus`.
-    odometry : OdometrySample or None
-        Last odometry.
-    fused : PoseEstimate or None
-        Last fused pose.
+    odometry, fused : OdometrySample, PoseEstimate or None
+        Last ones.
     fixes : int
         Number of triangulated poses.
     panoramas : list of Panorama

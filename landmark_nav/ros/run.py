@@ -61,18 +61,8 @@ def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) ->
     """
     Run nodes in this process with one executor; the end of one node ends all.
 
-    Parameters
-    ----------
-    make_nodes : sequence of callable
-        Functions that create the nodes after the initialisation of ROS.
-    threads : int
-        Number of callbacks that may run at once.
-
-    Returns
-    -------
-    int
-        Exit status: 0 after a signal or the end of a node, 1 if a node could not be created or
-        failed, 2 for wrong usage.
+    `make_nodes` create them after the initialisation of ROS. Returns the exit status: 0 after a
+    signal or the end of a node, 1 if a node could not be created or failed, 2 for wrong usage.
     """
     name = Path(sys.argv[0]).stem
     asked: Future[None] = Future()

@@ -35,15 +35,10 @@ class _TimerSpec(ctypes.Structure):
 
 class ExitTimer:
     """
-    Ends the process with status 0 some time after `start`, without the interpreter lock.
+    Ends the process with status 0, `after_s` after `start`, without the interpreter lock.
 
     Nodes that leave at the same time may hold that lock for tens of seconds: Fast DDS waits for a
     callback whose mutex it takes repeatedly (its issue 6513).
-
-    Parameters
-    ----------
-    after_s : float
-        Time from `start` to the end of the process.
     """
 
     def __init__(self, after_s: float) -> None:
@@ -73,15 +68,9 @@ class ShutdownGuard:
     """
     Context manager for the main thread: a signal requests the end and limits the time to it.
 
-    A separate thread waits for the signal: handlers of Python do not run while the main thread is
-    in C code, and a KeyboardInterrupt may be lost in a callback.
-
-    Parameters
-    ----------
-    on_signal : callable
-        Requests the end of the block; called in the separate thread.
-    grace_s : float
-        Time after a signal at which the process ends with status 0 if the block has not ended.
+    A separate thread waits for the signal and calls `on_signal`: handlers of Python do not run
+    while the main thread is in C code, and a KeyboardInterrupt may be lost in a callback. If the
+    block has not ended `grace_s` later, the process ends with status 0.
     """
 
     def __init__(self, on_signal: Callable[[], None], grace_s: float) -> None:

@@ -32,16 +32,7 @@ class DriveConfig(Config):
 
 
 class DifferentialDrive:
-    """
-    Base with two driven wheels.
-
-    Parameters
-    ----------
-    pose_map_base : ndarray, shape (3,)
-        Start pose.
-    free : callable
-        Whether the base can be at a position (2,); it stops before positions where it cannot.
-    """
+    """Base with two driven wheels; it stops before positions that are not `free`."""
 
     def __init__(
         self,

@@ -61,14 +61,7 @@ class _Strip:
 
 
 def furnish(room: Room, rng: Generator, seed: int) -> Scene:
-    """
-    Place random things on the walls and furniture on the floor.
-
-    Returns
-    -------
-    Scene
-        Things on a wall do not overlap, nor do pieces of furniture.
-    """
+    """Place random things on the walls and furniture on the floor; neither overlap."""
     strips = [_Strip(wall, []) for wall in room.walls]
     for paper in room.papers:
         strip = strips[int(room.nearest_wall(paper.center[:2]))]
@@ -306,23 +299,10 @@ _PAPER_SIZE_M = (0.21, 0.297)
 
 def generate_scene(seed: int, room: Room | None = None) -> Scene:
     """
-    Generate a random furnished room.
+    Generate a random furnished room, in which walls and papers may be given.
 
-    Raises `LandmarkNavError`: the given room has no two positions from which all papers and the
-    target are in view.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the random generator.
-    room : Room, optional
-        Walls and papers; random by default.
-
-    Returns
-    -------
-    Scene
-        The scene has the specialised target, and two positions from which it and all papers are
-        well visible.
+    It has the specialised target, and two positions from which it and all papers are well visible.
+    Raises `LandmarkNavError`: the given room has no such positions.
     """
     best: Scene | None = None
     most = -1

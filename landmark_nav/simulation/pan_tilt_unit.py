@@ -123,16 +123,9 @@ _ELSEWHERE_RAD = 0.6
 
 class PanControl:
     """
-    Points the camera at one item for some time, then chooses another.
+    Points the camera at one random item for some time, then chooses another.
 
-    Parameters
-    ----------
-    pan_limit_rad : float
-        Limit of the pan to both sides.
-    rng : numpy.random.Generator
-        Random choice of items and durations.
-    preferred : ndarray of bool, shape (n,), optional
-        Items of the scene that are preferred, such as known landmarks.
+    Items of the scene that are `preferred` (n,), such as known landmarks, are chosen more often.
     """
 
     def __init__(

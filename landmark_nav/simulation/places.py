@@ -36,18 +36,10 @@ class SweepPlaces:
 
 def choose_sweep_places(scene: Scene) -> SweepPlaces | None:
     """
-    Choose two poses for sweeps.
+    Choose the two poses for sweeps with the most common view, 1.5 to 2.5 m apart.
 
-    Parameters
-    ----------
-    scene : Scene
-        Furnished room; its seed determines the positions that are tried, and the headings.
-
-    Returns
-    -------
-    SweepPlaces or None
-        The pair with the most common view, 1.5 to 2.5 m apart; None if no pair has all papers and
-        the target in view.
+    The seed of the scene determines the positions that are tried, and the headings. None if no
+    pair has all papers and the target in view.
     """
     rng = np.random.default_rng([scene.seed, 10])
     places = rng.uniform(*scene.room.bounds, (_CANDIDATES * 4, 2))
@@ -106,24 +98,10 @@ def view_quality(
     steepest_deg: float,
 ) -> FloatArray:
     """
-    Quality of the view of points on walls.
+    Quality (n, m) of the view of points (m, 3) on walls from places (n, 2).
 
-    Parameters
-    ----------
-    places_xy : array_like, shape (n, 2)
-        Viewpoints, map frame.
-    points : array_like, shape (m, 3)
-        Points on walls, map frame.
-    walls : array_like of int, shape (m,)
-        Indices of the walls.
-    steepest_deg : float
-        Largest angle of incidence.
-
-    Returns
-    -------
-    ndarray, shape (n, m)
-        Cosine of the angle of incidence; 0 if the point is hidden, too far, too near, too oblique,
-        or above or below the image.
+    It is the cosine of the angle of incidence; 0 if the point is hidden, too far, too near, too
+    oblique, or above or below the image.
     """
     places = np.asarray(places_xy, dtype=np.float64).reshape(-1, 1, 2)
     ends = np.asarray(points, dtype=np.float64).reshape(1, -1, 3)

@@ -38,18 +38,10 @@ def sweep_messages(
     world: RobotWorld, factory: MessageFactory, *, frames: int = 72, jpeg_quality: int = 90
 ) -> Iterator[Recorded]:
     """
-    Capture a sweep at the pose of the robot.
+    Capture a sweep of evenly spaced images from -180 degrees on, at the pose of the robot.
 
-    Parameters
-    ----------
-    frames : int
-        Number of images, evenly spaced from -180 degrees on.
-
-    Yields
-    ------
-    Recorded
-        ``sweep/image/compressed``, ``sweep/camera_info``, ``joint_states`` and
-        ``ground_truth/odom`` for each image, and at the end ``sweep/trajectory``.
+    Yields ``sweep/image/compressed``, ``sweep/camera_info``, ``joint_states`` and
+    ``ground_truth/odom`` for each image, and at the end ``sweep/trajectory``.
     """
     samples: list[JointSample] = []
     for pan in -np.pi + 2.0 * np.pi * np.arange(frames) / frames:
@@ -80,24 +72,11 @@ def drive_messages(
     jpeg_quality: int = 90,
 ) -> Iterator[Recorded]:
     """
-    Drive along a path while the camera looks at the walls.
+    Drive along a path (n, 2) while the camera looks at the walls; the robot stops at its end.
 
-    Parameters
-    ----------
-    path_xy : ndarray, shape (n, 2)
-        Path, map frame, metres.
-    pan_control : PanControl
-        Controls the pan.
-    seconds : float
-        Duration; the robot stops at the end of the path.
-    camera_rate_hz : float
-        Rate of images, rounded to 20 Hz divided by a whole number.
-
-    Yields
-    ------
-    Recorded
-        ``joint_states``, ``odom`` and ``ground_truth/odom`` at 20 Hz,
-        ``camera/image_raw/compressed`` and ``camera/camera_info`` at the camera's rate.
+    Yields ``joint_states``, ``odom`` and ``ground_truth/odom`` at 20 Hz,
+    ``camera/image_raw/compressed`` and ``camera/camera_info`` at the camera's rate, rounded to 20
+    Hz divided by a whole number.
     """
     driver = PathFollower(path_xy, speed_m_s)
     every = max(1, round(STATE_RATE_HZ / camera_rate_hz))

@@ -22,21 +22,10 @@ class WallItem:
     """
     Something flat that hangs on a wall.
 
-    Parameters
-    ----------
-    kind : str
-        ``photo``, ``poster``, ``shelf``, ``blinds``, ``door``, ``target``, ``sheet`` (a coloured
-        paper that is not in ``room.yaml``) or ``tag`` (an AprilTag).
-    wall : int
-        Index of the wall.
-    along_m : float
-        Distance of its centre from the start of the wall.
-    center_z_m, width_m, height_m : float
-        Height of its centre above the floor, and size.
-    seed : int
-        Seed of its texture; number of a tag.
-    before_m : float
-        Distance of its face from the wall: the depth of a frame.
+    Kinds are ``photo``, ``poster``, ``shelf``, ``blinds``, ``door``, ``target``, ``sheet`` (a
+    coloured paper that is not in ``room.yaml``) and ``tag`` (an AprilTag, whose number is the
+    `seed`). The centre is `along_m` from the start of the wall; `before_m` is the distance of the
+    face from the wall: the depth of a frame.
     """
 
     kind: str
@@ -115,16 +104,7 @@ class Scene:
         """
         Whether points on walls are not hidden by walls or by furniture higher than the eye.
 
-        Parameters
-        ----------
-        eye_xy, points_xy : array_like, shape (..., 2)
-            Viewpoints and points, map frame.
-        eye_height_m : float
-            Height of the viewpoint; lower furniture hides nothing on walls.
-
-        Returns
-        -------
-        ndarray of bool, shape (...)
+        Viewpoints and points (..., 2) are broadcast.
         """
         seen = self.room.visible(eye_xy, points_xy)
         eye = np.asarray(eye_xy, dtype=np.float64)

@@ -32,19 +32,9 @@ _LAMP_RADIUS_M = 0.9
 
 def irradiance(points: npt.ArrayLike, normal: npt.ArrayLike, lamps: Sequence[Lamp]) -> FloatArray:
     """
-    Illumination of points on a plane.
+    Illumination of points (..., 3) on a plane: factors on blue, green and red of the albedo.
 
-    Parameters
-    ----------
-    points : array_like, shape (..., 3)
-        Points on the surface, map frame, metres.
-    normal : array_like, shape (3,)
-        Unit normal of the illuminated side.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Factors on blue, green and red of the albedo; about 1 in a usual room.
+    They are about 1 in a usual room. The normal is that of the illuminated side.
     """
     at = np.asarray(points, dtype=np.float64)
     light = np.full(at.shape, _AMBIENT)
@@ -100,17 +90,9 @@ class Pyramid:
     A texture reduced by powers of two, across and down independently, in one image.
 
     Walls seen obliquely need coarser texels across than down; square averages would blur them.
-    Level (i, j) is averaged over about 2**(j + i) texels across and 2**j down.
-
-    Parameters
-    ----------
-    atlas : ndarray of uint8, shape (rows, columns, channels)
-        Image with all levels.
-    scale, offset : ndarray of float32, shape (i, j, 2)
-        Pixel (x, y) in the atlas of texture coordinate c in [0, 1], for pixel centres at integers:
-        ``c * scale[i, j] + offset[i, j]``.
-    size_texels : (int, int)
-        Columns and rows of the finest level.
+    Level (i, j) is averaged over about 2**(j + i) texels across and 2**j down. Pixel (x, y) in the
+    `atlas` of texture coordinate c in [0, 1] is ``c * scale[i, j] + offset[i, j]``, for pixel
+    centres at integers.
     """
 
     atlas: ImageArray
@@ -147,22 +129,11 @@ class Pyramid:
 @dataclass(frozen=True, eq=False)
 class Surface:
     """
-    A rectangle with a texture, seen from one side.
+    A rectangle with a texture, seen from one side, from its top left `corner`.
 
-    Parameters
-    ----------
-    corner : ndarray, shape (3,)
-        Top left corner seen from the front, map frame, metres.
-    across, down : ndarray, shape (3,)
-        Unit vectors along rows and columns of texels.
-    width_m, height_m : float
-        Size.
-    albedo : ndarray of uint8, shape (rows, columns, 3 or 4)
-        Colours in usual light; a fourth channel is opacity.
-    slants : int
-        Number of levels of foreshortening in the pyramid; 1 for none.
-    lit : bool
-        Whether lamps illuminate it; otherwise the albedo is shown unchanged.
+    `across` and `down` (3,) are unit vectors along rows and columns of texels. `albedo` (rows,
+    columns, 3 or 4) are colours in usual light, and opacity; it is shown unchanged if lamps do not
+    light it. `slants` is the number of levels of foreshortening in the pyramid; 1 for none.
     """
 
     corner: FloatArray

@@ -23,22 +23,7 @@ Generator = np.random.Generator
 
 
 def draw_item(kind: str, seed: int, shape: tuple[int, int]) -> ImageArray:
-    """
-    Draw one item.
-
-    Parameters
-    ----------
-    kind : str
-        A kind of `WallItem`, or ``books`` for the side of a bookcase.
-    seed : int
-        The same seed draws the same image.
-    shape : (int, int)
-        Rows and columns of the result.
-
-    Returns
-    -------
-    ndarray of uint8, shape (rows, columns, 3)
-    """
+    """Draw a kind of `WallItem`, or ``books`` for the side of a bookcase, (rows, columns, 3)."""
     twice = 2 * shape[0], 2 * shape[1]
     large = (
         _tag(seed, twice) if kind == 'tag' else _PAINTERS[kind](np.random.default_rng(seed), twice)

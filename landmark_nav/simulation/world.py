@@ -31,16 +31,8 @@ class RobotWorld:
     """
     A simulated robot with a turning camera.
 
-    Parameters
-    ----------
-    pose_map_base : array_like, shape (3,)
-        Start pose of the base.
-    seed : int
-        Noise of wheels and sensor, and what people do.
-    people : int
-        How many walk about.
-    renderer : Renderer, optional
-        Renderer of another world with the same scene and camera, whose textures are reused.
+    `seed` is that of the noise of wheels and sensor, and of what people do. A renderer of another
+    world with the same scene and camera lends its textures.
     """
 
     def __init__(

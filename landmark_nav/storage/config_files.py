@@ -20,22 +20,12 @@ _OF_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
 def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
     """
-    Read the parameters of some nodes from a parameter file.
+    Read the parameters of nodes from a file with ``ros__parameters`` below their names or ``/**``.
 
-    Raises `LandmarkNavError`: the file cannot be read, or is not YAML of this format.
-
-    Parameters
-    ----------
-    path : path-like
-        YAML with ``ros__parameters`` below names of nodes or ``/**``. For one release, a file that
-        holds the parameters alone is read too, with a warning.
-    nodes : collection of str
-        Names of the nodes, without a namespace. Parameters of wildcards apply too.
-
-    Returns
-    -------
-    dict
-        Values by full name, without those of ROS itself; of repeated parameters the last one.
+    They are by full names, without those of ROS itself; parameters of wildcards apply too, and of
+    repeated ones the last. For one release, a file that holds the parameters alone is read too,
+    with a warning. Raises `LandmarkNavError`: the file cannot be read, or is not YAML of this
+    format.
     """
     path = Path(path)
     document = read_yaml_mapping(path)

@@ -24,14 +24,7 @@ _LEAST_LANDMARKS = 3
 
 
 def problems_of_map(landmarks: LandmarkMap) -> list[str]:
-    """
-    List implausible or unusable contents of a map.
-
-    Returns
-    -------
-    list of str
-        One line for each problem, with the id of the landmark; empty if there is none.
-    """
+    """List implausible or unusable contents of a map, a line with the id of the landmark each."""
     problems = list(_problems_of_room(landmarks))
     walls = {wall.id: wall for wall in landmarks.walls}
     for k in landmarks.landmarks:

@@ -46,19 +46,10 @@ class FrameAlignment:
     """
     Transformation from the frame of map b to that of map a.
 
-    Parameters
-    ----------
-    pose : ndarray, shape (3,)
-        Pose of the frame of b in that of a: metres of a, radians.
-    rise_m : float
-        Height of the frame of b in that of a. It differs from 0 as the height of the camera is
-        given, not scaled.
-    scale : float
-        Length of a metre of b in metres of a.
-    covariance : ndarray, shape (5, 5)
-        Covariance of x, y, height, heading and the logarithm of the scale.
-    support : int
-        Number of inlier landmarks.
+    `pose` (3,) is that of the frame of b in that of a, and `rise_m` its height, which differs from
+    0 as the height of the camera is given, not scaled; `scale` is the length of a metre of b in
+    metres of a. `covariance` is that of x, y, height, heading and the logarithm of the scale;
+    `support` the number of inlier landmarks.
     """
 
     pose: FloatArray

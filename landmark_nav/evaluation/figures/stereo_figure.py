@@ -35,10 +35,7 @@ def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
     """
     Draw the reconstruction of a landmark and its sigma over the room; return the caption.
 
-    Parameters
-    ----------
-    result : LearningResult
-        Result with two panoramas or more, of which the first two are drawn.
+    Of more than two panoramas the first two are drawn.
     """
     source, candidate, landmark = _example(result)
     views = result.panoramas[source], result.panoramas[1 - source]

@@ -59,10 +59,7 @@ def widest(panorama: Panorama, candidates: Iterable[Candidate], width: int, apar
     """
     Find the strip that shows the first candidate, and as many of the others as possible.
 
-    Parameters
-    ----------
-    width, apart : int
-        Width of the strip, and distance between the tried ones, columns.
+    `width` and `apart`, of the strip and between the tried ones, are in columns.
     """
     turn = panorama.mask.shape[1]
     chosen = list(candidates)

@@ -174,10 +174,7 @@ def free_labels(corners: npt.ArrayLike, sizes: npt.ArrayLike) -> npt.NDArray[np.
     """
     Mask (n,) of labels that overlap none of the previously kept ones.
 
-    Parameters
-    ----------
-    corners, sizes : array_like, shape (n, 2)
-        Least x and y of each label, and its width and height, in one unit.
+    `corners` and `sizes` (n, 2) are least x and y, and width and height, in one unit.
     """
     low = np.asarray(corners, float).reshape(-1, 2)
     high = low + np.asarray(sizes, float).reshape(-1, 2)

@@ -61,14 +61,9 @@ def drive_page(
     papers: Iterable[Paper] = (),
 ) -> Page:
     """
-    Page of a drive.
+    Page of a drive: `report` is that of `run_report`, with ``spells``.
 
-    Parameters
-    ----------
-    report : mapping
-        Report of `landmark_nav.evaluation.run_report`, with ``spells``.
-    calibration : Calibration
-        Calibration with which landmarks are projected into the images.
+    Landmarks are projected into the images by `calibration`.
     """
     chosen = _moments(run)
     drive = _drive(run, chosen, landmarks, calibration, strip, smoothed)

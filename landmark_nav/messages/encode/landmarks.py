@@ -22,14 +22,9 @@ def landmark_map(
     factory: MessageFactory, landmarks: LandmarkMap, stamp_ns: int
 ) -> tuple[Any, Any, Any]:
     """
-    Build ``landmarks``, ``landmarks/atlas`` and ``landmarks/markers``.
+    Build ``landmarks``, ``landmarks/atlas`` and ``landmarks/markers``; the map may be empty.
 
-    Parameters
-    ----------
-    landmarks : LandmarkMap
-        Map to publish; it may be empty.
-    stamp_ns : int
-        Time of publication, by which receivers match the three.
+    Receivers match the three by `stamp_ns`, the time of publication.
     """
     members = landmarks.landmarks
     views = [view.patch for k in members for view in k.views]

@@ -50,14 +50,9 @@ def odometry(
     child_frame_id: str = 'base_link',
 ) -> Any:
     """
-    Build a nav_msgs/Odometry.
+    Build a nav_msgs/Odometry; `frame_id` need not be ``odom``.
 
-    Parameters
-    ----------
-    sample : OdometrySample
-        Pose of the base in `frame_id`, which need not be ``odom``, and speeds.
-    covariance : ndarray, shape (3, 3), optional
-        Covariance of x, y, heading; unknown by default.
+    The covariance (3, 3) of x, y, heading is unknown by default.
     """
     x, y, yaw = sample.pose_odom_base
     twist = factory(

@@ -42,19 +42,9 @@ def most_bytes(size: int) -> int:
 
 def unpack(data: bytes, compression: str, size: int | None) -> bytes:
     """
-    Return the uncompressed content of a chunk.
+    Return the uncompressed content of a chunk, of declared `size`, if any.
 
-    Parameters
-    ----------
-    compression : str
-        ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` if the data are not compressed.
-    size : int or None
-        Declared number of bytes of the content; None if it is not declared.
-
-    Raises
-    ------
-    ValueError
-        The content has not the declared size, or is larger than a recorder writes.
+    Raises `ValueError`: the content has not that size, or is larger than a recorder writes.
     """
     limit = min(CHUNK_BYTES, max(_SMALL_BYTES, _RATIO * len(data)))
     if size is not None and size > limit:
@@ -155,23 +145,10 @@ class RawMessage:
 
 class McapFile:
     """
-    An MCAP file.
+    An MCAP file, with the `counts` of messages of its channels.
 
-    Parameters
-    ----------
-    on_warning : callable
-        Called with one line if the file is truncated or damaged.
-    name : Path, optional
-        Name of the file in messages; `path` by default.
-
-    Attributes
-    ----------
-    counts : dict
-        Number of messages of each `ChannelInfo`.
-    first_ns, last_ns : int
-        Log times of the first and last message; 0 for an empty file.
-    complete : bool
-        Whether the file is not truncated.
+    `on_warning` is called with one line if the file is truncated, hence not `complete`, or
+    damaged. The log times of the first and last message are 0 for an empty file.
     """
 
     def __init__(

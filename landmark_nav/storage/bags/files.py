@@ -148,14 +148,9 @@ def open_files(path: Path, on_warning: Callable[[str], None]) -> tuple[list[BagF
     """
     Open the files of a bag; also return whether messages are compressed one by one.
 
-    Raises `LandmarkNavError`: there is no bag, or a file of it is missing or damaged.
-
-    Parameters
-    ----------
-    path : Path
-        Rosbag2 folder, folder of bag files, or a bag file; the files may be compressed.
-    on_warning : callable
-        Called with one line for each defect that is passed over.
+    The bag is a rosbag2 folder, a folder of bag files, or a bag file; the files may be compressed.
+    `on_warning` is called with one line for each defect that is passed over. Raises
+    `LandmarkNavError`: there is no bag, or a file of it is missing or damaged.
     """
     paths, by_message = _paths(path, on_warning)
     return [_opened(file, on_warning) for file in paths], by_message

@@ -41,16 +41,7 @@ _STAMPS = 20
 
 
 class BagMessage:
-    """
-    A message of a bag, deserialised when `message` is first used.
-
-    Attributes
-    ----------
-    topic, type_name : str
-        Absolute topic, and type such as ``sensor_msgs/msg/Image``.
-    stamp_ns : int
-        Log time.
-    """
+    """A message of a bag with its log time, deserialised when `message` is first used."""
 
     def __init__(self, raw: RawMessage, reader: MessageReader, bag: Bag) -> None:
         """Keep the serialised message."""
@@ -119,27 +110,12 @@ class Bag:
     """
     A bag that can be read several times.
 
+    It is a folder, or a file ``.mcap``, ``.db3`` or (ROS 1) ``.bag``, and may be compressed.
+    `on_warning` is called with one line for each defect that is passed over; `topics` are those
+    of the bag by their names in the contract, if they differ. A bag is `complete` if no file is
+    truncated.
+
     Raises `LandmarkNavError`: the path does not exist, or is not a supported bag.
-
-    Parameters
-    ----------
-    path : path-like
-        Rosbag2 folder, or a file ``.mcap``, ``.db3`` or (ROS 1) ``.bag``; it may be compressed.
-    on_warning : callable
-        Called with one line for each defect that is passed over; a logger by default.
-    topics : mapping, optional
-        Name in the contract -> topic of the bag, for topics with other names.
-
-    Attributes
-    ----------
-    types : dict
-        Type of each topic.
-    counts : dict
-        Number of messages of each topic.
-    duration_s : float
-        Time from the first to the last message.
-    complete : bool
-        Whether no file is truncated.
     """
 
     def __init__(
@@ -232,14 +208,9 @@ class Bag:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """
-        Yield messages by log time.
+        Yield messages by log time, of all topics by default.
 
         Raises `LandmarkNavError`: a file is damaged, or the messages of a topic cannot be read.
-
-        Parameters
-        ----------
-        topics : collection of str, optional
-            Absolute names, as in `types`; all by default.
         """
         for file in self._files:
             for info in file.counts:
@@ -327,14 +298,7 @@ _AROUND = 5
 
 
 def wrong_stamps(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
-    """
-    Return the errors of wrong stamps, in nanoseconds, by log time and stamp of the message.
-
-    Parameters
-    ----------
-    stamps_ns : ndarray of int, shape (n, 2)
-        Log times and stamps of the messages of a topic.
-    """
+    """Errors of wrong stamps, ns, by log times and stamps (n, 2) of the messages of a topic."""
     if len(stamps_ns) < _AROUND:
         return {}
     offsets = stamps_ns[:, 1] - stamps_ns[:, 0]
@@ -367,14 +331,8 @@ class MessageFilter:
     Leaves out the unusable messages of a topic, and reports their number once.
 
     A message is unusable if its decoder refuses it, or if its stamp deviates from those of its
-    neighbours by more than a transport delays messages (`wrong_stamps`).
-
-    Parameters
-    ----------
-    what : str
-        Noun for the messages in the report.
-    needed : bool
-        Whether at least one message must be usable.
+    neighbours by more than a transport delays messages (`wrong_stamps`). If `needed`, one must be
+    usable.
     """
 
     def __init__(

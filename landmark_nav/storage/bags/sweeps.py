@@ -25,23 +25,10 @@ def check_coverage(
     cut_off: bool,
 ) -> bool:
     """
-    Report the angles that a sweep does not cover by the `warn` of its bag.
+    Report the angles that a sweep does not cover by the `warn` of its bag; is it usable?
 
+    `missing` angles of the trajectory have no frame. A sweep that may be cut off must be complete.
     Raises `LandmarkNavError`: the sweep has no frame.
-
-    Parameters
-    ----------
-    frames : sequence of CameraFrame
-        Frames by time.
-    missing : sequence of JointSample
-        Angles of the trajectory without a frame.
-    cut_off : bool
-        Whether the recording may have ended during this sweep.
-
-    Returns
-    -------
-    bool
-        Whether the sweep can be used; if it may be cut off, it must be complete.
     """
     where = f'{bag.path}: the sweep of {start_ns * 1e-9:.1f} s'
     pans = [frame.pan_rad for frame in frames]
@@ -95,24 +82,14 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     """
     Read the sweeps of a bag, one at a time, in the order of their start.
 
-    The pan of a frame is measured in ``sweep/trajectory``, which is published at the end of a
-    sweep. If there is none, or the bag ends before it, ``joint_states`` give the pan. Images that
-    cannot be decoded are left out if other frames cover their arcs.
+    The bag holds ``sweep/image`` or its compressed form, and ``sweep/camera_info``. The pan of a
+    frame is measured in ``sweep/trajectory``, which is published at the end of a sweep. If there
+    is none, or the bag ends before it, ``joint_states`` give the pan. Images that cannot be
+    decoded are left out if other frames cover their arcs.
 
     Raises `LandmarkNavError`: a topic is missing, a sweep has no frames, the loss of a damaged
     frame leaves a gap, or an angle cannot be read. Missing frames and unseen directions are
     reported by the `warn` of the bag.
-
-    Parameters
-    ----------
-    bag : Bag
-        Bag with ``sweep/image`` or its compressed form and ``sweep/camera_info``; may hold
-        ``sweep/trajectory``, ``sweep/pose`` and ``joint_states``.
-
-    Yields
-    ------
-    Sweep
-        Frames by time.
     """
     topic = bag.require('sweep/image', 'sweep/image/compressed')
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')

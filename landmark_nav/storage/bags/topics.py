@@ -51,18 +51,9 @@ def find_topic(
     """
     Return the topic of a bag that the contract calls `name`; None if there is none.
 
-    Raises `LandmarkNavError`: the topic is ambiguous, has another type, or the given one is not in
-    the bag.
-
-    Parameters
-    ----------
-    name : str
-        Relative name, such as ``camera/camera_info``.
-    types : mapping
-        Topics of the bag and their types.
-    given : mapping, optional
-        Name in the contract -> topic, as the user gives them. The type of an image topic decides
-        whether it is raw or compressed, not the given name.
+    `given` are topics of the bag by names in the contract, by the user. The type of an image topic
+    decides whether it is raw or compressed, not the given name. Raises `LandmarkNavError`: the
+    topic is ambiguous, has another type, or the given one is not in the bag.
     """
     topics = {_normal(topic): topic for topic in types}
     by_user = {

@@ -44,11 +44,6 @@ class BagWriter:
 
     It is a context manager based on `atomic_folder`: the bag appears at `path` when the context
     ends without an exception.
-
-    Parameters
-    ----------
-    overwrite : bool
-        Whether an existing bag may be replaced.
     """
 
     def __init__(self, path: Path | str, overwrite: bool = False) -> None:
@@ -87,10 +82,7 @@ class BagWriter:
         """
         Append a message made by `landmark_nav.messages.factory.rosbag_factory`.
 
-        Parameters
-        ----------
-        topic : str
-            Absolute or relative name; ``/`` is put before a relative one.
+        ``/`` is put before a relative topic.
         """
         type_name = message.__msgtype__
         data = self._store.serialize_cdr(message, type_name)
@@ -99,16 +91,7 @@ class BagWriter:
     def write_serialized(
         self, topic: str, type_name: str, data: bytes | memoryview, stamp_ns: int
     ) -> None:
-        """
-        Append a serialised message.
-
-        Parameters
-        ----------
-        type_name : str
-            Type of a standard message, such as ``sensor_msgs/msg/Image``.
-        data : bytes
-            CDR with its four bytes of encapsulation.
-        """
+        """Append a serialised message: CDR with its four bytes of encapsulation."""
         topic = '/' + topic.lstrip('/')
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
