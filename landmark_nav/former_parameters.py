@@ -26,7 +26,7 @@ _OF_THE_ROBOT = {
     'command.speed_rad_s': 'pan_rate',
     'triplet.pan_acceleration_rad_s2': 'pan_acceleration',
 }
-# Section -> module with its constants, and their names: they describe the method.
+# Section -> module with its constants, and their names in release 0.1.0: they describe the method.
 _CONSTANTS = {
     '': (
         'nodes',
@@ -36,74 +36,47 @@ _CONSTANTS = {
     'attention': (
         'learning/attention',
         'weight_intensity weight_edges weight_vertical_edges weight_corners weight_symmetry '
-        'weight_radial_symmetry weight_line_symmetry edge_low edge_high size_min_px size_max_px '
-        'size_step_px least_response candidates_per_sector neighborhood_columns_px '
-        'neighborhood_rows_px ambiguity_max noise_gray',
+        'weight_line_symmetry edge_low edge_high size_min_px size_max_px size_step_px '
+        'least_response candidates_per_sector neighborhood_columns_px neighborhood_rows_px '
+        'ambiguity_max noise_gray',
     ),
     'stereo': (
         'learning/stereo',
-        'min_score max_second_ratio max_incidence_rad min_parallax_rad min_approach '
-        'behind_wall_m before_wall_m margin_m',
+        'min_score max_second_ratio max_incidence_rad min_parallax_rad behind_wall_m '
+        'before_wall_m margin_m',
     ),
     'adjustment': (
         'learning/adjustment',
-        'azimuth_sigma_rad tangent_sigma nearness_sigma relief_sigma_m hanging_sigma_m '
-        'hanging_length_m common_hanging_sigma_m wall_sigma_m camera_weight place_weight '
-        'room_weight',
+        'azimuth_sigma_rad tangent_sigma hanging_sigma_m common_hanging_sigma_m',
     ),
     'wall_fit': ('learning/adjustment', 'max_before_m max_behind_m max_turn_rad'),
-    'election': (
-        'learning/election.py',
-        'max_incidence_rad max_stretch min_size_px max_overlap',
-    ),
+    'election': ('learning/election.py', 'max_incidence_rad min_size_px max_overlap'),
     'reference_area': (
         'learning/reference_area',
-        'paper_sigma_m height_sigma_m horizon_sigma_rad edge_sigma_px paper_size_sigma',
+        'paper_sigma_m height_sigma_m horizon_sigma_rad edge_sigma_px',
     ),
-    'panorama': ('learning/panorama', 'blend crop_px even_out px_per_rad'),
-    'calibration': ('learning/calibration', 'enabled'),
-    'unmeasured': ('learning/unmeasured.py', 'camera_weight'),
-    'unmeasured.sheets': ('learning/sheets', 'size_sigma corner_sigma_px'),
-    'unmeasured.relative_pose': (
-        'learning/relative_pose',
-        'features max_ratio direction_sigma_rad tilt_sigma_rad rise_sigma_m heading_sigma_rad '
-        'min_matches max_rival min_baseline_m',
-    ),
-    'unmeasured.facades': (
-        'learning/facades',
-        'relief_m min_cells min_length_m max_gap_m wall_height_m sigma_m max_facades',
-    ),
-    'capture': (
-        'learning/capture',
-        'arrival_tolerance_rad settled_s settled_velocity_rad_s retakes retake_pause_s '
-        'least_sharpness stamp_gap_s moved_m moved_rad resume_s',
-    ),
+    'panorama': ('learning/panorama', 'blend crop_px px_per_rad'),
+    'capture': ('learning/capture', 'arrival_tolerance_rad settled_velocity_rad_s'),
     'command': ('ros/pan_command.py', 'min_duration_s'),
     'triplet': (
         'localization/triplet',
         'bearing_sigma_rad min_sampling max_sampling min_range_m border_px margin_sigmas '
-        'hysteresis views fix_window_s gather_s dwell_time_s look_s max_sigma_m',
+        'hysteresis views max_sigma_m',
     ),
     # It is replaced by slip_m_per_rad, which has another unit.
     'odometry': ('localization/odometry', 'slip_sigma'),
-    'look_around': ('localization/triplet', 'after_s dwell_time_s look_s'),
     'detection': (
         'localization/detection',
-        'min_size_px max_count target_count enough max_second_ratio window_sigmas max_window_px '
-        'vertical_sigma_px appearance lens_sigma_px',
+        'min_size_px max_count enough max_second_ratio window_sigmas max_window_px '
+        'vertical_sigma_px lens_sigma_px',
     ),
     'triangulation': (
         'localization/triangulation',
         'fit_probability max_sigma_m min_range_m',
     ),
-    'estimator': (
-        'localization/estimator',
-        'floor_tilt_length_m tail_freedom mount_walk_rad_per_sqrt_s step_sigma_rad step_sigma_s '
-        'step_sigma_m history_s',
-    ),
     'relocalization': (
         'localization/relocalization',
-        'unseen_s min_landmarks max_sigma_m max_sigma_rad tilt_sigma_rad lean_sigma_rad',
+        'min_landmarks max_sigma_m max_sigma_rad tilt_sigma_rad',
     ),
     'world': ('simulation', 'robot_radius_m people'),
     'world.pan_tilt': (

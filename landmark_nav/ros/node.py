@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import logging
 import re
 import traceback
-from typing import Any, cast
+from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException
@@ -27,11 +27,7 @@ from landmark_nav.ros.factory import message_class
 from landmark_nav.ros.health import Health, Level, publish_health
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
 from landmark_nav.ros.managed import ManagedNode
-from landmark_nav.ros.renamed_topics import (
-    FORMER_NAMES,
-    FormerSubscription,
-    RenamedPublisher,
-)
+from landmark_nav.ros.renamed_topics import FORMER_NAMES, hear_former, publish_both
 from landmark_nav.ros.topics import TOPICS, with_depth
 
 # Suffixes of parameters with names of files.
@@ -183,8 +179,7 @@ class LandmarkNode(ManagedNode):
                 source.of_no_use(str(why))
 
         if former := FORMER_NAMES.get(topic):
-            old, new = (self.resolve_topic_name(name) for name in (former, topic))
-            late = FormerSubscription(self, old, new, callback, self._warn_once)
+            late = hear_former(self, topic, callback, self._warn_once)
             guarded = self.guarded(former, late)
             super().create_subscription(msg_type, former, guarded, *args, **given)
         return super().create_subscription(msg_type, topic, take, *args, **given)
@@ -194,11 +189,10 @@ class LandmarkNode(ManagedNode):
     ) -> Publisher[Any]:
         """Create a publisher as in rclpy, with the former name of a renamed topic."""
         made = super().create_publisher(msg_type, topic, *args, **given)
-        if topic not in FORMER_NAMES:
-            return made
-        former = super().create_publisher(msg_type, FORMER_NAMES[topic], *args, **given)
-        served = RenamedPublisher(self, made, former, self._warn_once)
-        return cast('Publisher[Any]', served)
+        if topic in FORMER_NAMES:
+            former = super().create_publisher(msg_type, FORMER_NAMES[topic], *args, **given)
+            publish_both(self, made, former, self._warn_once)
+        return made
 
     def create_timer(  # type: ignore[override]
         self, timer_period_sec: float, callback: Callable[[], None], *args: Any, **given: Any

@@ -1,8 +1,4 @@
-"""
-Renamed topics: for one release the former names work too, with a warning.
-
-A node with an endpoint at the new name does not use the former one, so no message arrives twice.
-"""
+"""Former names of topics, which serve nodes that do not know the new ones, with a warning."""
 
 from __future__ import annotations
 
@@ -20,53 +16,35 @@ FORMER_NAMES = {
 }
 
 
-class RenamedPublisher:
-    """Publisher that also serves nodes which subscribe to the former name only."""
+def publish_both(
+    node: Node, publisher: Publisher[Any], former: Publisher[Any], warn: Callable[[str], None]
+) -> None:
+    """Make `publisher` publish at the former name, too, if a node subscribes only there."""
+    publish, old, new = publisher.publish, former.topic_name, publisher.topic_name
 
-    def __init__(
-        self,
-        node: Node,
-        publisher: Publisher[Any],
-        former: Publisher[Any],
-        warn: Callable[[str], None],
-    ) -> None:
-        self._node, self._publisher, self._former, self._warn = node, publisher, former, warn
+    def publish_at_both(message: Any) -> None:
+        publish(message)
+        if former.get_subscription_count() and (
+            who := _only_former(node.get_subscriptions_info_by_topic, old, new)
+        ):
+            former.publish(message)
+            warn(_warning(who, 'subscribes to', old, new))
 
-    def __getattr__(self, name: str) -> Any:
-        """Delegate other attributes to the publisher at the new name."""
-        return getattr(self._publisher, name)
-
-    def publish(self, message: Any) -> None:
-        """Publish; also at the former name if a node subscribes only there."""
-        self._publisher.publish(message)
-        if not self._former.get_subscription_count():
-            return
-        former, name = self._former.topic_name, self._publisher.topic_name
-        if who := _only_former(self._node.get_subscriptions_info_by_topic, former, name):
-            self._former.publish(message)
-            self._warn(_warning(who, 'subscribes to', former, name))
+    publisher.publish = publish_at_both  # type: ignore[method-assign, assignment]
 
 
-class FormerSubscription:
-    """Callback for the former name of a topic, if a node publishes only there."""
+def hear_former(
+    node: Node, topic: str, callback: Callable[[Any], None], warn: Callable[[str], None]
+) -> Callable[[Any], None]:
+    """Return the callback for the former name of a topic: for nodes that publish only there."""
+    old, new = map(node.resolve_topic_name, (FORMER_NAMES[topic], topic))
 
-    def __init__(
-        self,
-        node: Node,
-        former: str,
-        name: str,
-        callback: Callable[[Any], None],
-        warn: Callable[[str], None],
-    ) -> None:
-        self._node, self._former, self._name = node, former, name
-        self._callback, self._warn = callback, warn
+    def take(message: Any) -> None:
+        if who := _only_former(node.get_publishers_info_by_topic, old, new):
+            warn(_warning(who, 'publishes', old, new))
+            callback(message)
 
-    def __call__(self, message: Any) -> None:
-        """Handle a message."""
-        ends = self._node.get_publishers_info_by_topic
-        if who := _only_former(ends, self._former, self._name):
-            self._warn(_warning(who, 'publishes', self._former, self._name))
-            self._callback(message)
+    return take
 
 
 def _only_former(ends: Callable[[str], list[Any]], former: str, name: str) -> str:

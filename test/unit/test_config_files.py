@@ -93,7 +93,7 @@ def test_a_file_of_the_last_release_is_taken_with_warnings(
 ) -> None:
     text = (
         'observation: {triplet: {max_range_m: 9.0, hysteresis: 0.1}}\n'
-        'estimator: {tail_freedom: 4.0}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
+        'world: {people: 4}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
     )
     robot = tmp_path / 'robot.yaml'
     robot.write_text(ROBOT.read_text() + 'odometry: {scale_sigma: 0.25}\n')
