@@ -302,7 +302,7 @@ def _draw(result: LearningResult, room: Room, folder: Path) -> None:
     draw_map(result.map, folder / 'map.png', room.papers)
     for k, panorama in enumerate(result.panoramas):
         path = folder / f'panorama_{k + 1}.png'
-        draw_panorama(panorama, result.candidates[k], result.outcomes[k], k + 1, path)
+        draw_panorama(panorama, result.candidates[k], result.outcomes[k], path)
 
 
 def _provenance(args: argparse.Namespace) -> dict[str, str]:

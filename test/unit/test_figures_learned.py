@@ -172,7 +172,7 @@ def test_figure_5_shows_the_angle_between_the_two_rays(
 
 
 def test_figure_3_shows_how_frames_overlap(learned: LearningResult, tmp_path: Path) -> None:
-    # 60 degrees wide, one each 10 degrees: six show a column, and neighbours share 5 / 6.
+    # 60 degrees wide, one each 10 degrees: neighbours share 5 / 6.
     camera = CameraModel(200, 160, 100.0 / np.tan(np.radians(30.0)), 173.2, 99.5, 79.5)
     empty = np.zeros((160, 200, 3), np.uint8)
     pans = np.radians(np.arange(0.0, 360.0, 10.0))
@@ -180,7 +180,7 @@ def test_figure_3_shows_how_frames_overlap(learned: LearningResult, tmp_path: Pa
     path = tmp_path / 'figure.png'
     reported = draw_sweeps([sweep, sweep], learned.panoramas, ROOM, path)
     assert '36 frames of 200 x 160 px, one each 10.00°' in reported
-    assert 'overlap by 83%; a column is shown by 6 frames in the median' in reported
+    assert 'overlap by 83%' in reported
     assert cv2.imread(str(path)) is not None
 
 

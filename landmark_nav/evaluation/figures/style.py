@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -37,15 +37,14 @@ HALO = (withStroke(linewidth=3.0, foreground='white'),)
 DPI = 130
 
 
-def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figure:
+def new_figure(width_in: float, height_in: float) -> Figure:
     """Create an empty figure without a window or global state."""
-    layout: Literal['constrained'] | None = 'constrained' if arranged else None
-    figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout=layout)
+    figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout='constrained')
     FigureCanvasAgg(figure)
     return figure
 
 
-def save(figure: Figure, path: Path | BytesIO, tight: bool = True) -> None:
+def save(figure: Figure, path: Path | BytesIO) -> None:
     """
     Write a PNG, to a file or to memory.
 
@@ -56,7 +55,7 @@ def save(figure: Figure, path: Path | BytesIO, tight: bool = True) -> None:
     figure.savefig(
         drawn,
         metadata={'Software': None},
-        bbox_inches='tight' if tight else None,
+        bbox_inches='tight',
         pad_inches=0.12,
         # Higher levels halve the size, but take many times as long.
         pil_kwargs={'compress_level': 1},

@@ -9,11 +9,9 @@ from matplotlib.axes import Axes
 import numpy as np
 
 from landmark_nav.evaluation.figures.strips import caption
-from landmark_nav.evaluation.figures.style import FUSED, new_figure, plain, save
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.evaluation.figures.style import new_figure, save
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.types import FloatArray, Panorama, Sweep
+from landmark_nav.types import Panorama, Sweep
 
 _WIDTH_IN = 24.0
 _NAMES = 'LR'
@@ -24,18 +22,13 @@ _LINE_PT, _NAMES_PX = 20.0, 75.0
 def draw_sweeps(
     sweeps: Sequence[Sweep], panoramas: Sequence[Panorama], room: Room, path: Path
 ) -> str:
-    """Draw panoramas with papers and the number of frames of each column; return the caption."""
-    shape = panoramas[0].image.shape
-    height = len(sweeps) * (_WIDTH_IN * shape[0] / shape[1] + 1.3) + 1.0
-    figure = new_figure(_WIDTH_IN, height)
-    ratios = [_WIDTH_IN * shape[0] / shape[1], 0.6] * len(sweeps)
-    rows = figure.subplots(2 * len(sweeps), 1, height_ratios=ratios)
-    counts = [_frames_of_columns(s, p) for s, p in zip(sweeps, panoramas, strict=True)]
-    for k, panorama in enumerate(panoramas):
+    """Draw panoramas with papers; return the caption."""
+    rows, columns = panoramas[0].image.shape[:2]
+    figure = new_figure(_WIDTH_IN, len(panoramas) * (_WIDTH_IN * rows / columns + 0.6) + 0.8)
+    for k, axes in enumerate(np.ravel(figure.subplots(len(panoramas), 1))):
         name = _NAMES[k] if len(panoramas) <= 2 else f'{k + 1}'
-        _draw_panorama_part(rows[2 * k], panorama, room, f'{name}: {_place(panorama)}')
-        _draw_counts(rows[2 * k + 1], panorama, counts[k])
-    text = _text(sweeps, panoramas, counts, room.papers)
+        _draw_panorama_part(axes, panoramas[k], room, f'{name}: {_place(panoramas[k])}')
+    text = _text(sweeps[0], panoramas[0], room.papers)
     caption(figure, text, 14.0)
     save(figure, path)
     return text
@@ -73,35 +66,6 @@ def _name_papers(axes: Axes, panorama: Panorama, room: Room) -> None:
         )  # fmt: skip
 
 
-def _draw_counts(axes: Axes, panorama: Panorama, counts: FloatArray) -> None:
-    axes.fill_between(np.arange(len(counts)), counts, step='mid', color=FUSED, alpha=0.35)
-    axes.set_ylim(0, counts.max() + 1)
-    axes.set_ylabel('frames')
-    azimuths = np.arange(-165, 181, 15)
-    axes.set_xticks(panorama.cylinder.column_of(np.radians(azimuths)), [f'{a}°' for a in azimuths])
-    axes.set_xlim(-0.5, len(counts) - 0.5)
-    plain(axes)
-
-
-def _frames_of_columns(sweep: Sweep, panorama: Panorama) -> FloatArray:
-    """Number of frames that show each column (width,) at the horizon."""
-    azimuth = panorama.cylinder.azimuth_rad(np.arange(panorama.cylinder.width))
-    counts = np.zeros(panorama.cylinder.width)
-    for frame in sweep.frames:
-        left, right = _sides(frame.camera)
-        away = wrap_rad(azimuth - frame.pan_rad)
-        counts += (away <= left) & (away >= right)
-    return counts
-
-
-def _sides(camera: CameraModel) -> tuple[float, float]:
-    """Angles of the left and right borders from the optical axis, counter-clockwise."""
-    rims = np.array([[0.0, camera.cy], [camera.width - 1.0, camera.cy]])
-    rays = camera.unproject(rims)
-    left, right = -np.arctan2(rays[:, 0], rays[:, 2])
-    return float(left), float(right)
-
-
 def _place(panorama: Panorama) -> str:
     x, y, _ = panorama.center_map
     sigma = np.sqrt(np.diag(panorama.covariance))
@@ -112,25 +76,16 @@ def _place(panorama: Panorama) -> str:
     )
 
 
-def _text(
-    sweeps: Sequence[Sweep],
-    panoramas: Sequence[Panorama],
-    counts: Sequence[FloatArray],
-    papers: Sequence[Paper],
-) -> str:
+def _text(sweep: Sweep, panorama: Panorama, papers: Sequence[Paper]) -> str:
     poses = 'What they share gives their poses to each other.'
     if papers:
         poses = 'The papers of the reference area give the position of the camera.'
-    frame = sweeps[0].frames[0]
-    pans = np.sort([f.pan_rad for f in sweeps[0].frames])
-    step = float(np.median(np.diff(pans)))
-    left, right = _sides(frame.camera)
-    cylinder = panoramas[0].cylinder
+    camera, cylinder = sweep.frames[0].camera, panorama.cylinder
+    step = float(np.median(np.diff(np.sort([frame.pan_rad for frame in sweep.frames]))))
     return (
         f'Figure 3. Panoramas of the room, each a cylinder of {cylinder.width} x '
-        f'{cylinder.height} px synthesized from {len(sweeps[0].frames)} frames of '
-        f'{frame.camera.width} x {frame.camera.height} px, one each {np.degrees(step):.2f}°. Two '
-        f'neighbouring frames overlap by {1.0 - step / (left - right):.0%}; a column is shown by '
-        f'{np.median(counts[0]):.0f} frames in the median, by {counts[0].max():.0f} at most; the '
-        f'median of those that look straightest at it is kept. {poses}'
+        f'{cylinder.height} px synthesized from {len(sweep.frames)} frames of {camera.width} x '
+        f'{camera.height} px, one each {np.degrees(step):.2f}°. Two neighbouring frames overlap '
+        f'by {1.0 - step / (2.0 * camera.half_fov_rad):.0%}; of those that look straightest at a '
+        f'column the median is kept. {poses}'
     )
