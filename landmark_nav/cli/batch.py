@@ -9,7 +9,6 @@ import re
 
 from landmark_nav.batch.jobs import read_runs, Run
 from landmark_nav.batch.results import (
-    Change,
     compare,
     page,
     read_table,
@@ -76,7 +75,11 @@ def run(args: argparse.Namespace) -> int:
     for entry in failed:
         print(f'{entry["run"]}: failed: {entry["failure"]}')
     for change in changes:
-        print(_change_line(change))
+        print(
+            f'{change.name}: {change.before:.4g} before, {change.after:.4g} now, change '
+            f'{change.low:+.3g} to {change.high:+.3g} ({change.runs} runs, 95 %)'
+            + (': worse' if change.worse else '')
+        )
     print(
         f'{len(rows) - len(failed)} of {len(rows)} runs done: index.html, table.csv and '
         f'table.parquet in {args.out}'
@@ -98,11 +101,3 @@ def _check_options(one: Run, jobs: Path) -> None:
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> None:  # type: ignore[override]
         raise LandmarkNavError(message)
-
-
-def _change_line(change: Change) -> str:
-    verdict = ': worse' if change.worse else ''
-    return (
-        f'{change.name}: {change.before:.4g} before, {change.after:.4g} now, change '
-        f'{change.low:+.3g} to {change.high:+.3g} ({change.runs} runs, 95 %){verdict}'
-    )

@@ -109,7 +109,8 @@ class Narrator:
     def title(self, text: str) -> None:
         """Print the title of a new step."""
         self._clear()
-        self._write(f'\n[{self.seconds:5.1f} s] {self._bold(text)}\n')
+        bold = f'\033[1m{text}\033[0m' if self._stream.isatty() else text
+        self._write(f'\n[{self.seconds:5.1f} s] {bold}\n')
 
     def print_line(self, text: str) -> None:
         """Print a result."""
@@ -128,9 +129,6 @@ class Narrator:
         if self._drawn:
             self._write('\r\033[K')
             self._drawn = False
-
-    def _bold(self, text: str) -> str:
-        return f'\033[1m{text}\033[0m' if self._stream.isatty() else text
 
     def _write(self, text: str) -> None:
         self._stream.write(text)

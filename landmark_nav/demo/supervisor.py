@@ -86,8 +86,13 @@ class Supervisor:
         for child in self._children:
             status = child.process.poll()
             if status is not None:
+                how = (
+                    f'signal {signal.Signals(-status).name}'
+                    if status < 0
+                    else f'exit status {status}'
+                )
                 words = f': {_last_words(child.log)} (all: {child.log})' if child.log else ''
-                raise ProcessEndedError(f'{child.name} ended with {_described(status)}{words}')
+                raise ProcessEndedError(f'{child.name} ended with {how}{words}')
 
     def stop(self, gently: signal.Signals = signal.SIGTERM) -> dict[str, int]:
         """
@@ -109,12 +114,6 @@ class Supervisor:
         statuses = {child.name: child.process.wait() for child in self._children}
         self._children = []
         return statuses
-
-
-def _described(status: int) -> str:
-    if status < 0:
-        return f'signal {signal.Signals(-status).name}'
-    return f'exit status {status}'
 
 
 def _last_words(log: Path) -> str:

@@ -143,20 +143,16 @@ def verdict(
         best = none
     alike = [c for c in found if c is not best and c.score > best.score - ALIKE]
     best = _polished(best)
-    rivals = [] if best.kind == 'none' else [c for c in alike if _differs(c, best)]
+    # Faults of one clock are not different ones.
+    fault = best.stream, best.kind in CLOCKS
+    rivals = [c for c in alike if c.kind != 'none' and (c.stream, c.kind in CLOCKS) != fault]
+    rivals = [] if best.kind == 'none' else rivals
     return Verdict(best, tuple(rivals), linear(best.motion).quiet)
 
 
 def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
     """Delay of the stamps of odometry, s, with which it explains the images."""
     return _polished(_offset(motion, ODOMETRY, _first_offset(motion, ODOMETRY, list(hints)))).value
-
-
-def _differs(one: Cause, other: Cause) -> bool:
-    """Whether two causes are different faults; faults of the same clock are not."""
-    if one.kind == 'none':
-        return False
-    return (one.stream, one.kind in CLOCKS) != (other.stream, other.kind in CLOCKS)
 
 
 def _polished(cause: Cause) -> Cause:

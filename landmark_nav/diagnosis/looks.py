@@ -104,7 +104,9 @@ def look(
     camera: CameraModel | None = None
     cameras, refused = _cameras(bag, infos)
     setup = mounted if isinstance(mounted, CameraSetup) else None
-    tracked = set() if setup else _tracked(chosen)
+    # First images of pairs, spread over the recording.
+    firsts = [] if setup else [k for k in sorted(chosen) if k + 1 in chosen]
+    tracked = set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
     points: dict[int, tuple[FloatArray, FloatArray]] = {}
     before: Corners | None = None
     for index, entry in enumerate(bag.messages([topic])):
@@ -197,12 +199,6 @@ def _cameras(bag: Bag, infos: tuple[str, ...]) -> tuple[CameraInfos | None, tupl
     except LandmarkNavError as error:
         text = str(error).removeprefix(f'{bag.path}: ')
         return None, (Finding('camera lens', 'error', text, when_read=True),)
-
-
-def _tracked(chosen: set[int]) -> set[int]:
-    """Return the first images of pairs, spread over the recording."""
-    firsts = [k for k in sorted(chosen) if k + 1 in chosen]
-    return set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
 
 
 def _chosen(count: int, most: int) -> set[int]:

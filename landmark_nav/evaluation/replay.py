@@ -199,10 +199,9 @@ def replay(
             truth.append((event.stamp_ns, event.pose))
             truth_after.append(len(samples) - 1)
             continue
-        if start is None and isinstance(event, CameraFrame | Detections | OdometrySample):
-            start = _given(event.stamp_ns, start_pose, start_covariance)
-            if start is not None:
-                localizer.initialize(start)
+        if start is None and start_pose is not None and start_covariance is not None:
+            start = PoseEstimate(event.stamp_ns, start_pose, start_covariance)
+            localizer.initialize(start)
         if isinstance(event, OdometrySample):
             samples.append(event)
             localizer.add_odometry(event)
@@ -250,12 +249,15 @@ def replay(
     )
     known = shifts_by_odometry([s for s, _ in truth], truth_after, stamps_ns).tolist()
     track = PoseTrack.of((sample.stamp_ns, sample.pose_odom_base) for sample in samples)
+    # Dead reckoning passes through the start.
+    first = max(start.stamp_ns, int(track.stamps_ns[0]))
+    increments = se2.relative(track.at([first]), track.poses)
     return Replay(
         start,
         tuple(searched),
         tuple(updates),
         np.array(took),
-        _dead_reckoning(track, start),
+        PoseTrack(track.stamps_ns, se2.compose(start.pose, increments)),
         PoseTrack.of((s + later, pose) for (s, pose), later in zip(truth, known, strict=True)),
         time.perf_counter() - begin,
         localizer.odometry_noise,
@@ -265,15 +267,6 @@ def replay(
     )
 
 
-def _given(
-    stamp_ns: int, pose: FloatArray | None, covariance: FloatArray | None
-) -> PoseEstimate | None:
-    """Return the given initial pose, if there is one."""
-    if pose is None or covariance is None:
-        return None
-    return PoseEstimate(stamp_ns, pose, covariance)
-
-
 def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:
     """Shift the stamp of an update."""
     if not shift_ns:
@@ -281,10 +274,3 @@ def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:
     stamp, seen = update.stamp_ns + shift_ns, update.observation
     detections = replace(seen.detections, stamp_ns=stamp)
     return replace(update, stamp_ns=stamp, observation=replace(seen, detections=detections))
-
-
-def _dead_reckoning(odometry: PoseTrack, start: PoseEstimate) -> PoseTrack:
-    """Transform odometry so that it passes through the start."""
-    first = max(start.stamp_ns, int(odometry.stamps_ns[0]))
-    increments = se2.relative(odometry.at([first]), odometry.poses)
-    return PoseTrack(odometry.stamps_ns, se2.compose(start.pose, increments))

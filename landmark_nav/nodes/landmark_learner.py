@@ -65,7 +65,11 @@ class LandmarkLearnerNode(LandmarkNode):
         self.offer('load_map', self._load, group=group)
         self._why_none = 'no map yet'
         if self._config.load_on_start:
-            self._load_at_start()
+            try:
+                self.get_logger().info(self._load())
+            except LandmarkNavError as error:  # a map can still be learned
+                self._why_none = f'no map loaded ({error})'
+                self.get_logger().warning(self._why_none)
 
     def _reconfigure(self, config: Configuration) -> None:
         """Use changed parameters from the next service call on."""
@@ -138,14 +142,6 @@ class LandmarkLearnerNode(LandmarkNode):
         save_map(self._map, self._config.map_folder)
         self._on_disk = True
         return self._report(f'{len(self._map.landmarks)} landmarks saved in', self._map)
-
-    def _load_at_start(self) -> None:
-        """Load the map; if it is missing or damaged, log a warning: one can still be learned."""
-        try:
-            self.get_logger().info(self._load())
-        except LandmarkNavError as error:
-            self._why_none = f'no map loaded ({error})'
-            self.get_logger().warning(self._why_none)
 
     def _load(self) -> str:
         loaded = load_map(self._config.map_folder)

@@ -212,7 +212,10 @@ class OdometryFusionNode(LandmarkNode):
             if isinstance(found, Detections):
                 self._use(found)
             else:
-                self._use_place(found)
+                joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
+                known = None if isinstance(joints, Refusal) else joints
+                self._fusion.place(found, known, self._now_ns())
+                self._started(found, 'found')
 
     def _waits(self, found: Detections | GlobalPose) -> bool:
         """Whether detections or a global pose must wait for joint states that may still arrive."""
@@ -237,11 +240,6 @@ class OdometryFusionNode(LandmarkNode):
             self._accepted += len(update.used)
             self._rejected += len(update.columns) - len(update.used)
         self._corrected(found.stamp_ns)
-
-    def _use_place(self, place: GlobalPose) -> None:
-        joints = self._frames.joints_at(place.stamp_ns + round(1e9 * place.joint_delay_s))
-        self._fusion.place(place, None if isinstance(joints, Refusal) else joints, self._now_ns())
-        self._started(place, 'found')
 
     def _corrected(self, stamp_ns: int) -> None:
         """Publish the pose after an update by an image, at the newest stamp."""

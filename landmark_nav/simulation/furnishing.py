@@ -69,7 +69,11 @@ def furnish(room: Room, rng: Generator, seed: int) -> Scene:
         strip.taken.append((along - paper.width / 2, along + paper.width / 2))
     bare = [k for k, strip in enumerate(strips) if not strip.taken]
     items: list[WallItem] = []
-    _hang(items, strips, 'target', _longest(strips, bare, rng), rng)
+    # The target hangs on a wall without papers if possible, preferably on a long one.
+    choice = bare or list(range(len(strips)))
+    lengths = np.array([strips[k].wall.length for k in choice])
+    longest = int(rng.choice(choice, p=lengths**2 / np.sum(lengths**2)))
+    _hang(items, strips, 'target', longest, rng)
     if bare:
         _hang(items, strips, 'door', int(rng.choice(bare)), rng)
     boxes: list[Box] = []
@@ -154,13 +158,6 @@ def hang_tags(scene: Scene, spacing_m: float) -> tuple[WallItem, ...]:
                     items.append(WallItem('tag', index, float(along), z, _TAG_M, _TAG_M, number))
                     break
     return tuple(items)
-
-
-def _longest(strips: list[_Strip], bare: list[int], rng: Generator) -> int:
-    """Random wall for the target: one without papers if possible, preferably a long one."""
-    choice = bare or list(range(len(strips)))
-    lengths = np.array([strips[k].wall.length for k in choice])
-    return int(rng.choice(choice, p=lengths**2 / np.sum(lengths**2)))
 
 
 def _hang(

@@ -53,13 +53,9 @@ LightArray = npt.NDArray[np.uint16]
 _MOST = 65535
 
 
-def _curve() -> LightArray:
-    value = np.arange(256) / 255.0
-    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.rint(_MOST * light), dtype=np.uint16)
-
-
-_LIGHT = _curve()
+_SHARE = np.arange(256) / 255.0
+_LIGHT = np.where(_SHARE <= 0.04045, _SHARE / 12.92, ((_SHARE + 0.055) / 1.055) ** 2.4)
+_LIGHT = np.rint(_MOST * _LIGHT).astype(np.uint16)
 # Grey level with the nearest light.
 _VALUE = np.searchsorted(0.5 * (_LIGHT[1:] + _LIGHT[:-1].astype(float)), np.arange(_MOST + 1))
 _VALUE = _VALUE.astype(np.uint8)
@@ -116,7 +112,8 @@ class Pyramid:
                 level = _average(level, columns >> (i + j), rows >> j)
                 scale[i, j] = level.shape[1::-1]
                 offset[i, j] = (x + _BORDER_PX - 0.5, y + _BORDER_PX - 0.5)
-                pieces.append((x, y, _with_border(level)))
+                border = ((_BORDER_PX, _BORDER_PX), (_BORDER_PX, _BORDER_PX), (0, 0))
+                pieces.append((x, y, np.pad(level, border, mode='edge')))
                 x += pieces[-1][2].shape[1]
             y += pieces[-1][2].shape[0]
         width = max(x + piece.shape[1] for x, _, piece in pieces)

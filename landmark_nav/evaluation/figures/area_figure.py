@@ -48,7 +48,9 @@ def draw_observation_areas(landmarks: LandmarkMap, room: Room, path: Path) -> st
     panels, patches = grid[:, ::2].ravel(), grid[:, 1::2].ravel()
     for axes, beside, landmark in zip(panels, patches, chosen, strict=False):
         _draw_area(axes, landmark, room)
-        _draw_patch(beside, landmark)
+        show(beside, landmark.patch)
+        beside.set_anchor('NW')
+        style.framed(beside, style.LANDMARK)
     for axes in (*panels[len(chosen) : -1], *patches[len(chosen) :]):
         axes.set_axis_off()
     _draw_places(panels[-1], landmarks, room)
@@ -93,13 +95,6 @@ def _draw_area(axes: Axes, landmark: Landmark, room: Room) -> None:
     axes.plot(*landmark.viewpoint[:2], '^', color=style.FUSED, markersize=10, zorder=6)
     wall = f'wall {landmark.wall_id}' if landmark.wall_id else 'no wall'
     axes.set_title(f'landmark {landmark.id} on {wall}', fontsize=11)
-
-
-def _draw_patch(axes: Axes, landmark: Landmark) -> None:
-    """Draw the patch of a landmark."""
-    show(axes, landmark.patch)
-    axes.set_anchor('NW')
-    style.framed(axes, style.LANDMARK)
 
 
 def _draw_places(axes: Axes, landmarks: LandmarkMap, room: Room) -> None:

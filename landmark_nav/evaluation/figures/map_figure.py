@@ -29,7 +29,11 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     axes = figure.add_subplot()
     style.draw_walls(axes, landmarks.walls, _MARGIN_M)
     draw_landmarks(axes, landmarks)
-    _draw_certainty(axes, landmarks)
+    feet = landmarks.positions[:, :2]
+    lines = list(np.stack([feet, feet + _NORMAL_M * landmarks.normals[:, :2]], 1))
+    axes.add_collection(LineCollection(lines, colors=style.LANDMARK, linewidths=1.0, zorder=5))
+    for foot, covariance in zip(feet, landmarks.covariances[:, :2, :2], strict=True):
+        style.add_ellipse(axes, foot, covariance, style.LANDMARK, _MAGNIFIED)
     for place in landmarks.panorama_poses:
         style.add_ellipse(axes, place.pose, place.covariance[:2, :2], style.FUSED, _MAGNIFIED)
     style.draw_sweep_places(axes, [place.pose for place in landmarks.panorama_poses], 'sweep')
@@ -88,12 +92,3 @@ def number_landmarks(
         )
         # The text is inside the axes; to check that in the layout is slow.
         text.set_in_layout(False)
-
-
-def _draw_certainty(axes: Axes, landmarks: LandmarkMap) -> None:
-    """Draw ellipses and normals of landmarks."""
-    feet = landmarks.positions[:, :2]
-    lines = list(np.stack([feet, feet + _NORMAL_M * landmarks.normals[:, :2]], 1))
-    axes.add_collection(LineCollection(lines, colors=style.LANDMARK, linewidths=1.0, zorder=5))
-    for foot, covariance in zip(feet, landmarks.covariances[:, :2, :2], strict=True):
-        style.add_ellipse(axes, foot, covariance, style.LANDMARK, _MAGNIFIED)

@@ -6,13 +6,11 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.evaluation.figures import style
 from landmark_nav.geometry.walls import Room
 from landmark_nav.planning.planner import Plan
 from landmark_nav.planning.prediction import Forecast
-from landmark_nav.types import FloatArray
 
 _MARGIN_M = 0.35
 
@@ -45,7 +43,12 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
 
 def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
     """Draw a heat map in millimetres with lines of equal error; unknown cells are blank."""
-    x, y, error = _gridded(forecast.floor_xy, 1e3 * forecast.sigma_m)
+    (x, column), (y, row) = (
+        np.unique(np.round(values, 6), return_inverse=True) for values in forecast.floor_xy.T
+    )
+    error = np.full((len(y), len(x)), np.nan)
+    sigma_mm = 1e3 * forecast.sigma_m
+    error[row, column] = np.where(np.isfinite(sigma_mm), sigma_mm, np.nan)
     known = error[np.isfinite(error)]
     low, high = (float(np.quantile(known, q)) for q in (0.0, 0.98))
     axes.set_facecolor('#f4f4f4')
@@ -63,17 +66,6 @@ def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
             x, y, error, np.unique(np.round(levels, 2)), colors='white', linewidths=0.8, zorder=2
         )
         bar.add_lines(lines)
-
-
-def _gridded(
-    xy: FloatArray, values: FloatArray
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float64]]:
-    """Columns, rows, and values (rows, columns) of points on a grid; NaN for missing points."""
-    x, column = np.unique(np.round(xy[:, 0], 6), return_inverse=True)
-    y, row = np.unique(np.round(xy[:, 1], 6), return_inverse=True)
-    grid = np.full((len(y), len(x)), np.nan)
-    grid[row, column] = np.where(np.isfinite(values), values, np.nan)
-    return x, y, grid
 
 
 def _cost(forecast: Forecast) -> str:

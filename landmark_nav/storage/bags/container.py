@@ -168,10 +168,12 @@ class McapFile:
             raise LandmarkNavError(f'{self.name}: {error}') from error
         except _DAMAGE:
             pass
-        if self._index is not None:
-            self._take_index(self._index)
-        else:
+        if self._index is None:
             self._take_scan(on_warning)
+            return
+        self.first_ns, self.last_ns = self._index.span_ns
+        for identity, info in self._index.records.channels.items():
+            self.counts[info] = self.counts.get(info, 0) + self._index.counts.get(identity, 0)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield messages of `topics` (all by default) by log time."""
@@ -190,11 +192,6 @@ class McapFile:
             raise LandmarkNavError(
                 f'{self.name}: damaged inside ({error}): repair it with `mcap recover`'
             ) from error
-
-    def _take_index(self, index: _Index) -> None:
-        self.first_ns, self.last_ns = index.span_ns
-        for identity, info in index.records.channels.items():
-            self.counts[info] = self.counts.get(info, 0) + index.counts.get(identity, 0)
 
     def _take_scan(self, on_warning: Callable[[str], None]) -> None:
         self.complete = False
