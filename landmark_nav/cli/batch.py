@@ -7,15 +7,8 @@ from importlib import import_module
 from pathlib import Path
 import re
 
+from landmark_nav.batch import results
 from landmark_nav.batch.jobs import read_runs, Run
-from landmark_nav.batch.results import (
-    compare,
-    page,
-    read_table,
-    row,
-    table_csv,
-    write_parquet,
-)
 from landmark_nav.batch.work import run_all, stage_arguments
 from landmark_nav.cli.lines import progress
 from landmark_nav.cli.options import add, within
@@ -56,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     runs = read_runs(args.jobs, release())
     for one in runs:
         _check_options(one, args.jobs)
-    before = read_table(args.against) if args.against else None
+    before = results.read_table(args.against) if args.against else None
     if args.scheduler and not re.fullmatch(r'\w+://\S+', args.scheduler):
         raise UsageError(f'--scheduler {args.scheduler}: write tcp://HOST:PORT')
     args.out.mkdir(parents=True, exist_ok=True)
@@ -65,12 +58,12 @@ def run(args: argparse.Namespace) -> int:
     ended = run_all(runs, args.out, args.scheduler, args.workers)
     for one, outcome in progress(ended, 'runs', len(runs)):
         outcomes[one.name] = outcome
-    rows = [row(one, outcomes[one.name], args.out) for one in runs]
-    changes = compare(rows, before) if before else []
-    write_atomically(args.out / 'table.csv', table_csv(rows))
-    write_parquet(rows, args.out / 'table.parquet')
+    rows = [results.row(one, outcomes[one.name], args.out) for one in runs]
+    changes = results.compare(rows, before) if before else []
+    write_atomically(args.out / 'table.csv', results.table_csv(rows))
+    results.write_parquet(rows, args.out / 'table.parquet')
     title = f'{args.jobs.stem}: {len(runs)} runs'
-    write_atomically(args.out / 'index.html', page(title, runs, rows, changes, args.out))
+    write_atomically(args.out / 'index.html', results.page(title, runs, rows, changes, args.out))
     failed = [entry for entry in rows if entry['failure']]
     for entry in failed:
         print(f'{entry["run"]}: failed: {entry["failure"]}')

@@ -17,19 +17,8 @@ from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import inside, LandmarkNavError, UsageError
-from landmark_nav.evaluation.calibration_run import (
-    advice,
-    broken_promises,
-    calibrate_by_drive,
-    CalibrationDrive,
-    trade_offs,
-)
-from landmark_nav.evaluation.report import calibration_page, check_report, write_report
-from landmark_nav.evaluation.report.tables import (
-    calibration_tables,
-    calibration_verdict,
-    text_of,
-)
+from landmark_nav.evaluation import calibration_run
+from landmark_nav.evaluation.report import calibration_page, check_report, tables, write_report
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
@@ -54,7 +43,7 @@ class _Work:
     landmarks: LandmarkMap | None
     config: Configuration
     panoramas: list[Panorama] = field(default_factory=list)
-    drives: list[CalibrationDrive] = field(default_factory=list)
+    drives: list[calibration_run.CalibrationDrive] = field(default_factory=list)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,9 +96,9 @@ def run(args: argparse.Namespace) -> int:
     if len(hidden) + int(np.sum(given.sigmas == 0.0)) == len(NAMES):
         raise LandmarkNavError(
             'the recording shows nothing of the mount, as if the robot stood still: record '
-            + '; '.join(motion for motion, _ in advice(hidden)[:3])
+            + '; '.join(motion for motion, _ in calibration_run.advice(hidden)[:3])
         )
-    broken = broken_promises(work.drives[-1], given) if work.drives else {}
+    broken = calibration_run.broken_promises(work.drives[-1], given) if work.drives else {}
     for name, (off, sigma) in broken.items():
         _LOG.warning(
             '%s: %s is given as exact (sigma 0), and the drive shows %s beside it: it stays',
@@ -133,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
         title = f'Calibration of {Path(args.robot).name}'
         page = calibration_page(report, residuals)
         write_report(args.report, page, title, args.command_line, inputs)
-    lines = text_of(calibration_verdict(report), calibration_tables(report))
+    lines = tables.text_of(tables.calibration_verdict(report), tables.calibration_tables(report))
     print(wrapped([*lines, f'written to {args.out}']))
     return 0
 
@@ -179,7 +168,7 @@ def _use_drive(work: _Work, bag: Bag) -> None:
     total = bag.counts[bag.require('odom')]
     shown_events = progress(events, 'calibrating', 2 * total)
     with inside(bag.path):
-        drive = calibrate_by_drive(shown_events, landmarks, known, work.config)
+        drive = calibration_run.calibrate_by_drive(shown_events, landmarks, known, work.config)
     work.drives.append(drive)
     work.known = drive.calibration
 
@@ -204,10 +193,11 @@ def _report(
         'calibration': table,
         'unobserved': [
             {'motion': motion, 'quantities': list(names)}
-            for motion, names in advice(found.unobserved(given))
+            for motion, names in calibration_run.advice(found.unobserved(given))
         ],
         'trade_offs': [
-            {'quantities': [a, b], 'correlation': value} for a, b, value in trade_offs(found)
+            {'quantities': [a, b], 'correlation': value}
+            for a, b, value in calibration_run.trade_offs(found)
         ],
         'side_slip_bound_rad': work.drives[-1].slip_bound_rad if work.drives else None,
         'contradicted': {name: {'off': off, 'sigma': s} for name, (off, s) in broken.items()},

@@ -14,6 +14,7 @@ from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag, within
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.evaluation import run_report, smoothed_run
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.evaluation.replay import replay, UnknownPlaceError
@@ -25,18 +26,6 @@ from landmark_nav.evaluation.report import (
     write_video,
 )
 from landmark_nav.evaluation.report.tables import drive_tables, drive_verdict, text_of
-from landmark_nav.evaluation.run_report import (
-    against_truth,
-    integrity_report,
-    other_frame,
-    run_report,
-)
-from landmark_nav.evaluation.smoothed_run import (
-    departures,
-    smooth_run,
-    smoothed_report,
-    write_tum_files,
-)
 from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.storage.bags import sensor_events
@@ -139,10 +128,10 @@ def run(args: argparse.Namespace) -> int:
         raise LandmarkNavError(f'{error} Else give --start') from error
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
-    done, errors, in_frame = against_truth(done, landmarks)
+    done, errors, in_frame = run_report.against_truth(done, landmarks)
     if not in_frame:
         check_truth_frame(bag, landmarks.frame_id)
-        if other := other_frame(done, errors):
+        if other := run_report.other_frame(done, errors):
             bag.warn(
                 f'{bag.path}: ground_truth/odom is in another frame or unit than the map: {other}'
             )
@@ -153,13 +142,15 @@ def run(args: argparse.Namespace) -> int:
             f'from {1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
         )
     learned = replace(config, odometry=done.odometry_noise)
-    report = run_report(done, errors, landmarks, calibration, learned) | in_frame
+    report = run_report.run_report(done, errors, landmarks, calibration, learned) | in_frame
     report['checks'] = [finding.report() for finding in diagnosis.findings]
-    report['integrity'] = integrity_report(done, errors)
-    smoothed = smooth_run(done, landmarks, calibration, learned) if args.smooth else None
+    report['integrity'] = run_report.integrity_report(done, errors)
+    smoothed = (
+        smoothed_run.smooth_run(done, landmarks, calibration, learned) if args.smooth else None
+    )
     if smoothed is not None:
-        report['smoothed'] = smoothed_report(done, smoothed)
-        if apart := departures(done, smoothed):
+        report['smoothed'] = smoothed_run.smoothed_report(done, smoothed)
+        if apart := smoothed_run.departures(done, smoothed):
             bag.warn(
                 f'{bag.path}: the smoothed line is off that of the filter by {apart}: it does not '
                 'check odometry, joint_states and camera where they seem to be wrong'
@@ -179,7 +170,7 @@ def run(args: argparse.Namespace) -> int:
         if args.video:
             write_video(args.video, page)
     if args.tum:
-        write_tum_files(done, args.tum, smoothed)
+        smoothed_run.write_tum_files(done, args.tum, smoothed)
     write_json(args.json, report)
     tables = drive_tables({**report, 'checks': ()})  # which were logged
     print(wrapped(text_of(drive_verdict(report), tables)))

@@ -17,35 +17,22 @@ from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.errors import inside, LandmarkNavError, release, UsageError
+from landmark_nav.evaluation import learning_report
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
-from landmark_nav.evaluation.learning_report import (
-    check_truth_frame,
-    learning_report,
-    truth_of_bag,
-)
 from landmark_nav.evaluation.report import check_report, learning_page, write_report
 from landmark_nav.evaluation.report.tables import learning_tables, learning_verdict, text_of
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning import unmeasured
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.sheets import SheetsConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages, record_papers
-from landmark_nav.learning.unmeasured import (
-    learn_located,
-    locate_sweeps,
-    Located,
-)
 from landmark_nav.localization import sweep_places
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode
-from landmark_nav.storage.atomic_io import (
-    atomic_folder,
-    check_writable,
-    write_atomically,
-    write_json,
-)
+from landmark_nav.storage import atomic_io
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.bags.reader import decoded
 from landmark_nav.storage.maps import MAP_FILES, write_map
@@ -140,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
     """Learn and draw; write only if no error occurs."""
     begin = time.perf_counter()
     check_report(args.report)
-    check_writable(args.json, args.walls_out, args.report)
+    atomic_io.check_writable(args.json, args.walls_out, args.report)
     room = load_room(args.room) if args.room else None
     given = load_calibration(args.robot)
     mount = given.mount
@@ -149,7 +136,7 @@ def run(args: argparse.Namespace) -> int:
     log = StageLog()
     with log.measure('checks'):
         checked(bag, mount, room)
-    with atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
+    with atomic_io.atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
             located, frames = located_sweeps(bag, mount, config, log)
@@ -160,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
         if located is None:
             result = learn_from_panoramas(panoramas, room, config, shown)
         else:
-            result = learn_located(located, config, config.unmeasured, shown)
+            result = unmeasured.learn_located(located, config, config.unmeasured, shown)
         # Walls with a sigma were moved to their patches.
         room = replace(room, walls=result.map.walls)
         learned = result.map.calibration or given
@@ -171,19 +158,19 @@ def run(args: argparse.Namespace) -> int:
         with shown.measure('drawing'):  # beyond the stages of the bar, which has ended
             _draw(result, room, folder)
         write_map(result.map, folder)
-    truth = truth_of_bag(bag)
+    truth = learning_report.truth_of_bag(bag)
     if result.map.has_own_frame:
         truth = truth.seen_from(truth.at([panoramas[0].stamp_ns])[0])
     else:
-        check_truth_frame(bag, room.frame_id)
+        learning_report.check_truth_frame(bag, room.frame_id)
     seconds = time.perf_counter() - begin
-    report = learning_report(result, panoramas, frames, truth, mount, log, seconds)
+    report = learning_report.learning_report(result, panoramas, frames, truth, mount, log, seconds)
     if located is not None:
         scales = {share.name: asdict(share) for share in located.poses.scales}
         report['unmeasured'] = {**found, 'sources': scales}
     if args.walls_out:
-        write_atomically(args.walls_out, room_text(room))
-    write_json(args.json, report)
+        atomic_io.write_atomically(args.walls_out, room_text(room))
+    atomic_io.write_json(args.json, report)
     if args.report:
         inputs = {'bag': bag.path, 'room': args.room, 'robot': args.robot, 'config': args.config}
         title = f'{args.out.name}, learned from {bag.path.name}'
@@ -214,7 +201,7 @@ class _ShownStages(StageLog):
 
 def located_sweeps(
     bag: Bag, mount: PanTiltMount, config: Configuration, log: StageLog
-) -> tuple[Located, list[int]]:
+) -> tuple[unmeasured.Located, list[int]]:
     """Panoramas of a bag with their poses and walls, and the number of frames of each."""
     check_scale(bag, config.unmeasured.sheets)
     frames: list[int] = []
@@ -228,7 +215,7 @@ def located_sweeps(
     def known(stamped: Sequence[Sweep]) -> list[PlaceChain]:
         return known_places(bag, stamped, config.odometry)
 
-    return locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
+    return unmeasured.locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
 
 
 def _config(args: argparse.Namespace) -> Configuration:

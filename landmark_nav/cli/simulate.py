@@ -15,29 +15,11 @@ from landmark_nav.cli.lines import evaluate_line, progress
 from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.simulation import furnishing, recording, setup_documents
 from landmark_nav.simulation.drive_path import plan_tour
-from landmark_nav.simulation.furnishing import (
-    another_day,
-    exchange_posters,
-    generate_scene,
-    hang_tags,
-)
 from landmark_nav.simulation.pan_tilt_unit import PanControl
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
-from landmark_nav.simulation.recording import (
-    drive_messages,
-    Recorded,
-    STATE_RATE_HZ,
-    sweep_messages,
-)
 from landmark_nav.simulation.scene import Scene
-from landmark_nav.simulation.setup_documents import (
-    as_measured,
-    robot_document,
-    room_document,
-    scene_document,
-    start_document,
-)
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags import BagWriter
@@ -119,19 +101,19 @@ def run(args: argparse.Namespace) -> int:
     room = load_room(args.room) if args.room else None
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
     camera = load_camera(args.camera) if args.camera else DEFAULT_CAMERA
-    scene = generate_scene(args.seed, room)
+    scene = furnishing.generate_scene(args.seed, room)
     rng = np.random.default_rng([args.seed, 30])
     poses = _sweep_poses(scene, args.sweeps, rng)
     if args.tags:
-        scene = replace(scene, items=hang_tags(scene, args.tags))
-    later = another_day(scene, rng) if args.light_change else scene
+        scene = replace(scene, items=furnishing.hang_tags(scene, args.tags))
+    later = furnishing.another_day(scene, rng) if args.light_change else scene
     if args.exchange:
         other = np.random.default_rng([args.seed, 31])
-        later = replace(later, items=exchange_posters(scene, args.exchange, other))
+        later = replace(later, items=furnishing.exchange_posters(scene, args.exchange, other))
     robot_in = partial(RobotWorld, camera=camera, mount=mount, people=args.people)
     given = scene.room, mount
     if not args.exact:
-        given = as_measured(*given, np.random.default_rng([args.seed, 60]))
+        given = setup_documents.as_measured(*given, np.random.default_rng([args.seed, 60]))
     with atomic_folder(args.out, _FILES, args.overwrite) as folder:
         with BagWriter(folder / 'learn') as bag:
             frames = args.frames * len(poses)
@@ -146,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
             frames = round(args.drive_seconds * args.camera_rate)
             known = seen_from_all(scene, [pose[:2] for pose in poses])
             pan_control = PanControl(later, mount, world.pan_limit_rad, rng, known)
-            messages = drive_messages(
+            messages = recording.drive_messages(
                 world,
                 rosbag_factory(),
                 path,
@@ -158,10 +140,10 @@ def run(args: argparse.Namespace) -> int:
             )
             _write(bag, messages, 'drive', frames)
         for name, text in (
-            ('room.yaml', room_document(given[0])),
-            ('robot.yaml', robot_document(given[1], measured=not args.exact)),
-            ('start.json', start_document(start)),
-            ('scene.json', scene_document(scene)),
+            ('room.yaml', setup_documents.room_document(given[0])),
+            ('robot.yaml', setup_documents.robot_document(given[1], measured=not args.exact)),
+            ('start.json', setup_documents.start_document(start)),
+            ('scene.json', setup_documents.scene_document(scene)),
         ):
             (folder / name).write_text(text, encoding='utf-8')
     print(
@@ -181,11 +163,11 @@ def run(args: argparse.Namespace) -> int:
 def _camera_rate(text: str) -> float:
     """Argument type: rate of images, an integer fraction of the rate of odometry."""
     rate = within(float, 0.5)(text)
-    every = max(1, round(STATE_RATE_HZ / rate))
-    if abs(every * rate - STATE_RATE_HZ) > 1e-3 * STATE_RATE_HZ:
-        near = STATE_RATE_HZ / every
+    every = max(1, round(recording.STATE_RATE_HZ / rate))
+    if abs(every * rate - recording.STATE_RATE_HZ) > 1e-3 * recording.STATE_RATE_HZ:
+        near = recording.STATE_RATE_HZ / every
         raise argparse.ArgumentTypeError(
-            f'{text} is no whole part of {STATE_RATE_HZ}: take {near:.4g}'
+            f'{text} is no whole part of {recording.STATE_RATE_HZ}: take {near:.4g}'
         )
     return rate
 
@@ -210,17 +192,19 @@ def _sweep_poses(
     return poses
 
 
-def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Iterator[Recorded]:
+def _learn(
+    world: RobotWorld, poses: list[Any], args: argparse.Namespace
+) -> Iterator[recording.Recorded]:
     factory = rosbag_factory()
     for pose in poses:
         world.place(pose, -np.pi)
-        yield from sweep_messages(
+        yield from recording.sweep_messages(
             world, factory, frames=args.frames, jpeg_quality=args.jpeg_quality
         )
         world.advance(_MOVE_S)
 
 
-def _write(bag: BagWriter, messages: Iterator[Recorded], what: str, frames: int) -> None:
+def _write(bag: BagWriter, messages: Iterator[recording.Recorded], what: str, frames: int) -> None:
     """Write messages; the progress bar counts images."""
     bar = iter(progress(range(frames), what, frames))
     for recorded in messages:

@@ -10,15 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation import run_report
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import (
-    against_truth,
-    integrity_report,
-    pose_report,
-    RunErrors,
-    spells,
-)
 from landmark_nav.geometry import se2
 from landmark_nav.localization.estimator.integrity import ProtectionLevel
 from landmark_nav.localization.localizer import LocalizationUpdate
@@ -161,7 +155,9 @@ class Check:
     text: str
 
 
-def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay, RunErrors]:
+def figures(
+    run: Replay, landmarks: LandmarkMap
+) -> tuple[dict[str, Any], Replay, run_report.RunErrors]:
     """
     Return figures with the keys of ``landmark-nav evaluate --json``, the run and its errors.
 
@@ -169,13 +165,13 @@ def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay
     the scale of the map.
     """
     walls = len({landmark.wall_id for landmark in landmarks.landmarks} - {''})
-    of_run: dict[str, Any] = {'spells': spells(run), 'walls': walls}
-    run, errors, in_frame = against_truth(run, landmarks)
+    of_run: dict[str, Any] = {'spells': run_report.spells(run), 'walls': walls}
+    run, errors, in_frame = run_report.against_truth(run, landmarks)
     if in_frame:
         of_run['scale_sigma'] = float(landmarks.provenance['scale_sigma'])
     else:
-        of_run['integrity'] = integrity_report(run, errors)
-    return pose_report(run, errors, landmarks) | of_run | in_frame, run, errors
+        of_run['integrity'] = run_report.integrity_report(run, errors)
+    return run_report.pose_report(run, errors, landmarks) | of_run | in_frame, run, errors
 
 
 def judge(measured: dict[str, Any]) -> list[Check]:

@@ -14,16 +14,7 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.metrics import (
-    consistency,
-    crlb_ratio,
-    error_summary,
-    pose_errors,
-    PoseTrack,
-    posterior_bound,
-    result_hash,
-    undetected_failures,
-)
+from landmark_nav.evaluation import metrics
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry import se2
 from landmark_nav.localization.estimator import ImagePoints, Update
@@ -51,9 +42,9 @@ def run_errors(run: Replay) -> RunErrors:
     """Errors of the fused, the triangulated and the dead reckoned poses."""
     truth = run.truth.at(run.stamps_ns)
     return RunErrors(
-        pose_errors(run.fused, truth),
-        pose_errors(run.fixes, truth),
-        pose_errors(run.odometry.at(run.stamps_ns), truth),
+        metrics.pose_errors(run.fused, truth),
+        metrics.pose_errors(run.fixes, truth),
+        metrics.pose_errors(run.odometry.at(run.stamps_ns), truth),
     )
 
 
@@ -72,7 +63,7 @@ def run_report(
     ``warning`` says why the metrics mean little, and is None if they are meaningful.
     """
     known = calibration if run.calibration is None else run.calibration
-    bound = posterior_bound(
+    bound = metrics.posterior_bound(
         run.truth,
         [_used(update, run.detection_sigma_factor) for update in run.updates],
         landmark_map,
@@ -86,13 +77,13 @@ def run_report(
     of_poses = pose_report(run, errors, landmark_map)
     return {
         **of_poses,
-        'crlb_ratio': crlb_ratio(errors.fused, bound),
+        'crlb_ratio': metrics.crlb_ratio(errors.fused, bound),
         'update_ms': {
             'median': float(np.median(took_ms)),
             'p95': float(np.percentile(took_ms, 95)),
         },
         'realtime_factor': span_s / run.seconds,
-        'result_hash': result_hash(stamps, run.fused, run.fixes),
+        'result_hash': metrics.result_hash(stamps, run.fused, run.fixes),
         'spells': spells(run),
         'calibration': None
         if run.calibration is None
@@ -113,7 +104,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
     """Metrics that depend on the poses of a run only; ``claimed`` are their sigmas."""
     images = len(run.searched) + len(run.updates)
     by_map = run.by_map(landmark_map)
-    nees = consistency(errors.fused, run.fused_covariances, by_map)
+    nees = metrics.consistency(errors.fused, run.fused_covariances, by_map)
     sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
     sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
     return {
@@ -122,7 +113,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
         'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
         'availability': float(np.sum(~run.lost)) / images,
         'landmarks': len(landmark_map.landmarks),
-        **{name: error_summary(getattr(errors, name)) for name in _ESTIMATES},
+        **{name: metrics.error_summary(getattr(errors, name)) for name in _ESTIMATES},
         'nees': {
             'mean': nees.mean if nees else None,
             'inside_95': nees.inside_95 if nees else None,
@@ -134,7 +125,9 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
             'position_p95_m': float(np.percentile(sigma_m, 95)),
             'heading_median_deg': float(np.degrees(np.median(sigma[:, 2]))),
         },
-        'silently_wrong': undetected_failures(errors.fused, run.fused_covariances, run.tracking)
+        'silently_wrong': metrics.undetected_failures(
+            errors.fused, run.fused_covariances, run.tracking
+        )
         if len(run.truth)
         else None,
     }
@@ -161,7 +154,9 @@ def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
         'coverage_99': float(inside.mean()),
         'coverage_99_by_quarter': [float(part.mean()) for part in quarters if len(part)],
         'level_over_error_median': float(np.median(level[:, 0] / np.maximum(off[:, 0], 1e-9))),
-        'undetected_wrong': undetected_failures(errors.fused, run.fused_covariances, run.tracking),
+        'undetected_wrong': metrics.undetected_failures(
+            errors.fused, run.fused_covariances, run.tracking
+        ),
     }
 
 
@@ -244,13 +239,13 @@ def aligned(run: Replay, scaled: bool) -> tuple[Replay, RunErrors, Alignment]:
     return moved, run_errors(moved), found
 
 
-def _likeliest(run: Replay, truth: PoseTrack, poses: FloatArray) -> PoseTrack:
+def _likeliest(run: Replay, truth: metrics.PoseTrack, poses: FloatArray) -> metrics.PoseTrack:
     """
     Refine the alignment of the ground truth to the likeliest one, by headings and covariances.
 
     The choice of the map's frame is not an error of the poses.
     """
-    errors = pose_errors(poses, truth.at(run.stamps_ns))
+    errors = metrics.pose_errors(poses, truth.at(run.stamps_ns))
     known = np.isfinite(errors).all(1)
     at, information = poses[known], np.linalg.inv(run.fused_covariances[known])
     by_frame = np.zeros((len(at), 3, 4))
@@ -298,7 +293,7 @@ def against_truth(
     figures = {
         'aligned': True,
         'scale': alignment.scale,
-        **{name: error_summary(getattr(rigid, name)) for name in _ESTIMATES},
-        'fused_after_scale': error_summary(in_metre.fused),
+        **{name: metrics.error_summary(getattr(rigid, name)) for name in _ESTIMATES},
+        'fused_after_scale': metrics.error_summary(in_metre.fused),
     }
     return run, in_metre, figures

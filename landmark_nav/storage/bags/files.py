@@ -19,15 +19,7 @@ from rosbags.rosbag1.reader import decompressors, Header, RecordType
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.storage.bags.container import (
-    ChannelInfo,
-    CHUNK_BYTES,
-    MAX_CHANNELS,
-    McapFile,
-    RawMessage,
-    unpack,
-    unpack_file,
-)
+from landmark_nav.storage.bags import container
 from landmark_nav.storage.reading import read_yaml_mapping
 
 _ENCODINGS = {'MSG': 'ros2msg', 'IDL': 'ros2idl', 'NONE': ''}
@@ -56,7 +48,7 @@ class RosbagsFile:
             connection.id: _info(connection, 'ros1' if ros1 else 'cdr')
             for connection in self._reader.connections
         }
-        self.counts: dict[ChannelInfo, int] = {}
+        self.counts: dict[container.ChannelInfo, int] = {}
         for connection in self._reader.connections:
             info = self._infos[connection.id]
             self.counts[info] = self.counts.get(info, 0) + connection.msgcount
@@ -65,14 +57,14 @@ class RosbagsFile:
         self.first_ns = of_time.start_time if filled else 0
         self.last_ns = of_time.end_time - 1 if filled else 0
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[container.RawMessage]:
         """Yield messages of `topics` (all by default) by log time."""
         wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
         if not wanted:
             return
         with _naming(self.name):
             for connection, stamp_ns, data in self._reader.messages(wanted):
-                yield RawMessage(self._infos[connection.id], stamp_ns, data)
+                yield container.RawMessage(self._infos[connection.id], stamp_ns, data)
 
 
 @contextmanager
@@ -93,7 +85,7 @@ def _sqlite3(path: Path) -> Sqlite3Reader:
         (count,) = base.execute('SELECT count(*) FROM topics').fetchone()
         (longest,) = base.execute('SELECT max(length(data)) FROM messages').fetchone()
     _check_channels(count)
-    if longest is not None and longest > CHUNK_BYTES:
+    if longest is not None and longest > container.CHUNK_BYTES:
         raise ValueError(f'a message of {longest} bytes')
     reader = Sqlite3Reader(path)
     reader.open()
@@ -112,7 +104,9 @@ def _ros1(path: Path) -> Ros1Reader:
     names = {unbounded: name for name, unbounded in decompressors.items()}
     reader.chunks = {
         place: chunk._replace(
-            decompressor=partial(unpack, compression=names[chunk.decompressor], size=None)
+            decompressor=partial(
+                container.unpack, compression=names[chunk.decompressor], size=None
+            )
         )
         for place, chunk in reader.chunks.items()
     }
@@ -120,13 +114,13 @@ def _ros1(path: Path) -> Ros1Reader:
 
 
 def _check_channels(count: int) -> None:
-    if count > MAX_CHANNELS:
+    if count > container.MAX_CHANNELS:
         raise ValueError(f'{count} channels, more than a robot has')
 
 
-def _info(connection: Connection, encoding: str) -> ChannelInfo:
+def _info(connection: Connection, encoding: str) -> container.ChannelInfo:
     definition = connection.msgdef
-    return ChannelInfo(
+    return container.ChannelInfo(
         connection.topic,
         connection.msgtype,
         encoding,
@@ -135,7 +129,7 @@ def _info(connection: Connection, encoding: str) -> ChannelInfo:
     )
 
 
-BagFile = McapFile | RosbagsFile
+BagFile = container.McapFile | RosbagsFile
 
 _MCAP, _OTHERS = b'\x89MCAP0\r\n', (b'SQLite format 3\0', b'#ROSBAG')
 _PACKED = (b'\x28\xb5\x2f\xfd', b'\x04\x22\x4d\x18')
@@ -166,7 +160,7 @@ def _opened(path: Path, on_warning: Callable[[str], None]) -> BagFile:
         content = Path(unpacked.name)
         remove = partial(content.unlink, missing_ok=True)
         try:
-            unpack_file(path, unpacked)
+            container.unpack_file(path, unpacked)
             unpacked.seek(0)
             file = _storage(content, path, unpacked.read(16), on_warning)
         except BaseException:
@@ -178,7 +172,7 @@ def _opened(path: Path, on_warning: Callable[[str], None]) -> BagFile:
 
 def _storage(path: Path, name: Path, head: bytes, on_warning: Callable[[str], None]) -> BagFile:
     if head.startswith(_MCAP):
-        return McapFile(path, on_warning, name)
+        return container.McapFile(path, on_warning, name)
     if head.startswith(_OTHERS):
         return RosbagsFile(path, name)
     if not head:
