@@ -11,8 +11,9 @@ from contextlib import contextmanager
 from copy import copy
 from functools import cached_property
 import heapq
-from itertools import islice
+from itertools import islice, starmap
 import logging
+from operator import itemgetter
 from pathlib import Path
 import struct
 from typing import Any, TypeVar
@@ -260,32 +261,21 @@ class Bag:
 
 def _merged(files: Iterable[BagFile], topics: Collection[str] | None) -> Iterator[RawMessage]:
     """Yield messages of all files by log time; a file is read when its first message is due."""
+
+    def read(order: int, file: BagFile) -> Iterator[tuple[int, int, RawMessage | None]]:
+        yield file.first_ns, order, None
+        for raw in file.messages(topics):
+            yield raw.stamp_ns, order, raw
+
     wanted = [
         file
         for file in files
         if any(n and (topics is None or info.topic in topics) for info, n in file.counts.items())
     ]
-    heads: list[tuple[int, int, RawMessage, Iterator[RawMessage]]] = []
-    for order, file in enumerate(sorted(wanted, key=lambda file: file.first_ns)):
-        yield from _until(file.first_ns, heads)
-        messages = file.messages(topics)
-        if (first := next(messages, None)) is not None:
-            heapq.heappush(heads, (first.stamp_ns, order, first, messages))
-    yield from _until(None, heads)
-
-
-def _until(
-    stamp_ns: int | None, heads: list[tuple[int, int, RawMessage, Iterator[RawMessage]]]
-) -> Iterator[RawMessage]:
-    """Yield messages of opened files with log times before `stamp_ns`; None for all."""
-    while heads and (stamp_ns is None or heads[0][0] < stamp_ns):
-        _, order, raw, messages = heads[0]
-        yield raw
-        following = next(messages, None)
-        if following is None:
-            heapq.heappop(heads)
-        else:
-            heapq.heapreplace(heads, (following.stamp_ns, order, following, messages))
+    wanted.sort(key=lambda file: file.first_ns)
+    for _, _, message in heapq.merge(*starmap(read, enumerate(wanted)), key=itemgetter(0, 1)):
+        if message is not None:
+            yield message
 
 
 T = TypeVar('T')
