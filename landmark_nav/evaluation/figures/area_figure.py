@@ -50,7 +50,6 @@ def draw_observation_areas(landmarks: LandmarkMap, room: Room, path: Path) -> st
         _draw_area(axes, landmark, room)
         show(beside, landmark.patch)
         beside.set_anchor('NW')
-        style.framed(beside, style.LANDMARK)
     for axes in (*panels[len(chosen) : -1], *patches[len(chosen) :]):
         axes.set_axis_off()
     _draw_places(panels[-1], landmarks, room)

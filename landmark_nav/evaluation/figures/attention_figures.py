@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
-from matplotlib.figure import Figure
 import numpy as np
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.evaluation.figures import style
-from landmark_nav.evaluation.figures.strips import caption, mark, patch_of, show, Strip, widest
+from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip, widest
 from landmark_nav.learning.attention import (
     attend,
     attention_maps,
@@ -30,7 +29,6 @@ from landmark_nav.types import Candidate, Panorama, Refusal
 _SHARE = 0.25
 _PATCHES = 6
 _COLUMNS = 4
-_PATCH_PX = 96
 
 
 def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> str:
@@ -40,9 +38,9 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
     maps = attention_maps(_grey(panorama), config)
     found = _inside(strip, panorama, attended.candidates)
     names = list(maps.features)
-    figure = style.new_figure(2.6 * max(len(names), 4), 11.5)
-    rows = figure.subfigures(4, 1, height_ratios=[2.5, 3.2, 3.1, 1.9])
-    view, middle, fused, patches = np.ravel(np.asarray(rows))
+    figure = style.new_figure(2.6 * max(len(names), 4), 9.6)
+    rows = figure.subfigures(3, 1, height_ratios=[2.5, 3.2, 3.1])
+    view, middle, fused = np.ravel(np.asarray(rows))
     show(view.subplots(), strip.cut(panorama.image), 'panorama (part)')
     grid = middle.subplots(2, len(names), squeeze=False)
     for k, name in enumerate(names):
@@ -58,21 +56,13 @@ def draw_attention(panorama: Panorama, config: AttentionConfig, path: Path) -> s
         label = str(number) if number <= _PATCHES else ''
         mark(right, place, candidate, label, style.LANDMARK if label else style.CANDIDATE)
         mark(left, place, candidate, '', 'white')
-    for number, axes in enumerate(patches.subplots(1, _PATCHES), 1):
-        axes.set_axis_off()
-        if number <= len(found):
-            candidate = found[number - 1][0]
-            show(axes, patch_of(panorama, candidate, _PATCH_PX))
-            size = f'{candidate.width_px} x {candidate.height_px} px'
-            axes.set_title(f'{number}: {size}, {candidate.saliency:.2f}', fontsize=10)
     text = (
         f'Figure 4. Extraction of candidate landmarks: maps of {", ".join(map(_title, names))}; '
         'the difference of Gaussians between what is at a place and around it (sigma '
         f'{CENTER_SIGMA_PX:g} and {SURROUND_SIGMA_PX:g} px); their weighted mean, '
         'from which a winner-take-all selects over positions and sizes of '
         f'{config.size_min_px} to {config.size_max_px} px. {len(attended.candidates)} candidates '
-        f'in this panorama, {len(found)} in this part; {_refusals(attended.refused)}. Below: the '
-        'strongest of this part, with size and saliency relative to the strongest of all.'
+        f'in this panorama, {len(found)} in this part; {_refusals(attended.refused)}.'
     )
     caption(figure, text)
     style.save(figure, path)
@@ -87,7 +77,7 @@ def draw_features_alone(
     strip = _strip(panorama, attend(panorama, config).candidates[:30])
     columns = min(len(names), _COLUMNS)
     rows = -(-len(names) // columns)
-    figure = style.new_figure(max(4.6 * columns, 9.0), (5.2 if columns > 1 else 10.0) * rows + 0.7)
+    figure = style.new_figure(max(4.6 * columns, 9.0), (4.3 if columns > 1 else 8.0) * rows + 0.7)
     panels = np.ravel(np.asarray(figure.subfigures(rows, columns, squeeze=False)))
     for name, panel in zip(names, panels, strict=False):
         alone = config.alone(name)
@@ -97,19 +87,17 @@ def draw_features_alone(
         everything = [*attended.candidates, *(candidate for candidate, _ in attended.refused)]
         everything.sort(key=lambda candidate: -candidate.saliency)
         chosen = _inside(strip, panorama, everything)[:_PATCHES]
-        above, below, patches = panel.subfigures(3, 1, height_ratios=[2.2, 2.0, 1.0])
+        above, view = panel.subplots(2, 1)
         title = (
             f'{_title(name)}\n{len(attended.refused)} of {len(everything)} attended are refused'
         )
-        show(above.subplots(), strip.cut(maps.saliency), title)
-        view = below.subplots()
+        show(above, strip.cut(maps.saliency), title)
         show(view, strip.cut(panorama.image))
         for number, (candidate, place) in enumerate(chosen, 1):
             color, line = (
                 (style.ODOMETRY, '--') if id(candidate) in refused else (style.LANDMARK, '-')
             )
             mark(view, place, candidate, str(number), color, line)
-        _draw_patches(patches, panorama, [c for c, _ in chosen], refused)
     text = (
         'Figure 7. What attention selects by one feature at a time. Above, conspicuity maps; '
         f'below, the {_PATCHES} strongest patches of this part of the panorama. Broken orange: '
@@ -119,19 +107,6 @@ def draw_features_alone(
     caption(figure, text)
     style.save(figure, path)
     return text
-
-
-def _draw_patches(
-    figure: Figure, panorama: Panorama, chosen: Sequence[Candidate], refused: set[int]
-) -> None:
-    for number, axes in enumerate(np.ravel(figure.subplots(1, _PATCHES)), 1):
-        axes.set_axis_off()
-        if number > len(chosen):
-            continue
-        candidate = chosen[number - 1]
-        axes.set_axis_on()
-        show(axes, patch_of(panorama, candidate, _PATCH_PX), str(number))
-        style.framed(axes, style.ODOMETRY if id(candidate) in refused else style.LANDMARK, 3.0)
 
 
 def _strip(panorama: Panorama, candidates: Sequence[Candidate]) -> Strip:

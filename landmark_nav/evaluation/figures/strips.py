@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from textwrap import fill
 
-import cv2
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -14,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.evaluation.figures.style import LANDMARK
-from landmark_nav.types import Candidate, ImageArray, Panorama
+from landmark_nav.types import Candidate, Panorama
 
 # Width of a letter of a caption, inches per point of its size; height of a strip over its width.
 _LETTER_IN = 0.0072
@@ -108,16 +107,6 @@ def mark(
             fontweight='bold', clip_on=True,
             bbox={'boxstyle': 'round,pad=0.12', 'facecolor': color, 'linewidth': 0.0},
         )  # fmt: skip
-
-
-def patch_of(panorama: Panorama, candidate: Candidate, size: int = 96) -> ImageArray:
-    """Return the pixels of a candidate, resized to `size`."""
-    turn = panorama.mask.shape[1]
-    columns = np.arange(candidate.width_px) + round(candidate.column - candidate.width_px / 2)
-    top = round(candidate.row - candidate.height_px / 2)
-    rows = np.clip(np.arange(candidate.height_px) + top, 0, panorama.mask.shape[0] - 1)
-    part = np.ascontiguousarray(panorama.image[rows[:, None], columns % turn])
-    return np.asarray(cv2.resize(part, (size, size), interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
 def caption(figure: Figure, text: str, size: float = 10.0) -> None:

@@ -96,14 +96,6 @@ def key(color: str, marker: str, label: str, **more: Any) -> Line2D:
     )
 
 
-def framed(axes: Axes, color: str, width: float = 2.0) -> None:
-    """Draw a frame around an image."""
-    for spine in axes.spines.values():
-        spine.set_visible(True)
-        spine.set_color(color)
-        spine.set_linewidth(width)
-
-
 def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
     """Draw a plan of the walls with equal axes in metres and a margin of `margin_m`."""
     drawn = list(walls)
