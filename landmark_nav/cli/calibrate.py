@@ -73,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
     landmarks = load_map(args.map) if args.map else None
     bags = [open_bag(path, args) for path in args.bags]
     sweeps = [bag for bag in bags if bag.find('sweep/trajectory')]
-    drives = [bag for bag in bags if _is_drive(bag)]
+    images = ('camera/image_raw', 'camera/image_raw/compressed')
+    drives = [bag for bag in bags if any(map(bag.find, images)) and bag.find('odom')]
     for bag in bags:
         if bag not in sweeps and bag not in drives:
             raise LandmarkNavError(
@@ -125,11 +126,6 @@ def run(args: argparse.Namespace) -> int:
     lines = tables.text_of(tables.calibration_verdict(report), tables.calibration_tables(report))
     print(wrapped([*lines, f'written to {args.out}']))
     return 0
-
-
-def _is_drive(bag: Bag) -> bool:
-    images = bag.find('camera/image_raw') or bag.find('camera/image_raw/compressed')
-    return bool(images and bag.find('odom'))
 
 
 def _as_exact(known: Calibration) -> Calibration:

@@ -17,7 +17,7 @@ from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation import furnishing, recording, setup_documents
 from landmark_nav.simulation.drive_path import plan_tour
-from landmark_nav.simulation.pan_tilt_unit import PanControl
+from landmark_nav.simulation.pan_tilt_unit import PanControl, PanTiltConfig
 from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
@@ -127,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
             world = robot_in(later, start, args.seed + 1, start_ns=_DRIVE_START_NS, renderer=drawn)
             frames = round(args.drive_seconds * args.camera_rate)
             known = seen_from_all(scene, [pose[:2] for pose in poses])
-            pan_control = PanControl(later, mount, world.pan_limit_rad, rng, known)
+            pan_control = PanControl(later, mount, PanTiltConfig.pan_limit_rad, rng, known)
             messages = recording.drive_messages(
                 world,
                 rosbag_factory(),

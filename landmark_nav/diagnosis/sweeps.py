@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -43,7 +42,7 @@ def check_sweeps(bag: Bag, images: str, mount: PanTiltMount, most_images: int) -
             found = [replace(found[0], level='warning')]
     found += check_stamps(replace(looks.stream, name='sweep images'))
     found += [*looks.findings, *check_content(looks)]
-    samples = sorted([*_planned(bag, mount)] or [*_jointed(bag, mount)])
+    samples = sorted(_pans(bag, mount))
     if len(samples) < 2:
         return found
     stamps, pans = np.array(samples).T
@@ -97,18 +96,18 @@ def _wider(looks: Looks, pan: Track) -> Motion:
     return Motion(before, after, turns, pan, None)
 
 
-def _planned(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[int, float]]:
+def _pans(bag: Bag, mount: PanTiltMount) -> list[tuple[int, float]]:
+    """Stamps and pans of the trajectories, or else of the joint states."""
+    found = []
     topic = bag.find('sweep/trajectory')
     for entry in bag.messages([topic]) if topic else ():
         with naming(bag, topic or ''):
-            for sample in decode.sweep_trajectory(entry.message, mount):
-                yield sample.stamp_ns, sample.pan_rad
-
-
-def _jointed(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[int, float]]:
-    if bag.find('joint_states'):
+            samples = decode.sweep_trajectory(entry.message, mount)
+            found += [(sample.stamp_ns, sample.pan_rad) for sample in samples]
+    if not found and bag.find('joint_states'):
         pan = pan_stream(bag, mount)
-        yield from zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True)
+        found = list(zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True))
+    return found
 
 
 def _learned(finding: Finding) -> Finding:

@@ -47,7 +47,15 @@ def learning_report(
     return {
         'schema': SCHEMA,
         'sweeps': [
-            _sweep(panorama, before, count, group, truth, mount)
+            {
+                'stamp_ns': panorama.stamp_ns,
+                'frames': count,
+                **_place(panorama, truth, mount),
+                'measured': _place(before, truth, mount),
+                'panorama': quality_report(panorama.quality or PanoramaQuality()),
+                'candidates': len(group),
+                'elected': sum(isinstance(outcome, Landmark) for outcome in group),
+            }
             for panorama, before, count, group in zip(
                 result.panoramas, measured, frames, result.outcomes, strict=True
             )
@@ -92,26 +100,6 @@ def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
     }
     gaps = np.degrees(quality.gaps_rad).round(1).tolist()
     return {**plain, 'calibration': terms, **({'unmatched_pan_deg': gaps} if gaps else {})}
-
-
-def _sweep(
-    panorama: Panorama,
-    measured: Panorama,
-    frames: int,
-    outcomes: Sequence[Landmark | Refusal],
-    truth: PoseTrack,
-    mount: PanTiltMount,
-) -> dict[str, Any]:
-    """Report one sweep: its pose, quality, candidates and landmarks."""
-    return {
-        'stamp_ns': panorama.stamp_ns,
-        'frames': frames,
-        **_place(panorama, truth, mount),
-        'measured': _place(measured, truth, mount),
-        'panorama': quality_report(panorama.quality or PanoramaQuality()),
-        'candidates': len(outcomes),
-        'elected': sum(isinstance(outcome, Landmark) for outcome in outcomes),
-    }
 
 
 def _place(panorama: Panorama, truth: PoseTrack, mount: PanTiltMount) -> dict[str, Any]:

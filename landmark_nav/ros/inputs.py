@@ -153,7 +153,8 @@ class Input:
         }
         if not any(publishers.values()):
             alike = _listed(self._alike()) if self.is_stream else ''
-            if not alike and self._is_of_joints() and self._node.count_publishers('/tf'):
+            joints = any(spec and spec.type_name == _JOINTS for spec in self._topics.values())
+            if not alike and joints and self._node.count_publishers('/tf'):
                 return 'nobody publishes it; angles in /tf are not read: publish a JointState'
             return 'nobody publishes it' + (f'; of its type there is {alike}' if alike else '')
         # QoS of the subscriptions, which `qos_overrides` may have changed.
@@ -168,9 +169,6 @@ class Input:
                     return f'the quality of service that {who} offers does not suffice'
         who = _listed(_full_name(one) for found in publishers.values() for one in found)
         return f'nothing came from {who} yet' if self._is_open() else ''
-
-    def _is_of_joints(self) -> bool:
-        return any(spec and spec.type_name == _JOINTS for spec in self._topics.values())
 
     def _alike(self) -> list[str]:
         """Other published topics of its type, by similarity of their names."""

@@ -39,17 +39,13 @@ class _Forwarder(logging.Handler):
             logger.debug(text)
 
 
-def forward_logs(nodes: Sequence[Node]) -> None:
-    """Send the logs of the package to the loggers of nodes only."""
-    package = logging.getLogger('landmark_nav')
-    package.handlers = [_Forwarder(nodes)]
-    package.setLevel(logging.INFO)
-    package.propagate = False
-
-
 # Time after a signal at which the process ends in any case. A stage such as learning takes seconds
 # and cannot be interrupted; files are written atomically, so that ending is safe.
 _GRACE_S = 2.0
+_USAGE = """{does}
+
+usage: {name} [--ros-args [--params-file F.yaml] [-p PARAMETER:=VALUE ...]]
+Parameters: config/landmark_nav.yaml; all, with ranges: docs/reference/parameters.md"""
 
 
 def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
@@ -70,11 +66,14 @@ def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) ->
         try:
             join_ros()
             if own := remove_ros_args(sys.argv)[1:]:
-                print(_usage(name, sys.modules[make_nodes[0].__module__].__doc__ or ''))
+                does = sys.modules[make_nodes[0].__module__].__doc__ or ''
+                print(_USAGE.format(does=does.strip(), name=name))
                 return 0 if set(own) & {'-h', '--help'} else 2
             nodes = [make() for make in make_nodes]
             asked.add_done_callback(lambda _: nodes[0].end())
-            forward_logs(nodes)
+            package = logging.getLogger('landmark_nav')
+            package.handlers, package.propagate = [_Forwarder(nodes)], False
+            package.setLevel(logging.INFO)
             for node in nodes:
                 if node.is_active:
                     node.announce()
@@ -85,14 +84,6 @@ def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) ->
         finally:
             rclpy.try_shutdown()
     return 0
-
-
-def _usage(name: str, does: str) -> str:
-    return (
-        f'{does.strip()}\n\n'
-        f'usage: {name} [--ros-args [--params-file F.yaml] [-p PARAMETER:=VALUE ...]]\n'
-        'Parameters: config/landmark_nav.yaml; all, with ranges: docs/reference/parameters.md'
-    )
 
 
 def _spin(nodes: Sequence[LandmarkNode], threads: int, shutdown_guard: ShutdownGuard) -> None:

@@ -155,14 +155,11 @@ class PanControl:
         pan = self._mount.pan_toward_rad(azimuth)
         usable = np.abs(pan) < self._limit_rad - _RESERVE_RAD
         quality = np.where(usable, self._quality(axis), 0.0)
-        if self._chosen < 0 or self._lost(quality) or time_s >= self._until_s:
+        # The item is lost if it is hidden, or of low quality while a better one is in view.
+        now = float(quality[self._chosen]) if self._chosen >= 0 else 0.0
+        if now == 0.0 or now < _LOST_QUALITY <= quality.max() or time_s >= self._until_s:
             self._choose(time_s, pan, quality)
         return float(pan[self._chosen]) if self._chosen >= 0 else 0.0
-
-    def _lost(self, quality: FloatArray) -> bool:
-        """Whether the item is hidden, or has a low quality while a better one is in view."""
-        now = float(quality[self._chosen])
-        return now == 0.0 or now < _LOST_QUALITY <= float(quality.max())
 
     def _quality(self, axis_xy: FloatArray) -> FloatArray:
         seen = view_quality(self._scene, axis_xy, self._points, self._walls, _STEEPEST_DEG)[0]

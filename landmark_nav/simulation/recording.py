@@ -48,7 +48,7 @@ def sweep_messages(
         world.command_pan(float(pan))
         begin_ns = world.stamp_ns
         world.advance(0.1)
-        while not world.camera_settled and world.stamp_ns - begin_ns < _SETTLE_LIMIT_S * 1e9:
+        while not world.unit.settled and world.stamp_ns - begin_ns < _SETTLE_LIMIT_S * 1e9:
             world.advance(1.0 / STATE_RATE_HZ)
         frame = world.camera_frame()
         samples.append(JointSample(frame.stamp_ns, frame.pan_rad, frame.tilt_rad))

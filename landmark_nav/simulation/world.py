@@ -55,7 +55,7 @@ class RobotWorld:
         self._start_ns = start_ns
         self._steps = 0
         self._owed_s = 0.0
-        self._unit = PanTiltUnit(PanTiltConfig())
+        self.unit = PanTiltUnit(PanTiltConfig())
         self._drive = DifferentialDrive(DriveConfig(), pose_map_base, self._free, wheels)
         self._people = [
             Person(scene, self.true_pose[:2], child) for child in walking.spawn(people)
@@ -73,21 +73,6 @@ class RobotWorld:
         """Pose of the base in map, (3,)."""
         return np.array(self._drive.pose_map_base)
 
-    @property
-    def true_twist(self) -> FloatArray:
-        """Speed [m/s] and turning rate [rad/s] of the base, (2,)."""
-        return np.array(self._drive.twist)
-
-    @property
-    def camera_settled(self) -> bool:
-        """Whether the camera is at rest at the commanded angles."""
-        return self._unit.settled
-
-    @property
-    def pan_limit_rad(self) -> float:
-        """How far the camera turns to both sides."""
-        return PanTiltConfig.pan_limit_rad
-
     def set_clock(self, stamp_ns: int) -> None:
         """Set the time of the current state."""
         self._start_ns += stamp_ns - self.stamp_ns
@@ -101,13 +86,13 @@ class RobotWorld:
             self._owed_s -= dt
             self._steps += 1
             self._drive.step(dt)
-            self._unit.step(dt)
+            self.unit.step(dt)
             for person in self._people:
                 person.step(dt, self._drive.pose_map_base[:2])
 
     def command_pan(self, pan_rad: float, tilt_rad: float = 0.0) -> None:
         """Turn the camera to pan and tilt."""
-        self._unit.command(pan_rad, tilt_rad)
+        self.unit.command(pan_rad, tilt_rad)
 
     def command_velocity(self, linear_m_s: float, angular_rad_s: float) -> None:
         """Set the velocity until the next command."""
@@ -118,7 +103,7 @@ class RobotWorld:
     ) -> None:
         """Put the robot at a pose (3,) with the camera at rest; odometry restarts from zero."""
         self._drive.place(pose_map_base)
-        self._unit.jump(pan_rad, tilt_rad)
+        self.unit.jump(pan_rad, tilt_rad)
 
     def frame_at(self, pose_map_base: npt.ArrayLike, pan_rad: float) -> CameraFrame:
         """Put the robot at a pose (3,) and capture an image there."""
@@ -128,7 +113,7 @@ class RobotWorld:
 
     def joint_sample(self) -> JointSample:
         """Pan and tilt measured by the encoders now."""
-        pan, tilt = self._unit.measured_rad
+        pan, tilt = self.unit.measured_rad
         return JointSample(self.stamp_ns, float(pan), float(tilt))
 
     def odometry_sample(self) -> OdometrySample:
@@ -139,12 +124,12 @@ class RobotWorld:
 
     def truth_sample(self) -> OdometrySample:
         """True pose in map, and speeds, for ``ground_truth/odom``."""
-        linear, angular = (float(value) for value in self.true_twist)
+        linear, angular = (float(value) for value in self._drive.twist)
         return OdometrySample(self.stamp_ns, self.true_pose, linear, angular)
 
     def camera_frame(self) -> CameraFrame:
         """Capture an image now."""
-        pan, tilt = self._unit.angles_rad
+        pan, tilt = self.unit.angles_rad
         turn, center = self.mount.camera_pose_map(self.true_pose, float(pan), float(tilt))
         people = [person.solid(center[:2]) for person in self._people]
         image = self.renderer.render(turn, center, people)

@@ -129,7 +129,10 @@ def _pair(a: Landmark, b: Landmark) -> Pair:
     axes = np.stack(patch_axes(a.normal))
     offset = axes @ (b.position - a.position)
     covariance = axes @ (a.covariance + b.covariance) @ axes.T
-    if _is_copy(a, b) or not (a.patch.size and b.patch.size):  # nothing to align
+    alike = (a.width_m, a.height_m) == (b.width_m, b.height_m)
+    blank = not (a.patch.size and b.patch.size)
+    # Copies need no alignment; blank textures do not count.
+    if blank or (alike and np.array_equal(a.patch, b.patch) and np.ptp(a.patch)):
         return Pair(a, b, Texture.SAME, offset, covariance)
     seen = _texture_offset(a, b, offset)
     if seen is None:
@@ -140,12 +143,6 @@ def _pair(a: Landmark, b: Landmark) -> Pair:
         what = Texture.CHANGED if changed else Texture.UNKNOWN
         return Pair(a, b, what, offset, covariance)
     return Pair(a, b, Texture.SAME, seen[0], covariance + seen[1])
-
-
-def _is_copy(a: Landmark, b: Landmark) -> bool:
-    """Whether sizes and textures are identical; blank textures do not count."""
-    alike = (a.width_m, a.height_m) == (b.width_m, b.height_m)
-    return alike and bool(np.array_equal(a.patch, b.patch) and a.patch.size and np.ptp(a.patch))
 
 
 def _texture_offset(

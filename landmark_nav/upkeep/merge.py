@@ -62,6 +62,7 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
     first_free = int(max(older.ids, default=-1)) + 1
     factors_older, factors_newer = _factors(older), _factors(newer)
     added = [k for k in newer.landmarks if k.id not in kept_out]
+    provenance = {key: text for key, text in newer.provenance.items() if key not in _OF_FRAME}
     return LandmarkMap(
         (
             *(_padded(k, 0, factors_newer) for k in older.landmarks if k.id not in outdated),
@@ -73,7 +74,7 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
         older.frame_id,
         older.walls,
         (*older.panorama_poses, *newer.panorama_poses),
-        {**_without_frame(newer.provenance), **older.provenance, 'merged': '2 maps'},
+        {**provenance, **older.provenance, 'merged': '2 maps'},
         newer.prior,
         _shifted(newer.calibration, factors_older),
     )
@@ -120,10 +121,6 @@ def _on_wall_of(landmarks: LandmarkMap, k: Landmark) -> Landmark | None:
     if off[nearest] > _ON_WALL_M:
         return None
     return replace(k, wall_id=landmarks.walls[nearest].id)
-
-
-def _without_frame(provenance: dict[str, str]) -> dict[str, str]:
-    return {key: value for key, value in provenance.items() if key not in _OF_FRAME}
 
 
 def _shifted(known: Calibration | None, factors: int) -> Calibration | None:

@@ -78,7 +78,7 @@ def test_robot_does_not_drive_through_walls(world):
     world.advance(15.0)
     assert SCENE.room.contains(world.true_pose[:2])
     assert SCENE.distance_to_obstacles(world.true_pose[:2]) >= 0.22
-    assert world.true_twist[0] == 0.0
+    assert world.truth_sample().linear_m_s == 0.0
     world.command_velocity(0.0, 0.0)
 
 

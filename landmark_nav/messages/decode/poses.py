@@ -83,18 +83,17 @@ def global_pose(msg: Any) -> layouts.GlobalPose:
     are not numbers.
     """
     points, stamp = unpack_cloud(msg, layouts.GLOBAL_POSE), stamp_ns(msg.header)
+    where = 'global_localization/pose'
     if not len(points):
-        raise LandmarkNavError(
-            f'global_localization/pose at {stamp * 1e-9:.3f} s names no landmark'
-        )
+        raise LandmarkNavError(f'{where} at {stamp * 1e-9:.3f} s names no landmark')
     first = points[0]
     return layouts.GlobalPose(
         stamp,
-        finite(first['pose'], 'global_localization/pose pose', stamp, FARTHEST_M),
-        covariances(first['covariance'], 'global_localization/pose covariance', stamp, 3)[0],
-        landmark_ids(points['id'], 'global_localization/pose'),
-        float(finite(first['pan_rate'], 'global_localization/pose pan rate', stamp, _MAX_SPEED)),
-        *delays_s([first['joint_delay']], 'global_localization/pose delay', stamp),
+        finite(first['pose'], f'{where} pose', stamp, FARTHEST_M),
+        covariances(first['covariance'], f'{where} covariance', stamp, 3)[0],
+        landmark_ids(points['id'], where),
+        float(finite(first['pan_rate'], f'{where} pan rate', stamp, _MAX_SPEED)),
+        *delays_s([first['joint_delay']], f'{where} delay', stamp),
     )
 
 

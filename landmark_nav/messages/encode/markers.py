@@ -129,7 +129,8 @@ def view_markers(
     rim = looks + np.linspace(-half, half, _VIEW_STEPS)
     arc = axis[:2] + _VIEW_M * np.stack([np.cos(rim), np.sin(rim)], 1)
     fan = np.concatenate([axis[None, :2], arc, axis[None, :2]])
-    drawing.add('field_of_view', _LINE_STRIP, points=_lifted(fan, height), rgba=_VIEW)
+    fan = np.pad(fan, ((0, 0), (0, 1)), constant_values=height)
+    drawing.add('field_of_view', _LINE_STRIP, points=fan, rgba=_VIEW)
     start = np.array([*axis[:2], height])
     if triplet is not None:
         chosen = triplet.ids[np.isin(triplet.ids, landmarks.ids)]
@@ -230,8 +231,3 @@ def _wall_edges(walls: Iterable[Wall]) -> list[tuple[float, float, float]]:
 def _rays(start: FloatArray, ends: FloatArray) -> FloatArray:
     """End points of lines from `start` (3,) to `ends` (n, 3), in pairs, (2 n, 3)."""
     return np.stack([np.broadcast_to(start, ends.shape), ends], 1).reshape(-1, 3)
-
-
-def _lifted(points: FloatArray, height: float) -> FloatArray:
-    """Points (n, 2) of the plan at a height, (n, 3)."""
-    return np.column_stack([points, np.full(len(points), height)])

@@ -18,6 +18,8 @@ STANDARD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
 
 # Greatest length and number of fields of a definition; real ones have some ten thousand at most.
 _MAX_CHARACTERS, _MAX_FIELDS = 200_000, 100_000
+# Field of messages without content.
+_FILLER = 'structure_needs_at_least_one_member'
 
 
 class MessageReader:
@@ -136,7 +138,7 @@ def _difference(
 ) -> str:
     """First difference of the fields of a type; empty if there is none."""
     found, expected = (
-        [(field.lower(), kind) for field, kind in fields if not _filler(field)]
+        [(field.lower(), kind) for field, kind in fields if field != _FILLER]
         for fields in (theirs[their_type], ours[our_type])
     )
     for k, (field, kind) in enumerate(expected):
@@ -151,10 +153,6 @@ def _difference(
     if len(found) > len(expected):
         return f'{found[len(expected)][0]} is not a field of {our_type}'
     return ''
-
-
-def _filler(field: str) -> bool:
-    return field == 'structure_needs_at_least_one_member'
 
 
 def _words(description: Any) -> str:
