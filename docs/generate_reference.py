@@ -121,7 +121,7 @@ def _ends_of_nodes(
     """Nodes that publish, subscribe to and serve each name; type and QoS of each topic."""
     import rclpy
 
-    from landmark_nav.ros.renamed_topics import FORMER_NAMES
+    from landmark_nav.ros.topics import FORMER_NAMES
 
     publishers, subscribers = defaultdict(list), defaultdict(list, _WHILE_NEEDED)
     services: dict[str, str] = {}

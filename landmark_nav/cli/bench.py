@@ -49,9 +49,8 @@ from landmark_nav.localization.triplet import (
     visible_landmarks,
 )
 from landmark_nav.localization.triplet.search import mean_variance, pair_tables
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast, plan_positions
-from landmark_nav.planning.views import free_floor
+from landmark_nav.planning.views import free_floor, PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.renderer import Renderer

@@ -10,10 +10,9 @@ import shutil
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.configuration import load_configuration
-from landmark_nav.demo.graph import node_commands, node_environment
 from landmark_nav.demo.recorded_run import Check, figures, judge, recorded_run
 from landmark_nav.demo.scenario import Narrator, prepare_room, run_scenario
-from landmark_nav.demo.supervisor import Interruption, Supervisor
+from landmark_nav.demo.supervisor import Interruption, node_commands, node_environment, Supervisor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report
 from landmark_nav.evaluation.report.tables import drive_tables, table_lines

@@ -15,11 +15,10 @@ from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, add_number, open_bag, within
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
-from landmark_nav.evaluation.figures.area_figure import draw_observation_areas
 from landmark_nav.evaluation.figures.attention_figures import draw_attention, draw_features_alone
-from landmark_nav.evaluation.figures.learned_figure import draw_learned
+from landmark_nav.evaluation.figures.map_figure import draw_learned, draw_observation_areas
+from landmark_nav.evaluation.figures.panorama_figure import draw_sweeps
 from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
-from landmark_nav.evaluation.figures.sweep_figure import draw_sweeps
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.attention import AttentionConfig, FEATURES

@@ -12,9 +12,9 @@ from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, within
 from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.figures.plan_figure import draw_plan
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import Plan, plan_positions
 from landmark_nav.planning.prediction import CAP_M, Forecast
+from landmark_nav.planning.views import PlanConfig
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.setup_files import load_robot, load_room
 

@@ -33,8 +33,14 @@ from landmark_nav.diagnosis.motion import (
     Track,
 )
 from landmark_nav.diagnosis.odometry import check_jumps, check_path, check_speed, check_twist
-from landmark_nav.diagnosis.sources import two_sources
-from landmark_nav.diagnosis.streams import pan_stream, read_joints, read_stream, Stream, unwrapped
+from landmark_nav.diagnosis.streams import (
+    pan_stream,
+    read_joints,
+    read_stream,
+    Stream,
+    two_sources,
+    unwrapped,
+)
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room

@@ -16,10 +16,10 @@ from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.quality import PanoramaQuality
-from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama, Sweep
 

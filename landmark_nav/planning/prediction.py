@@ -23,8 +23,7 @@ from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.adjustment.depth_from_scale import INFORMATIVE
 from landmark_nav.learning.reference_area import joined
 from landmark_nav.localization.triangulation.model import bearing_gradients
-from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.views import band_share, Views, WallSamples
+from landmark_nav.planning.views import band_share, PlanConfig, Views, WallSamples
 from landmark_nav.types import FloatArray
 
 # Number of states of each panorama: x, y, heading. The offsets of walls follow after all of them.

@@ -19,11 +19,10 @@ from std_srvs.srv import Trigger
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
-from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.joining import join_ros, listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.topics import TOPICS, with_depth
+from landmark_nav.ros.topics import message_class, ros_factory, TOPICS, with_depth
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.bags.transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate

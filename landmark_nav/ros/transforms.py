@@ -10,8 +10,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from landmark_nav.messages import encode
-from landmark_nav.ros.factory import message_class, ros_factory
-from landmark_nav.ros.topics import LATCHED
+from landmark_nav.ros.topics import LATCHED, message_class, ros_factory
 
 
 class TransformBroadcaster:

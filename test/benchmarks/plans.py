@@ -42,10 +42,9 @@ from landmark_nav.localization.triplet.visibility import (
     fully_in_view,
     observable,
 )
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast, plan_positions
 from landmark_nav.planning.prediction import CAP_M, Forecast
-from landmark_nav.planning.views import free_floor
+from landmark_nav.planning.views import free_floor, PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld

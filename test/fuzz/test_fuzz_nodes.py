@@ -23,7 +23,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from landmark_nav.ros.factory import message_class, ros_factory
+from landmark_nav.ros.topics import message_class, ros_factory
 
 # Node -> its class and the parameters that it needs.
 NODES: dict[str, tuple[str, dict[str, Any]]] = {

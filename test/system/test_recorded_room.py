@@ -14,8 +14,8 @@ import pytest
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast
+from landmark_nav.planning.views import PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.scene import Box
 from landmark_nav.storage.bags import Bag

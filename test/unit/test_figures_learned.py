@@ -11,11 +11,10 @@ import pytest
 from scenes import draw_panorama, rectangle_room, textured_room
 
 from landmark_nav.cli.main import main
-from landmark_nav.evaluation.figures.area_figure import typical_landmarks
-from landmark_nav.evaluation.figures.learned_figure import draw_learned
+from landmark_nav.evaluation.figures.map_figure import draw_learned, typical_landmarks
+from landmark_nav.evaluation.figures.panorama_figure import draw_sweeps
 from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction, ray_sigma_m
-from landmark_nav.evaluation.figures.strips import Strip, widest
-from landmark_nav.evaluation.figures.sweep_figure import draw_sweeps
+from landmark_nav.evaluation.figures.style import Strip, widest
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper

@@ -15,7 +15,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.stereo import StereoConfig
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import (
     exchange,
     forecast,
@@ -30,6 +29,7 @@ from landmark_nav.planning.views import (
     free_floor,
     is_free,
     look,
+    PlanConfig,
     sample_walls,
     sweep_poses,
     turns_rad,

@@ -16,7 +16,7 @@ import pytest
 
 from landmark_nav.demo.supervisor import ProcessEndedError, Supervisor
 from landmark_nav.ros.executor import LatestOnlyWorker
-from landmark_nav.ros.latency import Latency
+from landmark_nav.ros.health import Latency
 from landmark_nav.ros.shutdown_guard import ShutdownGuard
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')

@@ -14,7 +14,7 @@ import numpy as np
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.evaluation.figures import style
-from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip, widest
+from landmark_nav.evaluation.figures.style import caption, mark, show, Strip, widest
 from landmark_nav.learning.attention import (
     attend,
     attention_maps,

@@ -14,7 +14,7 @@ from matplotlib.colors import LogNorm
 import numpy as np
 
 from landmark_nav.evaluation.figures import style
-from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip
+from landmark_nav.evaluation.figures.style import caption, mark, show, Strip
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room

@@ -2,11 +2,12 @@
 
 from landmark_nav.evaluation.report.collect import (
     calibration_page,
+    check_report,
     drive_page,
+    FrameStrip,
     learning_page,
     Page,
     panoramas,
+    write_report,
 )
-from landmark_nav.evaluation.report.frames import FrameStrip
 from landmark_nav.evaluation.report.video import write_video
-from landmark_nav.evaluation.report.write import check_report, write_report
