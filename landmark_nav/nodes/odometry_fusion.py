@@ -18,7 +18,7 @@ from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.layouts import GlobalPose
+from landmark_nav.messages.clouds import GlobalPose
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.live_pose import LivePose
 from landmark_nav.ros.camera_frames import CameraFrames
@@ -26,8 +26,7 @@ from landmark_nav.ros.health import Health, Latency, Level
 from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.topics import ros_factory
-from landmark_nav.ros.transforms import TransformBroadcaster
+from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.types import (
     Detections,

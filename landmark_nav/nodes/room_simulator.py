@@ -19,8 +19,7 @@ from landmark_nav.ros.health import Health, Level, steady_clock
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.pan_command import listen_for_pan
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.topics import ros_factory
-from landmark_nav.ros.transforms import TransformBroadcaster
+from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld

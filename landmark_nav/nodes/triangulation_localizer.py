@@ -22,15 +22,14 @@ from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.layouts import GlobalPose
+from landmark_nav.messages.clouds import GlobalPose
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.live_pose import LiveView
 from landmark_nav.ros.camera_frames import CameraFrames, image_topics, ImageSource
-from landmark_nav.ros.executor import LatestOnlyWorker
 from landmark_nav.ros.health import Health, Latency, Level
 from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.run import run_node
+from landmark_nav.ros.run import LatestOnlyWorker, run_node
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import (
     CameraFrame,

@@ -26,17 +26,10 @@ from std_srvs.srv import Trigger
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.messages import decode
 from landmark_nav.parameters import Config, parameter
+from landmark_nav.ros import topics
 from landmark_nav.ros.health import Health, Level, publish_health
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
 from landmark_nav.ros.parameters import declare
-from landmark_nav.ros.topics import (
-    FORMER_NAMES,
-    hear_former,
-    message_class,
-    publish_both,
-    TOPICS,
-    with_depth,
-)
 
 _KINDS = ('publisher', 'subscription', 'service', 'client', 'timer')
 
@@ -216,7 +209,7 @@ class LandmarkNode(ManagedNode):
     def announce(self) -> None:
         """Log that the node is ready: its topics, services and files, and what it waits for."""
         awaited = [one.name for one in self.inputs.awaited()]
-        own = {*_OF_RCLPY, *map(self.resolve_topic_name, FORMER_NAMES.values())}
+        own = {*_OF_RCLPY, *map(self.resolve_topic_name, topics.FORMER_NAMES.values())}
         ends = {
             'takes': [one.name for one in self.inputs],
             'gives': [one.topic_name for one in self.publishers],
@@ -250,12 +243,12 @@ class LandmarkNode(ManagedNode):
 
     def advertise(self, topic: str) -> Publisher[Any]:
         """Create the publisher of a public topic; ``qos_overrides`` may change its reliability."""
-        spec = TOPICS[topic]
+        spec = topics.TOPICS[topic]
         with _overriding(topic):
             return self.create_publisher(
-                message_class(spec.type_name),
+                topics.message_class(spec.type_name),
                 topic,
-                with_depth(spec.qos, spec.qos.depth),
+                topics.with_depth(spec.qos, spec.qos.depth),
                 qos_overriding_options=_OVERRIDABLE,
             )
 
@@ -273,13 +266,13 @@ class LandmarkNode(ManagedNode):
         The parameters ``qos_overrides`` of ROS may change its reliability.
         """
         callback = self._stamped(topic, callback)
-        spec = TOPICS[topic]
+        spec = topics.TOPICS[topic]
         with _overriding(topic):
             return self.create_subscription(
-                message_class(spec.type_name),
+                topics.message_class(spec.type_name),
                 topic,
                 callback,
-                with_depth(spec.qos, spec.qos.depth if depth is None else depth),
+                topics.with_depth(spec.qos, spec.qos.depth if depth is None else depth),
                 callback_group=group,
                 qos_overriding_options=_OVERRIDABLE,
             )
@@ -289,7 +282,7 @@ class LandmarkNode(ManagedNode):
     ) -> Subscription[Any]:
         """Subscribe as in rclpy; the callback is guarded and registered in `inputs`."""
         source = self.inputs.expect(topic)
-        spec = TOPICS.get(topic)
+        spec = topics.TOPICS.get(topic)
         comes_once = spec is not None and spec.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
@@ -302,8 +295,8 @@ class LandmarkNode(ManagedNode):
             except IrrelevantError as why:
                 source.of_no_use(str(why))
 
-        if former := FORMER_NAMES.get(topic):
-            late = hear_former(self, topic, callback, self._warn_once)
+        if former := topics.FORMER_NAMES.get(topic):
+            late = topics.hear_former(self, topic, callback, self._warn_once)
             guarded = self.guarded(former, late)
             super().create_subscription(msg_type, former, guarded, *args, **given)
         return super().create_subscription(msg_type, topic, take, *args, **given)
@@ -313,9 +306,9 @@ class LandmarkNode(ManagedNode):
     ) -> Publisher[Any]:
         """Create a publisher as in rclpy, with the former name of a renamed topic."""
         made = super().create_publisher(msg_type, topic, *args, **given)
-        if topic in FORMER_NAMES:
-            former = super().create_publisher(msg_type, FORMER_NAMES[topic], *args, **given)
-            publish_both(self, made, former, self._warn_once)
+        if topic in topics.FORMER_NAMES:
+            former = super().create_publisher(msg_type, topics.FORMER_NAMES[topic], *args, **given)
+            topics.publish_both(self, made, former, self._warn_once)
         return made
 
     def create_timer(  # type: ignore[override]

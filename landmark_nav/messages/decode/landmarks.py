@@ -10,11 +10,10 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
-from landmark_nav.messages.clouds import unpack_cloud
+from landmark_nav.messages.clouds import LANDMARKS, unpack_cloud
 from landmark_nav.messages.decode import headers
 from landmark_nav.messages.decode.images import image
 from landmark_nav.messages.decode.poses import FARTHEST_M
-from landmark_nav.messages.layouts import LANDMARKS
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap
 
 # Largest side of a patch, and largest threshold, saliency or loading.

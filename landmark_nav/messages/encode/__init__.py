@@ -5,7 +5,6 @@ The first argument of every function is a `MessageFactory`: the same code builds
 rosbags for bags and ROS messages for topics.
 """
 
-from landmark_nav.messages.encode.headers import header
 from landmark_nav.messages.encode.images import camera_info, compressed_image, image, panorama
 from landmark_nav.messages.encode.landmarks import landmark_map
 from landmark_nav.messages.encode.markers import landmark_markers, pose_markers, view_markers
@@ -25,3 +24,4 @@ from landmark_nav.messages.encode.poses import (
     transforms,
     triplet,
 )
+from landmark_nav.messages.factory import header

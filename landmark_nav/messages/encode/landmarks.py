@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.messages.encode.headers import header
+from landmark_nav.messages.clouds import LANDMARKS, pack_cloud
 from landmark_nav.messages.encode.images import image
 from landmark_nav.messages.encode.markers import landmark_markers
-from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.layouts import LANDMARKS
+from landmark_nav.messages.factory import header, MessageFactory
 from landmark_nav.types import ImageArray, LandmarkMap
 
 _ATLAS_WIDTH = 1024
@@ -38,7 +36,7 @@ def landmark_map(
 
 
 def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
-    """Rows (n,) of the layout in `landmark_nav.messages.layouts`; `corners` (n + views, 2)."""
+    """Rows (n,) of the layout in `landmark_nav.messages.clouds`; `corners` (n + views, 2)."""
     members, walls = landmarks.landmarks, landmarks.walls
     names = np.frombuffer('\n'.join(wall.id for wall in walls).encode(), dtype=np.uint8)
     factors = members[0].shared_loading.shape[1] if members else 0

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Wall
-from landmark_nav.messages.encode.headers import header, upright, vector
-from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.messages.factory import header, MessageFactory, upright, vector
 from landmark_nav.types import (
     Detections,
     FloatArray,
