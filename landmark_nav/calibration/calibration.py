@@ -162,19 +162,11 @@ class Calibration:
         self, rows: FloatArray, values: FloatArray, covariance: FloatArray
     ) -> Calibration:
         """
-        Return the calibration after a measurement of linear combinations of quantities.
+        Return the calibration after a measurement of m linear combinations (`rows`) of quantities.
 
         If the measurement contradicts the prior, the prior sigmas were too small: they are
-        inflated, so that the measurement decides.
-
-        Raises `LandmarkNavError`: the measurement contradicts exact values.
-
-        Parameters
-        ----------
-        rows : ndarray, shape (m, 15)
-            Derivatives of the measured combinations.
-        values, covariance : ndarray, shape (m,), (m, m)
-            Measured values and their covariance.
+        inflated, so that the measurement decides. Raises `LandmarkNavError`: the measurement
+        contradicts exact values.
         """
         prior, off = self.covariance.copy(), values - rows @ self.values
         known = np.einsum('mi,ij,mj->m', rows, prior, rows)

@@ -14,7 +14,7 @@ from landmark_nav.cli.lines import progress, wrapped
 from landmark_nav.cli.options import add, open_bag, within
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
-from landmark_nav.evaluation import run_report, smoothed_run
+from landmark_nav.evaluation import run_report
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.evaluation.replay import replay, UnknownPlaceError
@@ -146,11 +146,11 @@ def run(args: argparse.Namespace) -> int:
     report['checks'] = [finding.report() for finding in diagnosis.findings]
     report['integrity'] = run_report.integrity_report(done, errors)
     smoothed = (
-        smoothed_run.smooth_run(done, landmarks, calibration, learned) if args.smooth else None
+        run_report.smooth_run(done, landmarks, calibration, learned) if args.smooth else None
     )
     if smoothed is not None:
-        report['smoothed'] = smoothed_run.smoothed_report(done, smoothed)
-        if apart := smoothed_run.departures(done, smoothed):
+        report['smoothed'] = run_report.smoothed_report(done, smoothed)
+        if apart := run_report.departures(done, smoothed):
             bag.warn(
                 f'{bag.path}: the smoothed line is off that of the filter by {apart}: it does not '
                 'check odometry, joint_states and camera where they seem to be wrong'
@@ -170,7 +170,7 @@ def run(args: argparse.Namespace) -> int:
         if args.video:
             write_video(args.video, page)
     if args.tum:
-        smoothed_run.write_tum_files(done, args.tum, smoothed)
+        run_report.write_tum_files(done, args.tum, smoothed)
     write_json(args.json, report)
     tables = drive_tables({**report, 'checks': ()})  # which were logged
     print(wrapped(text_of(drive_verdict(report), tables)))

@@ -67,29 +67,16 @@ _GRID = np.linspace(-1.0, 1.0, 21)
 @dataclass(frozen=True, eq=False)
 class Cause:
     """
-    A fault, and the motion without it.
+    A fault of a stream (``images``, ``joint_states``, ``odom``) or of the ``pan_axis``.
 
-    Parameters
-    ----------
-    stream : str
-        Origin of the fault: ``images``, ``joint_states``, ``odom`` or ``pan_axis``.
-    kind : str
-        ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed``, ``filter`` and
-        ``heading`` (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``,
-        ``left``, ``offset`` and ``upside down`` (of the mount).
-    motion : Motion
-        Motion without the fault.
-    left : Fit
-        Regression of the residuals of that motion.
-    score : float
-        Log-likelihood less the cost of its parameters.
-    value : float
-        Scale; offset by which the clock is ahead of the others, s; drift as a share; step, s;
-        value of the error for other kinds.
-    name : str
-        Name of the joint, for kind ``joint``.
-    offset_s : float
-        Offset of a drifting clock; time of a step.
+    Kinds are ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed``, ``filter``
+    and ``heading`` (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``,
+    ``left``, ``offset`` and ``upside down`` (of the mount).
+
+    `motion` is without it; `left` is the regression of its residuals, `score` the log-likelihood
+    less the cost of its parameters. `value` is a scale, the offset by which the clock is ahead of
+    the others, s, the drift as a share, a step, s, or the error of other kinds; `offset_s` is the
+    offset of a drifting clock or the time of a step; `name` is that of a joint.
     """
 
     stream: str

@@ -148,24 +148,12 @@ _SQUARE = 0.05
 @dataclass(frozen=True, eq=False)
 class Looks:
     """
-    Images of a bag.
+    Images of a bag: their stamps, and by index of the image what was measured in decoded ones.
 
-    Parameters
-    ----------
-    stream : Stream
-        Stamps of all images; no values.
-    pairs : ndarray of int, shape (n, 2)
-        Indices of consecutive images that were both decoded.
-    findings : tuple of Finding
-        Findings of encoding, size and lens.
-    strips, small, sharpness : dict
-        Strips of the decoded images, the images in grey, reduced to 12 x 16 pixels, and
-        contrast of their fine details over that of coarse ones, about 0.5 in focus; all by
-        index of the image.
-    view : StripView or None
-        Map from images to strips; None if no image could be used.
-    points : dict
-        Pixels (m, 2) of points in an image and in the next one, by the index of the first.
+    `pairs` (n, 2) are consecutive images that were both decoded. `small` are images in grey, 12 x
+    16 pixels; `sharpness` is the contrast of fine details over that of coarse ones, about 0.5 in
+    focus; `points` are pixels (m, 2) in an image and in the next one. `findings` are those of
+    encoding, size and lens; `view` is None if no image could be used.
     """
 
     stream: Stream

@@ -24,24 +24,13 @@ Values = Callable[[Any], FloatArray]
 @dataclass(frozen=True, eq=False)
 class Stream:
     """
-    One topic of a bag, in the order of its recording.
+    One topic of a bag, in the order of its recording; `name` is that in the contract.
 
-    Parameters
-    ----------
-    name, topic : str
-        Name in the contract, without namespace, and name in the bag.
-    stamps_ns, logged_ns : ndarray of int, shape (n,)
-        Stamps of the headers and times of recording.
-    values : ndarray, shape (n, k)
-        Measured values; (n, 0) if only the stamps are needed.
-    frames : tuple of str
-        Different frames in the messages, such as ``odom -> base_link``.
-    refused, why : int, str
-        Number of messages that cannot be decoded, and the reason for the first.
-    origin_ns : int
-        Origin of the seconds of all streams of a bag: its first time of recording.
-    unstamped : int
-        Number of messages with a stamp of 0, which the time of recording replaces.
+    `stamps_ns` and `logged_ns` (n,) are stamps of the headers and times of recording, whose first
+    in the bag is `origin_ns`; `values` (n, k) has no columns if only stamps are needed. `frames`
+    are the different ones, such as ``odom -> base_link``. `refused` messages cannot be decoded,
+    the first because of `why`; `unstamped` ones have a stamp of 0, which the time of recording
+    replaces.
     """
 
     name: str

@@ -161,7 +161,11 @@ def consistency(
     bound = chdtri(_DEGREES_OF_FREEDOM, 0.05)
     n = _independent(white)
     if by_map is not None:
-        n = min(n, _independent_maps(np.linalg.solve(roots, by_map[known])))
+        # The variance of a sum of squares of Gaussians is twice the sum of their squared
+        # correlations.
+        factors = np.linalg.solve(roots, by_map[known]).reshape(white.size, -1)
+        repeated = float(np.sum((factors.T @ factors) ** 2))
+        n = min(n, white.size * len(white) / repeated) if repeated > 0.0 else n
     low, high = chdtri(_DEGREES_OF_FREEDOM * n, [0.975, 0.025]) / n
     return Consistency(
         float(np.mean(nees)), float(np.mean(nees < bound)), (float(low), float(high))
@@ -186,18 +190,6 @@ def _independent(white: FloatArray) -> float:
             break
         repeated += correlation**2
     return n / (1.0 + 2.0 * repeated)
-
-
-def _independent_maps(white: FloatArray) -> float:
-    """
-    Effective number of independent samples with whitened loadings of the map only, (n, 3, m).
-
-    The variance of a sum of squares of Gaussians is twice the sum of their squared correlations.
-    """
-    n = len(white)
-    factors = white.reshape(3 * n, -1)
-    repeated = float(np.sum((factors.T @ factors) ** 2))
-    return _DEGREES_OF_FREEDOM * n**2 / repeated if repeated > 0.0 else float(n)
 
 
 def undetected_failures(

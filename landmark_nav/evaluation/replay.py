@@ -74,23 +74,12 @@ class Replay:
     """
     The results of a run; stamps are continuous even if the clock was set back.
 
-    Parameters
-    ----------
-    start : PoseEstimate
-        Initial pose, given or found.
-    searched : tuple of int
-        Stamps of the images of global localization, up to the start.
-    update_seconds, seconds : ndarray, shape (n,), and float
-        Computing time of each update, and of the whole run, including reading and decoding.
-    odometry, truth : PoseTrack
-        Dead reckoning from the start, and ground truth; empty if there is none.
-    odometry_noise, detection_sigma_factor : OdometryNoiseConfig, float
-        Noise of the odometry, and factor on the given sigmas of detections, as learned by the
-        end.
-    samples : tuple of OdometrySample
-        Measured odometry, sorted by time.
-    calibration : Calibration or None
-        Estimate at the end; None for a recording of the nodes.
+    The `start` is given or found, in the last of the `searched` images. `seconds` is the computing
+    time of the whole run, with reading and decoding, `update_seconds` that of each update.
+    `odometry` is dead reckoning from the start; `truth` may be empty. Noise of the odometry,
+    factor on the given sigmas of detections, and calibration are as learned by the end; there is
+    no calibration for a recording of the nodes. `samples` are the measured odometry, sorted by
+    time.
     """
 
     start: PoseEstimate

@@ -23,19 +23,11 @@ UPRIGHT = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 @dataclass(frozen=True, eq=False)
 class Layout:
     """
-    Fields of the points of a topic.
+    Fields of the points of a topic, as written; other widths of the same kind are read too.
 
-    Parameters
-    ----------
-    topic : str
-        Name of the topic.
-    fields : dtype
-        Type of a point as written. Other widths of the same kind (integer, float) are read too.
-    optional : tuple of str
-        Fields that older recordings lack; they are then read as zero.
-    repeated : mapping of str to (str, int)
-        Element type of further fields, whose length varies between messages, and the number of
-        which the length is a multiple. A missing field has length 0.
+    `optional` fields are missing in older recordings, and are then read as zero. Lengths of
+    `repeated` fields vary between messages: by element type, and the number of which the length is
+    a multiple. A missing one has length 0.
     """
 
     topic: str

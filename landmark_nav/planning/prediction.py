@@ -107,16 +107,9 @@ def localization_sigma(
     Localization error (c,) from bearings to all landmarks in view.
 
     It is the root of the trace of the covariance of the position, m; inf if fewer than three
-    landmarks are in view, or if the position is not observable.
-
-    Parameters
-    ----------
-    gradient : ndarray, shape (c, s, 2)
-        Gradients of the bearings by x and y of the viewer, at c floor cells.
-    seen : ndarray, shape (c, s)
-        Number of landmarks in view at each of s points.
-    own, loading : ndarray, shape (s, 2, 2), (s, 2, m)
-        Errors of landmarks, see `landmark_errors`.
+    landmarks are in view, or if the position is not observable. `gradient` (c, s, 2) are those of
+    the bearings by x and y of the viewer, at c floor cells; `seen` (c, s) landmarks are in view at
+    each of s points, with the errors of `landmark_errors`.
     """
     gx, gy = gradient[..., 0], gradient[..., 1]
     variance = gx * gx * own[:, 0, 0] + 2.0 * gx * gy * own[:, 0, 1] + gy * gy * own[:, 1, 1]
@@ -175,15 +168,10 @@ class Forecast:
     """
     Prediction for one set of positions of panoramas.
 
-    Parameters
-    ----------
-    poses_map_base, pose_covariance : ndarray, shape (n, 3), (n, 3, 3)
-        Poses of the base, and covariance of x, y and heading of the pan axis by papers or
-        panoramas.
-    landmarks, covariance : ndarray, shape (s,), (s, 2, 2)
-        Expected number of landmarks at each wall sample, and covariance of x and y of one.
-    floor_xy, sigma_m : ndarray, shape (c, 2), (c,)
-        Cells of the free floor, and the localization error there, see `localization_sigma`.
+    Poses (n, 3) are those of the base, their covariance (n, 3, 3) is that of the pan axis by
+    papers or panoramas. `landmarks` (s,) are expected at each wall sample, with a `covariance` (s,
+    2, 2) of x and y. `sigma_m` is the localization error on the free floor, see
+    `localization_sigma`.
     """
 
     poses_map_base: FloatArray

@@ -112,27 +112,11 @@ class RobotClient:
     """
     Context manager with a node. Nothing runs in the background: messages are handled in `wait`.
 
-    Parameters
-    ----------
-    domain_id : int, optional
-        ROS domain of the nodes; by default that of ``ROS_DOMAIN_ID``, else 0.
-    watch : callable
-        Called repeatedly while waiting; an exception ends the wait.
-    drives : bool
-        Whether it publishes velocities and start poses.
-    observes : bool
-        Whether it subscribes to odometry, poses and panoramas too; else only to diagnostics.
-
-    Attributes
-    ----------
-    status : dict
-        Node -> last `NodeStatus`.
-    odometry, fused : OdometrySample, PoseEstimate or None
-        Last ones.
-    fixes : int
-        Number of triangulated poses.
-    panoramas : list of Panorama
-        All panoramas in the order of arrival.
+    `watch` is called repeatedly meanwhile; an exception ends the wait. The domain is by default
+    that of ``ROS_DOMAIN_ID``, else 0. If `drives`, it publishes velocities and start poses; if
+    `observes`, it subscribes to odometry, poses and panoramas too, else only to diagnostics.
+    `status` has the last `NodeStatus` of each node, `fixes` counts triangulated poses, `panoramas`
+    come in the order of arrival.
     """
 
     def __init__(

@@ -11,8 +11,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import error_summary
 from landmark_nav.evaluation.replay import replay, shifts_by_odometry
 from landmark_nav.evaluation.report.tables import drive_tables, drive_verdict
-from landmark_nav.evaluation.run_report import run_errors, run_report
-from landmark_nav.evaluation.smoothed_run import smooth_run, write_tum_files
+from landmark_nav.evaluation.run_report import run_errors, run_report, smooth_run, write_tum_files
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount

@@ -15,8 +15,7 @@ from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.map_figure import draw_landmarks
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import RunErrors
-from landmark_nav.evaluation.smoothed_run import Smoothed
+from landmark_nav.evaluation.run_report import RunErrors, Smoothed
 from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.types import FloatArray, LandmarkMap
 

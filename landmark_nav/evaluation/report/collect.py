@@ -33,8 +33,7 @@ from landmark_nav.evaluation.report.tables import (
     learning_verdict,
     STATUS,
 )
-from landmark_nav.evaluation.run_report import RunErrors
-from landmark_nav.evaluation.smoothed_run import Smoothed
+from landmark_nav.evaluation.run_report import RunErrors, Smoothed
 from landmark_nav.geometry.walls import Paper, paper_bgr
 from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.pipeline import LearningResult
