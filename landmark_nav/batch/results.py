@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from scipy import stats
 
-from landmark_nav.batch.jobs import Run
-from landmark_nav.batch.work import Outcome
+from landmark_nav.batch.jobs import Outcome, Run
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.reading import read_text
 

@@ -8,10 +8,8 @@ from pathlib import Path
 import re
 
 from landmark_nav.batch import results
-from landmark_nav.batch.jobs import read_runs, Run
-from landmark_nav.batch.work import run_all, stage_arguments
-from landmark_nav.cli.lines import progress
-from landmark_nav.cli.options import add, within
+from landmark_nav.batch.jobs import read_runs, Run, run_all, stage_arguments
+from landmark_nav.cli.options import add, progress, within
 from landmark_nav.errors import LandmarkNavError, release, UsageError
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 

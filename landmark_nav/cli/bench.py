@@ -16,8 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.cli.lines import progress
-from landmark_nav.cli.options import add, add_number, within
+from landmark_nav.cli.options import add, add_number, progress, within
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -52,8 +51,8 @@ from landmark_nav.localization.triplet.search import mean_variance, pair_tables
 from landmark_nav.planning.planner import forecast, plan_positions
 from landmark_nav.planning.views import free_floor, PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.renderer import Renderer
+from landmark_nav.simulation.scene import choose_sweep_places
 from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.types import (
     CameraFrame,

@@ -13,8 +13,7 @@ import numpy as np
 from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.cli.check import checked
 from landmark_nav.cli.learn import panoramas_of_bag
-from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add, open_bag
+from landmark_nav.cli.options import add, open_bag, progress, wrapped
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import inside, LandmarkNavError, UsageError
 from landmark_nav.evaluation import calibration_run

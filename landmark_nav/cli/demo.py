@@ -10,8 +10,15 @@ import shutil
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.configuration import load_configuration
-from landmark_nav.demo.recorded_run import Check, figures, judge, recorded_run
-from landmark_nav.demo.scenario import Narrator, prepare_room, run_scenario
+from landmark_nav.demo.scenario import (
+    Check,
+    figures,
+    judge,
+    Narrator,
+    prepare_room,
+    recorded_run,
+    run_scenario,
+)
 from landmark_nav.demo.supervisor import Interruption, node_commands, node_environment, Supervisor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report
@@ -22,9 +29,8 @@ from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.atomic_io import check_new, write_json
 from landmark_nav.storage.bags import Bag, sensor_events
-from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.robot_files import load_calibration, shipped_config
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame, Panorama
 

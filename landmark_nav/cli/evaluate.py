@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.check import checked
-from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add, open_bag, within
+from landmark_nav.cli.options import add, open_bag, progress, within, wrapped
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation import run_report

@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.learn import located_sweeps
-from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add, add_number, open_bag, within
+from landmark_nav.cli.options import add, add_number, open_bag, progress, within, wrapped
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
-from landmark_nav.evaluation.figures.attention_figures import draw_attention, draw_features_alone
 from landmark_nav.evaluation.figures.map_figure import draw_learned, draw_observation_areas
-from landmark_nav.evaluation.figures.panorama_figure import draw_sweeps
+from landmark_nav.evaluation.figures.panorama_figure import (
+    draw_attention,
+    draw_features_alone,
+    draw_sweeps,
+)
 from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
@@ -27,8 +29,7 @@ from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep
 from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.places import choose_sweep_places
-from landmark_nav.simulation.scene import Scene
+from landmark_nav.simulation.scene import choose_sweep_places, Scene
 from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.atomic_io import check_writable
 from landmark_nav.storage.bags import read_sweeps

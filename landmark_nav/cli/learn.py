@@ -13,8 +13,7 @@ import time
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.check import checked
-from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add, open_bag
+from landmark_nav.cli.options import add, open_bag, progress, wrapped
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.errors import inside, LandmarkNavError, release, UsageError
 from landmark_nav.evaluation import learning_report

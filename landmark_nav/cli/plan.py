@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add, within
+from landmark_nav.cli.options import add, progress, within, wrapped
 from landmark_nav.errors import UsageError
-from landmark_nav.evaluation.figures.plan_figure import draw_plan
+from landmark_nav.evaluation.figures.map_figure import draw_plan
 from landmark_nav.planning.planner import Plan, plan_positions
 from landmark_nav.planning.prediction import CAP_M, Forecast
 from landmark_nav.planning.views import PlanConfig

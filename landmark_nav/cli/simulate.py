@@ -11,16 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.lines import evaluate_line, progress
-from landmark_nav.cli.options import add, add_number, within
+from landmark_nav.cli.options import add, add_number, evaluate_line, progress, within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
-from landmark_nav.simulation import furnishing, recording, setup_documents
+from landmark_nav.simulation import furnishing, setup_documents
 from landmark_nav.simulation.drive_path import plan_tour
 from landmark_nav.simulation.pan_tilt_unit import PanControl, PanTiltConfig
-from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
-from landmark_nav.simulation.scene import Scene
-from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
+from landmark_nav.simulation.scene import choose_sweep_places, Scene, seen_from_all
+from landmark_nav.simulation.world import (
+    DEFAULT_CAMERA,
+    DEFAULT_MOUNT,
+    drive_messages,
+    Recorded,
+    RobotWorld,
+    STATE_RATE_HZ,
+    sweep_messages,
+)
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
@@ -128,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
             frames = round(args.drive_seconds * args.camera_rate)
             known = seen_from_all(scene, [pose[:2] for pose in poses])
             pan_control = PanControl(later, mount, PanTiltConfig.pan_limit_rad, rng, known)
-            messages = recording.drive_messages(
+            messages = drive_messages(
                 world,
                 rosbag_factory(),
                 path,
@@ -163,11 +169,11 @@ def run(args: argparse.Namespace) -> int:
 def _camera_rate(text: str) -> float:
     """Argument type: rate of images, an integer fraction of the rate of odometry."""
     rate = within(float, 0.5)(text)
-    every = max(1, round(recording.STATE_RATE_HZ / rate))
-    if abs(every * rate - recording.STATE_RATE_HZ) > 1e-3 * recording.STATE_RATE_HZ:
-        near = recording.STATE_RATE_HZ / every
+    every = max(1, round(STATE_RATE_HZ / rate))
+    if abs(every * rate - STATE_RATE_HZ) > 1e-3 * STATE_RATE_HZ:
+        near = STATE_RATE_HZ / every
         raise argparse.ArgumentTypeError(
-            f'{text} is no whole part of {recording.STATE_RATE_HZ}: take {near:.4g}'
+            f'{text} is no whole part of {STATE_RATE_HZ}: take {near:.4g}'
         )
     return rate
 
@@ -192,19 +198,17 @@ def _sweep_poses(
     return poses
 
 
-def _learn(
-    world: RobotWorld, poses: list[Any], args: argparse.Namespace
-) -> Iterator[recording.Recorded]:
+def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Iterator[Recorded]:
     factory = rosbag_factory()
     for pose in poses:
         world.place(pose, -np.pi)
-        yield from recording.sweep_messages(
+        yield from sweep_messages(
             world, factory, frames=args.frames, jpeg_quality=args.jpeg_quality
         )
         world.advance(_MOVE_S)
 
 
-def _write(bag: BagWriter, messages: Iterator[recording.Recorded], what: str, frames: int) -> None:
+def _write(bag: BagWriter, messages: Iterator[Recorded], what: str, frames: int) -> None:
     """Write messages; the progress bar counts images."""
     bar = iter(progress(range(frames), what, frames))
     for recorded in messages:

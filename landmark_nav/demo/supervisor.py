@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.storage.config_files import shipped_config
+from landmark_nav.storage.robot_files import shipped_config
 
 # Period of checks at the end.
 _POLL_S = 0.05

@@ -21,7 +21,7 @@ from landmark_nav.ros.pan_command import listen_for_pan
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.scene import choose_sweep_places
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.simulation.places import choose_sweep_places
-from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
+from landmark_nav.simulation.scene import Box, choose_sweep_places, Lamp, Scene, WallItem
 from landmark_nav.types import FloatArray
 
 Generator = np.random.Generator

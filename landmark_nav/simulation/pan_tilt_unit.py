@@ -11,8 +11,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import transform_points
 from landmark_nav.parameters import Config
-from landmark_nav.simulation.places import item_points, view_quality
-from landmark_nav.simulation.scene import Scene
+from landmark_nav.simulation.scene import item_points, Scene, view_quality
 from landmark_nav.types import FloatArray
 
 # Largest time step of the integration of the spring.

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from landmark_nav.cli.lines import wrapped
 from landmark_nav.cli.main import COMMANDS, main
+from landmark_nav.cli.options import wrapped
 from landmark_nav.errors import LandmarkNavError
 
 EVALUATE = ['evaluate', 'b', '--map', 'm', '--robot', 'r']

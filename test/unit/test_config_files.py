@@ -14,7 +14,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import leaves
-from landmark_nav.storage.config_files import flat, shipped_config
+from landmark_nav.storage.robot_files import flat, shipped_config
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 ROBOT = BAGS / 'robot.yaml'

@@ -14,8 +14,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.furnishing import generate_scene, hang_tags, move_one_box
-from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M
-from landmark_nav.simulation.scene import Box, Lamp, Scene
+from landmark_nav.simulation.scene import Box, choose_sweep_places, EYE_HEIGHT_M, Lamp, Scene
 from landmark_nav.simulation.setup_documents import (
     as_measured,
     robot_document,

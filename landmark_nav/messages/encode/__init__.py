@@ -6,8 +6,12 @@ rosbags for bags and ROS messages for topics.
 """
 
 from landmark_nav.messages.encode.images import camera_info, compressed_image, image, panorama
-from landmark_nav.messages.encode.landmarks import landmark_map
-from landmark_nav.messages.encode.markers import landmark_markers, pose_markers, view_markers
+from landmark_nav.messages.encode.markers import (
+    landmark_map,
+    landmark_markers,
+    pose_markers,
+    view_markers,
+)
 from landmark_nav.messages.encode.poses import (
     camera_transform,
     detections,
