@@ -45,7 +45,7 @@ election learning/election.py max_incidence_rad min_size_px max_overlap
 reference_area learning/reference_area paper_sigma_m height_sigma_m horizon_sigma_rad edge_sigma_px
 panorama learning/panorama blend crop_px px_per_rad
 capture learning/capture arrival_tolerance_rad settled_velocity_rad_s
-command ros/pan_command.py min_duration_s
+command ros/camera_frames.py min_duration_s
 triplet localization/triplet bearing_sigma_rad min_sampling max_sampling min_range_m border_px
 triplet localization/triplet margin_sigmas hysteresis views max_sigma_m
 odometry localization/odometry slip_sigma

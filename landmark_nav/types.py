@@ -176,27 +176,15 @@ class Sweep:
 @dataclass(frozen=True, eq=False)
 class Panorama:
     """
-    A cylindrical image of the room with its pose.
+    A cylindrical image (height, width, 3) of the room, BGR, and its pose; `stamp_ns` is its start.
 
-    Parameters
-    ----------
-    stamp_ns : int
-        Start of the sweep.
-    image, mask : ndarray, shape (height, width, 3), (height, width)
-        BGR, uint8, and pixels that at least one frame covers.
-    cylinder : Cylinder
-        Geometry; azimuth 0 is ``base_link`` +x.
-    center_map : ndarray, shape (3,)
-        Viewpoint (pan axis at the height of the optical centre) in map, metres.
-    heading_rad, covariance : float, ndarray, shape (4, 4)
-        Heading of the base in map, and covariance of x, y, z, heading.
-    quality, calibration : PanoramaQuality, Calibration, optional
-        Those after the sweep; messages do not hold them.
-    made_with : ndarray, shape (15,), optional
-        Values of the calibration with which the image was synthesized.
-    by_calibration : ndarray, shape (4, 15), optional
-        Derivatives of x, y, z, heading by the calibration; 0 if anchor papers located the
-        camera itself.
+    `mask` has the pixels that at least one frame covers. Azimuth 0 of the cylinder is
+    ``base_link`` +x. `center_map` (3,) is the viewpoint (pan axis at the height of the optical
+    centre) in map, `heading_rad` the heading of the base there, `covariance` (4, 4) that of x, y,
+    z, heading. `quality` and `calibration` are those after the sweep; messages do not hold them.
+    `made_with` (15,) are the values of the calibration with which the image was synthesized;
+    `by_calibration` (4, 15) are the derivatives of x, y, z, heading by the calibration, 0 if
+    anchor papers located the camera itself.
     """
 
     stamp_ns: int
@@ -232,29 +220,16 @@ class Candidate:
 @dataclass(frozen=True, eq=False)
 class Landmark:
     """
-    An elected wall patch.
+    An elected wall patch at `position` (3,) in map, with its total `covariance` (3, 3).
 
-    Parameters
-    ----------
-    position, covariance : ndarray, shape (3,), (3, 3)
-        Centre in map, metres, and its total covariance.
-    shared_loading : ndarray, shape (3, m)
-        Loadings of the shared map factors, mostly the pose errors of the panoramas: the
-        covariance between landmarks k and l is ``L_k @ L_l.T``. Factors have unit variance;
-        `m` is the same for the whole map.
-    normal : ndarray, shape (3,)
-        Unit normal, horizontal, into the room.
-    patch : ndarray, shape (rows, columns)
-        Grey texture in wall coordinates, uint8: columns run to the right as seen from inside
-        the room, rows downwards, centre of the array at `position`, square texels.
-    viewpoint : ndarray, shape (3,)
-        Viewpoint of the reference view in map; it determines the observation area.
-    threshold : float
-        Smallest normalized cross-correlation that counts as found.
-    wall_id : str
-        Wall that carries the patch; empty if the patch has a plane of its own.
-    views : tuple of PatchView
-        The patch in other panoramas; old maps have none.
+    `shared_loading` (3, m) are loadings of the shared map factors, mostly the pose errors of the
+    panoramas: the covariance between landmarks k and l is ``L_k @ L_l.T``. Factors have unit
+    variance; m is the same for the whole map. `normal` (3,) is a unit vector, horizontal, into the
+    room. `patch` is grey texture in wall coordinates, uint8: columns run to the right as seen from
+    inside the room, rows downwards, centre of the array at `position`, square texels. `viewpoint`
+    (3,) is that of the reference view, which determines the observation area; `threshold` is the
+    smallest normalized cross-correlation that counts as found. `wall_id` is empty if the patch has
+    a plane of its own; `views` show the patch in other panoramas, none in old maps.
     """
 
     id: int
@@ -388,31 +363,18 @@ class Detections:
     """
     Landmarks found in one image; arrays over the n found.
 
-    Parameters
-    ----------
-    bearing_rad : ndarray, shape (n,)
-        Bearings at the pan axis, counter-clockwise from ``base_link`` +x.
-    variance_rad2 : ndarray, shape (n,)
-        Measurement variances, without the errors of the map and without the error of the pan,
-        which all bearings of an image share.
-    score : ndarray, shape (n,)
-        Normalized cross-correlation.
-    uv_px, covariance_px2 : ndarray, shape (n, 2), (n, 2, 2)
-        Pixels and their covariance, which is empty for bearings of another source.
-    missed : ndarray of int, shape (m,)
-        Landmarks that should be in view, were searched and were not found.
-    pan_sigma_rad, pan_rad : float
-        Pan of the `JointSample` at `joint_delay_s` (assumed) after the stamp, as azimuth in
-        ``base_link``, and its standard deviation.
-    points, point_covariance : ndarray, shape (n, 2), (n, 2, 2)
-        Normalised image coordinates by camera_info: x/z to the right, y/z down, and their
-        covariance, without that by an error of the focal length; empty where only bearings are
-        known.
-    sizes : ndarray, shape (n, 2)
-        Width and height of the templates in normalised image coordinates; empty if unknown.
-    near : ndarray, shape (3,), optional
-        Pose of the base found in this image by a search within the prior, if that was
-        uncertain.
+    Bearings are at the pan axis, counter-clockwise from ``base_link`` +x; their variances are
+    without the errors of the map and of the pan, which all bearings of an image share. `score` is
+    the normalized cross-correlation. `covariance_px2` (n, 2, 2) is that of `uv_px` (n, 2), empty
+    for bearings of another source. `points` (n, 2) are normalised image coordinates by
+    camera_info, x/z to the right, y/z down, with a covariance without that by an error of the
+    focal length; empty where only bearings are known. `sizes` (n, 2) are width and height of the
+    templates in these coordinates; empty if unknown.
+
+    `missed` (m,) are landmarks that should be in view, were searched and were not found. `pan_rad`
+    is the pan of the `JointSample` at `joint_delay_s` (assumed) after the stamp, as azimuth in
+    ``base_link``. `near` (3,) is the pose of the base found in this image by a search within the
+    prior, if that was uncertain.
     """
 
     stamp_ns: int

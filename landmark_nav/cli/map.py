@@ -20,8 +20,7 @@ from landmark_nav.upkeep.comparison import (
     Texture,
     wall_changes,
 )
-from landmark_nav.upkeep.frames import brought_together, FrameAlignment
-from landmark_nav.upkeep.merge import merge_maps
+from landmark_nav.upkeep.frames import brought_together, FrameAlignment, merge_maps
 
 # Least disagreement of a landmark that is listed.
 _LISTED_SIGMAS = 3.0

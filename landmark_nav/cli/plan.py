@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 import numpy as np
 import yaml
@@ -108,7 +107,7 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
             'pan_rad': [_short(config.pan_min_rad), _short(config.pan_max_rad)],
         },
         'positions': [
-            {'pose': _pose(pose), 'sigma': [float(f'{v:.2g}') for v in deviation]}
+            {'pose': np.round(pose, 4).tolist(), 'sigma': [float(f'{v:.2g}') for v in deviation]}
             for pose, deviation in zip(best.poses_map_base, sigma, strict=True)
         ],
         'predicted': {
@@ -164,10 +163,6 @@ def _beside(name: str, other: Forecast, best: Forecast) -> str:
 
 def _median(ranked: tuple[Forecast, ...]) -> Forecast:
     return ranked[len(ranked) // 2]
-
-
-def _pose(pose: Any) -> list[float]:
-    return [round(float(value), 4) for value in pose]
 
 
 def _short(value: float) -> float:

@@ -195,7 +195,12 @@ def look(
     sharpness: dict[int, float] = {}
     view: StripView | None = None
     camera: CameraModel | None = None
-    cameras, refused = _cameras(bag, infos)
+    cameras, refused = None, []
+    try:
+        cameras = CameraInfos.read(bag, *infos)
+    except LandmarkNavError as error:
+        text = str(error).removeprefix(f'{bag.path}: ')
+        refused.append(Finding('camera lens', 'error', text, when_read=True))
     setup = mounted if isinstance(mounted, CameraSetup) else None
     # First images of pairs, spread over the recording.
     firsts = [] if setup else [k for k in sorted(chosen) if k + 1 in chosen]
@@ -283,15 +288,6 @@ def camera_error_of(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError 
     pairs = np.repeat(np.arange(len(before)), [len(points) for points in before])
     matches = Matches(np.concatenate(before), np.concatenate(after), pairs, pans, tilts)
     return camera_error(matches, CameraSetup(looks.camera, mount))
-
-
-def _cameras(bag: Bag, infos: tuple[str, ...]) -> tuple[CameraInfos | None, tuple[Finding, ...]]:
-    """Read the intrinsics of a bag; if none can be used, return a finding."""
-    try:
-        return CameraInfos.read(bag, *infos), ()
-    except LandmarkNavError as error:
-        text = str(error).removeprefix(f'{bag.path}: ')
-        return None, (Finding('camera lens', 'error', text, when_read=True),)
 
 
 def _chosen(count: int, most: int) -> set[int]:

@@ -17,7 +17,7 @@ from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import message_class, RELIABLE, ros_factory, TOPICS
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.topics import relative_name
+from landmark_nav.storage.bags.definitions import relative_name
 
 _CLOCK_PERIOD_NS = 10_000_000
 # Greatest time for acknowledgements of the last messages.

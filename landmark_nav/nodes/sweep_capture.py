@@ -28,10 +28,9 @@ from landmark_nav.learning.capture.frames import Look, look_at
 from landmark_nav.messages import decode
 from landmark_nav.messages.encode import sweep_trajectory
 from landmark_nav.nodes.configured import calibration_of, configured
-from landmark_nav.ros.camera_frames import image_topics, ImageSource, listen_for_joints
+from landmark_nav.ros import camera_frames
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.pan_command import PanCommander
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import JointSample, OdometrySample
@@ -77,7 +76,7 @@ class SweepRunner:
     def __init__(
         self,
         config: CaptureConfig,
-        commander: PanCommander,
+        commander: camera_frames.PanCommander,
         output: SweepOutput,
         camera_roll_rad: float = 0.0,
     ) -> None:
@@ -223,7 +222,7 @@ class SweepCaptureNode(LandmarkNode):
         command = self._config.command
         self._runner = SweepRunner(
             self._config.capture,
-            PanCommander(self, mount, command.type, command.with_tilt),
+            camera_frames.PanCommander(self, mount, command.type, command.with_tilt),
             SweepOutput(self, mount),
             mount.camera_roll_rad,
         )
@@ -231,9 +230,11 @@ class SweepCaptureNode(LandmarkNode):
         self._camera_info: Any = None
         # Tilt reported by a tilt joint with its own driver.
         self._tilt_rad: float | None = None
-        listen_for_joints(self, mount, self._on_joints, self._on_tilt)
+        camera_frames.listen_for_joints(self, mount, self._on_joints, self._on_tilt)
         self.listen('camera/camera_info', self._on_camera_info)
-        self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
+        self.inputs.expect(
+            *camera_frames.image_topics('camera/image_raw', self._config.image_transport)
+        )
         self.listen('odom', lambda message: self._runner.add_odometry(decode.odometry(message)))
         # A call during another one interrupts that one.
         self.offer('capture_sweep', self._capture, group=ReentrantCallbackGroup())
@@ -270,7 +271,7 @@ class SweepCaptureNode(LandmarkNode):
                 raise LandmarkNavError(f'no sweep: {why}')
             time.sleep(_POLL_S)
         camera = decode.camera_model(self._camera_info)
-        images = ImageSource(
+        images = camera_frames.ImageSource(
             self, 'camera/image_raw', self._on_image, self._config.image_transport, depth=2
         )
         try:

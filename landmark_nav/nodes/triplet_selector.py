@@ -16,11 +16,10 @@ from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.nodes.configured import calibration_of, configured
-from landmark_nav.ros.camera_frames import CameraFrames
+from landmark_nav.ros.camera_frames import CameraFrames, listen_for_pan, PanCommander
 from landmark_nav.ros.health import Health, Level, own_clock
 from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.pan_command import listen_for_pan, PanCommander
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import message_class, RELIABLE, ros_factory
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal

@@ -46,21 +46,12 @@ def landmark_errors(
     """
     Errors of landmarks on walls after the adjustment of n panoramas.
 
-    Parameters
-    ----------
-    azimuth_rad, range_m, weight : ndarray, shape (n, s)
-        Azimuth in map and range of s points on walls from the panoramas, and information of
-        each measurement, 1 / rad^2; 0 if there is none.
-    normal, wall, landmarks : ndarray, shape (s, 2), (s,), (s,)
-        Normal and index of the wall of each point, and number of landmarks there.
-    pose_covariance : ndarray, shape (3 n, 3 n)
-        Joint covariance of x, y and heading of the panoramas before the adjustment.
-
-    Returns
-    -------
-    own, loading : ndarray, shape (s, 2, 2), (s, 2, m)
-        Covariance of the own error of a landmark, and loadings of the shared errors; the
-        factors have unit variance.
+    Azimuth in map, range and `weight` (n, s) are those of s points on walls from the panoramas;
+    the weight is the information of a measurement, 1 / rad^2, 0 if there is none. `normal` (s, 2)
+    and `wall` (s,) are normal and index of the wall of each point, `landmarks` (s,) is their
+    number there, `pose_covariance` (3 n, 3 n) that of x, y and heading before the adjustment.
+    Returns the covariance (s, 2, 2) of the own error of a landmark, and loadings (s, 2, m) of the
+    shared errors; the factors have unit variance.
     """
     # Derivatives of azimuths by the landmark; by the panorama they have the opposite sign, by its
     # heading they are -1.

@@ -132,26 +132,15 @@ _MAX_PAPER_INCIDENCE_RAD = 1.2
 @dataclass(frozen=True, eq=False)
 class Views:
     """
-    Visibility of s wall samples from p poses.
+    Visibility of s wall samples from p poses (p, 3) of the base.
 
-    Parameters
-    ----------
-    pose_map_base, eye : ndarray, shape (p, 3)
-        Poses of the base, and viewpoints: the pan axis at the height of the optical centre, in
-        map.
-    covariance : ndarray, shape (p, 3, 3)
-        Covariance of x, y and heading of the pan axis, by papers; without papers, by the
-        relative poses of panoramas.
-    by_papers : ndarray, shape (p, 3, m)
-        Loadings of the errors of papers, which all poses share; the factors have unit
-        variance.
-    azimuth_rad, range_m : ndarray, shape (p, s)
-        Azimuth in map and range of the samples.
-    share : ndarray, shape (p, s)
-        Share of the textured band that is in the image; 0 if a sample is hidden or seen too
-        obliquely to be matched.
-    proposed : ndarray, shape (p, s)
-        Expected number of patches that attention proposes and that can become landmarks.
+    The viewpoint `eye` is the pan axis at the height of the optical centre, in map. `covariance`
+    (p, 3, 3) is that of x, y and heading of the pan axis, by papers, or else by the relative poses
+    of panoramas; `by_papers` (p, 3, m) are loadings of the errors of papers, which all poses
+    share; the factors have unit variance. By pose and sample (p, s): azimuth in map and range;
+    `share` of the textured band that is in the image, 0 if a sample is hidden or seen too
+    obliquely to be matched; `proposed`, the expected number of patches that attention proposes and
+    that can become landmarks.
     """
 
     pose_map_base: FloatArray

@@ -27,7 +27,7 @@ from rclpy.qos import (
 )
 
 from landmark_nav.messages import encode
-from landmark_nav.storage.bags.topics import MAP_TOPICS, TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import MAP_TOPICS, TOPIC_TYPES
 
 
 @cache

@@ -1,5 +1,5 @@
 """
-Comparison of two maps of one room, landmark by landmark.
+Comparison of two maps of one room, landmark by landmark, and check of one map.
 
 Attention does not choose the same patch twice, so that the centres of overlapping landmarks
 differ. Their textures are aligned, so that the locations of the same point of the texture are

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import pytest
 import yaml
 
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 

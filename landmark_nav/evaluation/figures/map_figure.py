@@ -87,7 +87,9 @@ def number_landmarks(
     which = np.flatnonzero(np.broadcast_to(shown, len(landmarks.landmarks)))
     if not len(which):
         return
-    scale = style.metres_per_inch(figure, axes)
+    figure.draw_without_rendering()
+    # Metres per inch in the final layout.
+    scale = float(np.ptp(axes.get_xlim()) * figure.dpi / axes.get_window_extent().width)
     ids, normals = landmarks.ids[which], landmarks.normals[which, :2]
     places = landmarks.positions[which, :2] - scale * _WALL_IN * normals
     sizes = scale * np.stack([_DIGIT_IN * np.char.str_len(ids.astype(str)), 0 * ids + _ROW_IN], 1)

@@ -178,12 +178,6 @@ def free_labels(corners: npt.ArrayLike, sizes: npt.ArrayLike) -> npt.NDArray[np.
     return kept
 
 
-def metres_per_inch(figure: Figure, axes: Axes) -> float:
-    """Scale of a plan in the final layout of a figure."""
-    figure.draw_without_rendering()
-    return float(np.ptp(axes.get_xlim()) * figure.dpi / axes.get_window_extent().width)
-
-
 def keep_in_view(axes: Axes, points: FloatArray, margin_m: float) -> None:
     """Widen the limits so that all points (n, 2) are at least `margin_m` inside."""
     low, high = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m

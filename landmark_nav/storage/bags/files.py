@@ -32,7 +32,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags import container
-from landmark_nav.storage.bags.topics import MAP_TOPICS
+from landmark_nav.storage.bags.definitions import MAP_TOPICS
 from landmark_nav.storage.reading import read_yaml_mapping
 
 _ENCODINGS = {'MSG': 'ros2msg', 'IDL': 'ros2idl', 'NONE': ''}

@@ -24,16 +24,9 @@ from scipy.ndimage import median_filter
 from landmark_nav.arrays import IntArray
 from landmark_nav.errors import inside, LandmarkNavError, why
 from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
+from landmark_nav.storage.bags import definitions
 from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack
-from landmark_nav.storage.bags.definitions import has_header, MessageReader, STANDARD_NAMES
 from landmark_nav.storage.bags.files import BagFile, open_files
-from landmark_nav.storage.bags.topics import (
-    find_topic,
-    listed,
-    relative_name,
-    remedy_of_missing,
-    TOPIC_TYPES,
-)
 
 _LOG = logging.getLogger(__name__)
 
@@ -44,7 +37,7 @@ _STAMPS = 20
 class BagMessage:
     """A message of a bag with its log time, deserialised when `message` is first used."""
 
-    def __init__(self, raw: RawMessage, reader: MessageReader, bag: Bag) -> None:
+    def __init__(self, raw: RawMessage, reader: definitions.MessageReader, bag: Bag) -> None:
         """Keep the serialised message."""
         self.topic = raw.channel.topic
         self.type_name = reader.type_name
@@ -134,13 +127,15 @@ class Bag:
             self._files, self._by_message = open_files(self.path, on_warning)
         except OSError as error:
             raise LandmarkNavError(f'{self.path}: cannot be read: {why(error)}') from error
-        self._readers: dict[ChannelInfo, MessageReader] = {}
+        self._readers: dict[ChannelInfo, definitions.MessageReader] = {}
         self._unstamped: dict[str, bool] = {}
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for file in self._files:
             for info, count in file.counts.items():
-                self.types[info.topic] = STANDARD_NAMES.get(info.type_name, info.type_name)
+                self.types[info.topic] = definitions.STANDARD_NAMES.get(
+                    info.type_name, info.type_name
+                )
                 self.counts[info.topic] = self.counts.get(info.topic, 0) + count
         filled = [file for file in self._files if any(file.counts.values())]
         self.start_ns = min((file.first_ns for file in filled), default=0)
@@ -167,7 +162,7 @@ class Bag:
         Raises `LandmarkNavError`: the topic is ambiguous, or has another type.
         """
         with inside(self.path):
-            topic = find_topic(name, self._filled(), self._given)
+            topic = definitions.find_topic(name, self._filled(), self._given)
         given = {other.strip('/') for other in self._given.values()}
         if topic is not None and topic.strip('/') not in {name, *given}:
             self.inform(f'{topic} is taken for {name}')
@@ -184,7 +179,7 @@ class Bag:
         return [
             topic
             for topic, kind in sorted(self._filled().items())
-            if relative_name(topic) == name and kind == TOPIC_TYPES[name]
+            if definitions.relative_name(topic) == name and kind == definitions.TOPIC_TYPES[name]
         ]
 
     def require(self, *alternatives: str) -> str:
@@ -197,10 +192,10 @@ class Bag:
         for name in alternatives:
             if topic := self.find(name):
                 return topic
-        there = listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
+        there = definitions.listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
         raise LandmarkNavError(
             f'{self.path}: topic {alternatives[0]} is missing: '
-            f'{remedy_of_missing(alternatives, self._filled())}; there are {there}'
+            f'{definitions.remedy_of_missing(alternatives, self._filled())}; there are {there}'
         )
 
     def _filled(self) -> dict[str, str]:
@@ -237,7 +232,7 @@ class Bag:
         A message without a stamp has its log time instead.
         """
         found: dict[str, list[tuple[int, int]]] = {}
-        topics = [topic for topic, kind in self._filled().items() if has_header(kind)]
+        topics = [topic for topic, kind in self._filled().items() if definitions.has_header(kind)]
         for raw in _merged(self._files, topics) if topics else ():
             entry = BagMessage(raw, self._reader(raw.channel), self)
             found.setdefault(entry.topic, []).append((entry.stamp_ns, entry.header_ns))
@@ -250,10 +245,10 @@ class Bag:
         """Data of a message, uncompressed."""
         return unpack(data, 'zstd', None) if self._by_message else data
 
-    def _reader(self, info: ChannelInfo) -> MessageReader:
+    def _reader(self, info: ChannelInfo) -> definitions.MessageReader:
         if info not in self._readers:
             try:
-                self._readers[info] = MessageReader(info)
+                self._readers[info] = definitions.MessageReader(info)
             except LandmarkNavError as error:
                 raise LandmarkNavError(f'{self.path}: topic {info.topic}: {error}') from error
         return self._readers[info]

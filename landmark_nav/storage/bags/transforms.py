@@ -15,8 +15,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
+from landmark_nav.storage.bags.definitions import listed, TOPIC_TYPES
 from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded
-from landmark_nav.storage.bags.topics import listed, TOPIC_TYPES
 from landmark_nav.types import FloatArray, JointSample
 
 # Least cosine of the angle between the z axis of a frame that turns about the pan axis and the
