@@ -226,12 +226,6 @@ class LandmarkNode(ManagedNode):
         self._log.info('ready: %s', '; '.join(words))
         self._awaits = bool(awaited)
 
-    def _note_complete(self) -> None:
-        """Log once that all awaited inputs have arrived."""
-        if self._awaits and not any(one.waits() for one in self.inputs.awaited()):
-            self._awaits = False
-            self._log.info('has all that it waited for')
-
     def required(self, name: str, value: str) -> str:
         """Value of a parameter without a default, such as the path of a file."""
         if not value:
@@ -437,7 +431,9 @@ class LandmarkNode(ManagedNode):
             health = self.health()
         except Exception as error:
             health = Health(Level.DEGRADED, self.fault('health', error))
-        self._note_complete()
+        if self._awaits and not any(one.waits() for one in self.inputs.awaited()):
+            self._awaits = False
+            self._log.info('has all that it waited for')
         problems = self.inputs.problems()
         for words in problems:
             self._warn_once(words)
