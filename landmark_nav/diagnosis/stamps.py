@@ -199,13 +199,9 @@ def longest_part(images: Stream) -> tuple[int, int]:
 
 def clock_hints(images: Stream, others: Mapping[str, Stream]) -> dict[str, list[Clock]]:
     """
-    Start values of clocks by stamps and times of recording.
+    Start values of the clocks of each stream by stamps and times of recording.
 
-    Returns
-    -------
-    dict
-        Clocks of each stream; those of all streams for the images, whose clock may be the wrong
-        one.
+    Images get those of all streams, as their clock may be the wrong one.
     """
     begin, by_images = float(images.seconds[0]), log_clock(images)
     extent = float(np.ptp(images.seconds))

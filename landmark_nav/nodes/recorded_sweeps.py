@@ -28,14 +28,8 @@ class RecordedSweep:
     """
     A sweep with its image messages, which are not decoded and may be compressed.
 
-    Parameters
-    ----------
-    trajectory : tuple of JointSample
-        Angles of the frames.
-    frames : mapping of int to tuple
-        Stamp -> image message and camera calibration.
-    pose_map_base : PoseEstimate, optional
-        Pose of the base in map, if it was given on ``sweep/pose``.
+    `trajectory` has the angles of the frames; `frames` are image message and camera calibration by
+    stamp; `pose_map_base` was given on ``sweep/pose``, if at all.
     """
 
     trajectory: tuple[JointSample, ...]
@@ -60,16 +54,9 @@ class RecordedSweep:
 
     def decoded(self, depth: decode.BitDepth, drop: Callable[[str, object], None]) -> Sweep:
         """
-        Decode the images.
+        Decode the images; `drop` is called with topic and reason if one cannot be used.
 
         Raises `LandmarkNavError`: no frame is left.
-
-        Parameters
-        ----------
-        depth : BitDepth
-            Bit depth of the stream of images.
-        drop : callable
-            Called with topic and reason if an image cannot be used.
         """
         views: dict[int, tuple[ImageArray, CameraModel, int]] = {}
         for stamp, (image, info) in self.frames.items():
@@ -88,14 +75,10 @@ class RecordedSweep:
 
 class SweepInbox:
     """
-    Joins the messages on ``sweep/*``.
+    Joins the messages on ``sweep/*``; the frame of ``sweep/pose`` must be `frame_id`.
 
-    Parameters
-    ----------
-    frame_id : str
-        Required frame of ``sweep/pose``.
-    on_sweep : callable
-        Called with each sweep in its own callback group, so that frames still arrive meanwhile.
+    `on_sweep` is called with each sweep in its own callback group, so that frames still arrive
+    meanwhile.
     """
 
     def __init__(

@@ -17,7 +17,7 @@ import numpy as np
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.topics import relative_name
+from landmark_nav.storage.bags.definitions import relative_name
 
 DEGREES = 180.0 / np.pi
 

@@ -31,8 +31,8 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
-from landmark_nav.storage.bags.folder import read_sweep_folder
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import TOPIC_TYPES
+from landmark_nav.storage.bags.sweeps import read_sweep_folder
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room

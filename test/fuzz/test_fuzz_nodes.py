@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 import pytest
 import yaml
 
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from landmark_nav.ros.factory import message_class, ros_factory
+from landmark_nav.ros.topics import message_class, ros_factory
 
 # Node -> its class and the parameters that it needs.
 NODES: dict[str, tuple[str, dict[str, Any]]] = {

@@ -13,8 +13,7 @@ from typing import Any, TYPE_CHECKING
 
 import pytest
 
-from landmark_nav.demo.graph import node_command, node_environment
-from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.supervisor import node_command, node_environment, Supervisor
 
 if TYPE_CHECKING:
     from graph import Graph

@@ -17,10 +17,10 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.waitable import NumberOfEntities, Waitable
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
+from landmark_nav.ros.topics import ros_factory
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 

@@ -11,7 +11,7 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.layouts import GlobalPose
+from landmark_nav.messages.clouds import GlobalPose
 from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
@@ -19,7 +19,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from graph import Graph
 
 from landmark_nav.nodes.odometry_fusion import OdometryFusionNode
-from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.topics import ros_factory
 
 PERIOD_NS, SPEED_M_S = 50_000_000, 0.4
 SURE = np.diag([0.02, 0.02, 0.01]) ** 2

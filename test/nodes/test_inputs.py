@@ -24,10 +24,9 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from landmark_nav.ros.camera_frames import listen_for_joints
-from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.topics import TOPICS
+from landmark_nav.ros.topics import message_class, ros_factory, TOPICS
 
 NS, NOW_NS = 10**9, 1_700_000_000 * 10**9
 MOUNT = PanTiltMount()

@@ -32,10 +32,13 @@ def assigned(module: ast.AST, name: str) -> Any:
 
 
 def declared(module: ast.AST) -> set[str]:
+    """Names of launch arguments: the first entries of the rows that they are made of."""
     return {
-        ast.literal_eval(node.args[0])
+        ast.literal_eval(row.elts[0])
         for node in ast.walk(module)
-        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'DeclareLaunchArgument'
+        if isinstance(node, ast.comprehension) and isinstance(node.iter, ast.Tuple)
+        for row in node.iter.elts
+        if isinstance(row, ast.Tuple) and len(row.elts) == 3
     }
 
 

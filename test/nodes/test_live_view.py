@@ -16,9 +16,8 @@ from graph import Graph
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.observer import Observation
 from landmark_nav.messages import decode
-from landmark_nav.nodes import live_pose, live_view
-from landmark_nav.nodes.live_pose import LivePose, ThinnedPath
-from landmark_nav.nodes.live_view import LiveView
+from landmark_nav.nodes import live_pose
+from landmark_nav.nodes.live_pose import LivePose, LiveView, ThinnedPath
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import (
@@ -123,9 +122,9 @@ def test_without_a_subscriber_nothing_is_drawn(
     node: Bystander, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module, name in (
-        (live_view, 'draw_observation'),
-        (live_view.encode, 'compressed_image'),
-        (live_view.encode, 'view_markers'),
+        (live_pose, 'draw_observation'),
+        (live_pose.encode, 'compressed_image'),
+        (live_pose.encode, 'view_markers'),
         (live_pose.encode, 'pose_markers'),
         (live_pose.ThinnedPath, 'message'),
     ):

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.pan_command import listen_for_pan, PanCommander
+from landmark_nav.ros.camera_frames import listen_for_pan, PanCommander
+from landmark_nav.ros.topics import ros_factory
 
 RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 SELECTOR = 'triplet_selector'

@@ -13,8 +13,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 
-from landmark_nav.demo.graph import node_command, node_commands
-from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.supervisor import node_command, node_commands, Supervisor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.robot_client import RobotClient
 

@@ -24,7 +24,7 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from rclpy.task import Future
 
-from landmark_nav.nodes.place_search import PlaceSearch
+from landmark_nav.nodes.triangulation_localizer import PlaceSearch
 
 SECOND = 10**9
 SURE, WIDE = 1e-4 * np.eye(3), np.eye(3)

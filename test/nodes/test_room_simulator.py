@@ -16,7 +16,7 @@ from graph import Graph
 
 from landmark_nav.messages.decode import stamp_ns
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
-from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.storage.setup_files import load_camera
 

@@ -12,8 +12,8 @@ pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import encode
-from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.robot_client import RobotClient
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import JointSample
 
 CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)

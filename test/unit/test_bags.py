@@ -26,7 +26,7 @@ import yaml
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode, encode
 from landmark_nav.storage.bags import Bag, BagWriter, container, sensor_events
-from landmark_nav.storage.bags.topics import relative_name
+from landmark_nav.storage.bags.definitions import relative_name
 from landmark_nav.types import CameraFrame
 
 TEXT = ('std_msgs/msg/String', 'ros2msg', b'string data\n')

@@ -14,7 +14,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import leaves
-from landmark_nav.storage.config_files import flat, shipped_config
+from landmark_nav.storage.robot_files import flat, shipped_config
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 ROBOT = BAGS / 'robot.yaml'
@@ -93,7 +93,7 @@ def test_a_file_of_the_last_release_is_taken_with_warnings(
 ) -> None:
     text = (
         'observation: {triplet: {max_range_m: 9.0, hysteresis: 0.1}}\n'
-        'estimator: {tail_freedom: 4.0}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
+        'world: {people: 4}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
     )
     robot = tmp_path / 'robot.yaml'
     robot.write_text(ROBOT.read_text() + 'odometry: {scale_sigma: 0.25}\n')

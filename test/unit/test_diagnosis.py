@@ -22,8 +22,7 @@ from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.diagnosis.advice import motion_findings
 from landmark_nav.diagnosis.causes import verdict
 from landmark_nav.diagnosis.findings import Finding
-from landmark_nav.diagnosis.image_motion import Strip, StripView
-from landmark_nav.diagnosis.looks import Looks
+from landmark_nav.diagnosis.looks import Looks, Strip, StripView
 from landmark_nav.diagnosis.motion import (
     Clock,
     driven_again,
@@ -45,9 +44,8 @@ from landmark_nav.diagnosis.parts import (
     moved_between,
     staying_values,
 )
-from landmark_nav.diagnosis.sources import two_sources
 from landmark_nav.diagnosis.stamps import by_arrival, check_stamps
-from landmark_nav.diagnosis.streams import Stream, unwrapped
+from landmark_nav.diagnosis.streams import Stream, two_sources, unwrapped
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Room, Wall

@@ -89,8 +89,8 @@ def test_labels_that_are_kept_do_not_overlap_and_those_left_out_lie_on_one_kept(
 def test_panorama_marks_what_was_elected(tmp_path, column):
     view = a_panorama()
     candidates = [Candidate(column, 40.0, 20, 20, 1.0)]
-    draw_panorama(view, candidates, [landmark(7, 1.0)], 1, tmp_path / 'elected.png')
-    draw_panorama(view, candidates, [Refusal('too far')], 1, tmp_path / 'refused.png')
+    draw_panorama(view, candidates, [landmark(7, 1.0)], tmp_path / 'elected.png')
+    draw_panorama(view, candidates, [Refusal('too far')], tmp_path / 'refused.png')
     assert share_of(tmp_path / 'elected.png', LANDMARK_BGR) > 0.0005
     assert share_of(tmp_path / 'refused.png', LANDMARK_BGR) == 0.0
 
@@ -126,7 +126,7 @@ def a_run(truth=True, fixed=True):
 
 def test_lines_follow_odometry_where_images_are_far_apart(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr(run_figures, 'save', lambda figure, _path: drawn.append(figure))
+    monkeypatch.setattr(run_figures.style, 'save', lambda figure, _path: drawn.append(figure))
     run = a_run()
     # Half a circle out of sight.
     stamps = np.arange(0, 29 * 10**8 + 1, 10**7)

@@ -15,9 +15,8 @@ from landmark_nav.learning.reference_area import joined, joint_covariance, pose_
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import bearing_gradients
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.prediction import landmark_errors, localization_sigma, Predictor
-from landmark_nav.planning.views import free_floor, look, papers_seen, sample_walls
+from landmark_nav.planning.views import free_floor, look, papers_seen, PlanConfig, sample_walls
 from landmark_nav.types import FloatArray, Panorama, Refusal
 
 CONFIG = PlanConfig()

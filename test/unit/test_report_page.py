@@ -13,15 +13,14 @@ from test_figures import a_map, a_panorama, a_run
 from landmark_nav.calibration import Calibration
 from landmark_nav.evaluation.learning_report import NO_WALL
 from landmark_nav.evaluation.report import (
-    drawn_panoramas,
     drive_page,
     FrameStrip,
     panoramas,
     write_report,
     write_video,
 )
+from landmark_nav.evaluation.report.collect import page_html
 from landmark_nav.evaluation.report.tables import learning_verdict
-from landmark_nav.evaluation.report.write import page_html
 from landmark_nav.evaluation.run_report import pose_report, run_errors, spells
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult
@@ -214,18 +213,6 @@ def test_pages_work_whatever_is_missing(opened, given):
     assert chrome.get_log('browser') == []
 
 
-def test_panoramas_that_learn_drew_beside_the_map_are_shown(opened, tmp_path):
-    for number in (1, 2):
-        picture = np.full((60, 100 * number, 3), 90, np.uint8)
-        cv2.imwrite(str(tmp_path / f'panorama_{number}.png'), picture)
-    page = page_of()
-    page['data']['panoramas'] = drawn_panoramas(tmp_path)
-    assert [one['size'] for one in page['data']['panoramas']] == [[100, 60], [200, 60]]
-    chrome = opened(page)
-    assert chrome.execute_async_script(WIDTHS, '.panorama image') == [100, 200]
-    assert drawn_panoramas(tmp_path / 'nowhere') == []
-
-
 def test_a_page_that_is_not_laid_out_has_no_error_and_a_figure_is_explained(opened):
     chrome = opened(page_of())
     chrome.execute_script("document.querySelector('tbody .term').focus()")
@@ -285,6 +272,11 @@ def test_a_video_shows_the_drive(tmp_path, camera):
 
 def test_landmarks_on_planes_of_their_own_count_no_wall():
     sweeps = [{'sigma': [1e-3, 1e-3, 1e-3]}]
-    report = {'elected': 7, 'sweeps': sweeps, 'landmarks_per_wall': {'a': 2, 'b': 2, NO_WALL: 3}}
+    report = {
+        'elected': 7,
+        'candidates': 40,
+        'sweeps': sweeps,
+        'landmarks_per_wall': {'a': 2, 'b': 2, NO_WALL: 3},
+    }
     (walls,) = re.findall(r'on (\d+) walls', learning_verdict(report, '')['text'])
     assert int(walls) == 2

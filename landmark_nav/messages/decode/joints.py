@@ -17,20 +17,11 @@ _MAX_NAMES = 200
 
 class JointNames:
     """
-    The pan and tilt joints among the names in joint states.
+    The pan and tilt joints among the names in joint states, which its `mount` has.
 
-    A joint with the name in ``robot.yaml`` is used. Otherwise it is the only joint whose name is
-    that name behind a prefix, such as ``robot1/pan_joint`` or ``robot1_pan_joint``.
-
-    Parameters
-    ----------
-    mount : PanTiltMount
-        Mount with the names in ``robot.yaml``.
-
-    Attributes
-    ----------
-    mount : PanTiltMount
-        Mount with the names in joint states.
+    A joint with the name in ``robot.yaml``, in the given `mount`, is used. Otherwise it is the
+    only joint whose name is that name behind a prefix, such as ``robot1/pan_joint`` or
+    ``robot1_pan_joint``.
     """
 
     def __init__(self, mount: PanTiltMount) -> None:

@@ -42,19 +42,9 @@ def most_bytes(size: int) -> int:
 
 def unpack(data: bytes, compression: str, size: int | None) -> bytes:
     """
-    Return the uncompressed content of a chunk.
+    Return the uncompressed content of a chunk, of declared `size`, if any.
 
-    Parameters
-    ----------
-    compression : str
-        ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` if the data are not compressed.
-    size : int or None
-        Declared number of bytes of the content; None if it is not declared.
-
-    Raises
-    ------
-    ValueError
-        The content has not the declared size, or is larger than a recorder writes.
+    Raises `ValueError`: the content has not that size, or is larger than a recorder writes.
     """
     limit = min(CHUNK_BYTES, max(_SMALL_BYTES, _RATIO * len(data)))
     if size is not None and size > limit:
@@ -155,23 +145,10 @@ class RawMessage:
 
 class McapFile:
     """
-    An MCAP file.
+    An MCAP file, with the `counts` of messages of its channels.
 
-    Parameters
-    ----------
-    on_warning : callable
-        Called with one line if the file is truncated or damaged.
-    name : Path, optional
-        Name of the file in messages; `path` by default.
-
-    Attributes
-    ----------
-    counts : dict
-        Number of messages of each `ChannelInfo`.
-    first_ns, last_ns : int
-        Log times of the first and last message; 0 for an empty file.
-    complete : bool
-        Whether the file is not truncated.
+    `on_warning` is called with one line if the file is truncated, hence not `complete`, or
+    damaged. The log times of the first and last message are 0 for an empty file.
     """
 
     def __init__(
@@ -191,10 +168,12 @@ class McapFile:
             raise LandmarkNavError(f'{self.name}: {error}') from error
         except _DAMAGE:
             pass
-        if self._index is not None:
-            self._take_index(self._index)
-        else:
+        if self._index is None:
             self._take_scan(on_warning)
+            return
+        self.first_ns, self.last_ns = self._index.span_ns
+        for identity, info in self._index.records.channels.items():
+            self.counts[info] = self.counts.get(info, 0) + self._index.counts.get(identity, 0)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield messages of `topics` (all by default) by log time."""
@@ -213,11 +192,6 @@ class McapFile:
             raise LandmarkNavError(
                 f'{self.name}: damaged inside ({error}): repair it with `mcap recover`'
             ) from error
-
-    def _take_index(self, index: _Index) -> None:
-        self.first_ns, self.last_ns = index.span_ns
-        for identity, info in index.records.channels.items():
-            self.counts[info] = self.counts.get(info, 0) + index.counts.get(identity, 0)
 
     def _take_scan(self, on_warning: Callable[[str], None]) -> None:
         self.complete = False

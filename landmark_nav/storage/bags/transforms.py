@@ -15,8 +15,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
+from landmark_nav.storage.bags.definitions import listed, TOPIC_TYPES
 from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded
-from landmark_nav.storage.bags.topics import listed, TOPIC_TYPES
 from landmark_nav.types import FloatArray, JointSample
 
 # Least cosine of the angle between the z axis of a frame that turns about the pan axis and the
@@ -31,23 +31,14 @@ def joints_of_transforms(
     bag: Bag, mount: PanTiltMount, frame: str = ''
 ) -> list[tuple[int, JointSample]]:
     """
-    Return pan and tilt by the transforms of a bag, with their log times.
+    Return log times and angles by the transforms of a bag; none if it lacks the frame.
 
     The pan is the rotation of the frame of the pan joint about the pan axis of `mount`; the tilt
-    is the elevation of the x axis of the frame of the tilt joint in its parent frame.
+    is the elevation of the x axis of the frame of the tilt joint in its parent frame. If `frame`
+    is empty, it is what URDF files name after ``pan_joint``: ``pan_link``, ``pan_frame`` or
+    ``pan``, also with a prefix.
 
     Raises `LandmarkNavError`: `frame` is not in ``/tf``, or does not turn about the pan axis.
-
-    Parameters
-    ----------
-    frame : str
-        Frame that turns with the pan joint. If empty, the frame that URDF files name after
-        ``pan_joint``: ``pan_link``, ``pan_frame`` or ``pan``, also with a prefix.
-
-    Returns
-    -------
-    list
-        Log times and angles; empty if the bag has no such frame.
     """
     topic = bag.find('tf')
     if topic is None:
