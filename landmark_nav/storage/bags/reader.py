@@ -405,10 +405,11 @@ class MessageFilter:
 
     def report(self) -> None:
         """Warn of messages left out; `LandmarkNavError` if none was usable but some are needed."""
+        if not self._used and self._needed:
+            nothing = f'{self._bag.path}: {self._topic}: no message can be read'
+            raise LandmarkNavError(next(iter(self._complaints), nothing))
         if not self._complaints:
             return
-        if not self._used and self._needed:
-            raise LandmarkNavError(self._complaints[0])
         count = len(self._complaints)
         self._bag.warn(
             f'{count} of {self._used + count} {self._what} left out: {self._complaints[0]}'
