@@ -17,9 +17,8 @@ from landmark_nav.diagnosis.parts import check_content, moved_between
 from landmark_nav.diagnosis.stamps import check_stamps
 from landmark_nav.diagnosis.streams import pan_stream, unwrapped
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.reader import naming
+from landmark_nav.storage.bags.sweeps import measured_pans
 
 # Least number of pairs of images from which motion is judged.
 _LEAST_PAIRS = 12
@@ -43,7 +42,10 @@ def check_sweeps(bag: Bag, images: str, mount: PanTiltMount, most_images: int) -
             found = [replace(found[0], level='warning')]
     found += check_stamps(replace(looks.stream, name='sweep images'))
     found += [*looks.findings, *check_content(looks)]
-    samples = sorted([*_planned(bag, mount)] or [*_jointed(bag, mount)])
+    plans = [*measured_pans(bag, mount)]
+    samples = sorted((sample.stamp_ns, sample.pan_rad) for plan in plans for sample in plan)
+    if not plans or not all(plans):
+        samples = sorted(_jointed(bag, mount)) or samples
     if len(samples) < 2:
         return found
     stamps, pans = np.array(samples).T
@@ -95,14 +97,6 @@ def _wider(looks: Looks, pan: Track) -> Motion:
     pairs = [(m.before_s, m.after_s, m.turns_rad) for m in each]
     before, after, turns = np.concatenate(pairs, axis=1)
     return Motion(before, after, turns, pan, None)
-
-
-def _planned(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[int, float]]:
-    topic = bag.find('sweep/trajectory')
-    for entry in bag.messages([topic]) if topic else ():
-        with naming(bag, topic or ''):
-            for sample in decode.sweep_trajectory(entry.message, mount):
-                yield sample.stamp_ns, sample.pan_rad
 
 
 def _jointed(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[int, float]]:

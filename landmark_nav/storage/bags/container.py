@@ -118,6 +118,8 @@ _FOOTER_BYTES = 9 + 20 + len(_MAGIC)
 
 # Greatest number of channels of a file; a robot has some hundreds.
 MAX_CHANNELS = 65535
+# Last time that fits into 64 bits with a sign.
+_LATEST_NS = 2**63 - 1
 # Greatest number of records of a chunk; a recorder writes some thousands.
 _MAX_RECORDS = 1_000_000
 
@@ -210,6 +212,11 @@ class McapFile:
                 f'{self.name}: cut off or damaged before its end ({self._break}): read up to the '
                 f'break, {total} messages, {(self.last_ns - self.first_ns) * 1e-9:.1f} s'
             )
+
+    @property
+    def damaged(self) -> bool:
+        """Whether a chunk that was read is damaged."""
+        return bool(self._damaged)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield messages of `topics` (all by default) by log time."""
@@ -329,6 +336,8 @@ class _Records:
         """Keep the definition in a record; return the message in it if it is on `topics`."""
         if opcode == Opcode.MESSAGE:
             channel, _, log_time_ns, _ = struct.unpack_from('<HIQQ', payload)
+            if log_time_ns > _LATEST_NS:
+                raise ValueError(f'a log time of {log_time_ns} ns')
             info = self.channels[channel]
             if topics is None or info.topic in topics:
                 return RawMessage(info, log_time_ns, payload[22:])

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 import sqlite3
 from tempfile import NamedTemporaryFile
 from typing import Any
 from urllib.parse import quote
-import weakref
 from weakref import finalize
 
 from rosbags.interfaces import Connection
@@ -42,7 +41,7 @@ class RosbagsFile:
     Raises `LandmarkNavError`: the file is damaged, or not a bag.
     """
 
-    complete = True
+    complete, damaged = True, False
 
     def __init__(self, path: Path, name: Path | None = None) -> None:
         """Open a file; messages call it `name`."""
@@ -51,7 +50,7 @@ class RosbagsFile:
             ros1 = stream.read(7) == b'#ROSBAG'
         with _naming(self.name):
             self._reader = _ros1(path) if ros1 else _sqlite3(path)
-        weakref.finalize(self, self._reader.close)
+        finalize(self, _close, self._reader)
         self._infos = {
             connection.id: _info(connection, 'ros1' if ros1 else 'cdr')
             for connection in self._reader.connections
@@ -72,7 +71,15 @@ class RosbagsFile:
             return
         with _naming(self.name):
             for connection, stamp_ns, data in self._reader.messages(wanted):
-                yield RawMessage(self._infos[connection.id], stamp_ns, data)
+                # SQLite keeps values of any type.
+                yield RawMessage(
+                    self._infos[connection.id], int(stamp_ns), bytes(memoryview(data))
+                )
+
+
+def _close(reader: Ros1Reader | Sqlite3Reader) -> None:
+    with suppress(Exception):  # a reading that an error ended keeps SQLite busy
+        reader.close()
 
 
 @contextmanager

@@ -170,6 +170,11 @@ class Bag:
         self.duration_s = 1e-9 * (max((f.last_ns for f in filled), default=0) - self.start_ns)
         self.complete = all(file.complete for file in self._files)
 
+    @property
+    def damaged(self) -> bool:
+        """Whether anything that was read so far had to be left out as damaged."""
+        return any(file.damaged for file in self._files)
+
     def inform(self, text: str) -> None:
         """Issue a warning, once for each text."""
         if text not in self._informed:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import describe_coverage, unseen_arcs
@@ -14,6 +15,8 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter, naming, once
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
+
+_IMAGES = ('sweep/image', 'sweep/image/compressed')
 
 
 def check_coverage(
@@ -96,8 +99,8 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     Read the sweeps of a bag, one at a time, in the order of their start.
 
     The pan of a frame is measured in ``sweep/trajectory``, which is published at the end of a
-    sweep. If there is none, or the bag ends before it, ``joint_states`` give the pan. Images that
-    cannot be decoded are left out if other frames cover their arcs.
+    sweep. If there is none, if it cannot be used, or if the bag ends before it, ``joint_states``
+    give the pan. Images that cannot be decoded are left out if other frames cover their arcs.
 
     Raises `LandmarkNavError`: a topic is missing, a sweep has no frames, the loss of a damaged
     frame leaves a gap, or an angle cannot be read. Missing frames and unseen directions are
@@ -114,7 +117,7 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     Sweep
         Frames by time.
     """
-    topic = bag.require('sweep/image', 'sweep/image/compressed')
+    topic = bag.require(*_IMAGES)
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')
     numbers = _numbers(bag, topic)
     plans = _plans(bag, mount, set(numbers))
@@ -219,17 +222,12 @@ def _check_unusable(
 
 def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
     """Sweeps by their trajectories, and the others by joint states, in order of their start."""
-    plans = []
-    if trajectory := bag.find('sweep/trajectory'):
-        for entry in once(bag.messages([trajectory])):
-            with naming(bag, trajectory):
-                samples = decode.sweep_trajectory(entry.message, mount)
-            if samples:
-                ordered = tuple(sorted(samples, key=lambda sample: sample.stamp_ns))
-                plans.append(_Plan(ordered, _take(ordered, left)))
-    after = plans[-1].samples[-1].stamp_ns if plans else 0
+    measured = [*measured_pans(bag, mount)]
+    plans = [_Plan(samples, _take(samples, left)) for samples in measured if samples]
+    lost = bag.damaged or not all(measured)
+    after = plans[-1].samples[-1].stamp_ns if plans and not lost else 0
     alone = sorted(stamp for stamp in left if stamp > after)
-    if alone and (not plans or not bag.complete):
+    if alone and (lost or not plans or not bag.complete):
         bag.warn(
             f'{bag.path}: {len(alone)} frames have no sweep/trajectory: '
             'their angles are taken from joint_states'
@@ -240,6 +238,37 @@ def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
     if not plans:
         raise LandmarkNavError(f'{bag.path}: no frame of a sweep has a known pan')
     return sorted(plans, key=lambda plan: plan.start_ns)
+
+
+def measured_pans(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[JointSample, ...]]:
+    """Yield the samples of each trajectory by time; none, and a report, if it cannot be used."""
+    topic = bag.find('sweep/trajectory')
+    images_ns = bag.stamps_ns[bag.require(*_IMAGES)][:, 1]
+    for entry in once(bag.messages([topic])) if topic else ():
+        dropped: list[LandmarkNavError] = []
+        try:
+            if not entry.header_ns:
+                raise LandmarkNavError('a trajectory has no stamp, that of its first frame')
+            samples = decode.sweep_trajectory(entry.message, mount, dropped.append)
+            if samples and not _are_near(samples, images_ns):
+                raise LandmarkNavError(
+                    f'that of {1e-9 * entry.header_ns:.1f} s has no image at its times: stamp '
+                    'both by one clock'
+                )
+        except LandmarkNavError as error:
+            bag.inform(f'{topic}: left out: {error}')
+            samples = ()
+        if dropped:
+            count = f'{len(dropped)} of {len(dropped) + len(samples)} points'
+            bag.inform(f'{topic}: {count} left out: {dropped[0]}')
+        yield tuple(sorted(samples, key=lambda sample: sample.stamp_ns))
+
+
+def _are_near(samples: Iterable[JointSample], images_ns: IntArray) -> bool:
+    """Whether the frame of any sample is there."""
+    stamps = np.array([sample.stamp_ns for sample in samples])
+    away = np.abs(np.subtract.outer(stamps, images_ns))
+    return bool(np.min(away, initial=_SAME_FRAME_NS + 1) <= _SAME_FRAME_NS)
 
 
 def _take(samples: tuple[JointSample, ...], left: set[int]) -> tuple[int | None, ...]:
