@@ -45,6 +45,16 @@ def test_sweeps_come_back_with_the_measured_pans(tmp_path):
         assert sweep.pose_map_base.pose[0] == number
 
 
+def test_a_pose_that_cannot_be_used_is_left_out(tmp_path):
+    with BagWriter(tmp_path / 'learn') as bag:
+        write_sweep(bag, START, full_turn())
+        estimate = PoseEstimate(START, np.array([1.0, 2.0, 0.5]), -np.eye(3))
+        bag.write('sweep/pose', encode.pose(FACTORY, estimate), START)
+    (sweep,), warnings = sweeps_of(tmp_path / 'learn')
+    assert sweep.pose_map_base is None
+    assert 'negative variance' in warnings[0]
+
+
 @pytest.mark.parametrize(
     ('sweep', 'frames', 'words'),
     [

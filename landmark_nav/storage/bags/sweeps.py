@@ -12,7 +12,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import describe_coverage, unseen_arcs
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter, naming, once
+from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded, MessageFilter, naming, once
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
 
@@ -304,9 +304,8 @@ def _poses(bag: Bag, plans: list[_Plan]) -> list[PoseEstimate | None]:
     if topic is None:
         return found
     ends = [plan.samples[-1].stamp_ns for plan in plans]
-    for entry in bag.messages([topic]):
-        with naming(bag, topic):
-            pose = decode.pose_estimate(entry.message)
+    poses = decoded(bag, topic, lambda entry: decode.pose_estimate(entry.message), needed=False)
+    for pose in poses:
         index = int(np.searchsorted(ends, pose.stamp_ns))
         if index < len(plans):
             found[index] = pose
