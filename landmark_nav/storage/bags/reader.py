@@ -254,12 +254,12 @@ class Bag:
             yield BagMessage(raw, self._reader(raw.channel), self)
 
     def is_unstamped(self, topic: str) -> bool:
-        """Whether the first headers of a topic have no stamps; reported once."""
+        """Whether the first headers of a topic have no stamps; reported once by each copy."""
         if topic not in self._unstamped:
             first = islice(self.messages([topic]), _STAMPS)
             self._unstamped[topic] = not any(entry.header_ns for entry in first)
-            if self._unstamped[topic]:
-                self.inform(f'{topic} has stamps of 0: the time of recording is taken')
+        if self._unstamped[topic]:
+            self.inform(f'{topic} has stamps of 0: the time of recording is taken')
         return self._unstamped[topic]
 
     @cached_property
