@@ -306,6 +306,7 @@ FORMS = {
     'sqlite3 without definitions': lambda s, p: without_definitions(rosbag2_bag(s, p)),
     'metadata that say nothing': lambda s, p: compression_mode(s, p, 'None'),
     'metadata that are wrong': lambda s, p: compression_mode(s, p, 'FILE'),
+    'metadata of messages': lambda s, p: compression_mode(s, p, 'MESSAGE'),
     'split': split_bag,
     'ros1': lambda s, p: ros1_bag(s, p, None),
     'ros1 bz2': lambda s, p: ros1_bag(s, p, Ros1Writer.CompressionFormat.BZ2),

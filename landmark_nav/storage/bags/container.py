@@ -28,6 +28,8 @@ import zstandard
 
 from landmark_nav.errors import LandmarkNavError, why
 
+# First bytes of what zstd compressed.
+ZSTD = b'\x28\xb5\x2f\xfd'
 # Greatest size of an uncompressed chunk; a recorder writes chunks of 1 to 10 MB.
 CHUNK_BYTES = 256 * 2**20
 # Greatest compression ratio of sensor data; size to which any chunk may unpack; size to which any
@@ -105,7 +107,7 @@ def unpack_file(path: Path, target: IO[bytes]) -> None:
 
 def _opened(stream: BinaryIO) -> Any:
     """Return a reader of the content of a compressed stream."""
-    zstd = stream.read(4) == b'\x28\xb5\x2f\xfd'
+    zstd = stream.read(4) == ZSTD
     stream.seek(0)
     if zstd:
         return zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)

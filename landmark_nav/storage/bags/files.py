@@ -26,6 +26,7 @@ from landmark_nav.storage.bags.container import (
     RawMessage,
     unpack,
     unpack_file,
+    ZSTD,
 )
 from landmark_nav.storage.reading import read_yaml_mapping
 
@@ -145,7 +146,7 @@ def _info(connection: Connection, encoding: str) -> ChannelInfo:
 BagFile = McapFile | RosbagsFile
 
 _MCAP, _OTHERS = b'\x89MCAP0\r\n', (b'SQLite format 3\0', b'#ROSBAG')
-_PACKED = (b'\x28\xb5\x2f\xfd', b'\x04\x22\x4d\x18')
+_PACKED = (ZSTD, b'\x04\x22\x4d\x18')
 _SUFFIXES = ('.mcap', '.db3', '.bag')
 _PACKED_SUFFIXES = ('.zstd', '.zst', '.lz4')
 _WHAT = 'give a rosbag2 folder or a file .mcap, .db3 or .bag'

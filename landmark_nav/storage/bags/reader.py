@@ -23,7 +23,7 @@ from scipy.ndimage import median_filter
 from landmark_nav.arrays import IntArray
 from landmark_nav.errors import inside, LandmarkNavError, why
 from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
-from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack
+from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack, ZSTD
 from landmark_nav.storage.bags.definitions import has_header, MessageReader, STANDARD_NAMES
 from landmark_nav.storage.bags.files import BagFile, open_files
 from landmark_nav.storage.bags.topics import (
@@ -280,8 +280,9 @@ class Bag:
         }
 
     def unpacked(self, data: bytes) -> bytes:
-        """Data of a message, uncompressed."""
-        return unpack(data, 'zstd', None) if self._by_message else data
+        """Data of a message, uncompressed; metadata may name a compression that there is not."""
+        packed = self._by_message and data.startswith(ZSTD)
+        return unpack(data, 'zstd', None) if packed else data
 
     def _reader(self, info: ChannelInfo) -> MessageReader:
         if info not in self._readers:
