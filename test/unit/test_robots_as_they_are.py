@@ -175,6 +175,15 @@ def test_the_pan_is_taken_from_transforms_where_it_is_only_there(tmp_path, child
     found, warnings = pans(rewritten(tmp_path, only_transforms(child)))
     np.testing.assert_allclose(found, PANS, atol=1e-9)
     assert any('the pan is taken from /tf' in warning for warning in warnings)
+    assert not any('stamps of 0' in warning for warning in warnings)
+
+
+def test_frames_of_other_names_are_listed_where_there_are_no_joints(tmp_path):
+    warnings = []
+    bag = Bag(rewritten(tmp_path, only_transforms('turret')), warnings.append)
+    with pytest.raises(LandmarkNavError, match='joint_states is missing'):
+        list(sensor_events(bag, MOUNT))
+    assert any('turret' in line and '/tf:FRAME' in line for line in warnings)
 
 
 def test_the_pan_is_that_about_the_axis_of_the_robot(tmp_path):
