@@ -100,7 +100,7 @@ def _wider(looks: Looks, pan: Track) -> Motion:
 
 
 def _jointed(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[int, float]]:
-    if bag.find('joint_states'):
+    if bag.find('joint_states') or bag.find('tf'):
         pan = pan_stream(bag, mount)
         yield from zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.cli.main import main
+from landmark_nav.diagnosis import diagnose
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
@@ -192,6 +193,8 @@ def test_the_pan_is_that_about_the_axis_of_the_robot(tmp_path):
     path = rewritten(tmp_path, only_transforms('turret', camera_tilt, mast))
     found, _ = pans(path, mount, {'joint_states': '/tf:turret'})
     np.testing.assert_allclose(found, PANS, atol=1e-9)
+    bag = Bag(path, topics={'joint_states': '/tf:turret'})
+    assert [f.name for f in diagnose(bag, mount).errors] == ['images content']
     with pytest.raises(LandmarkNavError, match='has no frame camera: it has base_link, turret'):
         pans(path, mount, {'joint_states': '/tf:camera'})
     sideways = PanTiltMount(axis_rpy=(1.2, 0.0, 0.0))

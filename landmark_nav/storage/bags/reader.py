@@ -194,6 +194,8 @@ class Bag:
 
         Raises `LandmarkNavError`: the topic is ambiguous, or has another type.
         """
+        if ':' in self._given.get(name, ''):
+            return None  # a frame of /tf takes its place
         with inside(self.path):
             topic = find_topic(name, self._filled(), self._given)
         given = {other.strip('/') for other in self._given.values()}

@@ -50,6 +50,8 @@ def joints_of_transforms(
         Log times and angles; empty if the bag has no such frame.
     """
     topic = bag.find('tf')
+    if topic is None and frame:
+        raise LandmarkNavError(f'{bag.path}: there is no /tf, of which to take {frame}')
     if topic is None:
         return []
     entries = list(_transforms(bag, topic))
