@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from itertools import groupby
+import os
 
 from bag_forms import (
     compression_mode,
@@ -81,6 +82,8 @@ def test_what_is_no_bag_is_refused_with_what_it_is(tmp_path):
         assert '\n' not in str(error.value)
 
     refused(tmp_path / 'nowhere', 'no bag there')
+    os.mkfifo(tmp_path / 'pipe')
+    refused(tmp_path / 'pipe', 'neither a file nor a folder')
     refused(tmp_path, 'folder without metadata')
     BagWriter(tmp_path / 'bags' / 'drive').__enter__().__exit__(None, None, None)
     refused(tmp_path / 'bags', r'holds 1 bags \(drive\): give one of them')

@@ -205,8 +205,10 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
         raise LandmarkNavError(f'{path}: no bag there: {_WHAT}')
     if path.name == 'metadata.yaml':
         raise LandmarkNavError(f'{path}: give the folder it lies in, {path.parent}')
-    if not path.is_dir():
+    if path.is_file():
         return [path], False
+    if not path.is_dir():
+        raise LandmarkNavError(f'{path}: neither a file nor a folder: {_WHAT}')
     if not (path / 'metadata.yaml').is_file():
         return _without_metadata(path, on_warning), False
     metadata = path / 'metadata.yaml'
