@@ -17,6 +17,7 @@ from landmark_nav.diagnosis.advice import (
     CORRECTED_S,
     HEADING_ERROR_RAD,
     motion_findings,
+    step_finding,
 )
 from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
@@ -50,6 +51,7 @@ from landmark_nav.diagnosis.stamps import (
     check_stamps,
     clock_hints,
     in_step,
+    lone_steps,
     longest_part,
 )
 from landmark_nav.diagnosis.streams import pan_stream, read_joints, read_stream, Stream, unwrapped
@@ -161,6 +163,8 @@ class DriveChecks:
     def _against_images(
         self, looks: Looks, streams: Sequence[Stream], found: list[Finding]
     ) -> _Judged:
+        steps = lone_steps(looks.stream, streams)
+        found += [step_finding(IMAGES, *one) for one in steps if abs(one[0]) > CORRECTED_S]
         first, last = longest_part(looks.stream)
         streams = [in_step(stream.logged_within(first, last)) for stream in streams]
         images = looks.stream.logged_within(first, last)

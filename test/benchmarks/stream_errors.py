@@ -469,6 +469,9 @@ def of_drives() -> dict[str, dict[str, StreamError]]:
             'odom clock set back by 3 s': odom(
                 change.from_on(100, later(-3.0)), 'odom', 'back|steps'
             ),
+            'images clock set back by 1 s': both(
+                change.from_on(35, later(-1.0)), 'images clock', 'steps back'
+            ),
             'odom clock 1 % fast': odom(change.drifting(0.01), 'odom clock', '% fast'),
             'third joint stamps all 0': joints(
                 change.one_in(3, change.stamps(lambda _: 0)), 'joint_states|reading', 'stamp'
