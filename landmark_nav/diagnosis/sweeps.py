@@ -44,7 +44,7 @@ def check_sweeps(bag: Bag, images: str, mount: PanTiltMount, most_images: int) -
     found += [*looks.findings, *check_content(looks)]
     plans = [*measured_pans(bag, mount)]
     samples = sorted((sample.stamp_ns, sample.pan_rad) for plan in plans for sample in plan)
-    if not plans or not all(plans):
+    if not plans or not all(plans) or bag.damaged or not bag.complete:
         samples = sorted(_jointed(bag, mount)) or samples
     if len(samples) < 2:
         return found
