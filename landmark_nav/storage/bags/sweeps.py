@@ -243,14 +243,15 @@ def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
 def measured_pans(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[JointSample, ...]]:
     """Yield the samples of each trajectory by time; none, and a report, if it cannot be used."""
     topic = bag.find('sweep/trajectory')
-    images_ns = bag.stamps_ns[bag.require(*_IMAGES)][:, 1]
+    logged = bag.stamps_ns.get(bag.require(*_IMAGES), np.empty((0, 2), np.int64))
+    images_ns = np.sort(logged[:, 1])
     for entry in once(bag.messages([topic])) if topic else ():
         dropped: list[LandmarkNavError] = []
         try:
             if not entry.header_ns:
                 raise LandmarkNavError('a trajectory has no stamp, that of its first frame')
             samples = decode.sweep_trajectory(entry.message, mount, dropped.append)
-            if samples and not _are_near(samples, images_ns):
+            if not _are_near(samples, images_ns):
                 raise LandmarkNavError(
                     f'that of {1e-9 * entry.header_ns:.1f} s has no image at its times: stamp '
                     'both by one clock'
@@ -265,10 +266,10 @@ def measured_pans(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[JointSample, 
 
 
 def _are_near(samples: Iterable[JointSample], images_ns: IntArray) -> bool:
-    """Whether the frame of any sample is there."""
-    stamps = np.array([sample.stamp_ns for sample in samples])
-    away = np.abs(np.subtract.outer(stamps, images_ns))
-    return bool(np.min(away, initial=_SAME_FRAME_NS + 1) <= _SAME_FRAME_NS)
+    """Whether any sample is of the time of an image; `images_ns` (n,) are sorted."""
+    stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
+    first = np.searchsorted(images_ns, stamps - _SAME_FRAME_NS)
+    return bool(np.any(first < np.searchsorted(images_ns, stamps + _SAME_FRAME_NS, 'right')))
 
 
 def _take(samples: tuple[JointSample, ...], left: set[int]) -> tuple[int | None, ...]:
