@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 import hashlib
 from importlib import import_module
-from itertools import product
+from itertools import islice, product
 import json
 import logging
 import math
@@ -18,7 +18,7 @@ import sys
 import time
 from typing import Any
 
-from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.errors import LandmarkNavError, shown, why
 from landmark_nav.storage.reading import check_spelling, list_field, name_field, read_yaml_mapping
 
 # Commands in the order of a run, and default inputs from earlier commands: option -> sources
@@ -48,6 +48,8 @@ _PATHS = ('bag', 'bags', 'room', 'robot', 'map', 'camera')
 # Options that the batch sets.
 _OWN = ('out', 'json', 'report', 'overwrite')
 _MOST_RUNS = 100_000
+# Greatest number of files of a bag or map.
+_MOST_FILES = 10_000
 
 
 @dataclass(frozen=True)
@@ -130,10 +132,11 @@ def _folders(base: Path, entry: Mapping[str, Any], where: str) -> Iterator[Path]
     pattern = name_field(entry, 'folder', where, '.')
     if Path(pattern).is_absolute():
         base, pattern = Path(Path(pattern).anchor), str(Path(pattern).relative_to('/'))
-    try:
-        folders = [base] if pattern in ('.', '') else sorted(base.glob(pattern))
-    except ValueError as error:  # such as a**
-        raise LandmarkNavError(f'{where}: folder {pattern}: {error}') from error
+    if '**' in pattern:
+        raise LandmarkNavError(
+            f'{where}: folder {pattern}: ** is not taken: write a * for each level of folders'
+        )
+    folders = [base] if pattern in ('.', '') else sorted(base.glob(pattern))
     folders = [folder for folder in folders if folder.is_dir()]
     if not folders:
         raise LandmarkNavError(f'{where}: no folder is like {pattern} in {base}')
@@ -232,15 +235,19 @@ def _flag(option: str) -> str:
 
 
 def _add_content(content: Any, path: Path, where: str) -> None:
-    """Add the state of a file or folder to a hash: names, sizes and times of change."""
+    """Add names, sizes and times of change of a file, or of those in a folder, to a hash."""
     if str(path).startswith('@'):
         return
-    if not path.exists():
-        raise LandmarkNavError(f'{where}: {path}: is not there')
-    files = sorted(path.rglob('*')) if path.is_dir() else [path]
-    for file in files:
-        status = file.stat()
-        content.update(f'{file.name} {status.st_size} {status.st_mtime_ns}\n'.encode())
+    try:
+        inside = islice(path.rglob('*'), _MOST_FILES + 1) if path.is_dir() else [path]
+        found = sorted(inside)
+        if len(found) > _MOST_FILES:
+            raise LandmarkNavError(f'{where}: {path}: over {_MOST_FILES} files: not a bag or map')
+        for file in found:
+            status = file.stat()
+            content.update(f'{file.name} {status.st_size} {status.st_mtime_ns}\n'.encode())
+    except (OSError, ValueError) as error:
+        raise LandmarkNavError(f'{where}: {path}: cannot be read: {why(error)}') from error
 
 
 _DONE = 'done.json'

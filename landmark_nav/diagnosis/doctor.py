@@ -21,9 +21,8 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
-from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, read_sweeps
-from landmark_nav.storage.bags.reader import naming
+from landmark_nav.storage.bags.sweeps import measured_pans
 
 # Least number of pairs of images from which motion is judged.
 _LEAST_PAIRS = 12
@@ -102,16 +101,14 @@ def _wider(looks: Looks, pan: Track) -> Motion:
 
 
 def _pans(bag: Bag, mount: PanTiltMount) -> list[tuple[int, float]]:
-    """Stamps and pans of the trajectories, or else of the joint states."""
-    found = []
-    topic = bag.find('sweep/trajectory')
-    for entry in bag.messages([topic]) if topic else ():
-        with naming(bag, topic or ''):
-            samples = decode.sweep_trajectory(entry.message, mount)
-            found += [(sample.stamp_ns, sample.pan_rad) for sample in samples]
-    if not found and bag.find('joint_states'):
+    """Stamps and pans of the trajectories, or of the joint states if trajectories are lost."""
+    plans = [*measured_pans(bag, mount)]
+    found = [(sample.stamp_ns, sample.pan_rad) for plan in plans for sample in plan]
+    lost = not plans or not all(plans) or bag.damaged or not bag.complete
+    if lost and (bag.find('joint_states') or bag.find('tf')):
         pan = pan_stream(bag, mount)
-        found = list(zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True))
+        jointed = zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True)
+        found = list(jointed) or found
     return found
 
 

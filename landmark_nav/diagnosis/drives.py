@@ -18,6 +18,7 @@ from landmark_nav.diagnosis.advice import (
     CORRECTED_S,
     HEADING_ERROR_RAD,
     motion_findings,
+    step_finding,
 )
 from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
@@ -151,6 +152,8 @@ class DriveChecks:
     def _against_images(
         self, looks: Looks, streams: Sequence[Stream], found: list[Finding]
     ) -> _Judged:
+        steps = stamps.lone_steps(looks.stream, streams)
+        found += [step_finding(IMAGES, *one) for one in steps if abs(one[0]) > CORRECTED_S]
         first, last = stamps.longest_part(looks.stream)
         streams = [stamps.in_step(stream.logged_within(first, last)) for stream in streams]
         images = looks.stream.logged_within(first, last)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from threading import Lock
 import time
 from typing import Any
@@ -89,6 +90,7 @@ class SweepInbox:
         on_sweep: Callable[[RecordedSweep], None],
     ) -> None:
         self._mount, self._frame_id, self._on_sweep = mount, frame_id, on_sweep
+        self._drop = partial(node.drop, 'sweep/trajectory')
         self._lock = Lock()
         self._images: dict[int, Any] = {}
         self._infos: dict[int, decode.CameraInfo] = {}
@@ -117,7 +119,7 @@ class SweepInbox:
         self._pose = decode.pose_estimate(message)
 
     def _on_trajectory(self, message: Any) -> None:
-        trajectory = decode.sweep_trajectory(message, self._mount)
+        trajectory = decode.sweep_trajectory(message, self._mount, self._drop)
         deadline = time.monotonic() + _LATE_FRAMES_S
         while missing_frames(trajectory, self._complete()) and time.monotonic() < deadline:
             time.sleep(0.05)

@@ -205,6 +205,11 @@ def test_bags(kind: str, data: st.DataObject, scratch: Path) -> None:
     else:
         file.write_bytes(data.draw(changed_bytes(copy.read_bytes())))
     enter(lambda: read_all(path))
+    enter(lambda: check_bag(path))
+
+
+# Times of recording that are none.
+LOG_NS = (0, 1, 2**63 - 1, 2**63, 2**64 - 1)
 
 
 def check_bag(path: Path) -> None:
@@ -245,7 +250,7 @@ def test_checks_of_hostile_drives(data: st.DataObject, scratch: Path) -> None:
                 raw = valid
                 if topic == hostile and data.draw(st.booleans()):
                     raw = store.serialize_cdr(data.draw(changed_message(kind, message)), kind)
-                bag.write(connection, stamp, raw)
+                bag.write(connection, data.draw(st.sampled_from([stamp, stamp, *LOG_NS])), raw)
     enter(lambda: check_bag(path))
     enter(lambda: list(sensor_events(Bag(path, lambda _: None), PanTiltMount())))
 

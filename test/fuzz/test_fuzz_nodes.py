@@ -38,9 +38,7 @@ NODES: dict[str, tuple[str, dict[str, Any]]] = {
     'odometry_fusion': ('OdometryFusionNode', {'robot_file': 'robot'}),
     'room_simulator': ('RoomSimulatorNode', {'robot_file': 'robot', 'room_file': 'room'}),
 }
-JOINT = {'robot_file': 'robot', 'estimator': 'joint'}
 CASES = [(name, wanted) for name, (_, wanted) in sorted(NODES.items())]
-CASES += [('odometry_fusion', JOINT), ('triangulation_localizer', JOINT)]
 UNMEASURED = {'robot_file': 'robot'}
 CASES += [('landmark_learner', UNMEASURED), ('panorama_synthesizer', UNMEASURED)]
 MESSAGES_A_NODE = 20

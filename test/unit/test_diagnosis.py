@@ -320,6 +320,7 @@ SOME = (
     *('images of two cameras', 'images black from half on', 'focal length x 0.02'),
     *('image stamps rounded down to 0.4 s', 'all clocks set by 54 years'),
     *('odom orientation all zero', 'images of two sizes', 'joint_states without joints'),
+    'images clock set back by 1 s',
 )
 
 

@@ -40,8 +40,8 @@ def channel(number, schema_number, topic):
     return record(4, head + text(topic) + text('cdr') + struct.pack('<I', 0))
 
 
-def message(number, data):
-    return record(5, struct.pack('<HIQQ', number, 0, 5, 5) + data)
+def message(number, data, log_time=5):
+    return record(5, struct.pack('<HIQQ', number, 0, log_time, log_time) + data)
 
 
 def mcap(*records):
@@ -157,6 +157,10 @@ def test_an_index_that_is_wrong_is_done_without(tmp_path):
         assert warnings == []
 
 
+def everything_in(bag):
+    return bag.stamps_ns, [entry.message for entry in bag.messages()]
+
+
 def test_a_database_with_odd_values_is_one_line(tmp_path):
     path = tmp_path / 'odd.db3'
     base = sqlite3.connect(path)
@@ -164,14 +168,25 @@ def test_a_database_with_odd_values_is_one_line(tmp_path):
     base.execute('CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)')
     base.execute("INSERT INTO topics VALUES (1, '/odom', 'nav_msgs/msg/Odometry', 'cdr')")
     base.commit()
-    for values in (('abc', 'text'), (None, None), (5, 7), (2**62, b'\0')):
+    for values in (('abc', 'text'), ('abc', bytes(999)), (None, None), (5, 7), (2**62, b'\0')):
         base.execute('DELETE FROM messages')
         base.execute('INSERT INTO messages VALUES (1, 1, ?, ?)', values)
         base.commit()
         with pytest.raises(LandmarkNavError) as error:
-            [entry.message for entry in Bag(path).messages()]
+            everything_in(Bag(path))
         assert '\n' not in str(error.value)
     base.close()
+
+
+@pytest.mark.parametrize('log_time', [2**63, 2**64 - 1])
+def test_a_log_time_that_is_none_ends_the_reading(tmp_path, log_time):
+    path = tmp_path / 'odd.mcap'
+    kind = 'sensor_msgs/msg/JointState'
+    ours = schema(1, kind, JOINTS.format('float64[] position')), channel(1, 1, '/joint_states')
+    path.write_bytes(mcap(*ours, message(1, bytes(99)), message(1, bytes(99), log_time)))
+    warnings = []
+    assert len(Bag(path, warnings.append).stamps_ns['/joint_states']) == 1
+    assert 'log time' in warnings[0]
 
 
 def test_a_bag_without_messages_states_what_is_missing(tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 import sqlite3
@@ -11,7 +11,6 @@ from tempfile import NamedTemporaryFile
 from types import TracebackType
 from typing import Any
 from urllib.parse import quote
-import weakref
 from weakref import finalize
 
 from rosbags.interfaces import (
@@ -47,7 +46,7 @@ class RosbagsFile:
     Raises `LandmarkNavError`: the file is damaged, or not a bag.
     """
 
-    complete = True
+    complete, damaged = True, False
 
     def __init__(self, path: Path, name: Path | None = None) -> None:
         """Open a file; messages call it `name`."""
@@ -56,7 +55,7 @@ class RosbagsFile:
             ros1 = stream.read(7) == b'#ROSBAG'
         with _naming(self.name):
             self._reader = _ros1(path) if ros1 else _sqlite3(path)
-        weakref.finalize(self, self._reader.close)
+        finalize(self, _close, self._reader)
         self._infos = {
             connection.id: _info(connection, 'ros1' if ros1 else 'cdr')
             for connection in self._reader.connections
@@ -77,7 +76,15 @@ class RosbagsFile:
             return
         with _naming(self.name):
             for connection, stamp_ns, data in self._reader.messages(wanted):
-                yield container.RawMessage(self._infos[connection.id], stamp_ns, data)
+                # SQLite keeps values of any type.
+                yield container.RawMessage(
+                    self._infos[connection.id], int(stamp_ns), bytes(memoryview(data))
+                )
+
+
+def _close(reader: Ros1Reader | Sqlite3Reader) -> None:
+    with suppress(Exception):  # a reading that an error ended keeps SQLite busy
+        reader.close()
 
 
 @contextmanager
@@ -145,7 +152,7 @@ def _info(connection: Connection, encoding: str) -> container.ChannelInfo:
 BagFile = container.McapFile | RosbagsFile
 
 _MCAP, _OTHERS = b'\x89MCAP0\r\n', (b'SQLite format 3\0', b'#ROSBAG')
-_PACKED = (b'\x28\xb5\x2f\xfd', b'\x04\x22\x4d\x18')
+_PACKED = (container.ZSTD, b'\x04\x22\x4d\x18')
 _SUFFIXES = ('.mcap', '.db3', '.bag')
 _PACKED_SUFFIXES = ('.zstd', '.zst', '.lz4')
 _WHAT = 'give a rosbag2 folder or a file .mcap, .db3 or .bag'
@@ -199,8 +206,10 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
         raise LandmarkNavError(f'{path}: no bag there: {_WHAT}')
     if path.name == 'metadata.yaml':
         raise LandmarkNavError(f'{path}: give the folder it lies in, {path.parent}')
-    if not path.is_dir():
+    if path.is_file():
         return [path], False
+    if not path.is_dir():
+        raise LandmarkNavError(f'{path}: neither a file nor a folder: {_WHAT}')
     if not (path / 'metadata.yaml').is_file():
         return _without_metadata(path, on_warning), False
     metadata = path / 'metadata.yaml'

@@ -25,7 +25,7 @@ from landmark_nav.arrays import IntArray
 from landmark_nav.errors import inside, LandmarkNavError, why
 from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
 from landmark_nav.storage.bags import definitions
-from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack
+from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack, ZSTD
 from landmark_nav.storage.bags.files import BagFile, open_files
 
 _LOG = logging.getLogger(__name__)
@@ -142,6 +142,11 @@ class Bag:
         self.duration_s = 1e-9 * (max((f.last_ns for f in filled), default=0) - self.start_ns)
         self.complete = all(file.complete for file in self._files)
 
+    @property
+    def damaged(self) -> bool:
+        """Whether anything that was read so far had to be left out as damaged."""
+        return any(file.damaged for file in self._files)
+
     def inform(self, text: str) -> None:
         """Issue a warning, once for each text."""
         if text not in self._informed:
@@ -161,6 +166,8 @@ class Bag:
 
         Raises `LandmarkNavError`: the topic is ambiguous, or has another type.
         """
+        if ':' in self._given.get(name, ''):
+            return None  # a frame of /tf takes its place
         with inside(self.path):
             topic = definitions.find_topic(name, self._filled(), self._given)
         given = {other.strip('/') for other in self._given.values()}
@@ -216,12 +223,12 @@ class Bag:
             yield BagMessage(raw, self._reader(raw.channel), self)
 
     def is_unstamped(self, topic: str) -> bool:
-        """Whether the first headers of a topic have no stamps; reported once."""
+        """Whether the first headers of a topic have no stamps; reported once by each copy."""
         if topic not in self._unstamped:
             first = islice(self.messages([topic]), _STAMPS)
             self._unstamped[topic] = not any(entry.header_ns for entry in first)
-            if self._unstamped[topic]:
-                self.inform(f'{topic} has stamps of 0: the time of recording is taken')
+        if self._unstamped[topic]:
+            self.inform(f'{topic} has stamps of 0: the time of recording is taken')
         return self._unstamped[topic]
 
     @cached_property
@@ -242,8 +249,9 @@ class Bag:
         }
 
     def unpacked(self, data: bytes) -> bytes:
-        """Data of a message, uncompressed."""
-        return unpack(data, 'zstd', None) if self._by_message else data
+        """Data of a message, uncompressed; metadata may name a compression that there is not."""
+        packed = self._by_message and data.startswith(ZSTD)
+        return unpack(data, 'zstd', None) if packed else data
 
     def _reader(self, info: ChannelInfo) -> definitions.MessageReader:
         if info not in self._readers:
@@ -348,10 +356,11 @@ class MessageFilter:
 
     def report(self) -> None:
         """Warn of messages left out; `LandmarkNavError` if none was usable but some are needed."""
+        if not self._used and self._needed:
+            nothing = f'{self._bag.path}: {self._topic}: no message can be read'
+            raise LandmarkNavError(next(iter(self._complaints), nothing))
         if not self._complaints:
             return
-        if not self._used and self._needed:
-            raise LandmarkNavError(self._complaints[0])
         count = len(self._complaints)
         self._bag.warn(
             f'{count} of {self._used + count} {self._what} left out: {self._complaints[0]}'

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import csv
 from dataclasses import dataclass, field, replace
 from io import StringIO
@@ -10,15 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
+from landmark_nav.arrays import IntArray
 from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import describe_coverage, unseen_arcs
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter, naming, once
+from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded, MessageFilter, naming, once
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.storage.reading import read_image, read_text
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
+
+_IMAGES = ('sweep/image', 'sweep/image/compressed')
 
 
 def check_coverage(
@@ -89,14 +92,14 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
 
     The bag holds ``sweep/image`` or its compressed form, and ``sweep/camera_info``. The pan of a
     frame is measured in ``sweep/trajectory``, which is published at the end of a sweep. If there
-    is none, or the bag ends before it, ``joint_states`` give the pan. Images that cannot be
-    decoded are left out if other frames cover their arcs.
+    is none, if it cannot be used, or if the bag ends before it, ``joint_states`` give the pan.
+    Images that cannot be decoded are left out if other frames cover their arcs.
 
     Raises `LandmarkNavError`: a topic is missing, a sweep has no frames, the loss of a damaged
     frame leaves a gap, or an angle cannot be read. Missing frames and unseen directions are
     reported by the `warn` of the bag.
     """
-    topic = bag.require('sweep/image', 'sweep/image/compressed')
+    topic = bag.require(*_IMAGES)
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')
     numbers = _numbers(bag, topic)
     plans = _plans(bag, mount, set(numbers))
@@ -201,17 +204,12 @@ def _check_unusable(
 
 def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
     """Sweeps by their trajectories, and the others by joint states, in order of their start."""
-    plans = []
-    if trajectory := bag.find('sweep/trajectory'):
-        for entry in once(bag.messages([trajectory])):
-            with naming(bag, trajectory):
-                samples = decode.sweep_trajectory(entry.message, mount)
-            if samples:
-                ordered = tuple(sorted(samples, key=lambda sample: sample.stamp_ns))
-                plans.append(_Plan(ordered, _take(ordered, left)))
-    after = plans[-1].samples[-1].stamp_ns if plans else 0
+    measured = [*measured_pans(bag, mount)]
+    plans = [_Plan(samples, _take(samples, left)) for samples in measured if samples]
+    lost = bag.damaged or not all(measured)
+    after = plans[-1].samples[-1].stamp_ns if plans and not lost else 0
     alone = sorted(stamp for stamp in left if stamp > after)
-    if alone and (not plans or not bag.complete):
+    if alone and (lost or not plans or not bag.complete):
         bag.warn(
             f'{bag.path}: {len(alone)} frames have no sweep/trajectory: '
             'their angles are taken from joint_states'
@@ -222,6 +220,38 @@ def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
     if not plans:
         raise LandmarkNavError(f'{bag.path}: no frame of a sweep has a known pan')
     return sorted(plans, key=lambda plan: plan.start_ns)
+
+
+def measured_pans(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[JointSample, ...]]:
+    """Yield the samples of each trajectory by time; none, and a report, if it cannot be used."""
+    topic = bag.find('sweep/trajectory')
+    logged = bag.stamps_ns.get(bag.require(*_IMAGES), np.empty((0, 2), np.int64))
+    images_ns = np.sort(logged[:, 1])
+    for entry in once(bag.messages([topic])) if topic else ():
+        dropped: list[LandmarkNavError] = []
+        try:
+            if not entry.header_ns:
+                raise LandmarkNavError('a trajectory has no stamp, that of its first frame')
+            samples = decode.sweep_trajectory(entry.message, mount, dropped.append)
+            if not _are_near(samples, images_ns):
+                raise LandmarkNavError(
+                    f'that of {1e-9 * entry.header_ns:.1f} s has no image at its times: stamp '
+                    'both by one clock'
+                )
+        except LandmarkNavError as error:
+            bag.inform(f'{topic}: left out: {error}')
+            samples = ()
+        if dropped:
+            count = f'{len(dropped)} of {len(dropped) + len(samples)} points'
+            bag.inform(f'{topic}: {count} left out: {dropped[0]}')
+        yield tuple(sorted(samples, key=lambda sample: sample.stamp_ns))
+
+
+def _are_near(samples: Iterable[JointSample], images_ns: IntArray) -> bool:
+    """Whether any sample is of the time of an image; `images_ns` (n,) are sorted."""
+    stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
+    first = np.searchsorted(images_ns, stamps - _SAME_FRAME_NS)
+    return bool(np.any(first < np.searchsorted(images_ns, stamps + _SAME_FRAME_NS, 'right')))
 
 
 def _take(samples: tuple[JointSample, ...], left: set[int]) -> tuple[int | None, ...]:
@@ -257,9 +287,8 @@ def _poses(bag: Bag, plans: list[_Plan]) -> list[PoseEstimate | None]:
     if topic is None:
         return found
     ends = [plan.samples[-1].stamp_ns for plan in plans]
-    for entry in bag.messages([topic]):
-        with naming(bag, topic):
-            pose = decode.pose_estimate(entry.message)
+    poses = decoded(bag, topic, lambda entry: decode.pose_estimate(entry.message), needed=False)
+    for pose in poses:
         index = int(np.searchsorted(ends, pose.stamp_ns))
         if index < len(plans):
             found[index] = pose

@@ -41,6 +41,8 @@ def joints_of_transforms(
     Raises `LandmarkNavError`: `frame` is not in ``/tf``, or does not turn about the pan axis.
     """
     topic = bag.find('tf')
+    if topic is None and frame:
+        raise LandmarkNavError(f'{bag.path}: there is no /tf, of which to take {frame}')
     if topic is None:
         return []
     entries = list(_transforms(bag, topic))
@@ -51,6 +53,10 @@ def joints_of_transforms(
             raise LandmarkNavError(
                 f'{bag.path}: {topic} has no frame {frame}: it has {listed(moving) or "none"}'
             )
+        bag.inform(
+            f'{topic} has no frame named after {mount.pan_joint}, but {listed(moving)}: give the '
+            'one that turns with it by --topic joint_states=/tf:FRAME'
+        )
         return []
     tilt_frame = _frame_of(mount.tilt_joint, moving)
     static_topic = bag.find('tf_static')
@@ -75,7 +81,9 @@ def joints_of_transforms(
                     ': give the frame that does by --topic joint_states=/tf:FRAME'
                 )
             pan_rad = math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
-            found.append((log_ns, JointSample(stamp_ns, pan_rad, tilt_rad)))
+            if not stamp_ns:
+                bag.inform(f'{topic} has stamps of 0: the time of recording is taken')
+            found.append((log_ns, JointSample(stamp_ns or log_ns, pan_rad, tilt_rad)))
     bag.inform(f'the pan is taken from {topic}, as {pan_frame} turns')
     return found
 
@@ -87,7 +95,7 @@ def _transforms(bag: Bag, topic: str) -> list[tuple[int, int, str, str, FloatArr
         return [
             (
                 entry.stamp_ns,
-                decode.stamp_ns(one.header) or entry.stamp_ns,
+                decode.stamp_ns(one.header),
                 str(one.child_frame_id).lstrip('/'),
                 str(one.header.frame_id).lstrip('/'),
                 _rotation(one.transform.rotation),
