@@ -24,7 +24,7 @@ from landmark_nav.configuration import Configuration, LIVE, READS
 from landmark_nav.demo.scenario import prepare_room
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.parameters import is_of, leaves, unit_of
-from landmark_nav.storage.config_files import read_parameters, shipped_config
+from landmark_nav.storage.robot_files import read_parameters, shipped_config
 
 # Nodes subscribe to images while they use them.
 _WHILE_NEEDED = {
@@ -121,7 +121,7 @@ def _ends_of_nodes(
     """Nodes that publish, subscribe to and serve each name; type and QoS of each topic."""
     import rclpy
 
-    from landmark_nav.ros.renamed_topics import FORMER_NAMES
+    from landmark_nav.ros.topics import FORMER_NAMES
 
     publishers, subscribers = defaultdict(list), defaultdict(list, _WHILE_NEEDED)
     services: dict[str, str] = {}

@@ -22,8 +22,7 @@ from landmark_nav.learning.unmeasured import UnmeasuredConfig
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.triplet.look_around import LookAroundConfig
 from landmark_nav.parameters import changed, Config, leaves, parameter
-from landmark_nav.storage.config_files import read_parameters
-from landmark_nav.storage.robot_files import load_odometry
+from landmark_nav.storage.robot_files import load_odometry, read_parameters
 from landmark_nav.storage.setup_files import load_robot
 
 _LOG = logging.getLogger(__name__)
@@ -120,19 +119,11 @@ def load_configuration(
     path: Path | str | None, robot_file: Path | str, *nodes: str
 ) -> Configuration:
     """
-    Read parameters as nodes do; parameters that the file does not hold keep their defaults.
+    Read the parameters of `nodes` as they do, with defaults for those not in the file.
 
-    Raises `LandmarkNavError`: the file is not YAML, a parameter does not exist, or a value is
-    invalid.
-
-    Parameters
-    ----------
-    path : path-like, optional
-        File as for ``--params-file``.
-    robot_file : path-like
-        `robot.yaml`, for the noise of the odometry and the pan unit.
-    *nodes : str
-        Names of the nodes whose parameters are read.
+    The file is as for ``--params-file``; noise of the odometry and pan unit come from
+    `robot_file`. Raises `LandmarkNavError`: the file is not YAML, a parameter does not exist, or a
+    value is invalid.
     """
     config = replace(Configuration(), robot_file=str(robot_file))
     if path:

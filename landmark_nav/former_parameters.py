@@ -26,100 +26,47 @@ _OF_THE_ROBOT = {
     'command.speed_rad_s': 'pan_rate',
     'triplet.pan_acceleration_rad_s2': 'pan_acceleration',
 }
-# Section -> module with its constants, and their names: they describe the method.
-_CONSTANTS = {
-    '': (
-        'nodes',
-        'image_rate_hz jpeg_quality command_timeout_s max_wait_s max_prior_age_s late_frames_s '
-        'start_sigma_m start_sigma_rad period_s deadband_rad start_delay_s clock',
-    ),
-    'attention': (
-        'learning/attention',
-        'weight_intensity weight_edges weight_vertical_edges weight_corners weight_symmetry '
-        'weight_radial_symmetry weight_line_symmetry edge_low edge_high size_min_px size_max_px '
-        'size_step_px least_response candidates_per_sector neighborhood_columns_px '
-        'neighborhood_rows_px ambiguity_max noise_gray',
-    ),
-    'stereo': (
-        'learning/stereo',
-        'min_score max_second_ratio max_incidence_rad min_parallax_rad min_approach '
-        'behind_wall_m before_wall_m margin_m',
-    ),
-    'adjustment': (
-        'learning/adjustment',
-        'azimuth_sigma_rad tangent_sigma nearness_sigma relief_sigma_m hanging_sigma_m '
-        'hanging_length_m common_hanging_sigma_m wall_sigma_m camera_weight place_weight '
-        'room_weight',
-    ),
-    'wall_fit': ('learning/adjustment', 'max_before_m max_behind_m max_turn_rad'),
-    'election': (
-        'learning/election.py',
-        'max_incidence_rad max_stretch min_size_px max_overlap',
-    ),
-    'reference_area': (
-        'learning/reference_area',
-        'paper_sigma_m height_sigma_m horizon_sigma_rad edge_sigma_px paper_size_sigma',
-    ),
-    'panorama': ('learning/panorama', 'blend crop_px even_out px_per_rad'),
-    'calibration': ('learning/calibration', 'enabled'),
-    'unmeasured': ('learning/unmeasured.py', 'camera_weight'),
-    'unmeasured.sheets': ('learning/sheets', 'size_sigma corner_sigma_px'),
-    'unmeasured.relative_pose': (
-        'learning/relative_pose',
-        'features max_ratio direction_sigma_rad tilt_sigma_rad rise_sigma_m heading_sigma_rad '
-        'min_matches max_rival min_baseline_m',
-    ),
-    'unmeasured.facades': (
-        'learning/facades',
-        'relief_m min_cells min_length_m max_gap_m wall_height_m sigma_m max_facades',
-    ),
-    'capture': (
-        'learning/capture',
-        'arrival_tolerance_rad settled_s settled_velocity_rad_s retakes retake_pause_s '
-        'least_sharpness stamp_gap_s moved_m moved_rad resume_s',
-    ),
-    'command': ('ros/pan_command.py', 'min_duration_s'),
-    'triplet': (
-        'localization/triplet',
-        'bearing_sigma_rad min_sampling max_sampling min_range_m border_px margin_sigmas '
-        'hysteresis views fix_window_s gather_s dwell_time_s look_s max_sigma_m',
-    ),
-    # It is replaced by slip_m_per_rad, which has another unit.
-    'odometry': ('localization/odometry', 'slip_sigma'),
-    'look_around': ('localization/triplet', 'after_s dwell_time_s look_s'),
-    'detection': (
-        'localization/detection',
-        'min_size_px max_count target_count enough max_second_ratio window_sigmas max_window_px '
-        'vertical_sigma_px appearance lens_sigma_px',
-    ),
-    'triangulation': (
-        'localization/triangulation',
-        'fit_probability max_sigma_m min_range_m',
-    ),
-    'estimator': (
-        'localization/estimator',
-        'floor_tilt_length_m tail_freedom mount_walk_rad_per_sqrt_s step_sigma_rad step_sigma_s '
-        'step_sigma_m history_s',
-    ),
-    'relocalization': (
-        'localization/relocalization',
-        'unseen_s min_landmarks max_sigma_m max_sigma_rad tilt_sigma_rad lean_sigma_rad',
-    ),
-    'world': ('simulation', 'robot_radius_m people'),
-    'world.pan_tilt': (
-        'simulation',
-        'max_rate_rad_s max_acceleration_rad_s2 pan_limit_rad tilt_limit_rad '
-        'natural_frequency_hz damping_ratio encoder_step_rad',
-    ),
-    'world.drive': (
-        'simulation',
-        'max_speed_m_s max_turn_rad_s max_acceleration_m_s2 max_turn_acceleration_rad_s2 track_m '
-        'scale_sigma track_sigma slip_sigma_m encoder_step_m',
-    ),
-    'world.camera': (
-        'simulation',
-        'vignetting exposure auto_exposure target_brightness blur_sigma_px read_noise shot_noise',
-    ),
+# Rows of section, module with its constants, and their names in release 0.1.0: they describe the
+# method. The section of parameters without one is -; odometry.slip_sigma is replaced by
+# slip_m_per_rad, which has another unit.
+_CONSTANTS = """
+- nodes image_rate_hz jpeg_quality command_timeout_s max_wait_s max_prior_age_s late_frames_s
+- nodes start_sigma_m start_sigma_rad period_s deadband_rad start_delay_s clock
+attention learning/attention weight_intensity weight_edges weight_vertical_edges weight_corners
+attention learning/attention weight_symmetry weight_line_symmetry edge_low edge_high size_min_px
+attention learning/attention size_max_px size_step_px least_response candidates_per_sector
+attention learning/attention neighborhood_columns_px neighborhood_rows_px ambiguity_max noise_gray
+stereo learning/stereo min_score max_second_ratio max_incidence_rad min_parallax_rad behind_wall_m
+stereo learning/stereo before_wall_m margin_m
+adjustment learning/adjustment azimuth_sigma_rad tangent_sigma hanging_sigma_m
+adjustment learning/adjustment common_hanging_sigma_m
+wall_fit learning/adjustment max_before_m max_behind_m max_turn_rad
+election learning/election.py max_incidence_rad min_size_px max_overlap
+reference_area learning/reference_area paper_sigma_m height_sigma_m horizon_sigma_rad edge_sigma_px
+panorama learning/panorama blend crop_px px_per_rad
+capture learning/capture arrival_tolerance_rad settled_velocity_rad_s
+command ros/camera_frames.py min_duration_s
+triplet localization/triplet bearing_sigma_rad min_sampling max_sampling min_range_m border_px
+triplet localization/triplet margin_sigmas hysteresis views max_sigma_m
+odometry localization/odometry slip_sigma
+detection localization/detection min_size_px max_count enough max_second_ratio window_sigmas
+detection localization/detection max_window_px vertical_sigma_px lens_sigma_px
+triangulation localization/triangulation fit_probability max_sigma_m min_range_m
+relocalization localization/relocalization min_landmarks max_sigma_m max_sigma_rad tilt_sigma_rad
+world simulation robot_radius_m people
+world.pan_tilt simulation max_rate_rad_s max_acceleration_rad_s2 pan_limit_rad tilt_limit_rad
+world.pan_tilt simulation natural_frequency_hz damping_ratio encoder_step_rad
+world.drive simulation max_speed_m_s max_turn_rad_s max_acceleration_m_s2
+world.drive simulation max_turn_acceleration_rad_s2 track_m scale_sigma track_sigma slip_sigma_m
+world.drive simulation encoder_step_m
+world.camera simulation vignetting exposure auto_exposure target_brightness blur_sigma_px
+world.camera simulation read_noise shot_noise
+"""
+# Former parameter -> module with the constant.
+_MODULES = {
+    f'{section}.{name}'.removeprefix('-.'): module
+    for section, module, *names in map(str.split, _CONSTANTS.strip().splitlines())
+    for name in names
 }
 # Former section of `--config`, whose subsections are sections now.
 _UNWRAPPED = 'observation.'
@@ -130,18 +77,10 @@ _MOST_COMPARED = 20
 @dataclass(frozen=True)
 class Settled:
     """
-    Given parameters by their present meaning.
+    Given parameters by their present meaning: values by present names, and keys of `robot.yaml`.
 
-    Parameters
-    ----------
-    values : dict
-        Values of parameters, by their present names.
-    robot : dict
-        Values of keys of `robot.yaml`.
-    warnings : tuple of str
-        Warnings about former names, a line each.
-    unknown : dict
-        Unknown name -> suggestion of a known one; '' if none is similar.
+    `warnings` about former names have a line each; `unknown` names have the suggestion of a known
+    one, or ''.
     """
 
     values: dict[str, Any]
@@ -162,7 +101,6 @@ def settled(given: Mapping[str, Any], known: Collection[str]) -> Settled:
         bare = name.removeprefix(_UNWRAPPED)
         now = bare if bare in known else _RENAMED.get(bare, '')
         section, _, last = bare.rpartition('.')
-        where, constants = _CONSTANTS.get(section, ('', ''))
         if now in known:
             if now != name:
                 renamed[name] = now
@@ -171,7 +109,7 @@ def settled(given: Mapping[str, Any], known: Collection[str]) -> Settled:
         elif bare in _OF_THE_ROBOT:
             moved[bare] = _OF_THE_ROBOT[bare]
             robot[moved[bare]] = value
-        elif last in constants.split():
+        elif where := _MODULES.get(bare):
             gone.setdefault(where, []).append(bare)
         elif section == 'odometry':
             moved[bare] = bare

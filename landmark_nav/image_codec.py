@@ -100,10 +100,7 @@ def encode_image(
     """
     Encode an image in the format of a suffix (``.png``, ``.jpg``): bytes (n,).
 
-    Raises
-    ------
-    ValueError
-        OpenCV cannot encode this shape or type in that format.
+    Raises `ValueError`: OpenCV cannot encode this shape or type in that format.
     """
     done, data = cv2.imencode(suffix, image, list(options))
     if not done:

@@ -147,7 +147,9 @@ def _converted(value: Any, old: Any, name: str) -> Any:
 
 
 def resembling(name: str, known: Collection[str]) -> str:
-    """Text "did you mean …?" for an unknown name; '' if no known name is similar."""
+    """What an unknown name may mean, a section or a similar name, as text; '' if it is neither."""
+    if any(is_of(one, (name,)) for one in known):
+        return f': {name} is a section: write its parameters below it, each with a value'
     short = len(name) <= _MAX_NAME_LENGTH
     like = difflib.get_close_matches(name, list(known), 1) if short else []
     return f': did you mean {like[0]}?' if like else ''

@@ -36,23 +36,12 @@ class PanoramaQuality:
     """
     Quality of a panorama, and the calibration estimated from its sweep.
 
-    Parameters
-    ----------
-    sharpness : float
-        Tenengrad: mean squared gradient, grey levels squared per pixel squared.
-    closure_rad : float or None
-        Closure error; None for a part of a turn, and for a full turn in which too little can be
-        matched at the pans `gaps_rad`.
-    gaps_rad : tuple of float
-        Pans at which too little can be matched.
-    residual_px, before_px : float
-        Median disagreement of overlapping frames after and before calibration.
-    vignetting : float
-        Share of light lost in the corners, which was corrected.
-    gain_spread : float
-        Relative standard deviation of the exposures.
-    calibration : tuple of CalibrationTerm
-        Corrections.
+    `sharpness` is the Tenengrad: mean squared gradient, grey levels squared per pixel squared.
+    `closure_rad` is None for a part of a turn, and for a full turn in which too little can be
+    matched at the pans `gaps_rad`. `residual_px` and `before_px` are the median disagreement of
+    overlapping frames after and before calibration; `vignetting` is the share of light lost in the
+    corners, which was corrected; `gain_spread` is the relative standard deviation of the
+    exposures.
     """
 
     sharpness: float = 0.0

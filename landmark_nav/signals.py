@@ -19,12 +19,8 @@ def end_at_once(status: int | None = None) -> None:
     """
     Install handlers that exit the process at once; for the time of imports.
 
-    A KeyboardInterrupt would be lost in imports, or turned into other errors.
-
-    Parameters
-    ----------
-    status : int, optional
-        Exit status; by default that of shells, 128 + the number of the signal.
+    A KeyboardInterrupt would be lost in imports, or turned into other errors. The status is by
+    default that of shells, 128 + the number of the signal.
     """
 
     def end(number: int, _frame: FrameType | None) -> None:

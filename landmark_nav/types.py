@@ -20,29 +20,9 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.patches import patch_corners, PatchView
+from landmark_nav.geometry.patches import is_upright_edge, patch_corners, PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.quality import PanoramaQuality
-
-__all__ = [
-    'CameraFrame',
-    'Candidate',
-    'Detections',
-    'Expectation',
-    'FloatArray',
-    'ImageArray',
-    'JointSample',
-    'Landmark',
-    'LandmarkMap',
-    'OdometrySample',
-    'Panorama',
-    'PlaceChain',
-    'PoseEstimate',
-    'Refusal',
-    'RefusalCode',
-    'Sweep',
-    'Triplet',
-]
 
 
 class RefusalCode(Enum):
@@ -87,14 +67,9 @@ class Expectation(PoseEstimate):
     Expected pose of the base at a time, and calibration, for the search for landmarks.
 
     The covariance is that of the pan axis with the azimuth of the camera: errors of heading and
-    pan zero that cancel are not part of it.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Calibration; only its standard deviations are used, not the correlations.
-    tilt_sigma_rad : float
-        Standard deviation of the elevation of the view: of base, axis and camera together.
+    pan zero that cancel are not part of it. Of the calibration, only standard deviations are used,
+    not the correlations. `tilt_sigma_rad` is that of the elevation of the view: of base, axis and
+    camera together.
     """
 
     calibration: Calibration
@@ -109,14 +84,9 @@ class Expectation(PoseEstimate):
         self, sigma_m: float, sigma_rad: float, calibration: Mapping[str, float]
     ) -> Expectation:
         """
-        Return the expectation after possible steps of base and calibration.
+        Return the expectation after possible steps of base and calibration with these sigmas.
 
-        Parameters
-        ----------
-        sigma_m, sigma_rad : float
-            Sigmas of the steps of the base.
-        calibration : mapping of str to float
-            Sigmas of the steps of values of the calibration, by name; exact values do not change.
+        Exact values of the calibration do not change.
         """
         known = self.calibration
         steps = {name: step for name, step in calibration.items() if known[name][1] > 0.0}
@@ -206,33 +176,15 @@ class Sweep:
 @dataclass(frozen=True, eq=False)
 class Panorama:
     """
-    A cylindrical image of the room with its pose.
+    A cylindrical image (height, width, 3) of the room, BGR, and its pose; `stamp_ns` is its start.
 
-    Parameters
-    ----------
-    stamp_ns : int
-        Start of the sweep.
-    image : ndarray, shape (height, width, 3)
-        BGR, uint8.
-    mask : ndarray of bool, shape (height, width)
-        Pixels that at least one frame covers.
-    cylinder : Cylinder
-        Geometry; azimuth 0 is ``base_link`` +x.
-    center_map : ndarray, shape (3,)
-        Viewpoint (pan axis at the height of the optical centre) in map, metres.
-    heading_rad : float
-        Heading of the base in map.
-    covariance : ndarray, shape (4, 4)
-        Covariance of x, y, z, heading.
-    quality : PanoramaQuality, optional
-        Quality of the panorama; messages do not hold it.
-    calibration : Calibration, optional
-        Calibration after the sweep; messages do not hold it.
-    made_with : ndarray, shape (15,), optional
-        Values of the calibration with which the image was synthesized.
-    by_calibration : ndarray, shape (4, 15), optional
-        Derivatives of x, y, z, heading by the calibration; 0 if anchor papers located the camera
-        itself.
+    `mask` has the pixels that at least one frame covers. Azimuth 0 of the cylinder is
+    ``base_link`` +x. `center_map` (3,) is the viewpoint (pan axis at the height of the optical
+    centre) in map, `heading_rad` the heading of the base there, `covariance` (4, 4) that of x, y,
+    z, heading. `quality` and `calibration` are those after the sweep; messages do not hold them.
+    `made_with` (15,) are the values of the calibration with which the image was synthesized;
+    `by_calibration` (4, 15) are the derivatives of x, y, z, heading by the calibration, 0 if
+    anchor papers located the camera itself.
     """
 
     stamp_ns: int
@@ -256,49 +208,33 @@ class Panorama:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A patch around a pixel of a panorama, proposed by attention; the best `saliency` is 1."""
+    """
+    A patch around a pixel of a panorama, proposed by attention; the best `saliency` is 1.
+
+    `edge`: it is an upright edge, whose row is uncertain.
+    """
 
     column: float
     row: float
     width_px: int
     height_px: int
     saliency: float
+    edge: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Landmark:
     """
-    An elected wall patch.
+    An elected wall patch at `position` (3,) in map, with its total `covariance` (3, 3).
 
-    Parameters
-    ----------
-    id : int
-        Unique in its map.
-    position : ndarray, shape (3,)
-        Centre in map, metres.
-    covariance : ndarray, shape (3, 3)
-        Total covariance of `position`.
-    shared_loading : ndarray, shape (3, m)
-        Loadings of the shared map factors, mostly the pose errors of the panoramas: the covariance
-        between landmarks k and l is ``L_k @ L_l.T``. Factors have unit variance; `m` is the same
-        for the whole map.
-    normal : ndarray, shape (3,)
-        Unit normal, horizontal, into the room.
-    width_m, height_m : float
-        Size of the patch on the wall.
-    patch : ndarray, shape (rows, columns)
-        Grey texture in wall coordinates, uint8: columns run to the right as seen from inside the
-        room, rows downwards, centre of the array at `position`, square texels.
-    viewpoint : ndarray, shape (3,)
-        Viewpoint of the reference view in map; it determines the observation area.
-    threshold : float
-        Smallest normalized cross-correlation that counts as found.
-    wall_id : str
-        Wall that carries the patch; empty if the patch has a plane of its own.
-    saliency : float
-        Saliency of its candidate.
-    views : tuple of PatchView
-        The patch in other panoramas; old maps have none.
+    `shared_loading` (3, m) are loadings of the shared map factors, mostly the pose errors of the
+    panoramas: the covariance between landmarks k and l is ``L_k @ L_l.T``. Factors have unit
+    variance; m is the same for the whole map. `normal` (3,) is a unit vector, horizontal, into the
+    room. `patch` is grey texture in wall coordinates, uint8: columns run to the right as seen from
+    inside the room, rows downwards, centre of the array at `position`, square texels. `viewpoint`
+    (3,) is that of the reference view, which determines the observation area; `threshold` is the
+    smallest normalized cross-correlation that counts as found. `wall_id` is empty if the patch has
+    a plane of its own; `views` show the patch in other panoramas, none in old maps.
     """
 
     id: int
@@ -314,6 +250,11 @@ class Landmark:
     wall_id: str = ''
     saliency: float = 0.0
     views: tuple[PatchView, ...] = ()
+
+    @cached_property
+    def edge(self) -> bool:
+        """Whether it is an upright edge: its row in an image is uncertain."""
+        return is_upright_edge(self.patch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,6 +290,11 @@ class LandmarkMap:
         return 'frame' in self.provenance
 
     @cached_property
+    def distinct(self) -> LandmarkMap:
+        """The map without edges, which are also found where they are not."""
+        return replace(self, landmarks=tuple(k for k in self.landmarks if not k.edge))
+
+    @cached_property
     def ids(self) -> npt.NDArray[np.int64]:
         """Landmark ids, (n,)."""
         return np.array([k.id for k in self.landmarks], dtype=np.int64)
@@ -357,6 +303,11 @@ class LandmarkMap:
         """Indices in `landmarks` of ids (n,), all of which must be in the map."""
         order = np.argsort(self.ids)
         return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)], dtype=np.intp)
+
+    @cached_property
+    def edges(self) -> npt.NDArray[np.bool_]:
+        """Which landmarks are edges, (n,)."""
+        return np.array([k.edge for k in self.landmarks], dtype=np.bool_)
 
     @cached_property
     def positions(self) -> FloatArray:
@@ -432,39 +383,18 @@ class Detections:
     """
     Landmarks found in one image; arrays over the n found.
 
-    Parameters
-    ----------
-    stamp_ns : int
-        Stamp of the image.
-    ids : ndarray of int, shape (n,)
-        Landmarks that were found.
-    bearing_rad : ndarray, shape (n,)
-        Bearings at the pan axis, counter-clockwise from ``base_link`` +x.
-    variance_rad2 : ndarray, shape (n,)
-        Measurement variances, without the errors of the map and without the error of the pan,
-        which all bearings of an image share.
-    score : ndarray, shape (n,)
-        Normalized cross-correlation.
-    uv_px : ndarray, shape (n, 2)
-        Pixels.
-    missed : ndarray of int, shape (m,)
-        Landmarks that should be in view, were searched and were not found.
-    pan_sigma_rad, pan_rad : float
-        Pan of the `JointSample` at `joint_delay_s` after the stamp, as azimuth in ``base_link``,
-        and its standard deviation.
-    joint_delay_s : float
-        Assumed joint delay.
-    covariance_px2 : ndarray, shape (n, 2, 2)
-        Covariance of `uv_px`; empty for bearings of another source.
-    points : ndarray, shape (n, 2)
-        Normalised image coordinates by camera_info: x/z to the right, y/z down; empty where only
-        bearings are known.
-    point_covariance : ndarray, shape (n, 2, 2)
-        Covariance of `points`, without that by an error of the focal length.
-    sizes : ndarray, shape (n, 2)
-        Width and height of the templates in normalised image coordinates; empty if unknown.
-    near : ndarray, shape (3,), optional
-        Pose of the base found in this image by a search within the prior, if that was uncertain.
+    Bearings are at the pan axis, counter-clockwise from ``base_link`` +x; their variances are
+    without the errors of the map and of the pan, which all bearings of an image share. `score` is
+    the normalized cross-correlation. `covariance_px2` (n, 2, 2) is that of `uv_px` (n, 2), empty
+    for bearings of another source. `points` (n, 2) are normalised image coordinates by
+    camera_info, x/z to the right, y/z down, with a covariance without that by an error of the
+    focal length; empty where only bearings are known. `sizes` (n, 2) are width and height of the
+    templates in these coordinates; empty if unknown.
+
+    `missed` (m,) are landmarks that should be in view, were searched and were not found. `pan_rad`
+    is the pan of the `JointSample` at `joint_delay_s` (assumed) after the stamp, as azimuth in
+    ``base_link``. `near` (3,) is the pose of the base found in this image by a search within the
+    prior, if that was uncertain.
     """
 
     stamp_ns: int

@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from scipy import stats
 
-from landmark_nav.batch.jobs import Run
-from landmark_nav.batch.work import Outcome
+from landmark_nav.batch.jobs import Outcome, Run
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.reading import read_text
 
@@ -84,14 +83,9 @@ def _columns(rows: Sequence[Row]) -> list[str]:
 
 def read_table(path: Path) -> list[Row]:
     """
-    Read ``table.csv`` of an earlier batch.
+    Read ``table.csv`` of an earlier batch; `path` is the file or its folder.
 
     Raises `LandmarkNavError`: the file is not such a table.
-
-    Parameters
-    ----------
-    path : Path
-        Path of the file, or of its folder.
     """
     path = path / 'table.csv' if path.is_dir() else path
     try:
@@ -106,20 +100,10 @@ def read_table(path: Path) -> list[Row]:
 @dataclass(frozen=True)
 class Change:
     """
-    Difference of a figure between two batches, over their common runs.
+    Difference of a figure between two batches, over the runs that have it in both.
 
-    Attributes
-    ----------
-    name : str
-        Name of the figure.
-    runs : int
-        Number of runs with the figure in both batches.
-    before, after : float
-        Means of the figure.
-    change, low, high : float
-        Mean of after minus before, and its 95 % interval (Student's t for pairs).
-    worse : bool
-        Whether the whole interval is on the worse side.
+    `before` and `after` are means; `change` is the mean of after minus before, within its 95 %
+    interval (Student's t for pairs); `worse` if that lies on the worse side as a whole.
     """
 
     name: str

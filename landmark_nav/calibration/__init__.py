@@ -9,5 +9,3 @@ from landmark_nav.calibration.calibration import (
     SHOWN_IN,
     UNITS,
 )
-
-__all__ = ['MEANINGS', 'NAMES', 'SHOWN_IN', 'UNITS', 'Calibration', 'scaled', 'shown']

@@ -55,25 +55,17 @@ _OBSERVED = 0.3
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """
-    Values of `NAMES` with their joint covariance.
+    Values (15,) of `NAMES` with their joint covariance, and the mount that they belong to.
+
+    They are the position [m] of the pan axis in ``base_link`` and its roll, pitch and yaw [rad] at
+    pan 0; the position [m] of the optical centre in the frame that turns; roll and tilt [rad] of
+    the camera in that frame; relative errors of the pan and of the focal length; the shift of the
+    principal point to the right over the focal length; the time [s] by which the stamps of
+    ``joint_states`` lag those of the images. `by_map` (15, m) is their covariance with the m
+    factors of unit variance that all landmarks of a map share, if the map was learned with this
+    calibration.
 
     Raises `LandmarkNavError`: a value is not finite, or the matrix is not a covariance.
-
-    Parameters
-    ----------
-    values : ndarray, shape (15,)
-        Position [m] of the pan axis in ``base_link`` and its roll, pitch and yaw [rad] at pan 0;
-        position [m] of the optical centre in the frame that turns; roll and tilt [rad] of the
-        camera in that frame; relative errors of the pan and of the focal length; shift of the
-        principal point to the right over the focal length; time [s] by which the stamps of
-        ``joint_states`` lag those of the images.
-    covariance : ndarray, shape (15, 15)
-        Covariance of `values`.
-    base : PanTiltMount
-        Mount with the names of frames and joints, and the noise of the pan.
-    by_map : ndarray, shape (15, m), optional
-        Covariance of `values` with the m factors of unit variance that all landmarks of a map
-        share, if the map was learned with this calibration.
     """
 
     values: FloatArray
@@ -162,19 +154,11 @@ class Calibration:
         self, rows: FloatArray, values: FloatArray, covariance: FloatArray
     ) -> Calibration:
         """
-        Return the calibration after a measurement of linear combinations of quantities.
+        Return the calibration after a measurement of m linear combinations (`rows`) of quantities.
 
         If the measurement contradicts the prior, the prior sigmas were too small: they are
-        inflated, so that the measurement decides.
-
-        Raises `LandmarkNavError`: the measurement contradicts exact values.
-
-        Parameters
-        ----------
-        rows : ndarray, shape (m, 15)
-            Derivatives of the measured combinations.
-        values, covariance : ndarray, shape (m,), (m, m)
-            Measured values and their covariance.
+        inflated, so that the measurement decides. Raises `LandmarkNavError`: the measurement
+        contradicts exact values.
         """
         prior, off = self.covariance.copy(), values - rows @ self.values
         known = np.einsum('mi,ij,mj->m', rows, prior, rows)

@@ -7,19 +7,9 @@ from importlib import import_module
 from pathlib import Path
 import re
 
-from landmark_nav.batch.jobs import read_runs, Run
-from landmark_nav.batch.results import (
-    Change,
-    compare,
-    page,
-    read_table,
-    row,
-    table_csv,
-    write_parquet,
-)
-from landmark_nav.batch.work import run_all, stage_arguments
-from landmark_nav.cli.lines import progress
-from landmark_nav.cli.options import add, within
+from landmark_nav.batch import results
+from landmark_nav.batch.jobs import read_runs, Run, run_all, stage_arguments
+from landmark_nav.cli.options import add, progress, within
 from landmark_nav.errors import LandmarkNavError, release, UsageError
 from landmark_nav.storage.atomic_io import check_writable, write_atomically
 
@@ -57,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     runs = read_runs(args.jobs, release())
     for one in runs:
         _check_options(one, args.jobs)
-    before = read_table(args.against) if args.against else None
+    before = results.read_table(args.against) if args.against else None
     if args.scheduler and not re.fullmatch(r'\w+://\S+', args.scheduler):
         raise UsageError(f'--scheduler {args.scheduler}: write tcp://HOST:PORT')
     args.out.mkdir(parents=True, exist_ok=True)
@@ -66,17 +56,21 @@ def run(args: argparse.Namespace) -> int:
     ended = run_all(runs, args.out, args.scheduler, args.workers)
     for one, outcome in progress(ended, 'runs', len(runs)):
         outcomes[one.name] = outcome
-    rows = [row(one, outcomes[one.name], args.out) for one in runs]
-    changes = compare(rows, before) if before else []
-    write_atomically(args.out / 'table.csv', table_csv(rows))
-    write_parquet(rows, args.out / 'table.parquet')
+    rows = [results.row(one, outcomes[one.name], args.out) for one in runs]
+    changes = results.compare(rows, before) if before else []
+    write_atomically(args.out / 'table.csv', results.table_csv(rows))
+    results.write_parquet(rows, args.out / 'table.parquet')
     title = f'{args.jobs.stem}: {len(runs)} runs'
-    write_atomically(args.out / 'index.html', page(title, runs, rows, changes, args.out))
+    write_atomically(args.out / 'index.html', results.page(title, runs, rows, changes, args.out))
     failed = [entry for entry in rows if entry['failure']]
     for entry in failed:
         print(f'{entry["run"]}: failed: {entry["failure"]}')
     for change in changes:
-        print(_change_line(change))
+        print(
+            f'{change.name}: {change.before:.4g} before, {change.after:.4g} now, change '
+            f'{change.low:+.3g} to {change.high:+.3g} ({change.runs} runs, 95 %)'
+            + (': worse' if change.worse else '')
+        )
     print(
         f'{len(rows) - len(failed)} of {len(rows)} runs done: index.html, table.csv and '
         f'table.parquet in {args.out}'
@@ -98,11 +92,3 @@ def _check_options(one: Run, jobs: Path) -> None:
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> None:  # type: ignore[override]
         raise LandmarkNavError(message)
-
-
-def _change_line(change: Change) -> str:
-    verdict = ': worse' if change.worse else ''
-    return (
-        f'{change.name}: {change.before:.4g} before, {change.after:.4g} now, change '
-        f'{change.low:+.3g} to {change.high:+.3g} ({change.runs} runs, 95 %){verdict}'
-    )

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, combinations
+from itertools import combinations, cycle
 import platform
 import time
 from typing import Any
@@ -16,8 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.cli.lines import progress
-from landmark_nav.cli.options import add, add_number, within
+from landmark_nav.cli.options import add, add_number, progress, within
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -41,7 +40,7 @@ from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaSt
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
-from landmark_nav.localization.triangulation import triangulate, triangulate_three
+from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triplet import (
     CameraState,
     rank_triplets,
@@ -49,18 +48,16 @@ from landmark_nav.localization.triplet import (
     visible_landmarks,
 )
 from landmark_nav.localization.triplet.search import mean_variance, pair_tables
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast, plan_positions
-from landmark_nav.planning.views import free_floor
+from landmark_nav.planning.views import free_floor, PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.places import choose_sweep_places
 from landmark_nav.simulation.renderer import Renderer
+from landmark_nav.simulation.scene import choose_sweep_places
 from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.types import (
     CameraFrame,
     Detections,
     FloatArray,
-    Landmark,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -226,11 +223,10 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
 
     best = max(4.0 * _STEP_RAD * np.arange(18), key=lambda pan: len(expected(float(pan))))
     seen = frame(prior.pose, float(best))
-    yield from chain(
-        (_triplet('choice of the triplet', learned.map, prior, CameraState(0.0)),),
-        (_triplet_among(count) for count in (40, 200, 1000)),
-        _of_drive(learned.map, prior, seen, expected(seen.pan_rad)),
-    )
+    yield _triplet('choice of the triplet', learned.map, prior)
+    for count in (40, 200, 1000):
+        yield _triplet(f'triplet among {count}', _crowded(learned.map, count), prior)
+    yield from _of_drive(learned.map, prior, seen, expected(seen.pan_rad))
 
 
 def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
@@ -250,23 +246,18 @@ def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
         lambda: [cv2.Laplacian(frame.image, cv2.CV_32F) for frame in sweep.frames[:24]],
         count=24,
     )
-    works: dict[str, Callable[[], object]] = {
-        f'panorama of 72 frames, {blend}': partial(
-            synthesize_cylinder, sweep, _MOUNT, PanoramaConfig(blend=blend)
-        )
-        for blend in ('median', 'feather', 'mean')
-    }
-    works['exposures and vignetting evened out'] = lambda: even_out(
-        sweep, measure_photometry(sweep, _MOUNT)
-    )
-    works['calibration out of a sweep'] = lambda: calibrate_sweep(sweep, _MOUNT)
-    for stage, work in works.items():
-        yield _Comparison(
-            stage,
-            work,
-            'bare cv2.remap of the same frames',
-            lambda: [cv2.remap(k.image, _COLUMNS, _ROWS, cv2.INTER_LINEAR) for k in sweep.frames],
-        )
+
+    def remap() -> None:
+        for frame in sweep.frames:
+            cv2.remap(frame.image, _COLUMNS, _ROWS, cv2.INTER_LINEAR)
+
+    reference = 'bare cv2.remap of the same frames'
+    for stage, work in (
+        ('panorama of 72 frames', lambda: synthesize_cylinder(sweep, _MOUNT, PanoramaConfig())),
+        ('exposures evened out', lambda: even_out(sweep, measure_photometry(sweep, _MOUNT))),
+        ('calibration out of a sweep', lambda: calibrate_sweep(sweep, _MOUNT)),
+    ):
+        yield _Comparison(stage, work, reference, remap)
 
 
 def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Comparison]:
@@ -325,46 +316,28 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
     )
 
 
-def _triplet(
-    name: str, landmark_map: LandmarkMap, prior: PoseEstimate, camera_state: CameraState
-) -> _Comparison:
+def _triplet(name: str, landmark_map: LandmarkMap, prior: PoseEstimate) -> _Comparison:
     count = len(landmark_map.landmarks)
     few = np.array(list(combinations(range(min(count, 40)), 3)))
     tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
     config = TripletConfig()
     return _Comparison(
         name,
-        lambda: rank_triplets(prior, landmark_map, CAMERA, _MOUNT, config, camera_state),
+        lambda: rank_triplets(prior, landmark_map, CAMERA, _MOUNT, config, CameraState(0.0)),
         f'variances of {len(few)} triplets, all at once',
         lambda: mean_variance(tables, few),
     )
 
 
-def _triplet_among(count: int) -> _Comparison:
-    """Choice of a triplet among `count` landmarks around a room."""
+def _crowded(landmark_map: LandmarkMap, count: int) -> LandmarkMap:
+    """Return `count` landmarks, within half a metre of those of a map."""
     rng = np.random.default_rng(count)
-    along, wall = rng.uniform(0.05, 0.95, count), rng.integers(4, size=count)
-    corners = np.array([[0.0, 0.0], [7.0, 0.0], [7.0, 4.5], [0.0, 4.5]])
-    starts = corners[wall]
-    ways = np.roll(corners, -1, axis=0)[wall] - starts
-    landmarks = [
-        Landmark(
-            id=k,
-            position=np.array([*(starts[k] + along[k] * ways[k]), rng.uniform(0.8, 1.5)]),
-            covariance=np.diag([0.006, 0.006, 0.01]) ** 2,
-            shared_loading=np.vstack([0.004 * np.eye(2), np.zeros((1, 2))]),
-            normal=np.array([-ways[k, 1], ways[k, 0], 0.0]) / np.linalg.norm(ways[k]),
-            width_m=0.25,
-            height_m=0.2,
-            patch=np.zeros((20, 25), np.uint8),
-            viewpoint=np.array([3.5, 2.25, 1.1]),
-            threshold=0.7,
+    return LandmarkMap(
+        tuple(
+            replace(one, id=k, position=one.position + rng.uniform(-0.5, 0.5, 3))
+            for k, one in zip(range(count), cycle(landmark_map.landmarks), strict=False)
         )
-        for k in range(count)
-    ]
-    prior = PoseEstimate(0, np.array([3.2, 2.0, 0.4]), np.diag([0.01, 0.01, 0.005]) ** 2)
-    return _triplet(f'triplet among {count}', LandmarkMap(tuple(landmarks)), prior,
-                    CameraState(pan_rad=0.5))  # fmt: skip
+    )
 
 
 def _of_drive(
@@ -394,16 +367,6 @@ def _of_drive(
         lambda: triangulate(positions[:8], bearings[:8], variances[:8]),
         'scipy.optimize.least_squares from near by',
         lambda: least_squares(residuals, se2.compose(prior.pose, [0.1, -0.1, 0.05])),
-    )
-    rng, count = np.random.default_rng(0), 10_000
-    chosen = np.array([rng.choice(len(bearings), 3, replace=False) for _ in range(count)])
-    square = rng.normal(size=(count, 3, 3))
-    yield _Comparison(
-        'triangulation of three, closed form',
-        lambda: triangulate_three(positions[chosen], bearings[chosen]),
-        'numpy.linalg.solve of as many 3 x 3',
-        lambda: np.linalg.solve(square, bearings[chosen][..., None]),
-        count=count,
     )
     calibration = Calibration.of_mount(_MOUNT)
     samples = [

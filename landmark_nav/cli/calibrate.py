@@ -10,21 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration, NAMES, shown, SHOWN_IN, UNITS
+from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.cli.check import checked
 from landmark_nav.cli.learn import panoramas_of_bag
-from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add, open_bag
+from landmark_nav.cli.options import add, open_bag, progress, wrapped
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import inside, LandmarkNavError, UsageError
-from landmark_nav.evaluation.calibration_run import (
-    advice,
-    broken_promises,
-    calibrate_by_drive,
-    CalibrationDrive,
-    trade_offs,
-)
-from landmark_nav.evaluation.report import calibration_page, check_report, write_report
+from landmark_nav.evaluation import calibration_run
+from landmark_nav.evaluation.report import calibration_page, check_report, tables, write_report
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
@@ -49,7 +42,7 @@ class _Work:
     landmarks: LandmarkMap | None
     config: Configuration
     panoramas: list[Panorama] = field(default_factory=list)
-    drives: list[CalibrationDrive] = field(default_factory=list)
+    drives: list[calibration_run.CalibrationDrive] = field(default_factory=list)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +72,8 @@ def run(args: argparse.Namespace) -> int:
     landmarks = load_map(args.map) if args.map else None
     bags = [open_bag(path, args) for path in args.bags]
     sweeps = [bag for bag in bags if bag.find('sweep/trajectory')]
-    drives = [bag for bag in bags if _is_drive(bag)]
+    images = ('camera/image_raw', 'camera/image_raw/compressed')
+    drives = [bag for bag in bags if any(map(bag.find, images)) and bag.find('odom')]
     for bag in bags:
         if bag not in sweeps and bag not in drives:
             raise LandmarkNavError(
@@ -102,9 +96,9 @@ def run(args: argparse.Namespace) -> int:
     if len(hidden) + int(np.sum(given.sigmas == 0.0)) == len(NAMES):
         raise LandmarkNavError(
             'the recording shows nothing of the mount, as if the robot stood still: record '
-            + '; '.join(motion for motion, _ in advice(hidden)[:3])
+            + '; '.join(motion for motion, _ in calibration_run.advice(hidden)[:3])
         )
-    broken = broken_promises(work.drives[-1], given) if work.drives else {}
+    broken = calibration_run.broken_promises(work.drives[-1], given) if work.drives else {}
     for name, (off, sigma) in broken.items():
         _LOG.warning(
             '%s: %s is given as exact (sigma 0), and the drive shows %s beside it: it stays',
@@ -128,13 +122,9 @@ def run(args: argparse.Namespace) -> int:
         title = f'Calibration of {Path(args.robot).name}'
         page = calibration_page(report, residuals)
         write_report(args.report, page, title, args.command_line, inputs)
-    print(_summary(report, args.out))
+    lines = tables.text_of(tables.calibration_verdict(report), tables.calibration_tables(report))
+    print(wrapped([*lines, f'written to {args.out}']))
     return 0
-
-
-def _is_drive(bag: Bag) -> bool:
-    images = bag.find('camera/image_raw') or bag.find('camera/image_raw/compressed')
-    return bool(images and bag.find('odom'))
 
 
 def _as_exact(known: Calibration) -> Calibration:
@@ -173,7 +163,7 @@ def _use_drive(work: _Work, bag: Bag) -> None:
     total = bag.counts[bag.require('odom')]
     shown_events = progress(events, 'calibrating', 2 * total)
     with inside(bag.path):
-        drive = calibrate_by_drive(shown_events, landmarks, known, work.config)
+        drive = calibration_run.calibrate_by_drive(shown_events, landmarks, known, work.config)
     work.drives.append(drive)
     work.known = drive.calibration
 
@@ -198,47 +188,12 @@ def _report(
         'calibration': table,
         'unobserved': [
             {'motion': motion, 'quantities': list(names)}
-            for motion, names in advice(found.unobserved(given))
+            for motion, names in calibration_run.advice(found.unobserved(given))
         ],
         'trade_offs': [
-            {'quantities': [a, b], 'correlation': value} for a, b, value in trade_offs(found)
+            {'quantities': [a, b], 'correlation': value}
+            for a, b, value in calibration_run.trade_offs(found)
         ],
         'side_slip_bound_rad': work.drives[-1].slip_bound_rad if work.drives else None,
         'contradicted': {name: {'off': off, 'sigma': s} for name, (off, s) in broken.items()},
     }
-
-
-def _summary(report: dict[str, Any], out: Path) -> str:
-    lines = [
-        f'sweeps: {report["sweeps"]}; drives: {report["drives"]}, with {report["images"]} images, '
-        f'localization lost in {report["lost"]}',
-        f'{"":16}{"prior":>12}{"found":>12}{"sigma":>10}     {"prior sigmas off":>16}',
-    ]
-    for name, row in report['calibration'].items():
-        factor, unit = SHOWN_IN[row['unit']]
-        off = row['difference_sigmas']
-        lines.append(
-            f'{name:16}{factor * row["prior"]:12.3f}{factor * row["value"]:12.3f}'
-            f'{factor * row["sigma"]:10.3f} {unit:4}'
-            + (f'{off:16.1f}' if off is not None else f'{"exact":>16}')
-            + ('' if row['observed'] or off is None else '   not shown')
-        )
-    for item in report['unobserved']:
-        lines.append(f'{", ".join(item["quantities"])}: record {item["motion"]}')
-    slip = report['side_slip_bound_rad']
-    if slip is not None:
-        lines.append(
-            f'side slip of the wheels leaves {np.degrees(slip):.2f} deg of axis_yaw (pan zero): '
-            'drive straight for longer to know it better'
-        )
-    for item in report['trade_offs']:
-        a, b = item['quantities']
-        what = 'sum' if item['correlation'] < 0.0 else 'difference'
-        lines.append(f'{a} and {b} look alike here: their {what} is known better than each')
-    residual = report.get('residual_px')
-    if residual and residual['before'] and residual['after']:
-        texts = (f'{r:.2f} -> {s:.2f}' for r, s in zip(*residual.values(), strict=True))
-        right, down = texts
-        lines.append(f'residuals of landmarks in images: {right} px to the right, {down} px down')
-    lines.append(f'written to {out}')
-    return wrapped(lines)

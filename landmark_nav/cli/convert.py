@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
-from landmark_nav.cli.lines import evaluate_line, progress, wrapped
-from landmark_nav.cli.options import add, within
+from landmark_nav.cli.options import add, evaluate_line, progress, within, wrapped
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.geometry.camera import PanTiltMount

@@ -7,25 +7,30 @@ import os
 from pathlib import Path
 import shutil
 
-from landmark_nav.cli.evaluate import error_table
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.configuration import load_configuration
-from landmark_nav.demo.graph import node_commands, node_environment
-from landmark_nav.demo.recorded_run import Check, figures, judge, recorded_run
-from landmark_nav.demo.scenario import Narrator, prepare_room, run_scenario
-from landmark_nav.demo.supervisor import Interruption, Supervisor
+from landmark_nav.demo.scenario import (
+    Check,
+    figures,
+    judge,
+    Narrator,
+    prepare_room,
+    recorded_run,
+    run_scenario,
+)
+from landmark_nav.demo.supervisor import Interruption, node_commands, node_environment, Supervisor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.evaluation.report.tables import drive_tables, table_lines
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.atomic_io import check_new, write_json
 from landmark_nav.storage.bags import Bag, sensor_events
-from landmark_nav.storage.config_files import shipped_config
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.robot_files import load_calibration, shipped_config
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import CameraFrame, Panorama
 
@@ -65,7 +70,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the demo, then evaluate its recording."""
     require_ros('it')
-    domain_id = _domain(args.domain_id)
+    domain_id = chosen_domain() if args.domain_id is None else args.domain_id
+    domain_id = 10 + os.getpid() % 90 if domain_id is None else domain_id
     folder = _emptied(args.out, args.overwrite)
     narrator = Narrator()
     room = prepare_room(folder, args.seed, measured=not args.unmeasured)
@@ -95,12 +101,6 @@ def run(args: argparse.Namespace) -> int:
             swept = robot.panoramas
         unclean = [name for name, status in supervisor.stop().items() if status]
     return _report(folder, args.command_line, swept, unclean, narrator)
-
-
-def _domain(given: int | None) -> int:
-    """ROS domain of the command line, else of the environment, else a new one."""
-    chosen = chosen_domain() if given is None else given
-    return 10 + os.getpid() % 90 if chosen is None else chosen
 
 
 def _emptied(folder: Path, overwrite: bool) -> Path:
@@ -139,7 +139,10 @@ def _report(
     inputs = {'recording': bag.path, 'map': folder / 'map'}
     room = None if landmarks.has_own_frame else load_room(folder / 'room.yaml')
     if room is None:
-        learned = _learned_again(folder)
+        stages = load_configuration(None, folder / 'robot.yaml')
+        mount = load_robot(folder / 'robot.yaml')
+        located, _ = located_sweeps(Bag(folder / 'sweeps'), mount, stages, StageLog())
+        learned = learn_located(located, stages, stages.unmeasured)
     else:
         learned = learn_from_panoramas(swept, room, LearningConfig())
         inputs['room'] = folder / 'room.yaml'
@@ -151,7 +154,7 @@ def _report(
     write_json(folder / 'demo.json', measured)
     if measured.get('aligned'):
         narrator.print_line('errors after one rigid alignment: the map has a frame of its own')
-    for line in error_table(measured):
+    for line in table_lines(drive_tables(measured)[0]):
         narrator.print_line(line)
     checks = judge(measured)
     if unclean:
@@ -162,11 +165,3 @@ def _report(
     narrator.print_line(f'{narrator.seconds:.0f} s; all of it is in {folder}:')
     narrator.print_line('report.html to play it, demo.json, map/, recording/ (MCAP), logs/')
     return 0 if all(check.passed for check in checks) else 1
-
-
-def _learned_again(folder: Path) -> LearningResult:
-    """Learn from the recorded sweeps like `landmark-nav learn`."""
-    stages = load_configuration(None, folder / 'robot.yaml')
-    mount = load_robot(folder / 'robot.yaml')
-    located, _ = located_sweeps(Bag(folder / 'sweeps'), mount, stages, StageLog())
-    return learn_located(located, stages, stages.unmeasured)

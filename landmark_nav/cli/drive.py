@@ -34,10 +34,7 @@ class Keys:
     """
     Velocities by keys; the robot stops if no key is pressed for 0.8 s, or at any other key.
 
-    Attributes
-    ----------
-    ended : bool
-        Whether the key for the end was pressed.
+    `ended` is set by the key for the end.
     """
 
     def __init__(self, linear_m_s: float, angular_rad_s: float) -> None:

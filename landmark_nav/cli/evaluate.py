@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,125 +10,27 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.check import checked
-from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add, open_bag, within
+from landmark_nav.cli.options import add, open_bag, progress, within, wrapped
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.evaluation import run_report
 from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.evaluation.replay import replay, UnknownPlaceError
 from landmark_nav.evaluation.report import (
     check_report,
-    drawn_panoramas,
     drive_page,
     FrameStrip,
     write_report,
     write_video,
 )
-from landmark_nav.evaluation.report.tables import cell, ESTIMATES, nees_range, STATUS
-from landmark_nav.evaluation.run_report import (
-    against_truth,
-    integrity_report,
-    other_frame,
-    run_report,
-)
-from landmark_nav.evaluation.smoothed_run import (
-    departures,
-    smooth_run,
-    smoothed_report,
-    write_tum_files,
-)
+from landmark_nav.evaluation.report.tables import drive_tables, drive_verdict, text_of
 from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.storage.bags import sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import LandmarkMap
-
-# Greatest number of listed stretches that are not OK; all are in the JSON file.
-_MOST_SPELLS = 6
-
-
-def run_summary(report: Mapping[str, Any]) -> str:
-    """Summarise a run by the report of `run_report`."""
-    known = report['fused']['position_rmse_m'] is not None
-    lines = [f'WARNING: {report["warning"]}'] if report['warning'] else []
-    lines += error_table(report) if known else ['no errors: no ground truth at the images']
-    if report.get('aligned'):
-        left = cell(report['fused_after_scale']['position_rmse_m'], 100.0, 2)
-        lines.append(
-            f'the map has a frame of its own: errors after one rigid alignment. Its lengths are '
-            f'{report["scale"]:.4f} of the true ones; after scaling, the RMSE of fused is '
-            f'{left} cm'
-        )
-    if report['found'] is not None:
-        x, y, heading = report['found']['pose']
-        lines.append(
-            f'place found after {report["found"]["after_s"]:.1f} s: ({x:.2f}, {y:.2f}) m, '
-            f'{np.degrees(heading):.1f} deg'
-        )
-    lines += [
-        f'{STATUS[spell["status"]]} {_when(spell)}: {spell["reason"]}'
-        for spell in report['spells'][:_MOST_SPELLS]
-    ]
-    if len(report['spells']) > _MOST_SPELLS:
-        lines.append(f'... {len(report["spells"]) - _MOST_SPELLS} more in --json')
-    claimed = report['claimed']
-    lines += [
-        f'{report["frames"]} images, {report["fixes"]} fixes, availability '
-        f'{report["availability"]:.3f}, {report["landmarks"]} landmarks in the map',
-        f'claimed sigma {100.0 * claimed["position_median_m"]:.2f} cm, '
-        f'{claimed["heading_median_deg"]:.3f} deg in the median, '
-        f'{100.0 * claimed["position_p95_m"]:.2f} cm at 95 %',
-        *(_consistency(report) if known else []),
-        _camera(report['calibration']),
-        f'update {report["update_ms"]["median"]:.1f} ms, 95 % within '
-        f'{report["update_ms"]["p95"]:.1f} ms; {report["realtime_factor"]:.1f} times real time',
-        f'result hash {report["result_hash"][:16]}',
-    ]
-    return wrapped(lines)
-
-
-def error_table(report: Mapping[str, Any]) -> list[str]:
-    """Return the lines of a table of the errors of each estimate."""
-    lines = [
-        f'{"error":<14}{"position [cm]":>36}{"heading [deg]":>20}',
-        f'{"":<14}{"RMSE":>9}{"median":>9}{"95 %":>9}{"max":>9}{"RMSE":>11}{"95 %":>9}',
-    ]
-    keys = ('rmse', 'median', 'p95', 'max')
-    for name in filter(report.__contains__, ESTIMATES):
-        figures = report[name]
-        cells = [cell(figures[f'position_{key}_m'], 100.0, 2) for key in keys]
-        cells += [cell(figures[f'heading_{key}_deg'], 1.0, 3) for key in ('rmse', 'p95')]
-        widths = (9, 9, 9, 9, 11, 9)
-        row = (f'{text:>{width}}' for text, width in zip(cells, widths, strict=True))
-        lines.append(f'{name:<14}' + ''.join(row))
-    return lines
-
-
-def _consistency(report: Mapping[str, Any]) -> list[str]:
-    nees = report['nees']
-    return [
-        f'NEES {cell(nees["mean"], 1.0, 2)} in the mean (3 is ideal'
-        f'{nees_range(nees["interval_95"])}); {cell(nees["inside_95"], 100.0, 1)} % within 95 %',
-        f'RMSE {cell(report["crlb_ratio"], 1.0, 2)} times the Cramer-Rao bound',
-        f'images with an error of over 5 sigma and no warning: {report["silently_wrong"]}',
-    ]
-
-
-def _camera(known: Mapping[str, Any]) -> str:
-    delay, yaw = known['joint_delay'], known['axis_yaw']
-    late = f'{1e3 * abs(delay["value"]):.1f} ms {"early" if delay["value"] < 0.0 else "late"}'
-    return (
-        f'camera: joint_states {late} (sigma {1e3 * delay["sigma"]:.1f}), turned by '
-        f'{np.degrees(yaw["value"] - yaw["prior"]):.2f} deg (sigma {np.degrees(yaw["sigma"]):.2f})'
-    )
-
-
-def _when(spell: Mapping[str, Any]) -> str:
-    begin, end = (f'{spell[key]:.1f}' for key in ('from_s', 'to_s'))
-    return f'at {begin} s' if begin == end else f'from {begin} to {end} s'
-
 
 # Names in the contract of the topics of `sensor_events`, for the length of the progress bar.
 _EVENTS = ('camera/image_raw', 'detections', 'odom', 'ground_truth/odom')
@@ -226,10 +127,10 @@ def run(args: argparse.Namespace) -> int:
         raise LandmarkNavError(f'{error} Else give --start') from error
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
-    done, errors, in_frame = against_truth(done, landmarks)
+    done, errors, in_frame = run_report.against_truth(done, landmarks)
     if not in_frame:
         check_truth_frame(bag, landmarks.frame_id)
-        if other := other_frame(done, errors):
+        if other := run_report.other_frame(done, errors):
             bag.warn(
                 f'{bag.path}: ground_truth/odom is in another frame or unit than the map: {other}'
             )
@@ -240,13 +141,15 @@ def run(args: argparse.Namespace) -> int:
             f'from {1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
         )
     learned = replace(config, odometry=done.odometry_noise)
-    report = run_report(done, errors, landmarks, calibration, learned) | in_frame
+    report = run_report.run_report(done, errors, landmarks, calibration, learned) | in_frame
     report['checks'] = [finding.report() for finding in diagnosis.findings]
-    report['integrity'] = integrity_report(done, errors)
-    smoothed = smooth_run(done, landmarks, calibration, learned) if args.smooth else None
+    report['integrity'] = run_report.integrity_report(done, errors)
+    smoothed = (
+        run_report.smooth_run(done, landmarks, calibration, learned) if args.smooth else None
+    )
     if smoothed is not None:
-        report['smoothed'] = smoothed_report(done, smoothed)
-        if apart := departures(done, smoothed):
+        report['smoothed'] = run_report.smoothed_report(done, smoothed)
+        if apart := run_report.departures(done, smoothed):
             bag.warn(
                 f'{bag.path}: the smoothed line is off that of the filter by {apart}: it does not '
                 'check odometry, joint_states and camera where they seem to be wrong'
@@ -260,16 +163,16 @@ def run(args: argparse.Namespace) -> int:
             report, done, errors, landmarks, done.calibration or calibration, strip, smoothed
         )
         if args.report:
-            page['data']['panoramas'] = drawn_panoramas(Path(args.map))
             title = f'{bag.path.name} on {Path(args.map).name}'
             inputs = {k: getattr(args, k) for k in ('bag', 'map', 'robot', 'config')}
             write_report(args.report, page, title, args.command_line, inputs)
         if args.video:
             write_video(args.video, page)
     if args.tum:
-        write_tum_files(done, args.tum, smoothed)
+        run_report.write_tum_files(done, args.tum, smoothed)
     write_json(args.json, report)
-    print(run_summary(report))
+    tables = drive_tables({**report, 'checks': ()})  # which were logged
+    print(wrapped(text_of(drive_verdict(report), tables)))
     if drawn := [*figures_in, *filter(None, (args.report, args.video))]:
         print(f'drawn: {", ".join(map(str, drawn))}')
     return 0

@@ -11,47 +11,31 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.learn import located_sweeps
-from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add, add_number, open_bag, within
+from landmark_nav.cli.options import add, add_number, open_bag, progress, within, wrapped
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
-from landmark_nav.evaluation.figures.area_figure import (
-    AreaTest,
-    draw_observation_areas,
-    typical_landmarks,
+from landmark_nav.evaluation.figures.map_figure import draw_learned, draw_observation_areas
+from landmark_nav.evaluation.figures.panorama_figure import (
+    draw_attention,
+    draw_features_alone,
+    draw_sweeps,
 )
-from landmark_nav.evaluation.figures.attention_figures import draw_attention, draw_features_alone
-from landmark_nav.evaluation.figures.learned_figure import draw_learned
 from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
-from landmark_nav.evaluation.figures.sweep_figure import draw_sweeps
-from landmark_nav.evaluation.learning_report import true_places, truth_of_bag
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.se2 import bearings
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.attention import AttentionConfig, FEATURES
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep
 from landmark_nav.learning.unmeasured import learn_located
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
-from landmark_nav.simulation.furnishing import another_day, generate_scene
-from landmark_nav.simulation.places import choose_sweep_places
-from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.simulation.scene import Scene
-from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
+from landmark_nav.simulation.furnishing import generate_scene
+from landmark_nav.simulation.scene import choose_sweep_places, Scene
+from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.atomic_io import check_writable
 from landmark_nav.storage.bags import read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    Landmark,
-    LandmarkMap,
-    Panorama,
-    PoseEstimate,
-    Sweep,
-)
+from landmark_nav.types import FloatArray, LandmarkMap, Panorama, Sweep
 
 _NAMES = {
     3: 'figure_3_panoramas.png',
@@ -66,13 +50,6 @@ _LEARNED = {5, 6, 8}
 _OF_ONE = {4, 7}
 # Frames of a simulated sweep.
 _FRAMES = 72
-# Positions from which a landmark is searched: spacing and least distance from obstacles; greatest
-# error of a correct detection.
-_GRID_M, _CLEARANCE_M, _RIGHT_PX = 0.45, 0.25, 1.0
-# Covariance of the prior pose in that search.
-_PRIOR = np.diag([0.03, 0.03, np.radians(0.5)]) ** 2
-# Width of the rendered images, which contain a patch and its surroundings; narrow ones are faster.
-_NARROW_PX = 160
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,15 +77,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """Data of the figures; `truth` holds the true locations of the landmarks."""
+    """Data of the figures."""
 
     room: Room
     sweeps: tuple[Sweep, ...]
     panoramas: tuple[Panorama, ...]
     learned: LearningResult | None
     landmarks: LandmarkMap | None
-    truth: FloatArray | None = None
-    tests: tuple[AreaTest, ...] = ()
 
 
 def run(args: argparse.Namespace) -> int:
@@ -153,16 +128,12 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
         sweeps = tuple(progress(islice(read_sweeps(bag, mount), most), 'sweeps'))
         if not sweeps:
             raise LandmarkNavError('the bag has no sweep: record one with capture_sweep')
-        truth = truth_of_bag(bag)
-        if room is None and not bag.find('sweep/pose'):
-            truth = truth.seen_from(truth.at([sweeps[0].stamp_ns])[0])
-        poses = truth.at([sweep.stamp_ns for sweep in sweeps])
     else:
         scene = generate_scene(args.seed, room)
         if (places := choose_sweep_places(scene)) is None:
             raise LandmarkNavError('the room has no two places that see all papers')
-        room, poses = scene.room, places.poses[:most]
-        sweeps = tuple(_sweep(scene, mount, pose) for pose in progress(poses, 'sweeps'))
+        room, poses = scene.room, progress(places.poses[:most], 'sweeps')
+        sweeps = tuple(_sweep(scene, mount, pose) for pose in poses)
     config = replace(Configuration(), attention=attention)
     learned = None
     if room is None:
@@ -177,13 +148,7 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
         )
         if wanted & _LEARNED:
             learned = learn_from_panoramas(panoramas, room, config)
-    data = _Data(room, sweeps, panoramas, learned, given or (learned.map if learned else None))
-    if learned is not None and np.all(np.isfinite(poses)):
-        data = replace(data, truth=true_places(learned, poses, mount))
-    if learned is not None and not args.bag and 6 in wanted:
-        chosen = progress(typical_landmarks(learned.map), 'areas')
-        data = replace(data, tests=tuple(_look_for(k, scene, mount) for k in chosen))
-    return data
+    return _Data(room, sweeps, panoramas, learned, given or (learned.map if learned else None))
 
 
 def _sweep(scene: Scene, mount: PanTiltMount, pose: FloatArray) -> Sweep:
@@ -192,36 +157,6 @@ def _sweep(scene: Scene, mount: PanTiltMount, pose: FloatArray) -> Sweep:
     pans = -np.pi + 2.0 * np.pi * np.arange(_FRAMES) / _FRAMES
     frames = tuple(world.frame_at(pose, float(pan)) for pan in pans)
     return Sweep(frames[0].stamp_ns, frames)
-
-
-def _look_for(landmark: Landmark, scene: Scene, mount: PanTiltMount) -> AreaTest:
-    """Search a landmark from all over the floor in the scene of another day."""
-    rng = np.random.default_rng([scene.seed, 70])
-    later = another_day(scene, rng)
-    camera = replace(
-        DEFAULT_CAMERA, width=_NARROW_PX, cx=DEFAULT_CAMERA.cx - (512 - _NARROW_PX) / 2
-    )
-    renderer = Renderer(later, camera)
-    low, high = later.room.bounds[0] + _CLEARANCE_M, later.room.bounds[1] - _CLEARANCE_M
-    x, y = (np.arange(a, b, _GRID_M) for a, b in zip(low, high, strict=True))
-    xy = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    xy = xy[later.room.contains(xy)]
-    xy = xy[later.distance_to_obstacles(xy) > _CLEARANCE_M]
-    xy = xy[later.sees(xy, landmark.position[:2], mount.axis_xyz[2])]
-    found = []
-    for place in xy:
-        pose = np.append(place, rng.uniform(-np.pi, np.pi))
-        pan = float(bearings(pose, landmark.position[:2]))
-        rotation, center = mount.camera_pose_map(pose, pan)
-        noise = rng.normal(0.0, 2.0, (camera.height, camera.width, 1))
-        image = np.clip(renderer.render(rotation, center) + noise, 0, 255).astype(np.uint8)
-        seen = detect_landmarks(
-            CameraFrame(0, image, camera, pan), PoseEstimate(0, pose, _PRIOR),
-            LandmarkMap((landmark,)), mount, DetectionConfig(), np.array([0]),
-        ).detections  # fmt: skip
-        expected = camera.project((landmark.position - center) @ rotation)
-        found.append(bool(len(seen)) and abs(seen.uv_px[0, 0] - expected[0]) < _RIGHT_PX)
-    return AreaTest(landmark.id, xy, np.array(found, dtype=np.bool_))
 
 
 def _draw(
@@ -240,8 +175,8 @@ def _draw(
         return draw_features_alone(data.panoramas[0], attention, path, features or FEATURES)
     if number == 6:
         assert data.landmarks is not None, 'learned or given'
-        return draw_observation_areas(data.landmarks, data.room, path, data.tests)
+        return draw_observation_areas(data.landmarks, data.room, path)
     assert data.learned is not None, 'these figures are among _LEARNED'
     if number == 5:
         return draw_reconstruction(data.learned, data.room, path)
-    return draw_learned(data.learned, data.room, path, data.truth)
+    return draw_learned(data.learned, data.room, path)

@@ -10,42 +10,28 @@ from itertools import islice
 import logging
 from pathlib import Path
 import time
-from typing import Any
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.check import checked
-from landmark_nav.cli.lines import NBSP, progress, wrapped
-from landmark_nav.cli.options import add, open_bag
+from landmark_nav.cli.options import add, open_bag, progress, wrapped
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.errors import inside, LandmarkNavError, release, UsageError
+from landmark_nav.evaluation import learning_report
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
-from landmark_nav.evaluation.learning_report import (
-    check_truth_frame,
-    learning_report,
-    truth_of_bag,
-)
 from landmark_nav.evaluation.report import check_report, learning_page, write_report
+from landmark_nav.evaluation.report.tables import learning_tables, learning_verdict, text_of
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning import unmeasured
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.sheets import SheetsConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages, record_papers
-from landmark_nav.learning.unmeasured import (
-    learn_located,
-    locate_sweeps,
-    Located,
-)
 from landmark_nav.localization import sweep_places
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode
-from landmark_nav.storage.atomic_io import (
-    atomic_folder,
-    check_writable,
-    write_atomically,
-    write_json,
-)
+from landmark_nav.storage import atomic_io
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.bags.reader import decoded
 from landmark_nav.storage.maps import MAP_FILES, write_map
@@ -140,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
     """Learn and draw; write only if no error occurs."""
     begin = time.perf_counter()
     check_report(args.report)
-    check_writable(args.json, args.walls_out, args.report)
+    atomic_io.check_writable(args.json, args.walls_out, args.report)
     room = load_room(args.room) if args.room else None
     given = load_calibration(args.robot)
     mount = given.mount
@@ -149,7 +135,7 @@ def run(args: argparse.Namespace) -> int:
     log = StageLog()
     with log.measure('checks'):
         checked(bag, mount, room)
-    with atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
+    with atomic_io.atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
             located, frames = located_sweeps(bag, mount, config, log)
@@ -160,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
         if located is None:
             result = learn_from_panoramas(panoramas, room, config, shown)
         else:
-            result = learn_located(located, config, config.unmeasured, shown)
+            result = unmeasured.learn_located(located, config, config.unmeasured, shown)
         # Walls with a sigma were moved to their patches.
         room = replace(room, walls=result.map.walls)
         learned = result.map.calibration or given
@@ -171,25 +157,27 @@ def run(args: argparse.Namespace) -> int:
         with shown.measure('drawing'):  # beyond the stages of the bar, which has ended
             _draw(result, room, folder)
         write_map(result.map, folder)
-    truth = truth_of_bag(bag)
+    truth = learning_report.truth_of_bag(bag)
     if result.map.has_own_frame:
         truth = truth.seen_from(truth.at([panoramas[0].stamp_ns])[0])
     else:
-        check_truth_frame(bag, room.frame_id)
+        learning_report.check_truth_frame(bag, room.frame_id)
     seconds = time.perf_counter() - begin
-    report = learning_report(result, panoramas, frames, truth, mount, log, seconds)
+    report = learning_report.learning_report(result, panoramas, frames, truth, mount, log, seconds)
     if located is not None:
         scales = {share.name: asdict(share) for share in located.poses.scales}
         report['unmeasured'] = {**found, 'sources': scales}
     if args.walls_out:
-        write_atomically(args.walls_out, room_text(room))
-    write_json(args.json, report)
+        atomic_io.write_atomically(args.walls_out, room_text(room))
+    atomic_io.write_json(args.json, report)
     if args.report:
         inputs = {'bag': bag.path, 'room': args.room, 'robot': args.robot, 'config': args.config}
         title = f'{args.out.name}, learned from {bag.path.name}'
         page = learning_page(report, result, room.papers)
         write_report(args.report, page, title, args.command_line, inputs)
-    print(_summary(report, result.panoramas, args.out))
+    lines = text_of(learning_verdict(report, result.warning), learning_tables(report))
+    lines += [f'panorama {k}: {p.quality}' for k, p in enumerate(result.panoramas, 1)]
+    print(wrapped([*lines, f'{seconds:.1f} s; map, map.png and panorama_K.png in {args.out}']))
     if args.report:
         print(f'drawn: {args.report}')
     return 0
@@ -212,7 +200,7 @@ class _ShownStages(StageLog):
 
 def located_sweeps(
     bag: Bag, mount: PanTiltMount, config: Configuration, log: StageLog
-) -> tuple[Located, list[int]]:
+) -> tuple[unmeasured.Located, list[int]]:
     """Panoramas of a bag with their poses and walls, and the number of frames of each."""
     check_scale(bag, config.unmeasured.sheets)
     frames: list[int] = []
@@ -226,7 +214,7 @@ def located_sweeps(
     def known(stamped: Sequence[Sweep]) -> list[PlaceChain]:
         return known_places(bag, stamped, config.odometry)
 
-    return locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
+    return unmeasured.locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
 
 
 def _config(args: argparse.Namespace) -> Configuration:
@@ -300,7 +288,7 @@ def _draw(result: LearningResult, room: Room, folder: Path) -> None:
     draw_map(result.map, folder / 'map.png', room.papers)
     for k, panorama in enumerate(result.panoramas):
         path = folder / f'panorama_{k + 1}.png'
-        draw_panorama(panorama, result.candidates[k], result.outcomes[k], k + 1, path)
+        draw_panorama(panorama, result.candidates[k], result.outcomes[k], path)
 
 
 def _provenance(args: argparse.Namespace) -> dict[str, str]:
@@ -310,55 +298,3 @@ def _provenance(args: argparse.Namespace) -> dict[str, str]:
         'robot': Path(args.robot).name,
         'landmark_nav': release(),
     }
-
-
-def _scale_line(name: str, scale: float, sigma: float, inflation: float, sheets: int) -> str:
-    """Format the scale by one source."""
-    count = f' ({sheets})' if sheets else ''
-    grown = f'; its variance grew by {inflation:.1f} to fit the panoramas' * (inflation > 1.0)
-    return (
-        f'  {name}{count} alone: lengths {100.0 * (scale - 1.0):+.2f} %, '
-        f'sigma {100.0 * sigma:.2g} %{grown}'
-    )
-
-
-def _summary(report: dict[str, Any], panoramas: Sequence[Panorama], folder: Path) -> str:
-    """Summarise the result of learning for people."""
-    lines = []
-    for number, (sweep, panorama) in enumerate(zip(report['sweeps'], panoramas, strict=True), 1):
-        x, y, heading = sweep['pose']
-        lines.append(
-            f'sweep {number}: {sweep["frames"]} frames, base_link at ({x:.3f}, {y:.3f}) m, '
-            f'{57.29578 * heading:.2f} deg; {sweep["candidates"]} candidates, '
-            f'{sweep["elected"]} elected'
-        )
-        if 'error' in sweep:
-            before = sweep['measured']
-            lines.append(
-                f'  error {1e3 * sweep["error_position_m"]:.1f} mm, '
-                f'{sweep["error_heading_deg"]:.3f} deg; '
-                f'before the refinement {1e3 * before["error_position_m"]:.1f} mm, '
-                f'{before["error_heading_deg"]:.3f} deg'
-            )
-        lines.append(f'  panorama: {panorama.quality}')
-    per_wall = report['landmarks_per_wall'].items()
-    walls = ', '.join(f'{wall}{NBSP}{count}' for wall, count in per_wall)
-    if found := report.get('unmeasured'):
-        lines.append(
-            f'no room.yaml: scale from {found["scale"]}, good to '
-            f'{100 * float(found["scale_sigma"]):.2g} %; frame: {found.get("frame", "as given")}'
-        )
-        lines.extend(_scale_line(**share) for share in found['sources'].values())
-    lines.append(
-        f'{report["elected"]} landmarks of {report["candidates"]} candidates '
-        f'({report["reconstructed"]} reconstructed): {walls}'
-    )
-    lines.extend(f'  {count:4d} refused: {why}' for why, count in report['refused'].items())
-    lines.extend(f'  {n:4d} not proposed: {why}' for why, n in report['ambiguous'].items())
-    stages = ', '.join(
-        f'{name.replace("_", " ")}{NBSP}{s["seconds"]:.1f}' for name, s in report['stages'].items()
-    )
-    peak = max(stage['peak_memory_mb'] for stage in report['stages'].values())
-    lines.append(f'{report["seconds"]:.1f} s ({stages}), peak memory {peak:.0f} MB')
-    lines.append(f'map, map.png and panorama_K.png in {folder}')
-    return wrapped(lines)

@@ -85,18 +85,10 @@ _DISTRIBUTIONS = {'cv2': 'opencv-python-headless', 'yaml': 'PyYAML'}
 
 def main(argv: Sequence[str] | None = None) -> int:
     """
-    Run a command.
+    Run a command and return its exit status.
 
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        Arguments after the program's name; by default those of the process.
-
-    Returns
-    -------
-    int
-        Exit status: 0 done, 1 the data does not allow it, 2 wrong usage; 130 after SIGINT,
-        143 after SIGTERM.
+    It is 0: done, 1: the data do not allow it, 2: wrong usage, 130: after SIGINT, 143: after
+    SIGTERM.
     """
     keep_to_one_thread()
     # Characters that the terminal's encoding lacks must not raise an error.

@@ -13,10 +13,14 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.maps import load_map, MAP_DATA, save_map, SCHEMA_VERSION, write_map
 from landmark_nav.types import Landmark, LandmarkMap
-from landmark_nav.upkeep.check import problems_of_map
-from landmark_nav.upkeep.comparison import compare_maps, Comparison, Texture, wall_changes
-from landmark_nav.upkeep.frames import brought_together, FrameAlignment
-from landmark_nav.upkeep.merge import merge_maps
+from landmark_nav.upkeep.comparison import (
+    compare_maps,
+    Comparison,
+    problems_of_map,
+    Texture,
+    wall_changes,
+)
+from landmark_nav.upkeep.frames import brought_together, FrameAlignment, merge_maps
 
 # Least disagreement of a landmark that is listed.
 _LISTED_SIGMAS = 3.0

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from landmark_nav.cli.lines import wrapped
-from landmark_nav.cli.options import add, open_bag, within
+from landmark_nav.cli.options import add, open_bag, within, wrapped
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import unseen_arcs

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 import numpy as np
 import yaml
 
-from landmark_nav.cli.lines import progress, wrapped
-from landmark_nav.cli.options import add, within
+from landmark_nav.cli.options import add, progress, within, wrapped
 from landmark_nav.errors import UsageError
-from landmark_nav.evaluation.figures.plan_figure import draw_plan
-from landmark_nav.planning.config import PlanConfig
+from landmark_nav.evaluation.figures.map_figure import draw_plan
 from landmark_nav.planning.planner import Plan, plan_positions
 from landmark_nav.planning.prediction import CAP_M, Forecast
+from landmark_nav.planning.views import PlanConfig
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.setup_files import load_robot, load_room
 
@@ -99,18 +97,6 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
     """Return the text of ``plan.yaml``."""
     best = plan.best
     sigma = np.sqrt(np.diagonal(best.pose_covariance, axis1=1, axis2=2))
-    compared: dict[str, Any] = {
-        'random': {
-            'sets': len(plan.random),
-            'best_m': _short(plan.random[0].cost_m),
-            'median_m': _short(_median(plan.random).cost_m),
-        }
-    }
-    if plan.left_right is not None:
-        compared['left_right'] = {
-            'poses': [_pose(p) for p in plan.left_right.poses_map_base],
-            'mean_m': _short(plan.left_right.cost_m),
-        }
     document = {
         'schema': _SCHEMA,
         'frame_id': frame_id,
@@ -121,7 +107,7 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
             'pan_rad': [_short(config.pan_min_rad), _short(config.pan_max_rad)],
         },
         'positions': [
-            {'pose': _pose(pose), 'sigma': [float(f'{v:.2g}') for v in deviation]}
+            {'pose': np.round(pose, 4).tolist(), 'sigma': [float(f'{v:.2g}') for v in deviation]}
             for pose, deviation in zip(best.poses_map_base, sigma, strict=True)
         ],
         'predicted': {
@@ -134,7 +120,13 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
                 'covered': round(float(np.isfinite(best.sigma_m).mean()), 4),
             },
         },
-        'compared': compared,
+        'compared': {
+            'random': {
+                'sets': len(plan.random),
+                'best_m': _short(plan.random[0].cost_m),
+                'median_m': _short(_median(plan.random).cost_m),
+            }
+        },
     }
     comment = (
         '# poses of base_link: x, y [m], heading [rad], sigma as papers or panoramas give it;\n'
@@ -161,10 +153,6 @@ def _summary(plan: Plan) -> str:
         _beside('median of random places', _median(plan.random), best),
         _beside(f'best of {len(plan.random)} random places', plan.random[0], best),
     ]
-    if plan.left_right is None:
-        lines.append('  left and right of the middle: not in this room')
-    else:
-        lines.append(_beside('left and right of the middle', plan.left_right, best))
     return wrapped(lines)
 
 
@@ -175,10 +163,6 @@ def _beside(name: str, other: Forecast, best: Forecast) -> str:
 
 def _median(ranked: tuple[Forecast, ...]) -> Forecast:
     return ranked[len(ranked) // 2]
-
-
-def _pose(pose: Any) -> list[float]:
-    return [round(float(value), 4) for value in pose]
 
 
 def _short(value: float) -> float:

@@ -11,34 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.lines import evaluate_line, progress
-from landmark_nav.cli.options import add, add_number, within
+from landmark_nav.cli.options import add, add_number, evaluate_line, progress, within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
+from landmark_nav.simulation import furnishing, setup_documents
 from landmark_nav.simulation.drive_path import plan_tour
-from landmark_nav.simulation.furnishing import (
-    another_day,
-    exchange_posters,
-    generate_scene,
-    hang_tags,
-)
-from landmark_nav.simulation.pan_tilt_unit import PanControl
-from landmark_nav.simulation.places import choose_sweep_places, seen_from_all
-from landmark_nav.simulation.recording import (
+from landmark_nav.simulation.pan_tilt_unit import PanControl, PanTiltConfig
+from landmark_nav.simulation.scene import choose_sweep_places, Scene, seen_from_all
+from landmark_nav.simulation.world import (
+    DEFAULT_CAMERA,
+    DEFAULT_MOUNT,
     drive_messages,
     Recorded,
+    RobotWorld,
     STATE_RATE_HZ,
     sweep_messages,
 )
-from landmark_nav.simulation.scene import Scene
-from landmark_nav.simulation.setup_documents import (
-    as_measured,
-    robot_document,
-    room_document,
-    scene_document,
-    start_document,
-)
-from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
@@ -119,19 +107,19 @@ def run(args: argparse.Namespace) -> int:
     room = load_room(args.room) if args.room else None
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
     camera = load_camera(args.camera) if args.camera else DEFAULT_CAMERA
-    scene = generate_scene(args.seed, room)
+    scene = furnishing.generate_scene(args.seed, room)
     rng = np.random.default_rng([args.seed, 30])
     poses = _sweep_poses(scene, args.sweeps, rng)
     if args.tags:
-        scene = replace(scene, items=hang_tags(scene, args.tags))
-    later = another_day(scene, rng) if args.light_change else scene
+        scene = replace(scene, items=furnishing.hang_tags(scene, args.tags))
+    later = furnishing.another_day(scene, rng) if args.light_change else scene
     if args.exchange:
         other = np.random.default_rng([args.seed, 31])
-        later = replace(later, items=exchange_posters(scene, args.exchange, other))
+        later = replace(later, items=furnishing.exchange_posters(scene, args.exchange, other))
     robot_in = partial(RobotWorld, camera=camera, mount=mount, people=args.people)
     given = scene.room, mount
     if not args.exact:
-        given = as_measured(*given, np.random.default_rng([args.seed, 60]))
+        given = setup_documents.as_measured(*given, np.random.default_rng([args.seed, 60]))
     with atomic_folder(args.out, _FILES, args.overwrite) as folder:
         with BagWriter(folder / 'learn') as bag:
             frames = args.frames * len(poses)
@@ -145,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
             world = robot_in(later, start, args.seed + 1, start_ns=_DRIVE_START_NS, renderer=drawn)
             frames = round(args.drive_seconds * args.camera_rate)
             known = seen_from_all(scene, [pose[:2] for pose in poses])
-            pan_control = PanControl(later, mount, world.pan_limit_rad, rng, known)
+            pan_control = PanControl(later, mount, PanTiltConfig.pan_limit_rad, rng, known)
             messages = drive_messages(
                 world,
                 rosbag_factory(),
@@ -158,10 +146,10 @@ def run(args: argparse.Namespace) -> int:
             )
             _write(bag, messages, 'drive', frames)
         for name, text in (
-            ('room.yaml', room_document(given[0])),
-            ('robot.yaml', robot_document(given[1], measured=not args.exact)),
-            ('start.json', start_document(start)),
-            ('scene.json', scene_document(scene)),
+            ('room.yaml', setup_documents.room_document(given[0])),
+            ('robot.yaml', setup_documents.robot_document(given[1], measured=not args.exact)),
+            ('start.json', setup_documents.start_document(start)),
+            ('scene.json', setup_documents.scene_document(scene)),
         ):
             (folder / name).write_text(text, encoding='utf-8')
     print(

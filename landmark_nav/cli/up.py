@@ -11,9 +11,8 @@ import time
 
 from landmark_nav.cli.options import add, add_number, within
 from landmark_nav.configuration import load_configuration, READS
-from landmark_nav.demo.graph import node_commands
 from landmark_nav.demo.scenario import prepare_room
-from landmark_nav.demo.supervisor import Interruption, Supervisor
+from landmark_nav.demo.supervisor import Interruption, node_commands, Supervisor
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import chosen_domain, require_ros
 from landmark_nav.storage.setup_files import load_room

@@ -1,20 +1,23 @@
-"""Start, supervision and end of a group of processes."""
+"""Processes of the nodes: command lines, start, supervision and end."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+import json
 import os
 from pathlib import Path
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from types import FrameType
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.storage.robot_files import shipped_config
 
 # Period of checks at the end.
 _POLL_S = 0.05
@@ -37,15 +40,9 @@ class Supervisor:
     """
     Context manager for child processes, each in its own process group.
 
-    If `setpriv` (util-linux) is installed, they receive SIGTERM if this process is killed.
-
-    Parameters
-    ----------
-    log_folder : Path or None
-        Folder for the outputs of the processes, ``NAME.log``; if None, they share the output of
-        this process.
-    grace_s : float
-        Greatest time for the end of the processes after each signal.
+    If `setpriv` (util-linux) is installed, they receive SIGTERM if this process is killed. Their
+    outputs go to ``NAME.log`` in `log_folder`, or where those of this process go; after each
+    signal they have `grace_s` to end.
     """
 
     def __init__(
@@ -87,16 +84,18 @@ class Supervisor:
         """
         Check that all processes still run.
 
-        Raises
-        ------
-        ProcessEndedError
-            A process has ended. The message has its name, its status and its last lines.
+        Raises `ProcessEndedError` with name, status and last lines of one that has ended.
         """
         for child in self._children:
             status = child.process.poll()
             if status is not None:
+                how = (
+                    f'signal {signal.Signals(-status).name}'
+                    if status < 0
+                    else f'exit status {status}'
+                )
                 words = f': {_last_words(child.log)} (all: {child.log})' if child.log else ''
-                raise ProcessEndedError(f'{child.name} ended with {_described(status)}{words}')
+                raise ProcessEndedError(f'{child.name} ended with {how}{words}')
 
     def stop(self, gently: signal.Signals = signal.SIGTERM) -> dict[str, int]:
         """
@@ -118,12 +117,6 @@ class Supervisor:
         statuses = {child.name: child.process.wait() for child in self._children}
         self._children = []
         return statuses
-
-
-def _described(status: int) -> str:
-    if status < 0:
-        return f'signal {signal.Signals(-status).name}'
-    return f'exit status {status}'
 
 
 def _last_words(log: Path) -> str:
@@ -166,3 +159,72 @@ class Interruption:
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
         self._noted = number
+
+
+def node_command(
+    name: str, namespace: str = '', parameter_file: Path | None = None, **parameters: object
+) -> list[str]:
+    """Command line of a node with parameters and a parameter file, by default the shipped one."""
+    # ROS parses values as YAML, of which JSON is a subset; quotes keep names strings.
+    settings = [f'{key}:={json.dumps(value)}' for key, value in parameters.items()]
+    return [
+        *(sys.executable, '-m', f'landmark_nav.nodes.{name}', '--ros-args'),
+        *('--params-file', str(parameter_file or shipped_config('landmark_nav.yaml'))),
+        *(status for setting in settings for status in ('-p', setting)),
+        *(('-r', f'__ns:=/{namespace}') if namespace else ()),
+    ]
+
+
+def node_commands(
+    robot_file: Path,
+    room_file: Path | None,
+    map_folder: Path,
+    *,
+    simulator: Mapping[str, object] | None = None,
+    load_on_start: bool = False,
+    image_transport: str = '',
+    namespace: str = '',
+    composed: bool = False,
+    parameter_file: Path | None = None,
+) -> dict[str, list[str]]:
+    """
+    Command line of each process, by its name: one for each node, or one for all if `composed`.
+
+    The simulator is always a separate process. `simulator` holds its parameters besides
+    `robot_file`; if it is None, there is no simulator. Without `room_file`, the nodes estimate
+    walls and poses. The other arguments are parameters of the nodes.
+    """
+    robot, room = str(robot_file), str(room_file or '')
+    camera: dict[str, object] = {'robot_file': robot}
+    if image_transport:
+        camera['image_transport'] = image_transport
+    learner = {'robot_file': robot, 'room_file': room, 'map_folder': str(map_folder)}
+    given: dict[str, dict[str, object]] = {
+        'sweep_capture': camera,
+        'panorama_synthesizer': {'robot_file': robot, 'room_file': room},
+        'landmark_learner': {**learner, 'load_on_start': load_on_start},
+        'triplet_selector': {'robot_file': robot},
+        'triangulation_localizer': camera,
+        'odometry_fusion': {'robot_file': robot},
+    }
+    if composed:
+        given = {'all_nodes': {k: v for one in given.values() for k, v in one.items()}}
+    if simulator is not None:
+        given = {'room_simulator': {'robot_file': robot, **simulator}} | given
+    return {
+        name: node_command(name, namespace, parameter_file, **parameters)
+        for name, parameters in given.items()
+    }
+
+
+def node_environment(domain_id: int) -> dict[str, str]:
+    """
+    Environment of this process, changed to a ROS domain of this machine alone.
+
+    It is complete, as the ROS wheels restart Python with their own variables.
+    """
+    return {
+        **os.environ,
+        'ROS_DOMAIN_ID': str(domain_id),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+    }

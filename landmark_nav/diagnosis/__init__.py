@@ -1,19 +1,5 @@
 """Faults of a recording: its streams are compared with each other and with its images."""
 
-from landmark_nav.diagnosis.doctor import diagnose, IMAGES, QUICK
+from landmark_nav.diagnosis.doctor import check_papers, diagnose, IMAGES, QUICK
 from landmark_nav.diagnosis.drives import THOROUGH
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding, table, worst
-from landmark_nav.diagnosis.papers import check_papers
-
-__all__ = [
-    'IMAGES',
-    'QUICK',
-    'THOROUGH',
-    'Delays',
-    'Diagnosis',
-    'Finding',
-    'check_papers',
-    'diagnose',
-    'table',
-    'worst',
-]

@@ -57,6 +57,18 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
     return Finding(f'{stream} clock', 'error', text, advice, values)
 
 
+def step_finding(stream: str, step_s: float, at_s: float) -> Finding:
+    """Build the finding of the clock of a stream that was set."""
+    side = 'ahead' if step_s > 0.0 else 'back'
+    return Finding(
+        f'{stream} clock',
+        'error' if abs(step_s) > CORRECTED_S else 'warning',
+        f'steps {side} by {seconds_text(abs(step_s))} at {at_s:.1f} s',
+        'discipline the clock of its host before driving (chrony)',
+        {'step_s': step_s, 'at_s': at_s},
+    )
+
+
 def seconds_text(seconds: float) -> str:
     """Format a time for people."""
     if seconds < 1.0:
@@ -169,14 +181,7 @@ def _named(cause: Cause) -> Finding:
             {'drift': value, 'offset_s': cause.offset_s},
         )
     if cause.kind == 'step':
-        side = 'ahead' if value > 0.0 else 'back'
-        return Finding(
-            f'{stream} clock',
-            'error' if abs(value) > CORRECTED_S else 'warning',
-            f'steps {side} by {seconds_text(abs(value))} at {cause.offset_s:.1f} s',
-            'discipline the clock of its host before driving (chrony)',
-            {'step_s': value, 'at_s': cause.offset_s},
-        )
+        return step_finding(stream, value, cause.offset_s)
     degrees, away, ahead = np.degrees(-value), abs(value), value > 0.0
     left = cause.kind == 'left'
     sides = ('to the left', 'to the right') if left else ('ahead', 'behind')

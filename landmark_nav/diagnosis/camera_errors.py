@@ -115,16 +115,10 @@ def matched(first: Corners, second: Corners) -> tuple[FloatArray, FloatArray] | 
 @dataclass(frozen=True, eq=False)
 class Matches:
     """
-    Points in pairs of images.
+    Points in pairs of images: pixels (m, 2) in the first and second image of their pair.
 
-    Parameters
-    ----------
-    before_px, after_px : ndarray, shape (m, 2)
-        Pixels of a point in the first and second image of its pair.
-    pairs : ndarray of int, shape (m,)
-        Index of the pair, ascending from 0.
-    pans_rad, tilts_rad : ndarray, shape (pairs, 2)
-        Angles of the joints at both images.
+    `pairs` (m,) are indices of pairs, ascending from 0; pans and tilts (pairs, 2) are those at
+    both images.
     """
 
     before_px: FloatArray

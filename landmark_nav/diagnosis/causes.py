@@ -67,29 +67,16 @@ _GRID = np.linspace(-1.0, 1.0, 21)
 @dataclass(frozen=True, eq=False)
 class Cause:
     """
-    A fault, and the motion without it.
+    A fault of a stream (``images``, ``joint_states``, ``odom``) or of the ``pan_axis``.
 
-    Parameters
-    ----------
-    stream : str
-        Origin of the fault: ``images``, ``joint_states``, ``odom`` or ``pan_axis``.
-    kind : str
-        ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed``, ``filter`` and
-        ``heading`` (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``,
-        ``left``, ``offset`` and ``upside down`` (of the mount).
-    motion : Motion
-        Motion without the fault.
-    left : Fit
-        Regression of the residuals of that motion.
-    score : float
-        Log-likelihood less the cost of its parameters.
-    value : float
-        Scale; offset by which the clock is ahead of the others, s; drift as a share; step, s;
-        value of the error for other kinds.
-    name : str
-        Name of the joint, for kind ``joint``.
-    offset_s : float
-        Offset of a drifting clock; time of a step.
+    Kinds are ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed``, ``filter``
+    and ``heading`` (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``,
+    ``left``, ``offset`` and ``upside down`` (of the mount).
+
+    `motion` is without it; `left` is the regression of its residuals, `score` the log-likelihood
+    less the cost of its parameters. `value` is a scale, the offset by which the clock is ahead of
+    the others, s, the drift as a share, a step, s, or the error of other kinds; `offset_s` is the
+    offset of a drifting clock or the time of a step; `name` is that of a joint.
     """
 
     stream: str
@@ -125,16 +112,9 @@ def verdict(
     """
     Find the likeliest single fault.
 
-    Parameters
-    ----------
-    motion : Motion
-        Motion as recorded.
-    joints : mapping of str to Track
-        Other joints that could be the pan, by name.
-    by_twist : Track, optional
-        Odometry integrated from its twists.
-    clocks : mapping of str to iterable of Clock
-        Start values of the clocks of streams, by stamps and times of recording.
+    `joints` are other joints that could be the pan, `by_twist` is odometry integrated from its
+    twists, and `clocks` are start values of the clocks of streams, by stamps and times of
+    recording.
     """
     none = _cause(IMAGES, 'none', motion, 0)
     found = [none]
@@ -150,20 +130,16 @@ def verdict(
         best = none
     alike = [c for c in found if c is not best and c.score > best.score - ALIKE]
     best = _polished(best)
-    rivals = [] if best.kind == 'none' else [c for c in alike if _differs(c, best)]
+    # Faults of one clock are not different ones.
+    fault = best.stream, best.kind in CLOCKS
+    rivals = [c for c in alike if c.kind != 'none' and (c.stream, c.kind in CLOCKS) != fault]
+    rivals = [] if best.kind == 'none' else rivals
     return Verdict(best, tuple(rivals), linear(best.motion).quiet)
 
 
 def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
     """Delay of the stamps of odometry, s, with which it explains the images."""
     return _polished(_offset(motion, ODOMETRY, _first_offset(motion, ODOMETRY, list(hints)))).value
-
-
-def _differs(one: Cause, other: Cause) -> bool:
-    """Whether two causes are different faults; faults of the same clock are not."""
-    if one.kind == 'none':
-        return False
-    return (one.stream, one.kind in CLOCKS) != (other.stream, other.kind in CLOCKS)
 
 
 def _polished(cause: Cause) -> Cause:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
+from landmark_nav.diagnosis import parts, stamps
 from landmark_nav.diagnosis.advice import (
     camera_finding,
     cause_findings,
@@ -17,6 +18,7 @@ from landmark_nav.diagnosis.advice import (
     CORRECTED_S,
     HEADING_ERROR_RAD,
     motion_findings,
+    step_finding,
 )
 from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
@@ -32,27 +34,14 @@ from landmark_nav.diagnosis.motion import (
     Track,
 )
 from landmark_nav.diagnosis.odometry import check_jumps, check_path, check_speed, check_twist
-from landmark_nav.diagnosis.parts import (
-    alternating_images,
-    check_content,
-    coarse_values,
-    COVERED,
-    held_values,
-    jumping_values,
-    limited_values,
-    repeated_images,
-    staying_values,
-    strange_images,
+from landmark_nav.diagnosis.streams import (
+    pan_stream,
+    read_joints,
+    read_stream,
+    Stream,
+    two_sources,
+    unwrapped,
 )
-from landmark_nav.diagnosis.sources import two_sources
-from landmark_nav.diagnosis.stamps import (
-    by_arrival,
-    check_stamps,
-    clock_hints,
-    in_step,
-    longest_part,
-)
-from landmark_nav.diagnosis.streams import pan_stream, read_joints, read_stream, Stream, unwrapped
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
@@ -106,19 +95,19 @@ class DriveChecks:
         return Diagnosis((*of_camera, *(f for f in found if f.name not in said)), delays)
 
     def _judged(self, looks: Looks) -> _Judged:
-        content = check_content(looks)
-        found = [*check_stamps(looks.stream), *looks.findings, *content]
+        content = parts.check_content(looks)
+        found = [*stamps.check_stamps(looks.stream), *looks.findings, *content]
         pan, by_names = self._pan()
         found += by_names
         odometry = self._odometry
         if pan is not None:
             pan, sources = _one_source(pan, (0,), 1)
-            found += [*check_stamps(pan), *sources]
+            found += [*stamps.check_stamps(pan), *sources]
         if odometry is None:
             found.append(Finding('odom', 'error', 'there is no odom', 'record odom'))
         else:
             odometry, second = _one_source(odometry, (2,), 3)
-            found += [*check_stamps(odometry), *second]
+            found += [*stamps.check_stamps(odometry), *second]
             if len(odometry) > 1:
                 found += [check_speed(odometry), *check_twist(odometry)]
                 if not second and (jumps := check_jumps(odometry)) is not None:
@@ -128,13 +117,15 @@ class DriveChecks:
             return found, Delays(), True
         if odometry is not None and len(odometry) < 2:
             return found, Delays(), True
-        if any(f.name == COVERED and f.level == 'error' for f in content):
+        if any(f.name == parts.COVERED and f.level == 'error' for f in content):
             return found, Delays(), True  # the constant part prevents the measurement of turns
         streams = [pan] if odometry is None else [pan, odometry]
         if any(not s.stamps_ns.any() for s in (looks.stream, *streams) if len(s)):
             return found, Delays(), True
-        looks = replace(looks, stream=by_arrival(looks.stream))
-        return self._against_images(looks, [by_arrival(stream) for stream in streams], found)
+        looks = replace(looks, stream=stamps.by_arrival(looks.stream))
+        return self._against_images(
+            looks, [stamps.by_arrival(stream) for stream in streams], found
+        )
 
     @cached_property
     def _joints(self) -> dict[str, Stream]:
@@ -161,32 +152,34 @@ class DriveChecks:
     def _against_images(
         self, looks: Looks, streams: Sequence[Stream], found: list[Finding]
     ) -> _Judged:
-        first, last = longest_part(looks.stream)
-        streams = [in_step(stream.logged_within(first, last)) for stream in streams]
+        steps = stamps.lone_steps(looks.stream, streams)
+        found += [step_finding(IMAGES, *one) for one in steps if abs(one[0]) > CORRECTED_S]
+        first, last = stamps.longest_part(looks.stream)
+        streams = [stamps.in_step(stream.logged_within(first, last)) for stream in streams]
         images = looks.stream.logged_within(first, last)
         if any(len(stream) < 2 for stream in (images, *streams)):
             return found, Delays(), True
-        hints = clock_hints(images, dict(zip((JOINTS, ODOMETRY), streams, strict=False)))
+        hints = stamps.clock_hints(images, dict(zip((JOINTS, ODOMETRY), streams, strict=False)))
         logged = looks.stream.logged_ns[looks.pairs]
         inside = ((logged >= first) & (logged <= last)).all(1)
         pairs = self._motion(looks, looks.pairs[inside], streams)
-        if (mixed := alternating_images(looks, pairs)) is not None:
+        if (mixed := parts.alternating_images(looks, pairs)) is not None:
             return [*found, mixed], Delays(), True
         motion = pairs.only(np.isfinite(pairs.turns_rad))
         if len(motion) < _LEAST_PAIRS:
             text = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
             found.append(Finding('image motion', 'ok', text))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
-        if (repeated := repeated_images(motion)) is not None:
+        if (repeated := parts.repeated_images(motion)) is not None:
             return [*found, repeated], Delays(), False
         # A pan that stops for each image repeats its values, too, but explains the images.
-        for part in () if linear(motion).quiet else (held_values, limited_values):
+        for part in () if linear(motion).quiet else (parts.held_values, parts.limited_values):
             if (odd := part(motion)) is not None:
                 found.append(odd[0])
                 motion = odd[1]
         if len(motion) < _LEAST_PAIRS:
             return found, Delays(), False
-        if (staying := staying_values(motion)) is not None:
+        if (staying := parts.staying_values(motion)) is not None:
             stays, motion = staying
             if stays.name.startswith(ODOMETRY):
                 found = _without(found, _OF_POSE)
@@ -201,7 +194,7 @@ class DriveChecks:
             else:
                 path = None
         if slopes.fits:
-            jumps = jumping_values(motion)
+            jumps = parts.jumping_values(motion)
             if any(f.name == 'odom jumps' for f in found):
                 jumps = _without(jumps, ODOMETRY)
             found += motion_findings(motion, slopes, self._room) + jumps
@@ -209,7 +202,7 @@ class DriveChecks:
             if path is not None:
                 found = _without(found, _OF_PATH)
             elif looks.view is not None and staying is None:
-                strange = strange_images(pairs, looks.view.width_rad)
+                strange = parts.strange_images(pairs, looks.view.width_rad)
                 said = {finding.name for finding in found}
                 found += [] if strange is None or strange.name in said else [strange]
             return [*found, *self._truth(images, motion, Clock())], Delays(), True
@@ -243,7 +236,7 @@ class DriveChecks:
             found = _without(found, follows)
         if cause.kind == 'none':
             if not judged.fits:
-                found = [f for s in streams if (f := coarse_values(s)) is not None] or found
+                found = [f for s in streams if (f := parts.coarse_values(s)) is not None] or found
             found += _clocks_by_log(motion, hints, slopes)
         if cause.kind != 'clock' or not 0.0 < abs(cause.value) <= CORRECTED_S:
             return found, Delays(), False
@@ -268,7 +261,7 @@ class DriveChecks:
         off = linear(known).odometry_clock_s
         if known.covered(ODOMETRY) > _ENOUGH and not off.beyond(0.05, _KNOWN_S):
             return []
-        hints = clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
+        hints = stamps.clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
         late = hints[0].offset_s or hints[1].offset_s
         if off.sigma < np.inf or abs(late) > _BY_LOG_S:
             late = late_odometry(known, hints) - clock.offset_s

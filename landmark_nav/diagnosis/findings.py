@@ -16,22 +16,11 @@ _ORDER: tuple[Level, ...] = ('ok', 'warning', 'error')
 @dataclass(frozen=True)
 class Finding:
     """
-    The result of one check.
+    The result of one check; ``error`` if localization or learning cannot handle the fault.
 
-    Parameters
-    ----------
-    name : str
-        Subject of the check, such as ``odom clock``.
-    level : Level
-        ``error`` if localization or learning cannot handle the fault.
-    measured : str
-        Measured value with its unit, for people.
-    advice : str
-        Remedy; empty if the check passed.
-    values : dict
-        Values of `measured` for programs; the unit is in the name: ``offset_s``.
-    when_read : bool
-        Whether the readers of the bag report it as well, message by message.
+    `measured` is for people, with units; `values` are the same for programs, with units in their
+    names, such as ``offset_s``. `advice` is empty if the check passed. `when_read`: the readers of
+    the bag report it as well, message by message.
     """
 
     name: str

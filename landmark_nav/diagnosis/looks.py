@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
+from scipy import fft
 
 from landmark_nav.arrays import FloatArray, ImageArray, IndexArray
 from landmark_nav.diagnosis.camera_errors import (
@@ -19,7 +21,6 @@ from landmark_nav.diagnosis.camera_errors import (
     Matches,
 )
 from landmark_nav.diagnosis.findings import Finding, Level
-from landmark_nav.diagnosis.image_motion import Strip, StripView
 from landmark_nav.diagnosis.streams import Row, Stream, stream_of
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -27,6 +28,110 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagMessage
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import JointSample
+
+# Size of a strip, pixels.
+_COLUMNS, _ROWS = 128, 48
+# Shifts tried per column: between columns, the correlation is interpolated by its spectrum.
+_FINER = 4
+# Window in which the contrast is normalised, pixels; least contrast, grey levels per column.
+_CONTRAST, _LEAST_CONTRAST = (41, 41), 6.0
+# Least overlap of two images that are compared, as a share of their width.
+_LEAST_OVERLAP = 0.25
+# Energy per pixel of the fixed pattern of a camera; that of texture is 1.
+_BLANK = 0.1
+# Least peak of the correlation; lower ones are by chance.
+_LEAST_SCORE = 0.4
+
+# Spectrum of each row, and cumulative energy of the columns.
+Strip = tuple[npt.NDArray[np.complexfloating], FloatArray]
+
+
+class StripView:
+    """
+    Map from the images of a camera to strips of azimuth by slope, at pan 0.
+
+    Of the mount, tilt and roll are used; `tilt_rad` is the usual tilt of the joints.
+    """
+
+    def __init__(self, camera: CameraModel, mount: PanTiltMount, tilt_rad: float = 0.0) -> None:
+        upright = PanTiltMount(
+            axis_rpy=mount.axis_rpy, camera_roll_rad=mount.camera_roll_rad
+        ).camera_pose_base(0.0, tilt_rad)[0]
+        ahead = upright[:, 2]
+        turn = np.arctan2(ahead[1], ahead[0])
+        c, s = np.cos(turn), np.sin(turn)
+        upright = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ upright
+        u = np.linspace(0.0, camera.width - 1.0, 33)
+        v = np.linspace(0.0, camera.height - 1.0, 33)
+        inside = camera.unproject(np.stack(np.meshgrid(u, v), -1)) @ upright.T
+        azimuth = np.arctan2(inside[..., 1], inside[..., 0])
+        slope = inside[..., 2] / np.hypot(inside[..., 0], inside[..., 1])
+        # The largest rectangle around the middle that is inside the border of the image.
+        middle = (float(azimuth[16, 16]), float(slope[16, 16]))
+        sides, rims = azimuth[:, [0, -1]] - middle[0], slope[[0, -1]] - middle[1]
+        least, most = (
+            sides[:, sides.mean(0).argmin()].max(),
+            sides[:, sides.mean(0).argmax()].min(),
+        )
+        low, high = rims[rims.mean(1).argmin()].max(), rims[rims.mean(1).argmax()].min()
+        azimuths = np.linspace(least, most, _COLUMNS) + middle[0]
+        slopes = np.linspace(high, low, _ROWS) + middle[1]
+        self.step_rad = float(azimuths[1] - azimuths[0])
+        self.width_rad = float(most - least)
+        grid, rise = np.meshgrid(azimuths, slopes)
+        rays = np.stack([np.cos(grid), np.sin(grid), rise], -1) @ upright
+        self._reduction = max(1, camera.width // _COLUMNS)
+        pixels = (camera.project(rays) + 0.5) / self._reduction - 0.5
+        self._pixels = pixels.astype(np.float32)
+
+    def strip(self, image: ImageArray) -> Strip:
+        """Return the strip of a grey image (height, width)."""
+        if self._reduction > 1:
+            size = (image.shape[1] // self._reduction, image.shape[0] // self._reduction)
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+        along, down = self._pixels[..., 0], self._pixels[..., 1]
+        strip = cv2.remap(image, along, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen = np.asarray(strip, dtype=np.float32)
+        # Structures along the azimuth carry no information about turns.
+        seen = np.asarray(cv2.Sobel(seen, cv2.CV_32F, 1, 0, ksize=3, scale=0.125))
+        seen /= np.maximum(np.sqrt(cv2.blur(seen * seen, _CONTRAST)), _LEAST_CONTRAST)
+        energy = np.concatenate([[0.0], np.cumsum((seen * seen).sum(0))])
+        return fft.rfft(seen, 2 * _COLUMNS, axis=1), energy
+
+    def turn(self, first: Strip, second: Strip) -> tuple[float, float]:
+        """
+        Turn of the camera from one strip to another, rad, counter-clockwise, and its score.
+
+        The turn has the largest likelihood ratio. The score is the normalised cross-correlation of
+        the overlap. The turn is NaN if the overlap or the score is too small.
+        """
+        count = 2 * _COLUMNS * _FINER
+        shifts = np.arange(-_COLUMNS, _COLUMNS, 1.0 / _FINER)
+        product = _FINER * fft.irfft((first[0] * np.conj(second[0])).sum(0), count)
+        product = np.roll(product, count // 2)
+        low, high = np.maximum(shifts, 0.0), np.minimum(_COLUMNS + shifts, _COLUMNS)
+        width = high - low
+        shared = width >= _LEAST_OVERLAP * _COLUMNS
+        columns = np.arange(_COLUMNS + 1)
+        energies = [
+            np.interp(high - off, columns, strip[1]) - np.interp(low - off, columns, strip[1])
+            for strip, off in ((first, 0.0), (second, shifts))
+        ]
+        # The JPEG grid and dirt on the lens, which do not turn, dominate on a bare wall.
+        blank = _BLANK * _ROWS * width
+        energy = (energies[0] + blank) * (energies[1] + blank)
+        score = np.where(shared, product / np.sqrt(np.maximum(energy, 1e-9)), -1.0)
+        # The likelihood ratio of a match: jambs of a window are alike in a small overlap.
+        evidence = -width * np.log1p(-np.square(np.clip(score, 0.0, 1.0 - 1e-9)))
+        best = int(np.argmax(evidence))
+        peak = float(score[best])
+        if peak < _LEAST_SCORE or not (shared[best - 1] and shared[(best + 1) % len(shared)]):
+            return float('nan'), peak
+        before, after = score[best - 1], score[best + 1]
+        bend = before - 2.0 * peak + after
+        part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+        return float((shifts[best] + part / _FINER) * self.step_rad), peak
+
 
 # Length of the runs of images that are decoded; the runs are spread over the recording.
 _RUN = 12
@@ -43,28 +148,12 @@ _SQUARE = 0.05
 @dataclass(frozen=True, eq=False)
 class Looks:
     """
-    Images of a bag.
+    Images of a bag: their stamps, and by index of the image what was measured in decoded ones.
 
-    Parameters
-    ----------
-    stream : Stream
-        Stamps of all images; no values.
-    pairs : ndarray of int, shape (n, 2)
-        Indices of consecutive images that were both decoded.
-    findings : tuple of Finding
-        Findings of encoding, size and lens.
-    strips : dict
-        Strips of the decoded images, by index of the image.
-    small : dict
-        The same images in grey, reduced to 12 x 16 pixels.
-    sharpness : dict
-        Contrast of their fine details over that of coarse ones, about 0.5 in focus.
-    view : StripView or None
-        Map from images to strips; None if no image could be used.
-    camera : CameraModel or None
-        Intrinsics of the images.
-    points : dict
-        Pixels (m, 2) of points in an image and in the next one, by the index of the first.
+    `pairs` (n, 2) are consecutive images that were both decoded. `small` are images in grey, 12 x
+    16 pixels; `sharpness` is the contrast of fine details over that of coarse ones, about 0.5 in
+    focus; `points` are pixels (m, 2) in an image and in the next one. `findings` are those of
+    encoding, size and lens; `view` is None if no image could be used.
     """
 
     stream: Stream
@@ -92,18 +181,10 @@ def look(
     most_images: int,
 ) -> Looks:
     """
-    Decode and examine images.
+    Decode and examine at most `most_images` images.
 
-    Parameters
-    ----------
-    topic : str
-        Topic of the images in the bag.
-    infos : tuple of str
-        Names in the contract of the topics that may hold the intrinsics.
-    mounted : PanTiltMount or CameraSetup
-        Extrinsics; a setup replaces the recorded intrinsics, and no points are tracked.
-    most_images : int
-        Greatest number of decoded images.
+    `infos` are names in the contract of the topics that may hold the intrinsics; a `CameraSetup`
+    replaces the recorded ones, and then no points are tracked.
     """
     chosen = _chosen(bag.counts[topic], most_images)
     rows: list[Row] = []
@@ -114,9 +195,16 @@ def look(
     sharpness: dict[int, float] = {}
     view: StripView | None = None
     camera: CameraModel | None = None
-    cameras, refused = _cameras(bag, infos)
+    cameras, refused = None, []
+    try:
+        cameras = CameraInfos.read(bag, *infos)
+    except LandmarkNavError as error:
+        text = str(error).removeprefix(f'{bag.path}: ')
+        refused.append(Finding('camera lens', 'error', text, when_read=True))
     setup = mounted if isinstance(mounted, CameraSetup) else None
-    tracked = set() if setup else _tracked(chosen)
+    # First images of pairs, spread over the recording.
+    firsts = [] if setup else [k for k in sorted(chosen) if k + 1 in chosen]
+    tracked = set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
     points: dict[int, tuple[FloatArray, FloatArray]] = {}
     before: Corners | None = None
     for index, entry in enumerate(bag.messages([topic])):
@@ -200,21 +288,6 @@ def camera_error_of(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError 
     pairs = np.repeat(np.arange(len(before)), [len(points) for points in before])
     matches = Matches(np.concatenate(before), np.concatenate(after), pairs, pans, tilts)
     return camera_error(matches, CameraSetup(looks.camera, mount))
-
-
-def _cameras(bag: Bag, infos: tuple[str, ...]) -> tuple[CameraInfos | None, tuple[Finding, ...]]:
-    """Read the intrinsics of a bag; if none can be used, return a finding."""
-    try:
-        return CameraInfos.read(bag, *infos), ()
-    except LandmarkNavError as error:
-        text = str(error).removeprefix(f'{bag.path}: ')
-        return None, (Finding('camera lens', 'error', text, when_read=True),)
-
-
-def _tracked(chosen: set[int]) -> set[int]:
-    """Return the first images of pairs, spread over the recording."""
-    firsts = [k for k in sorted(chosen) if k + 1 in chosen]
-    return set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
 
 
 def _chosen(count: int, most: int) -> set[int]:

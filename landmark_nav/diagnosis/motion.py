@@ -125,26 +125,20 @@ class Motion:
 
     Parameters
     ----------
-    before_s, after_s : ndarray, shape (n,)
-        Times of the first and second image of each pair.
-    turns_rad : ndarray, shape (n,)
-        Measured turn of the camera, counter-clockwise.
-    pan : Track
-        Pan (n, 1), unwrapped, times the sense of the mount.
-    odometry : Track or None
-        x, y in metres and unwrapped yaw in radians, (n, 3).
-    axis_xy : tuple of float
-        Position of the pan axis in ``base_link``, m.
-    offset_xy : tuple of float
-        Optical centre offset from the axis, in the frame that turns, m.
-    ahead_rad : float
-        Azimuth of pan 0 in ``base_link``.
-    hangs : bool
-        Whether the given extrinsics are those of a camera upside down.
-    pan_clock, odometry_clock : Clock
-        Clocks of these streams.
-    pan_scale, yaw_scale : float
-        Factors of pan and yaw.
+    before_s, after_s, turns_rad : ndarray, shape (n,)
+        Times of the first and second image of each pair, and measured turn of the camera,
+        counter-clockwise.
+    pan, odometry : Track
+        Pan (n, 1), unwrapped, times the sense of the mount; x, y in metres and unwrapped yaw
+        in radians, (n, 3), if there is odometry.
+    axis_xy, offset_xy : tuple of float
+        Position of the pan axis in ``base_link``, and of the optical centre from the axis, in
+        the frame that turns, m.
+    ahead_rad, hangs : float, bool
+        Azimuth of pan 0 in ``base_link``, and whether the given mount has the camera upside
+        down.
+    pan_clock, odometry_clock, pan_scale, yaw_scale : Clock, float
+        Clocks and factors of these streams.
     """
 
     before_s: FloatArray

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from landmark_nav.arrays import FloatArray
+from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Clock
 from landmark_nav.diagnosis.streams import Stream
@@ -30,6 +30,8 @@ _NEEDS = {
 # If stamps go back by more, the clock was set back; if images pause for longer, it was set
 # forward, or recording was interrupted.
 _SET_BACK_S, _PAUSE_S = 0.5, 60.0
+# Number of messages before and after a step that measure it.
+_AROUND = 10
 # Greatest residual of a stamp from the line over times of recording, for messages of one clock.
 _OUT_OF_STEP_S = 0.5
 # Least share of the messages within that residual, for a steady clock.
@@ -185,10 +187,30 @@ def in_step(stream: Stream) -> Stream:
     return stream if keep.all() else stream.only(keep)
 
 
+def _breaks(images: Stream) -> IndexArray:
+    """Images, by number, before which stamps go back or pause."""
+    steps = np.diff(images.seconds)
+    return np.flatnonzero((steps < -_SET_BACK_S) | (steps > _PAUSE_S)) + 1
+
+
+def lone_steps(images: Stream, others: Sequence[Stream]) -> Iterator[tuple[float, float]]:
+    """Yield steps of the clock of the images that no other stream has, s, and their times, s."""
+    for at_s in images.logged[_breaks(images)].tolist():
+        own, *rest = (_step(stream, at_s) for stream in (images, *others))
+        if max(map(abs, rest), default=0.0) < 0.5 * abs(own):
+            yield own, at_s
+
+
+def _step(stream: Stream, at_s: float) -> float:
+    """Step of a clock against the times of recording, s, at a time of recording."""
+    lag, after = stream.seconds - stream.logged, stream.logged >= at_s
+    parts = lag[~after][-_AROUND:], lag[after][:_AROUND]
+    return float(np.median(parts[1]) - np.median(parts[0])) if all(map(len, parts)) else 0.0
+
+
 def longest_part(images: Stream) -> tuple[int, int]:
     """First and last time of recording, ns, of the longest part whose clock was not set."""
-    steps = np.diff(images.seconds)
-    broken = np.flatnonzero((steps < -_SET_BACK_S) | (steps > _PAUSE_S)) + 1
+    broken = _breaks(images)
     begins = [int(images.logged_ns[0]), *images.logged_ns[broken].tolist()]
     ends = [*(begin - 1 for begin in begins[1:]), np.iinfo(np.int64).max]
     if len(begins) == 1:
@@ -199,13 +221,9 @@ def longest_part(images: Stream) -> tuple[int, int]:
 
 def clock_hints(images: Stream, others: Mapping[str, Stream]) -> dict[str, list[Clock]]:
     """
-    Start values of clocks by stamps and times of recording.
+    Start values of the clocks of each stream by stamps and times of recording.
 
-    Returns
-    -------
-    dict
-        Clocks of each stream; those of all streams for the images, whose clock may be the wrong
-        one.
+    Images get those of all streams, as their clock may be the wrong one.
     """
     begin, by_images = float(images.seconds[0]), log_clock(images)
     extent = float(np.ptp(images.seconds))

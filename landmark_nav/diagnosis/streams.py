@@ -1,4 +1,4 @@
-"""The streams of a bag as arrays: stamps, times of recording and measured values."""
+"""The streams of a bag as arrays: stamps, times of recording, values, sources."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray, IntArray
 from landmark_nav.errors import LandmarkNavError
@@ -23,28 +24,13 @@ Values = Callable[[Any], FloatArray]
 @dataclass(frozen=True, eq=False)
 class Stream:
     """
-    One topic of a bag, in the order of its recording.
+    One topic of a bag, in the order of its recording; `name` is that in the contract.
 
-    Parameters
-    ----------
-    name : str
-        Name of the topic in the contract, without namespace.
-    topic : str
-        Name of the topic in the bag.
-    stamps_ns, logged_ns : ndarray of int, shape (n,)
-        Stamps of the headers and times of recording.
-    values : ndarray, shape (n, k)
-        Measured values; (n, 0) if only the stamps are needed.
-    frames : tuple of str
-        Different frames in the messages, such as ``odom -> base_link``.
-    refused : int
-        Number of messages that cannot be decoded.
-    why : str
-        Reason for the first of these.
-    origin_ns : int
-        Origin of the seconds of all streams of a bag: its first time of recording.
-    unstamped : int
-        Number of messages with a stamp of 0, which the time of recording replaces.
+    `stamps_ns` and `logged_ns` (n,) are stamps of the headers and times of recording, whose first
+    in the bag is `origin_ns`; `values` (n, k) has no columns if only stamps are needed. `frames`
+    are the different ones, such as ``odom -> base_link``. `refused` messages cannot be decoded,
+    the first because of `why`; `unstamped` ones have a stamp of 0, which the time of recording
+    replaces.
     """
 
     name: str
@@ -135,16 +121,7 @@ def stream_of(
 
 
 def read_stream(bag: Bag, name: str, topic: str, values: Values = lambda _: np.empty(0)) -> Stream:
-    """
-    Read one topic of a bag.
-
-    Parameters
-    ----------
-    name, topic : str
-        Names of the topic in the contract and in the bag.
-    values : callable, optional
-        Function from a message to its values (k,).
-    """
+    """Read one topic of a bag, with what `values` makes of its messages, (k,) each."""
     return stream_of(bag, name, topic, *_rows(bag, topic, values))
 
 
@@ -191,3 +168,87 @@ def pan_stream(bag: Bag, mount: PanTiltMount) -> Stream:
         for log_ns, sample in logged
     ]
     return stream_of(bag, 'joint_states', bag.find('joint_states') or '', rows)
+
+
+# Greatest rates of a robot or a joint, and least tolerance of its measurements.
+_FASTEST_RAD_S, _FASTEST_M_S = 6.0, 5.0
+_TOLERANCE_RAD, _TOLERANCE_M = 0.06, 0.05
+_TURN_RAD = 2.0 * np.pi
+# A track is extrapolated for this time at most.
+_MEMORY_S = 0.5
+# More tracks than these come from noise, or from another unit.
+_MOST_TRACKS = 4
+# The second source has at least this share of the messages, in this number of runs.
+_LEAST_SHARE, _LEAST_TURNS = 0.03, 6
+
+
+class Source(NamedTuple):
+    """Mask (n,) of the messages of one source, its rate, and whether its values are constant."""
+
+    keep: npt.NDArray[np.bool_]
+    rate_hz: float
+    stands: bool
+
+
+def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source] | None:
+    """
+    Split a stream into two sources, the one with more messages first; None if there is only one.
+
+    Columns hold positions [m], and angles [rad] if their index is in `angles`.
+    """
+    if not len(stream):
+        return None
+    # In the order of arrival: stamps may go back.
+    order = np.argsort(stream.logged, kind='stable')
+    # Repeated values carry no information.
+    new = np.append(True, (np.diff(stream.values[order], axis=0) != 0.0).any(1))
+    times, values = stream.logged[order[new]], stream.values[order[new]]
+    is_angle = np.isin(np.arange(values.shape[1]), angles)
+    speed = np.where(is_angle, _FASTEST_RAD_S, _FASTEST_M_S)
+    tolerance = np.where(is_angle, _TOLERANCE_RAD, _TOLERANCE_M)
+    tracks: list[tuple[float, FloatArray, FloatArray]] = []
+    owner = np.zeros(len(times), dtype=np.intp)
+    for k, (time, value) in enumerate(zip(times.tolist(), values, strict=True)):
+        best, least = -1, 1.0
+        for index, (last, before, rate) in enumerate(tracks):
+            since = min(time - last, _MEMORY_S)
+            step = np.abs(value - before - rate * since)
+            step = np.where(
+                is_angle, np.minimum(step % _TURN_RAD, _TURN_RAD - step % _TURN_RAD), step
+            )
+            away = float((step / (speed * since + tolerance)).max())
+            if away < least:
+                best, least = index, away
+        if best < 0:
+            if len(tracks) == _MOST_TRACKS:
+                return None
+            best = len(tracks)
+            tracks.append((time, value, np.zeros_like(value)))
+        last, before, rate = tracks[best]
+        if time > last:
+            rate = np.clip((value - before) / (time - last), -speed, speed)
+        tracks[best] = (time, value, rate)
+        owner[k] = best
+    counts = np.bincount(owner, minlength=len(tracks))
+    if len(counts) < 2:
+        return None
+    main, other = (int(index) for index in np.argsort(-counts, kind='stable')[:2])
+    changes = np.flatnonzero(np.diff(owner) != 0) + 1
+    if len(changes) < 2 * _LEAST_TURNS or counts[other] < _LEAST_SHARE * len(times):
+        return None
+    # Tracks may be exchanged where they cross; a constant source is identified by its value.
+    alone = changes[:-1][np.diff(changes) == 1]
+    kinds, often = np.unique(values[alone], axis=0, return_counts=True)
+    if len(alone) >= _LEAST_TURNS and often.max() > 0.8 * len(alone):
+        main, other = 0, 1
+        owner = np.all(values == kinds[often.argmax()], axis=1).astype(np.intp)
+
+    def source(index: int) -> Source:
+        keep = np.zeros(len(order), dtype=np.bool_)
+        keep[order[(owner == index)[np.cumsum(new) - 1]]] = True
+        steps = np.diff(times[owner == index])
+        period = float(np.median(steps)) if len(steps) else 0.0
+        spread = float(np.ptp(values[owner == index], axis=0).max())
+        return Source(keep, 1.0 / period if period > 0.0 else 0.0, spread < 1e-6)
+
+    return source(main), source(other)

@@ -70,17 +70,11 @@ class Residuals:
 @dataclass(frozen=True, eq=False)
 class CalibrationDrive:
     """
-    A drive through the estimator.
+    A drive through the estimator, whose start was found by global localization.
 
-    Parameters
-    ----------
-    run : Replay
-        Results of the drive; its start was found by global localization.
-    calibration : Calibration
-        Estimate at the end.
-    slip_bound_rad : float
-        Sigma of the direction of travel by the learned noise of the wheels, mostly side slip in
-        turns. It is the least sigma of pan zero.
+    `calibration` is the estimate at its end. `slip_bound_rad` is the sigma of the direction of
+    travel by the learned noise of the wheels, mostly side slip in turns: the least sigma of pan
+    zero.
     """
 
     run: Replay
@@ -130,15 +124,9 @@ def calibrate_by_drive(
     config: LocalizationConfig,
 ) -> CalibrationDrive:
     """
-    Estimate the calibration over a drive.
+    Estimate the calibration over a drive, without ground truth.
 
     Raises `LandmarkNavError`: as `replay`, or the drive does not fit the map.
-
-    Parameters
-    ----------
-    events : iterable of SensorEvent
-        Measurements; ground truth is not used, and the initial pose is found by global
-        localization.
     """
     focal_px = 1.0
 

@@ -19,7 +19,7 @@ from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.reader import decoded
 from landmark_nav.storage.bags.sensors import truth_decoder
-from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
+from landmark_nav.types import Landmark, Panorama, Refusal
 
 SCHEMA = 1
 # Where landmarks on planes of their own are counted.
@@ -36,16 +36,10 @@ def learning_report(
     seconds: float,
 ) -> dict[str, Any]:
     """
-    Metrics of learning.
+    Metrics of learning; errors by the `truth` of ``base_link``, if there is one.
 
-    Parameters
-    ----------
-    measured : sequence of Panorama
-        Panoramas before the adjustment, with poses by the papers alone, or by ``sweep/pose``.
-    frames : sequence of int
-        Number of frames of each sweep.
-    truth : PoseTrack
-        Ground truth of ``base_link``, used for errors only; may be empty.
+    `measured` are panoramas before the adjustment, with poses by the papers alone, or by
+    ``sweep/pose``; `frames` are the numbers of frames of the sweeps.
     """
     outcomes = [outcome for group in result.outcomes for outcome in group]
     refused = Counter(o.reason for o in outcomes if isinstance(o, Refusal))
@@ -53,7 +47,15 @@ def learning_report(
     return {
         'schema': SCHEMA,
         'sweeps': [
-            _sweep(panorama, before, count, group, truth, mount)
+            {
+                'stamp_ns': panorama.stamp_ns,
+                'frames': count,
+                **_place(panorama, truth, mount),
+                'measured': _place(before, truth, mount),
+                'panorama': quality_report(panorama.quality or PanoramaQuality()),
+                'candidates': len(group),
+                'elected': sum(isinstance(outcome, Landmark) for outcome in group),
+            }
             for panorama, before, count, group in zip(
                 result.panoramas, measured, frames, result.outcomes, strict=True
             )
@@ -100,26 +102,6 @@ def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
     return {**plain, 'calibration': terms, **({'unmatched_pan_deg': gaps} if gaps else {})}
 
 
-def _sweep(
-    panorama: Panorama,
-    measured: Panorama,
-    frames: int,
-    outcomes: Sequence[Landmark | Refusal],
-    truth: PoseTrack,
-    mount: PanTiltMount,
-) -> dict[str, Any]:
-    """Report one sweep: its pose, quality, candidates and landmarks."""
-    return {
-        'stamp_ns': panorama.stamp_ns,
-        'frames': frames,
-        **_place(panorama, truth, mount),
-        'measured': _place(measured, truth, mount),
-        'panorama': quality_report(panorama.quality or PanoramaQuality()),
-        'candidates': len(outcomes),
-        'elected': sum(isinstance(outcome, Landmark) for outcome in outcomes),
-    }
-
-
 def _place(panorama: Panorama, truth: PoseTrack, mount: PanTiltMount) -> dict[str, Any]:
     """Pose of the base, x [m], y [m], heading [rad], and its errors."""
     base = base_from_axis(panorama.axis, mount)
@@ -156,35 +138,3 @@ def check_truth_frame(bag: Bag, frame: str) -> None:
             f'{bag.path}: {topic} is in frame {found}, the map in {frame}: errors are right only '
             'where both are the same'
         )
-
-
-def true_places(result: LearningResult, true_poses: FloatArray, mount: PanTiltMount) -> FloatArray:
-    """
-    Intersections of the true rays to the patches with the planes of their landmarks.
-
-    The true location along the normal is unknown, as posters hang off the wall by an unknown
-    distance. It is set to that of the landmark, so that the two differ along the wall only.
-
-    Parameters
-    ----------
-    true_poses : ndarray, shape (k, 3)
-        True pose of the base at each panorama.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Locations in the order of the map.
-    """
-    truth = np.zeros((len(result.map.landmarks), 2))
-    for pose, panorama, candidates, outcomes in zip(
-        true_poses, result.panoramas, result.candidates, result.outcomes, strict=True
-    ):
-        axis = mount.axis_pose_map(pose)[:2]
-        for candidate, outcome in zip(candidates, outcomes, strict=True):
-            if isinstance(outcome, Landmark):
-                azimuth = float(panorama.cylinder.azimuth_rad(candidate.column)) + pose[2]
-                ray, normal = np.array([np.cos(azimuth), np.sin(azimuth)]), outcome.normal[:2]
-                reach = (outcome.position[:2] - axis) @ normal / (ray @ normal)
-                place = axis + reach * ray
-                truth[result.map.indices(np.array([outcome.id]))[0]] = place
-    return truth

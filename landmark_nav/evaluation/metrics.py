@@ -29,16 +29,7 @@ from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEsti
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
-    """
-    Planar poses at increasing times.
-
-    Parameters
-    ----------
-    stamps_ns : ndarray of int, shape (n,)
-        Strictly increasing stamps.
-    poses : ndarray, shape (n, 3)
-        Poses: x [m], y [m], heading [rad].
-    """
+    """Planar poses (n, 3) at strictly increasing times: x [m], y [m], heading [rad]."""
 
     stamps_ns: IntArray
     poses: FloatArray
@@ -70,19 +61,7 @@ class PoseTrack:
         return PoseTrack(stamps, se2.compose(known.poses[last], moved))
 
     def at(self, stamps_ns: npt.ArrayLike) -> FloatArray:
-        """
-        Interpolate at constant twist in SE(2).
-
-        Parameters
-        ----------
-        stamps_ns : array_like of int, shape (m,)
-            Times of the poses.
-
-        Returns
-        -------
-        ndarray, shape (m, 3)
-            Poses; NaN before the first and after the last one.
-        """
+        """Interpolate at constant twist in SE(2): (m, 3), NaN outside the known times."""
         stamps = np.atleast_1d(np.asarray(stamps_ns, dtype=np.int64))
         found = np.full((len(stamps), 3), np.nan)
         if not len(self):
@@ -128,19 +107,7 @@ class Consistency(NamedTuple):
 
 
 def pose_errors(poses: npt.ArrayLike, truth: npt.ArrayLike) -> FloatArray:
-    """
-    Estimated minus true x, y [m] and heading [rad], wrapped.
-
-    Parameters
-    ----------
-    poses, truth : array_like, shape (n, 3)
-        Poses; NaN if unknown.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Errors; NaN if either pose is unknown.
-    """
+    """Estimated minus true x, y [m] and wrapped heading [rad]; NaN if either is unknown."""
     errors = np.asarray(poses, dtype=np.float64) - np.asarray(truth, dtype=np.float64)
     errors[:, 2] = wrap_rad(errors[:, 2])
     return errors
@@ -176,25 +143,14 @@ def consistency(
     errors: FloatArray, covariances: FloatArray, by_map: FloatArray | None = None
 ) -> Consistency | None:
     """
-    Compare errors with their estimated covariances.
+    Compare errors (n, 3), NaN if unknown, with their estimated covariances (n, 3, 3).
+
+    `by_map` (n, 3, m) are derivatives of the errors by m factors of unit variance that generate
+    the errors of the map. The factors are constant over a run and correlate all its errors. None
+    if all errors are unknown.
 
     Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
     section 5.4.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (n, 3)
-        Errors; NaN if unknown.
-    covariances : ndarray, shape (n, 3, 3)
-        Estimated covariances of the errors.
-    by_map : ndarray, shape (n, 3, m), optional
-        Derivatives of the errors by m factors of unit variance that generate the errors of the
-        map. The factors are constant over a run and correlate all its errors.
-
-    Returns
-    -------
-    Consistency or None
-        None if all errors are unknown.
     """
     known = np.all(np.isfinite(errors), axis=1)
     if not np.any(known):
@@ -205,7 +161,11 @@ def consistency(
     bound = chdtri(_DEGREES_OF_FREEDOM, 0.05)
     n = _independent(white)
     if by_map is not None:
-        n = min(n, _independent_maps(np.linalg.solve(roots, by_map[known])))
+        # The variance of a sum of squares of Gaussians is twice the sum of their squared
+        # correlations.
+        factors = np.linalg.solve(roots, by_map[known]).reshape(white.size, -1)
+        repeated = float(np.sum((factors.T @ factors) ** 2))
+        n = min(n, white.size * len(white) / repeated) if repeated > 0.0 else n
     low, high = chdtri(_DEGREES_OF_FREEDOM * n, [0.975, 0.025]) / n
     return Consistency(
         float(np.mean(nees)), float(np.mean(nees < bound)), (float(low), float(high))
@@ -232,18 +192,6 @@ def _independent(white: FloatArray) -> float:
     return n / (1.0 + 2.0 * repeated)
 
 
-def _independent_maps(white: FloatArray) -> float:
-    """
-    Effective number of independent samples with whitened loadings of the map only, (n, 3, m).
-
-    The variance of a sum of squares of Gaussians is twice the sum of their squared correlations.
-    """
-    n = len(white)
-    factors = white.reshape(3 * n, -1)
-    repeated = float(np.sum((factors.T @ factors) ** 2))
-    return _DEGREES_OF_FREEDOM * n**2 / repeated if repeated > 0.0 else float(n)
-
-
 def undetected_failures(
     errors: FloatArray, covariances: FloatArray, tracking: npt.NDArray[np.bool_]
 ) -> int:
@@ -257,16 +205,7 @@ def undetected_failures(
 
 
 def crlb_ratio(errors: FloatArray, bound: FloatArray) -> float | None:
-    """
-    Position RMSE over the root of the mean posterior Cramer-Rao bound.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (n, 3)
-        Errors; NaN if unknown.
-    bound : ndarray, shape (n, 3, 3)
-        Least covariance of x, y, heading of any estimator; NaN if unknown.
-    """
+    """Position RMSE over the root of the mean `posterior_bound`."""
     known = np.all(np.isfinite(errors), axis=1) & np.all(np.isfinite(bound), axis=(1, 2))
     if not np.any(known):
         return None
@@ -276,16 +215,7 @@ def crlb_ratio(errors: FloatArray, bound: FloatArray) -> float | None:
 
 
 def result_hash(stamps_ns: npt.NDArray[np.int64], fused: FloatArray, fixes: FloatArray) -> str:
-    """
-    SHA-256 of the rounded results of a run, which is reproducible.
-
-    Parameters
-    ----------
-    stamps_ns : ndarray of int, shape (n,)
-        Stamps of the images.
-    fused, fixes : ndarray, shape (n, 3)
-        Fused and triangulated poses; NaN for images without one.
-    """
+    """SHA-256 of the rounded results of a run, which is reproducible."""
     digest = hashlib.sha256(np.ascontiguousarray(stamps_ns, dtype='<i8').tobytes())
     for poses in (fused, fixes):
         steps = np.where(np.isfinite(poses), np.rint(poses / _RESOLUTION), np.iinfo(np.int64).min)
@@ -303,31 +233,15 @@ def posterior_bound(
     start: PoseEstimate,
 ) -> FloatArray:
     """
-    Bound of the covariance of the pose at each image.
+    Bound (n, 3, 3) of the covariance of the pose at each image; NaN if the truth is unknown.
 
     For a nonlinear system with Gaussian noise the bound obeys the covariance recursion of the
     extended Kalman filter linearised along the true trajectory (Taylor, IEEE Trans. Automatic
     Control 24(2), 1979; Tichavsky, Muravchik and Nehorai, IEEE Trans. Signal Processing 46(5),
     1998). The filter therefore runs on the truth without noise, with the noise models, the joint
-    covariance of map and calibration, and the landmarks that the run used.
-
-    Parameters
-    ----------
-    truth : PoseTrack
-        True poses of the base in map.
-    images : sequence of ImagePoints
-        Used landmarks of each image and their covariances; their points are ignored.
-    calibration : Calibration
-        True values, with the covariance of the prior.
-    config : LocalizationConfig
-        Noise of odometry, map and mount.
-    start : PoseEstimate
-        Initial pose, of which the covariance is used.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, 3)
-        Bounds; NaN if the truth is unknown, all NaN if its motion is impossible.
+    covariance of map and calibration, the covariance of the start, and the landmarks that the run
+    used. `calibration` has true values and the covariance of the prior. If the true motion is
+    impossible, all is NaN.
     """
     bound = np.full((len(images), 3, 3), np.nan)
     begin = max(start.stamp_ns, int(truth.stamps_ns[0])) if len(truth) else 0

@@ -42,21 +42,10 @@ def shifts_by_odometry(
     stamps_ns: npt.ArrayLike, after: npt.ArrayLike, odometry_ns: npt.ArrayLike
 ) -> IntArray:
     """
-    Shifts of stamps that make time monotonic although the clock was set back.
+    Shifts [ns] of stamps (m,) that make time monotonic although the clock was set back.
 
-    Parameters
-    ----------
-    stamps_ns : array_like of int, shape (m,)
-        Stamps of the odometry, or of another stream of the same recording.
-    after : array_like of int, shape (m,)
-        Index of the last odometry that arrived before each; -1 if there is none.
-    odometry_ns : array_like of int, shape (n,)
-        Stamps of the odometry in the order of arrival.
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-        Values to add to the stamps, ns; 0 if no clock was set back.
+    `after` (m,) are indices of the last odometry that arrived before each, -1 if there is none;
+    `odometry_ns` (n,) are stamps in the order of arrival. Shifts are 0 if no clock was set back.
     """
     stamps = np.asarray(stamps_ns, dtype=np.int64)
     clock = np.asarray(odometry_ns, dtype=np.int64)
@@ -85,30 +74,12 @@ class Replay:
     """
     The results of a run; stamps are continuous even if the clock was set back.
 
-    Parameters
-    ----------
-    start : PoseEstimate
-        Initial pose, given or found.
-    searched : tuple of int
-        Stamps of the images of global localization, up to the start.
-    updates : tuple of LocalizationUpdate
-        Update of each image after that.
-    update_seconds : ndarray, shape (n,)
-        Computing time of each update.
-    odometry : PoseTrack
-        Dead reckoning from the start.
-    truth : PoseTrack
-        Ground truth; empty if there is none.
-    seconds : float
-        Computing time of the whole run, including reading and decoding.
-    odometry_noise : OdometryNoiseConfig
-        Noise of the odometry as learned by the end.
-    detection_sigma_factor : float
-        Factor on the given sigmas of detections as learned by the end.
-    samples : tuple of OdometrySample
-        Measured odometry, sorted by time.
-    calibration : Calibration or None
-        Estimate at the end; None for a recording of the nodes.
+    The `start` is given or found, in the last of the `searched` images. `seconds` is the computing
+    time of the whole run, with reading and decoding, `update_seconds` that of each update.
+    `odometry` is dead reckoning from the start; `truth` may be empty. Noise of the odometry,
+    factor on the given sigmas of detections, and calibration are as learned by the end; there is
+    no calibration for a recording of the nodes. `samples` are the measured odometry, sorted by
+    time.
     """
 
     start: PoseEstimate
@@ -191,22 +162,14 @@ def replay(
     start_covariance: FloatArray | None = None,
 ) -> Replay:
     """
-    Localize along a recorded drive.
+    Localize along a recorded drive, from measurements in the order of arrival.
+
+    Ground truth is used for metrics only. `start_pose` of the base in map, with its covariance, is
+    at the first image or odometry; by default it is found by global localization. `calibration` is
+    the prior of mount, lens and clocks.
 
     Raises `LandmarkNavError`: there is no image or no odometry, all stamps are equal, or the pose
     was never found (`UnknownPlaceError`).
-
-    Parameters
-    ----------
-    events : iterable of SensorEvent
-        Measurements in the order of arrival. Ground truth is used for metrics only.
-    calibration : Calibration
-        Prior of mount, lens and clocks.
-    start_pose : ndarray, shape (3,), optional
-        Pose of the base in map at the first image or odometry; by default it is found by global
-        localization.
-    start_covariance : ndarray, shape (3, 3), optional
-        Covariance of `start_pose`, required with it.
     """
     localizer = Localizer(landmark_map, calibration, config)
     start: PoseEstimate | None = None
@@ -225,10 +188,9 @@ def replay(
             truth.append((event.stamp_ns, event.pose))
             truth_after.append(len(samples) - 1)
             continue
-        if start is None and isinstance(event, CameraFrame | Detections | OdometrySample):
-            start = _given(event.stamp_ns, start_pose, start_covariance)
-            if start is not None:
-                localizer.initialize(start)
+        if start is None and start_pose is not None and start_covariance is not None:
+            start = PoseEstimate(event.stamp_ns, start_pose, start_covariance)
+            localizer.initialize(start)
         if isinstance(event, OdometrySample):
             samples.append(event)
             localizer.add_odometry(event)
@@ -276,12 +238,15 @@ def replay(
     )
     known = shifts_by_odometry([s for s, _ in truth], truth_after, stamps_ns).tolist()
     track = PoseTrack.of((sample.stamp_ns, sample.pose_odom_base) for sample in samples)
+    # Dead reckoning passes through the start.
+    first = max(start.stamp_ns, int(track.stamps_ns[0]))
+    increments = se2.relative(track.at([first]), track.poses)
     return Replay(
         start,
         tuple(searched),
         tuple(updates),
         np.array(took),
-        _dead_reckoning(track, start),
+        PoseTrack(track.stamps_ns, se2.compose(start.pose, increments)),
         PoseTrack.of((s + later, pose) for (s, pose), later in zip(truth, known, strict=True)),
         time.perf_counter() - begin,
         localizer.odometry_noise,
@@ -291,15 +256,6 @@ def replay(
     )
 
 
-def _given(
-    stamp_ns: int, pose: FloatArray | None, covariance: FloatArray | None
-) -> PoseEstimate | None:
-    """Return the given initial pose, if there is one."""
-    if pose is None or covariance is None:
-        return None
-    return PoseEstimate(stamp_ns, pose, covariance)
-
-
 def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:
     """Shift the stamp of an update."""
     if not shift_ns:
@@ -307,10 +263,3 @@ def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:
     stamp, seen = update.stamp_ns + shift_ns, update.observation
     detections = replace(seen.detections, stamp_ns=stamp)
     return replace(update, stamp_ns=stamp, observation=replace(seen, detections=detections))
-
-
-def _dead_reckoning(odometry: PoseTrack, start: PoseEstimate) -> PoseTrack:
-    """Transform odometry so that it passes through the start."""
-    first = max(start.stamp_ns, int(odometry.stamps_ns[0]))
-    increments = se2.relative(odometry.at([first]), odometry.poses)
-    return PoseTrack(odometry.stamps_ns, se2.compose(start.pose, increments))

@@ -1,5 +1,5 @@
 """
-The metrics of a run, as ``landmark-nav evaluate --json`` writes them.
+The metrics of a run, as ``landmark-nav evaluate --json`` writes them, and its smoothing.
 
 Ground truth is transformed to the frame and the scale of a map that has its own.
 """
@@ -8,26 +8,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import groupby
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.metrics import (
-    consistency,
-    crlb_ratio,
-    error_summary,
-    pose_errors,
-    PoseTrack,
-    posterior_bound,
-    result_hash,
-    undetected_failures,
-)
+from landmark_nav.evaluation import metrics
+from landmark_nav.evaluation.metrics import consistency, error_summary, pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry import se2
-from landmark_nav.localization.estimator import ImagePoints, Update
+from landmark_nav.localization.estimator import ImagePoints, JointFilter, Update
+from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate
+from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray, LandmarkMap
 
 SCHEMA = 1
@@ -51,9 +47,9 @@ def run_errors(run: Replay) -> RunErrors:
     """Errors of the fused, the triangulated and the dead reckoned poses."""
     truth = run.truth.at(run.stamps_ns)
     return RunErrors(
-        pose_errors(run.fused, truth),
-        pose_errors(run.fixes, truth),
-        pose_errors(run.odometry.at(run.stamps_ns), truth),
+        metrics.pose_errors(run.fused, truth),
+        metrics.pose_errors(run.fixes, truth),
+        metrics.pose_errors(run.odometry.at(run.stamps_ns), truth),
     )
 
 
@@ -72,7 +68,7 @@ def run_report(
     ``warning`` says why the metrics mean little, and is None if they are meaningful.
     """
     known = calibration if run.calibration is None else run.calibration
-    bound = posterior_bound(
+    bound = metrics.posterior_bound(
         run.truth,
         [_used(update, run.detection_sigma_factor) for update in run.updates],
         landmark_map,
@@ -86,13 +82,13 @@ def run_report(
     of_poses = pose_report(run, errors, landmark_map)
     return {
         **of_poses,
-        'crlb_ratio': crlb_ratio(errors.fused, bound),
+        'crlb_ratio': metrics.crlb_ratio(errors.fused, bound),
         'update_ms': {
             'median': float(np.median(took_ms)),
             'p95': float(np.percentile(took_ms, 95)),
         },
         'realtime_factor': span_s / run.seconds,
-        'result_hash': result_hash(stamps, run.fused, run.fixes),
+        'result_hash': metrics.result_hash(stamps, run.fused, run.fixes),
         'spells': spells(run),
         'calibration': None
         if run.calibration is None
@@ -113,7 +109,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
     """Metrics that depend on the poses of a run only; ``claimed`` are their sigmas."""
     images = len(run.searched) + len(run.updates)
     by_map = run.by_map(landmark_map)
-    nees = consistency(errors.fused, run.fused_covariances, by_map)
+    nees = metrics.consistency(errors.fused, run.fused_covariances, by_map)
     sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
     sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
     return {
@@ -122,7 +118,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
         'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
         'availability': float(np.sum(~run.lost)) / images,
         'landmarks': len(landmark_map.landmarks),
-        **{name: error_summary(getattr(errors, name)) for name in _ESTIMATES},
+        **{name: metrics.error_summary(getattr(errors, name)) for name in _ESTIMATES},
         'nees': {
             'mean': nees.mean if nees else None,
             'inside_95': nees.inside_95 if nees else None,
@@ -134,7 +130,9 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
             'position_p95_m': float(np.percentile(sigma_m, 95)),
             'heading_median_deg': float(np.degrees(np.median(sigma[:, 2]))),
         },
-        'silently_wrong': undetected_failures(errors.fused, run.fused_covariances, run.tracking)
+        'silently_wrong': metrics.undetected_failures(
+            errors.fused, run.fused_covariances, run.tracking
+        )
         if len(run.truth)
         else None,
     }
@@ -161,7 +159,9 @@ def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
         'coverage_99': float(inside.mean()),
         'coverage_99_by_quarter': [float(part.mean()) for part in quarters if len(part)],
         'level_over_error_median': float(np.median(level[:, 0] / np.maximum(off[:, 0], 1e-9))),
-        'undetected_wrong': undetected_failures(errors.fused, run.fused_covariances, run.tracking),
+        'undetected_wrong': metrics.undetected_failures(
+            errors.fused, run.fused_covariances, run.tracking
+        ),
     }
 
 
@@ -244,13 +244,13 @@ def aligned(run: Replay, scaled: bool) -> tuple[Replay, RunErrors, Alignment]:
     return moved, run_errors(moved), found
 
 
-def _likeliest(run: Replay, truth: PoseTrack, poses: FloatArray) -> PoseTrack:
+def _likeliest(run: Replay, truth: metrics.PoseTrack, poses: FloatArray) -> metrics.PoseTrack:
     """
     Refine the alignment of the ground truth to the likeliest one, by headings and covariances.
 
     The choice of the map's frame is not an error of the poses.
     """
-    errors = pose_errors(poses, truth.at(run.stamps_ns))
+    errors = metrics.pose_errors(poses, truth.at(run.stamps_ns))
     known = np.isfinite(errors).all(1)
     at, information = poses[known], np.linalg.inv(run.fused_covariances[known])
     by_frame = np.zeros((len(at), 3, 4))
@@ -298,7 +298,126 @@ def against_truth(
     figures = {
         'aligned': True,
         'scale': alignment.scale,
-        **{name: error_summary(getattr(rigid, name)) for name in _ESTIMATES},
-        'fused_after_scale': error_summary(in_metre.fused),
+        **{name: metrics.error_summary(getattr(rigid, name)) for name in _ESTIMATES},
+        'fused_after_scale': metrics.error_summary(in_metre.fused),
     }
     return run, in_metre, figures
+
+
+# Bound of the squared normalised difference of three values, as improbable as five sigmas of one.
+_FAR = 31.8
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """Poses (n, 3) of ``base_link`` at the images, and covariances, given all measurements."""
+
+    stamps_ns: npt.NDArray[np.int64]
+    poses: FloatArray
+    covariances: FloatArray
+
+
+def smooth_run(
+    run: Replay, landmark_map: LandmarkMap, calibration: Calibration, config: LocalizationConfig
+) -> Smoothed:
+    """
+    Smooth over all images of a run.
+
+    From the last image that was used before the pose was lost until it was found again, the motion
+    is unknown.
+    """
+    # Images may have arrived late.
+    order = np.argsort(run.stamps_ns, kind='stable')
+    updates = [run.updates[k] for k in order if run.updates[k].stamp_ns >= run.start.stamp_ns]
+    lost, used = np.zeros(len(updates), dtype=np.bool_), 0
+    for k, update in enumerate(updates):
+        if update.status == 'lost':
+            lost[used : k + 1] = True
+        elif update.used:
+            used = k + 1
+    track = run.track(config.odometry)
+    images = []
+    for update, unknown in zip(updates, lost, strict=True):
+        seen = update.points or ImagePoints.nothing(update.stamp_ns)
+        near = update.fused.pose if unknown else seen.near
+        images.append(replace(seen, stamp_ns=update.stamp_ns, near=near))
+    joint = JointFilter(landmark_map, calibration, run.start, config.estimator, config.odometry)
+    poses = smoothed_poses(joint, track, images, lost)
+    return Smoothed(
+        np.array([pose.stamp_ns for pose in poses], dtype=np.int64),
+        np.array([pose.pose for pose in poses]),
+        np.array([pose.covariance for pose in poses]),
+    )
+
+
+def departures(run: Replay, smoothed: Smoothed) -> str:
+    """
+    Describe where the smoothed trajectory differs from the filter's; empty if it does not.
+
+    The filter inflates covariances if wheels, camera or clock seem wrong; the smoother does not.
+    """
+    fused = {update.stamp_ns: update.fused for update in run.updates}
+    both = [fused[stamp] for stamp in smoothed.stamps_ns.tolist()]
+    apart = pose_errors(smoothed.poses, np.array([one.pose for one in both]))
+    spread = smoothed.covariances + np.array([one.covariance for one in both])
+    squares = np.einsum('ni,nij,nj->n', apart, np.linalg.inv(spread), apart)
+    far = np.flatnonzero(squares > _FAR)
+    if not len(far):
+        return ''
+    seconds = 1e-9 * (smoothed.stamps_ns[far[[0, -1]]] - run.begin_ns)
+    way = np.hypot(*apart[far, :2].T).max()
+    return (
+        f'{way:.2f} m and {np.degrees(np.abs(apart[far, 2]).max()):.1f} deg at most between '
+        f'{seconds[0]:.1f} and {seconds[1]:.1f} s'
+    )
+
+
+def smoothed_report(run: Replay, smoothed: Smoothed) -> dict[str, Any]:
+    """Metrics of the smoothed trajectory: errors, as for the other estimates, and NEES."""
+    errors = pose_errors(smoothed.poses, run.truth.at(smoothed.stamps_ns))
+    nees = consistency(errors, smoothed.covariances)
+    return {
+        **error_summary(errors),
+        'nees': {
+            'mean': nees.mean if nees else None,
+            'inside_95': nees.inside_95 if nees else None,
+        },
+    }
+
+
+def write_tum_files(
+    run: Replay, folder: Path, smoothed: Smoothed | None = None
+) -> tuple[Path, ...]:
+    """
+    Write ``truth.tum``, ``fused.tum``, ``triangulation.tum`` and others; return their paths.
+
+    All are at the stamps of the images, so that other tools compare the same pairs of poses as
+    `landmark_nav.evaluation.metrics`; a pose that is unknown at a stamp has no line.
+    """
+    stamps = run.stamps_ns
+    tracks = {
+        'truth': (stamps, run.truth.at(stamps)),
+        'fused': (stamps, run.fused),
+        'triangulation': (stamps, run.fixes),
+        'odometry': (stamps, run.odometry.at(stamps)),
+    }
+    if smoothed is not None:
+        tracks['smoothed'] = smoothed.stamps_ns, smoothed.poses
+    paths = []
+    for name, (at_ns, poses) in tracks.items():
+        known = np.flatnonzero(np.isfinite(poses).all(axis=1))
+        if len(known):
+            # Images may have arrived late.
+            known = known[np.argsort(at_ns[known], kind='stable')]
+            paths.append(folder / f'{name}.tum')
+            write_atomically(paths[-1], _lines(at_ns[known], poses[known]))
+    return tuple(paths)
+
+
+def _lines(stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> str:
+    """Format lines ``timestamp tx ty tz qx qy qz qw`` without loss of precision."""
+    return ''.join(
+        f'{stamp // 10**9}.{stamp % 10**9:09d} {x!r} {y!r} 0 0 0 '
+        f'{float(np.sin(heading / 2.0))!r} {float(np.cos(heading / 2.0))!r}\n'
+        for stamp, (x, y, heading) in zip(stamps_ns.tolist(), poses.tolist(), strict=True)
+    )

@@ -157,9 +157,11 @@ class CameraModel:
 
     @cached_property
     def _usable_border(self) -> tuple[float, float]:
-        """Tangent of the largest usable angle, and its distorted radius."""
+        """Tangent of the largest usable angle, and its least distorted radius."""
         _, tangent, distorted = self._lens
-        return float(tangent[-1]), float(distorted[-1])
+        with np.errstate(invalid='ignore'):
+            inside = distorted[-1] - self._greatest_shift(tangent[-1:])[0]
+        return float(tangent[-1]), float(inside)
 
     @cached_property
     def _lens(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -169,10 +171,20 @@ class CameraModel:
         with np.errstate(all='ignore'):
             distorted = self._distorted(tangent)
             slope = np.diff(distorted) / np.diff(angle if self._is_fisheye else tangent)
+            slope -= np.gradient(self._greatest_shift(tangent), tangent)[1:]
             # Negated, so that NaN counts as folded.
             folds = np.flatnonzero(~(slope > _MIN_SLOPE))
         end = int(folds[0]) + 1 if len(folds) else len(angle)
         return angle[:end], tangent[:end], distorted[:end]
+
+    def _greatest_shift(self, tangent: FloatArray) -> FloatArray:
+        """Greatest tangential and prism distortion (n,), in focal lengths, at tangents (n,)."""
+        if self._is_fisheye:
+            return np.zeros_like(tangent)
+        _, _, p1, p2, *_, s1, s2, s3, s4 = self._polynomial
+        square = tangent * tangent
+        of_second_order = 3.0 * math.hypot(p1, p2) + math.hypot(s1, s3)
+        return np.asarray(square * (of_second_order + math.hypot(s2, s4) * square))
 
     @cached_property
     def _slopes(self) -> FloatArray:
@@ -303,8 +315,8 @@ class CameraModel:
         angle, _, distorted = self._lens
         wanted = (flat - center) / focal
         radius = np.maximum(np.linalg.norm(wanted, axis=-1, keepdims=True), 1e-12)
-        wanted *= np.minimum(1.0, distorted[-1] / radius)
-        radius = np.minimum(radius, distorted[-1])
+        wanted *= np.minimum(1.0, self._usable_border[1] / radius)
+        radius = np.minimum(radius, self._usable_border[1])
         flat = center + wanted * focal
         # First the radial distortion, by the table. Then Newton's method with approximate radial
         # and tangential derivatives.

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -32,6 +33,34 @@ class PatchView:
 
     viewpoint: FloatArray
     patch: npt.NDArray[np.uint8]
+
+
+# Gaussian blur against noise, px.
+_BLUR_PX = 0.8
+# Shift along an edge, relative to the height of a patch, and least correlation after it.
+_ALONG, _UNCHANGED = 0.2, 0.9
+# Greatest slope of an upright edge: its column then depends little on the row.
+_UPRIGHT = 0.1
+
+
+def is_upright_edge(patch: npt.NDArray[np.uint8]) -> bool:
+    """
+    Whether a patch (rows, columns) is certain across only: an upright edge.
+
+    Its correlation does not show a shift along the edge (the aperture problem; Shi and Tomasi,
+    Good Features to Track, CVPR 1994).
+    """
+    shift = round(_ALONG * patch.shape[0])
+    if not shift or not np.ptp(patch[shift:-shift]):
+        return False
+    image = cv2.GaussianBlur(patch.astype(np.float32), (0, 0), _BLUR_PX)
+    inner = np.ascontiguousarray(image[shift:-shift])
+    if cv2.matchTemplate(image, inner, cv2.TM_CCOEFF_NORMED).min() < _UNCHANGED:
+        return False
+    down, across = np.gradient(image)
+    # Direction of the edge, by the structure tensor.
+    turned = np.arctan2(2.0 * np.sum(across * down), np.sum(across**2) - np.sum(down**2))
+    return bool(abs(np.tan(0.5 * turned)) < _UPRIGHT)
 
 
 def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

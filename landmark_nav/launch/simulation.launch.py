@@ -20,37 +20,28 @@ def generate_launch_description() -> LaunchDescription:
     """Return the simulator and the nodes of bringup.launch.py."""
     share = Path(get_package_share_directory('landmark_nav'))
     arguments = [
-        DeclareLaunchArgument(
-            'params_file',
-            default_value=str(share / 'config' / 'landmark_nav.yaml'),
-            description='parameters of all nodes',
-        ),
-        DeclareLaunchArgument('seed', default_value='1', description='draws the room'),
-        DeclareLaunchArgument('robot_file', description='robot.yaml: where the camera sits'),
-        DeclareLaunchArgument(
-            'room_file',
-            default_value='',
-            description='room.yaml: walls and reference area; empty: drawn, and not given',
-        ),
-        DeclareLaunchArgument('map_folder', default_value='map', description='folder of the map'),
-        DeclareLaunchArgument(
-            'load_on_start', default_value='false', description='load that map at once'
-        ),
-        DeclareLaunchArgument('namespace', default_value='', description='of all nodes'),
-        DeclareLaunchArgument(
-            'use_sim_time',
-            default_value='false',
-            description='take the time from /clock, which the simulator does not publish',
-        ),
-        DeclareLaunchArgument(
-            'rviz', default_value='false', description='show all of it in RViz (package rviz2)'
-        ),
-        DeclareLaunchArgument(
-            'autostart', default_value='true', description='false: a lifecycle manager starts them'
-        ),
-        DeclareLaunchArgument(
-            'composed', default_value='false', description='all nodes in one process'
-        ),
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, default, text in (
+            (
+                'params_file',
+                str(share / 'config' / 'landmark_nav.yaml'),
+                'parameters of all nodes',
+            ),
+            ('seed', '1', 'draws the room'),
+            ('robot_file', None, 'robot.yaml: where the camera sits'),
+            ('room_file', '', 'room.yaml: walls and reference area; empty: drawn, and not given'),
+            ('map_folder', 'map', 'folder of the map'),
+            ('load_on_start', 'false', 'load that map at once'),
+            ('namespace', '', 'of all nodes'),
+            (
+                'use_sim_time',
+                'false',
+                'take the time from /clock, which the simulator does not publish',
+            ),
+            ('rviz', 'false', 'show all of it in RViz (package rviz2)'),
+            ('autostart', 'true', 'false: a lifecycle manager starts them'),
+            ('composed', 'false', 'all nodes in one process'),
+        )
     ]
     # An include must pass on all arguments without a default.
     bringup = IncludeLaunchDescription(

@@ -136,9 +136,8 @@ def learn_from_panoramas(
         found = find_again(panoramas, candidates, greys, room, config.stereo, ties)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
             free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
-            moved = moved_walls(free, found.walls, room, config.adjustment)
-            if moved is not room:
-                room = moved
+            room, shift_m = moved_walls(free, found.walls, room, config.adjustment)
+            if shift_m > config.adjustment.hanging_sigma_m:
                 found = find_again(panoramas, candidates, greys, room, config.stereo, ties)
     outcomes = found.outcomes
     if len(found.patches) < 3:

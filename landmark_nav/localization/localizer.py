@@ -191,7 +191,7 @@ class Localizer:
         """Correct the pose by bearings of another sensor."""
         prior = self._fusion.estimate(found.stamp_ns)
         if prior is None:
-            return Refusal('not initialized', 'give a start pose')
+            return Refusal('no images: bearings alone show no place')
         known = np.isin(found.ids, self._map.ids)
         refused = {int(k): Refusal('not in the map') for k in found.ids[~known]}
         found = found.chosen(known)

@@ -323,7 +323,7 @@ class Observer:
         if self._vain > _EAGER and self._vain % _PATIENT:
             return None
         known = expected.calibration
-        seen = straight(frame, known), expected, self._map, known.mount, self._config
+        seen = straight(frame, known), expected, self._map.distinct, known.mount, self._config
         place = localize_within_prior(*seen)
         if isinstance(place, Refusal):
             return None
@@ -352,17 +352,18 @@ class Observer:
         # An error of the focal length shifts it by most at its border.
         focal, camera = expected.calibration['focal_scale'][1], frame.camera
         lens = 0.5 * focal * camera.width / camera.fx
-        shifted = np.diag([0.0, 0.0, pan**2 + frame.pan_sigma_rad**2 + lens**2])
+        turned = np.diag([0.0, 0.0, pan**2 + frame.pan_sigma_rad**2 + lens**2])
         rises_px = camera.fy * expected.tilt_sigma_rad, 0.5 * focal * camera.height
         rise_px = np.linalg.norm([config.detection.vertical_sigma_px, *rises_px])
         detection = replace(config.detection, vertical_sigma_px=min(_MOST_RISE_PX, float(rise_px)))
+        shifted = replace(expected, covariance=expected.covariance + turned)
         looked_for = most_informative(
-            axis_from_base(expected, mount), self._map, visible, config.triplet.bearing_sigma_rad,
-            count, self._novelty,
+            axis_from_base(expected, mount), self._map, self._distinct(visible, shifted),
+            config.triplet.bearing_sigma_rad, count, self._novelty,
         )  # fmt: skip
         result, self._blur = detect_blurred(
             straight(frame, expected.calibration),
-            replace(expected, covariance=expected.covariance + shifted),
+            shifted,
             self._map,
             mount,
             detection,
@@ -370,6 +371,15 @@ class Observer:
             self._blur,
         )
         return result, looked_for
+
+    def _distinct(self, visible: IndexArray, expected: PoseEstimate) -> IndexArray:
+        """Landmarks without edges whose window is wider than they are: it may show another one."""
+        away = self._map.positions[visible, :2] - expected.pose[:2]
+        squared = np.sum(away**2, axis=1)
+        variance = expected.covariance[2, 2] + np.trace(expected.covariance[:2, :2]) / squared
+        half_rad = self._config.detection.window_sigmas * np.sqrt(variance)
+        wide = half_rad > self._map.sizes_m[visible, 0] / np.sqrt(squared)
+        return np.asarray(visible[~(wide & self._map.edges[visible])])
 
 
 def _nothing(stamp_ns: int) -> Detections:

@@ -127,7 +127,11 @@ class Match:
 
 
 def align(
-    search: Float32Array, template: Float32Array, start: tuple[float, float], search_blur: Pair
+    search: Float32Array,
+    template: Float32Array,
+    start: tuple[float, float],
+    search_blur: Pair,
+    along_px: float = 0.0,
 ) -> Match | None:
     """
     Align a template with an image; None if it does not converge, or to a negative correlation.
@@ -140,6 +144,8 @@ def align(
         Column and row of the template's upper left corner.
     search_blur : tuple of float
         Gaussian sigmas of the earlier blur of the search image, pixels.
+    along_px : float
+        Sigma along the edge if the template is an edge: it is aligned across the edge only.
     """
     size = template.shape[1] - 2, template.shape[0] - 2
     rows = _rows(template)
@@ -148,7 +154,11 @@ def align(
     # Regression of the gradients on the template.
     gradient_gain = normal[:2, 2] / power
     hessian = normal[:2, :2] - gradient_gain[:, None] * normal[2, :2]
-    inverse = _inverse(hessian)
+    inverse, along = _inverse(hessian), np.zeros((2, 2))
+    if along_px:
+        weak, strong = np.linalg.eigh(hessian)[1].T
+        inverse = np.outer(strong, strong) / max(float(strong @ hessian @ strong), _TINY)
+        along = along_px**2 * np.outer(weak, weak)
     (xx, xy), (_, yy) = inverse.tolist()
     xr, yr = normal[2, :2].tolist()
     x0, y0 = start[0] + 0.5 * (size[0] + 1), start[1] + 0.5 * (size[1] + 1)
@@ -182,7 +192,7 @@ def align(
     inflation = np.sqrt(np.maximum(ratio - _CHANCE_EXCESS, 1.0))
     return Match(
         np.array([x, y]),
-        by_noise * inflation[:, None] * inflation + _FLOOR_PX2,
+        by_noise * inflation[:, None] * inflation + _FLOOR_PX2 + along,
         gain * math.sqrt(power / total),
         _relative_blur(normal, np.asarray(rows @ seen, dtype=np.float64)),
     )

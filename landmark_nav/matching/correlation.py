@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import math
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ def match_template(
     min_score: float = 0.7,
     max_second_ratio: float = 0.9,
     search_blur: Pair = (0.0, 0.0),
+    edge: bool = False,
 ) -> Match | Refusal:
     """
     Find a template by normalized cross-correlation and align it to sub-pixel.
@@ -40,6 +42,8 @@ def match_template(
     search_blur : tuple of float
         Gaussian sigmas of the earlier blur of the search image, across and down, pixels; its noise
         is correlated accordingly.
+    edge : bool
+        Whether the template is an upright edge: any row of the search image may be the right one.
     """
     contrast = float(cv2.meanStdDev(template)[1][0, 0])
     if contrast < _MIN_CONTRAST:
@@ -47,6 +51,11 @@ def match_template(
     search, template = for_matching(search), for_matching(template)
     found = cv2.matchTemplate(search, template, cv2.TM_CCOEFF_NORMED)
     scores = np.asarray(found, dtype=np.float32)
+    first, along_px = np.zeros(scores.shape[1]), 0.0
+    if edge:
+        # Any row may be the right one: the best of each column counts.
+        first, along_px = scores.argmax(axis=0) - 1.0, scores.shape[0] / math.sqrt(12.0)
+        scores = np.pad(scores.max(axis=0)[None], ((1, 1), (0, 0)), constant_values=-1.0)
     _, score, _, (column, row) = cv2.minMaxLoc(scores)
     if score < min_score:
         return Refusal(
@@ -58,7 +67,9 @@ def match_template(
     second = _second_peak(scores, column, row, template.shape, limit)
     if second > limit:
         return Refusal('ambiguous', f'second peak {second:.2f} of {score:.2f}')
-    match = align(search, template, _parabola_peak(scores, column, row), search_blur)
+    across, down = _parabola_peak(scores, column, row)
+    start = across, down + float(first[column])
+    match = align(search, template, start, search_blur, along_px)
     if match is None:
         return Refusal('alignment failed')
     return replace(match, score=max(score, match.score))

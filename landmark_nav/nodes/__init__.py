@@ -15,14 +15,9 @@ import sys
 
 from landmark_nav.signals import end_at_once
 
-
-def _is_program() -> bool:
-    """Whether this process is a node: run by ``python -m`` or by an executable of its name."""
-    name = os.path.basename(sys.argv[0])
-    return name == '-m' or os.path.isfile(os.path.join(os.path.dirname(__file__), f'{name}.py'))
-
-
-if _is_program():
+# Whether this process is a node: run by ``python -m`` or by an executable of its name.
+_NAME = os.path.basename(sys.argv[0])
+if _NAME == '-m' or os.path.isfile(os.path.join(os.path.dirname(__file__), f'{_NAME}.py')):
     end_at_once(0)
 
 from landmark_nav.errors import LandmarkNavError  # noqa: E402

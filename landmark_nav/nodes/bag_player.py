@@ -12,13 +12,12 @@ from rclpy.publisher import Publisher
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.nodes.configured import configured
-from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.topics import RELIABLE, TOPICS
+from landmark_nav.ros.topics import message_class, RELIABLE, ros_factory, TOPICS
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.topics import relative_name
+from landmark_nav.storage.bags.definitions import relative_name
 
 _CLOCK_PERIOD_NS = 10_000_000
 # Greatest time for acknowledgements of the last messages.

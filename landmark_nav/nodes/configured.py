@@ -18,12 +18,8 @@ def configured(
     """
     Declare the parameters that the executable `name` reads, and return their values.
 
-    Raises `LandmarkNavError`: a value of a parameter is invalid, or the robot file cannot be read.
-
-    Parameters
-    ----------
-    take : callable, optional
-        Called with the new configuration after parameters of `LIVE` were set.
+    After parameters of `LIVE` were set, `take` is called with the new configuration. Raises
+    `LandmarkNavError`: a value of a parameter is invalid, or the robot file cannot be read.
     """
     former_robot = settle(node, Configuration())
     live = LIVE.get(name, ())

@@ -18,17 +18,15 @@ from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.layouts import GlobalPose
+from landmark_nav.messages.clouds import GlobalPose
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.live_pose import LivePose
 from landmark_nav.ros.camera_frames import CameraFrames
-from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.health import Health, Latency, Level
 from landmark_nav.ros.joining import listen_together
-from landmark_nav.ros.latency import Latency
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.transforms import TransformBroadcaster
+from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.types import (
     Detections,
@@ -212,7 +210,10 @@ class OdometryFusionNode(LandmarkNode):
             if isinstance(found, Detections):
                 self._use(found)
             else:
-                self._use_place(found)
+                joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
+                known = None if isinstance(joints, Refusal) else joints
+                self._fusion.place(found, known, self._now_ns())
+                self._started(found, 'found')
 
     def _waits(self, found: Detections | GlobalPose) -> bool:
         """Whether detections or a global pose must wait for joint states that may still arrive."""
@@ -237,11 +238,6 @@ class OdometryFusionNode(LandmarkNode):
             self._accepted += len(update.used)
             self._rejected += len(update.columns) - len(update.used)
         self._corrected(found.stamp_ns)
-
-    def _use_place(self, place: GlobalPose) -> None:
-        joints = self._frames.joints_at(place.stamp_ns + round(1e9 * place.joint_delay_s))
-        self._fusion.place(place, None if isinstance(joints, Refusal) else joints, self._now_ns())
-        self._started(place, 'found')
 
     def _corrected(self, stamp_ns: int) -> None:
         """Publish the pose after an update by an image, at the newest stamp."""

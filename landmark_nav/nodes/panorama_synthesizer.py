@@ -9,20 +9,17 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.geometry.cylinder import describe_coverage
+from landmark_nav.learning import sweep_pipeline
 from landmark_nav.learning.reference_area import PaperRecord
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import (
-    panorama_from_sweep,
-    unplaced_panorama,
-)
 from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.quality import PanoramaQuality
-from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama, Sweep
 
@@ -89,9 +86,9 @@ class PanoramaSynthesizerNode(LandmarkNode):
     def _panorama(self, sweep: Sweep) -> tuple[Panorama, str, str]:
         """Panorama, description of its pose, and frame of the pose."""
         if self._room is None:
-            view = unplaced_panorama(sweep, self._known.mount, StageLog())
+            view = sweep_pipeline.unplaced_panorama(sweep, self._known.mount, StageLog())
             return view, 'panorama; its pose comes with learning', self._known.mount.base_frame
-        view = panorama_from_sweep(
+        view = sweep_pipeline.panorama_from_sweep(
             sweep, self._room, self._known, self._config, papers=self._papers
         )
         self._known = view.calibration or self._known

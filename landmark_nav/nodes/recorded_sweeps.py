@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from threading import Lock
 import time
 from typing import Any
@@ -28,14 +29,8 @@ class RecordedSweep:
     """
     A sweep with its image messages, which are not decoded and may be compressed.
 
-    Parameters
-    ----------
-    trajectory : tuple of JointSample
-        Angles of the frames.
-    frames : mapping of int to tuple
-        Stamp -> image message and camera calibration.
-    pose_map_base : PoseEstimate, optional
-        Pose of the base in map, if it was given on ``sweep/pose``.
+    `trajectory` has the angles of the frames; `frames` are image message and camera calibration by
+    stamp; `pose_map_base` was given on ``sweep/pose``, if at all.
     """
 
     trajectory: tuple[JointSample, ...]
@@ -60,16 +55,9 @@ class RecordedSweep:
 
     def decoded(self, depth: decode.BitDepth, drop: Callable[[str, object], None]) -> Sweep:
         """
-        Decode the images.
+        Decode the images; `drop` is called with topic and reason if one cannot be used.
 
         Raises `LandmarkNavError`: no frame is left.
-
-        Parameters
-        ----------
-        depth : BitDepth
-            Bit depth of the stream of images.
-        drop : callable
-            Called with topic and reason if an image cannot be used.
         """
         views: dict[int, tuple[ImageArray, CameraModel, int]] = {}
         for stamp, (image, info) in self.frames.items():
@@ -88,14 +76,10 @@ class RecordedSweep:
 
 class SweepInbox:
     """
-    Joins the messages on ``sweep/*``.
+    Joins the messages on ``sweep/*``; the frame of ``sweep/pose`` must be `frame_id`.
 
-    Parameters
-    ----------
-    frame_id : str
-        Required frame of ``sweep/pose``.
-    on_sweep : callable
-        Called with each sweep in its own callback group, so that frames still arrive meanwhile.
+    `on_sweep` is called with each sweep in its own callback group, so that frames still arrive
+    meanwhile.
     """
 
     def __init__(
@@ -106,6 +90,7 @@ class SweepInbox:
         on_sweep: Callable[[RecordedSweep], None],
     ) -> None:
         self._mount, self._frame_id, self._on_sweep = mount, frame_id, on_sweep
+        self._drop = partial(node.drop, 'sweep/trajectory')
         self._lock = Lock()
         self._images: dict[int, Any] = {}
         self._infos: dict[int, decode.CameraInfo] = {}
@@ -134,7 +119,7 @@ class SweepInbox:
         self._pose = decode.pose_estimate(message)
 
     def _on_trajectory(self, message: Any) -> None:
-        trajectory = decode.sweep_trajectory(message, self._mount)
+        trajectory = decode.sweep_trajectory(message, self._mount, self._drop)
         deadline = time.monotonic() + _LATE_FRAMES_S
         while missing_frames(trajectory, self._complete()) and time.monotonic() < deadline:
             time.sleep(0.05)

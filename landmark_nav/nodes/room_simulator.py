@@ -15,15 +15,13 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.nodes.configured import configured
-from landmark_nav.ros.clocks import steady_clock
-from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.camera_frames import listen_for_pan
+from landmark_nav.ros.health import Health, Level, steady_clock
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.pan_command import listen_for_pan
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.transforms import TransformBroadcaster
+from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.places import choose_sweep_places
+from landmark_nav.simulation.scene import choose_sweep_places
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 

@@ -16,16 +16,13 @@ from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.nodes.configured import calibration_of, configured
-from landmark_nav.ros.camera_frames import CameraFrames
-from landmark_nav.ros.clocks import own_clock
-from landmark_nav.ros.factory import message_class, ros_factory
-from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.camera_frames import CameraFrames, listen_for_pan, PanCommander
+from landmark_nav.ros.health import Health, Level, own_clock
 from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.pan_command import listen_for_pan, PanCommander
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.topics import RELIABLE
-from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
+from landmark_nav.ros.topics import message_class, RELIABLE, ros_factory
+from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
 
 # Greatest age of the fused pose for a choice.
 _SILENCE_S = 1.0
@@ -149,27 +146,20 @@ class TripletSelectorNode(LandmarkNode):
         values['pan_deg'] = f'{np.degrees(chosen.pan_rad):.1f}'
         values['sigma_m'] = f'{sigma_m:.4f}'
         self._health = Health(Level.OK, f'landmarks {names}', values)
-        self._turn_to(chosen)
+        if self._looks_at is None and time.monotonic() >= self._yield_until:
+            self._command(chosen.pan_rad, _DEADBAND_RAD)
 
     def _look_around(self) -> None:
         """Turn the camera from view to view while the pose is unknown, for global localization."""
         now_s, model, pan_rad = time.monotonic(), self._frames.camera, self._frames.pan_rad
         self._looks_at = None
-        if self._knows_pose(now_s) or now_s < self._yield_until:
+        fused = self._fused if now_s - self._fused_s <= _SILENCE_S else None
+        if now_s < self._yield_until or (fused is not None and is_known(fused)):
             self._around.end()
         elif self._camera is not None and model is not None and pan_rad is not None:
             self._looks_at = self._around.pan_at(now_s, pan_rad, 2.0 * model.half_fov_rad)
             if self._looks_at is not None:
                 self._command(self._looks_at, 0.0)
-
-    def _knows_pose(self, now_s: float) -> bool:
-        if self._fused is None or now_s - self._fused_s > _SILENCE_S:
-            return False
-        return is_known(self._fused)
-
-    def _turn_to(self, chosen: Triplet) -> None:
-        if self._looks_at is None and time.monotonic() >= self._yield_until:
-            self._command(chosen.pan_rad, _DEADBAND_RAD)
 
     def _command(self, pan_rad: float, deadband_rad: float) -> None:
         if not self._commanded or abs(pan_rad - self._commanded[-1]) > deadband_rad:

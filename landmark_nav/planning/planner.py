@@ -22,12 +22,11 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.reference_area import LEAST_PAPERS
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.prediction import Forecast, Predictor
 from landmark_nav.planning.views import (
     free_floor,
-    is_free,
     look,
+    PlanConfig,
     sample_walls,
     sweep_poses,
     turns_rad,
@@ -50,19 +49,8 @@ def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> Index
     """
     Exchange one position at a time while that lowers the cost by more than `_MIN_GAIN`.
 
-    Parameters
-    ----------
-    cost : callable
-        Cost of a set of indices (n,), n >= 2.
-    xy : ndarray, shape (p, 2)
-        Possible positions.
-    start : ndarray of int, shape (n,)
-        First positions.
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        Indices, from left to right, so that equal sets are equal arrays.
+    `cost` is that of two or more indices of `xy` (p, 2). Returns indices from left to right, so
+    that equal sets are equal arrays.
     """
     chosen, least = start, cost(start)
     for _ in range(_MAX_ROUNDS):
@@ -89,61 +77,13 @@ def _best(cost: Cost, sets: list[IndexArray], what: str, show: Show) -> tuple[In
 _MIN_DISTANCE_M = 0.5
 
 
-def left_right_layout(room: Room, count: int, share: float, config: PlanConfig) -> FloatArray:
-    """
-    Positions L and R, or L1, R1, L2, R2 for a count of four or more.
-
-    They are left and right of the centre of the room, seen in the direction of the wall with the
-    papers, or of the longest wall; of two pairs, one is in front of the centre and one behind it.
-
-    Parameters
-    ----------
-    room : Room
-        Walls, and papers if there are any.
-    count : int
-        Number of planned positions.
-    share : float
-        Distance of L and R from the centre, relative to the extent of the room.
-
-    Returns
-    -------
-    ndarray, shape (k, 2)
-        2 or 4 positions; empty if one of them is not on the free floor.
-    """
-    corners = np.array([wall.start for wall in room.walls])
-    middle = 0.5 * (room.bounds[0] + room.bounds[1])
-    faced = int(np.argmax([wall.length for wall in room.walls]))
-    if room.papers:
-        papers = np.mean([paper.center[:2] for paper in room.papers], axis=0)
-        faced = int(room.nearest_wall(papers))
-    ahead = room.normals[faced, :2]
-    aside = np.array([-ahead[1], ahead[0]])
-    width, depth = (np.ptp(corners @ axis) for axis in (aside, ahead))
-    rows = [-share, share] if count >= 4 else [0.0]
-    places = np.array(
-        [middle + row * depth * ahead + k * width * aside for row in rows for k in (-share, share)]
-    )
-    free = is_free(room, config.clearance_m, places)
-    return places if free.all() else np.zeros((0, 2))
-
-
 def random_sets(
     xy: FloatArray, count: int, sets: int, rng: np.random.Generator
 ) -> npt.NDArray[np.intp]:
     """
-    Draw random sets of positions.
+    Draw indices (sets, count) of random sets of positions `xy` (p, 2).
 
-    Parameters
-    ----------
-    xy : ndarray, shape (p, 2)
-        Possible positions.
-    count, sets : int
-        Number of positions in a set, and number of sets.
-
-    Returns
-    -------
-    ndarray of int, shape (sets, count)
-        Indices; positions of a set are different, and `_MIN_DISTANCE_M` apart if possible.
+    Those of a set are different, and `_MIN_DISTANCE_M` apart if possible.
     """
     drawn = []
     for _ in range(sets):
@@ -170,23 +110,18 @@ _MAP_SPACING_M = 0.1
 # within 0.1 % of that from the best pair, grown; a finer grid around it gained 0.4 % at most.
 _STARTS = 100
 
-# Distances of L and R from the centre that are tried, relative to the extent of the room.
-_SHARES = (0.25, 0.2, 0.15, 0.1, 0.07)
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """
     Proposed positions, and others for comparison.
 
-    `best` is the proposal; `accuracy_map` is the same on a finer floor, for a figure; `left_right`
-    is the layout of Livatino and Madsen, None if the room does not allow it; `random` are random
-    sets, the best first.
+    `best` is the proposal; `accuracy_map` is the same on a finer floor, for a figure; `random` are
+    random sets, the best first.
     """
 
     best: Forecast
     accuracy_map: Forecast
-    left_right: Forecast | None
     random: tuple[Forecast, ...]
 
 
@@ -199,19 +134,11 @@ def plan_positions(
     show: Show = lambda items, _what, _total: iter(items),
 ) -> Plan:
     """
-    Propose positions for panoramas.
+    Propose `count` positions for panoramas, 2 or more.
 
+    The proposal depends on `rng`, which draws the random sets, only if one of these is the best.
     Raises `LandmarkNavError`: fewer than two positions, one or two papers, or too few positions
     from which enough papers are in view.
-
-    Parameters
-    ----------
-    count : int
-        Number of positions, 2 or more.
-    rng : numpy.random.Generator
-        Draws the random sets; the proposal depends on it only if one of these is the best.
-    show : callable
-        Shows progress, see `Show`.
     """
     _check(room, count)
     floor = free_floor(room, config.clearance_m, config.spacing_m, _MAX_POSITIONS)
@@ -237,17 +164,12 @@ def plan_positions(
     cost = Predictor(views, samples, cells, room, config).cost_m
     starts = random_sets(xy, count, _STARTS, np.random.default_rng(0))
     start, _ = _best(cost, list(starts), 'places', show)
-    sets = [views.pose_map_base[exchange(cost, xy, start, show)]]
-    left_right = _left_right(room, mount, count, config)
-    if left_right is not None:
-        sets.append(left_right)
     drawn = random_sets(xy, count, config.random_sets, rng)
-    sets += [views.pose_map_base[k] for k in drawn]
+    sets = [views.pose_map_base[k] for k in (exchange(cost, xy, start, show), *drawn)]
     cells = free_floor(room, config.clearance_m, config.spacing_m, _REPORT_CELLS)
     forecasts = forecast(sets, cells, room, mount, config)
     # A set for comparison may be better, since the search uses a coarser floor.
-    rivals = [f for f in forecasts if len(f.poses_map_base) == count]
-    best = min(rivals, key=lambda f: f.cost_m)
+    best = min(forecasts, key=lambda f: f.cost_m)
     if not np.isfinite(best.cost_m) or not best.landmarks.sum():
         raise LandmarkNavError(
             f'no {count} places see the same walls well enough to learn landmarks: '
@@ -257,8 +179,7 @@ def plan_positions(
     return Plan(
         best,
         forecast([best.poses_map_base], cells, room, mount, config)[0],
-        None if left_right is None else forecasts[1],
-        tuple(sorted(forecasts[-len(drawn) :], key=lambda f: f.cost_m)),
+        tuple(sorted(forecasts[1:], key=lambda f: f.cost_m)),
     )
 
 
@@ -270,21 +191,9 @@ def forecast(
     config: PlanConfig,
 ) -> list[Forecast]:
     """
-    Predict the results of sets of poses.
+    Predict the results of sets of two or more poses (n, 3) of the base, on floor `cells` (c, 2).
 
     Raises `LandmarkNavError`: a pose does not see enough papers.
-
-    Parameters
-    ----------
-    sets : sequence of ndarray, shape (n, 3)
-        Poses of the base, two or more, all in view of the papers, if there are any.
-    cells : ndarray, shape (c, 2)
-        Floor cells for which the localization error is predicted.
-
-    Returns
-    -------
-    list of Forecast
-        In the order of `sets`.
     """
     samples = sample_walls(room, config.spacing_m, _MAX_SAMPLES)
     poses = np.concatenate(sets)
@@ -299,20 +208,6 @@ def forecast(
         predictor.predict(np.arange(end - len(places), end))
         for places, end in zip(sets, ends, strict=True)
     ]
-
-
-def _left_right(
-    room: Room, mount: PanTiltMount, count: int, config: PlanConfig
-) -> FloatArray | None:
-    """Poses (k, 3) of the widest left-right layout that sees the papers; None if none does."""
-    samples = sample_walls(room, config.spacing_m, _SEARCH_SAMPLES)
-    for share in _SHARES:
-        xy = left_right_layout(room, count, share, config)
-        if len(xy):
-            poses = sweep_poses(xy, room, turns_rad(mount, config)[0])
-            if len(look(poses, samples, room, mount, config)) == len(poses):
-                return poses
-    return None
 
 
 def _check(room: Room, count: int) -> None:

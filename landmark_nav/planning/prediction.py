@@ -23,8 +23,7 @@ from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.adjustment.depth_from_scale import INFORMATIVE
 from landmark_nav.learning.reference_area import joined
 from landmark_nav.localization.triangulation.model import bearing_gradients
-from landmark_nav.planning.config import PlanConfig
-from landmark_nav.planning.views import band_share, Views, WallSamples
+from landmark_nav.planning.views import band_share, PlanConfig, Views, WallSamples
 from landmark_nav.types import FloatArray
 
 # Number of states of each panorama: x, y, heading. The offsets of walls follow after all of them.
@@ -47,29 +46,12 @@ def landmark_errors(
     """
     Errors of landmarks on walls after the adjustment of n panoramas.
 
-    Parameters
-    ----------
-    azimuth_rad, range_m : ndarray, shape (n, s)
-        Azimuth in map and range of s points on walls from the panoramas.
-    weight : ndarray, shape (n, s)
-        Information of each measurement, 1 / rad^2; 0 if there is none.
-    normal : ndarray, shape (s, 2)
-        Normals of the walls.
-    wall : ndarray of int, shape (s,)
-        Index of the wall of each point.
-    landmarks : ndarray, shape (s,)
-        Number of landmarks at each point.
-    pose_covariance : ndarray, shape (3 n, 3 n)
-        Joint covariance of x, y and heading of the panoramas before the adjustment.
-    config : AdjustmentConfig
-        Sigmas of the offsets from walls.
-
-    Returns
-    -------
-    own : ndarray, shape (s, 2, 2)
-        Covariance of the own error of a landmark.
-    loading : ndarray, shape (s, 2, m)
-        Loadings of the shared errors; the factors have unit variance.
+    Azimuth in map, range and `weight` (n, s) are those of s points on walls from the panoramas;
+    the weight is the information of a measurement, 1 / rad^2, 0 if there is none. `normal` (s, 2)
+    and `wall` (s,) are normal and index of the wall of each point, `landmarks` (s,) is their
+    number there, `pose_covariance` (3 n, 3 n) that of x, y and heading before the adjustment.
+    Returns the covariance (s, 2, 2) of the own error of a landmark, and loadings (s, 2, m) of the
+    shared errors; the factors have unit variance.
     """
     # Derivatives of azimuths by the landmark; by the panorama they have the opposite sign, by its
     # heading they are -1.
@@ -113,24 +95,12 @@ def localization_sigma(
     bearing_sigma_rad: float,
 ) -> FloatArray:
     """
-    Localization error from bearings to all landmarks in view.
+    Localization error (c,) from bearings to all landmarks in view.
 
-    Parameters
-    ----------
-    gradient : ndarray, shape (c, s, 2)
-        Gradients of the bearings by x and y of the viewer, at c floor cells.
-    seen : ndarray, shape (c, s)
-        Number of landmarks in view at each of s points.
-    own, loading : ndarray, shape (s, 2, 2), (s, 2, m)
-        Errors of landmarks, see `landmark_errors`.
-    bearing_sigma_rad : float
-        Sigma of a bearing.
-
-    Returns
-    -------
-    ndarray, shape (c,)
-        Root of the trace of the covariance of the position, m; inf if fewer than three landmarks
-        are in view, or if the position is not observable.
+    It is the root of the trace of the covariance of the position, m; inf if fewer than three
+    landmarks are in view, or if the position is not observable. `gradient` (c, s, 2) are those of
+    the bearings by x and y of the viewer, at c floor cells; `seen` (c, s) landmarks are in view at
+    each of s points, with the errors of `landmark_errors`.
     """
     gx, gy = gradient[..., 0], gradient[..., 1]
     variance = gx * gx * own[:, 0, 0] + 2.0 * gx * gy * own[:, 0, 1] + gy * gy * own[:, 1, 1]
@@ -189,19 +159,10 @@ class Forecast:
     """
     Prediction for one set of positions of panoramas.
 
-    Parameters
-    ----------
-    poses_map_base : ndarray, shape (n, 3)
-        Poses of the base.
-    pose_covariance : ndarray, shape (n, 3, 3)
-        Covariance of x, y and heading of the pan axis by papers or panoramas.
-    landmarks : ndarray, shape (s,)
-        Expected number of landmarks at each wall sample.
-    covariance : ndarray, shape (s, 2, 2)
-        Covariance of x and y of a landmark there.
-    floor_xy, sigma_m : ndarray, shape (c, 2), (c,)
-        Cells of the free floor, and the localization error there, root of the trace; inf if too
-        few landmarks are in view.
+    Poses (n, 3) are those of the base, their covariance (n, 3, 3) is that of the pan axis by
+    papers or panoramas. `landmarks` (s,) are expected at each wall sample, with a `covariance` (s,
+    2, 2) of x and y. `sigma_m` is the localization error on the free floor, see
+    `localization_sigma`.
     """
 
     poses_map_base: FloatArray
@@ -230,16 +191,7 @@ class Forecast:
 
 
 class Predictor:
-    """
-    Predicts the localization error at floor cells for subsets of given poses of panoramas.
-
-    Parameters
-    ----------
-    views : Views
-        Poses of panoramas, one or more, and the visibility of wall samples from them.
-    cells : ndarray, shape (c, 2)
-        Floor cells where the robot will localize itself.
-    """
+    """Predicts the localization error at floor `cells` (c, 2) for subsets of given panoramas."""
 
     def __init__(
         self,

@@ -1,8 +1,8 @@
-"""Visibility of walls in panoramas from given positions."""
+"""Parameters of planning, and visibility of walls in panoramas from given positions."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +11,65 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.reference_area import LEAST_PAPERS, pose_errors
+from landmark_nav.learning.adjustment import AdjustmentConfig
+from landmark_nav.learning.election import ElectionConfig
+from landmark_nav.learning.reference_area import LEAST_PAPERS, pose_errors, ReferenceAreaConfig
+from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.unmeasured import RELATIVE_SIGMA
-from landmark_nav.planning.config import PlanConfig
+from landmark_nav.localization.triplet.visibility import TripletConfig
+from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
+
+
+@dataclass(frozen=True)
+class PlanConfig(Config):
+    """
+    Camera, expected texture, and sampling of the room.
+
+    The bounds of learning and localization are those of their own parameters.
+    """
+
+    focal_px: float = 555.0
+    width_px: int = 512
+    height_px: int = 512
+    pan_min_rad: float = -np.pi
+    pan_max_rad: float = np.pi
+    # Smallest distance of the robot from walls.
+    clearance_m: float = 0.4
+    # Smallest spacing of floor points and of wall samples.
+    spacing_m: float = 0.25
+    # Number of patches that attention proposes in a panorama.
+    candidates: int = 120
+    # Heights between which walls are assumed to be textured.
+    texture_low_m: float = 0.8
+    texture_high_m: float = 2.0
+    # Number of random sets of positions for comparison.
+    random_sets: int = 50
+    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
+    stereo: StereoConfig = field(default_factory=StereoConfig)
+    adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
+    election: ElectionConfig = field(default_factory=ElectionConfig)
+    triplet: TripletConfig = field(default_factory=TripletConfig)
+
+    @property
+    def steepest(self) -> float:
+        """Largest tangent of elevation in panoramas."""
+        return (0.5 * self.height_px - self.triplet.border_px) / self.focal_px
+
+    @property
+    def half_arc_rad(self) -> float:
+        """Largest azimuth that the camera sees to either side of the middle of its pan range."""
+        half_fov = float(np.arctan(0.5 * self.width_px / self.focal_px))
+        return min(float(np.pi), 0.5 * (self.pan_max_rad - self.pan_min_rad) + half_fov)
+
+    @property
+    def paper_pans_rad(self) -> tuple[float, ...]:
+        """Pans toward the papers that are tried for a sweep."""
+        if self.half_arc_rad == np.pi:
+            return (0.0,)
+        middle = 0.5 * (self.pan_min_rad + self.pan_max_rad)
+        quarter = 0.25 * (self.pan_max_rad - self.pan_min_rad)
+        return (middle, middle - quarter, middle + quarter)
 
 
 class WallSamples(NamedTuple):
@@ -29,19 +84,9 @@ class WallSamples(NamedTuple):
 
 def free_floor(room: Room, clearance_m: float, spacing_m: float, most: int) -> FloatArray:
     """
-    Grid of possible positions of the robot.
+    Grid (n, 2) of possible positions of the robot, row by row; empty in too narrow a room.
 
-    Parameters
-    ----------
-    spacing_m : float
-        Spacing of the grid; larger if there would be more than `most` points.
-    most : int
-        Largest number of points.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Row by row; empty in a room that is too narrow.
+    The spacing is larger if there would be more than `most` points.
     """
     low, high = room.bounds[0] + clearance_m, room.bounds[1] - clearance_m
     if np.any(high < low):
@@ -87,26 +132,15 @@ _MAX_PAPER_INCIDENCE_RAD = 1.2
 @dataclass(frozen=True, eq=False)
 class Views:
     """
-    Visibility of s wall samples from p poses.
+    Visibility of s wall samples from p poses (p, 3) of the base.
 
-    Parameters
-    ----------
-    pose_map_base : ndarray, shape (p, 3)
-        Poses of the base.
-    eye : ndarray, shape (p, 3)
-        Viewpoints: the pan axis at the height of the optical centre, in map.
-    covariance : ndarray, shape (p, 3, 3)
-        Covariance of x, y and heading of the pan axis, by papers; without papers, by the relative
-        poses of panoramas.
-    by_papers : ndarray, shape (p, 3, m)
-        Loadings of the errors of papers, which all poses share; the factors have unit variance.
-    azimuth_rad, range_m : ndarray, shape (p, s)
-        Azimuth in map and range of the samples.
-    share : ndarray, shape (p, s)
-        Share of the textured band that is in the image; 0 if a sample is hidden or seen too
-        obliquely to be matched.
-    proposed : ndarray, shape (p, s)
-        Expected number of patches that attention proposes and that can become landmarks.
+    The viewpoint `eye` is the pan axis at the height of the optical centre, in map. `covariance`
+    (p, 3, 3) is that of x, y and heading of the pan axis, by papers, or else by the relative poses
+    of panoramas; `by_papers` (p, 3, m) are loadings of the errors of papers, which all poses
+    share; the factors have unit variance. By pose and sample (p, s): azimuth in map and range;
+    `share` of the textured band that is in the image, 0 if a sample is hidden or seen too
+    obliquely to be matched; `proposed`, the expected number of patches that attention proposes and
+    that can become landmarks.
     """
 
     pose_map_base: FloatArray
@@ -161,20 +195,9 @@ def look(
     config: PlanConfig,
 ) -> Views:
     """
-    Compute the visibility of wall samples from poses.
+    Compute the visibility of wall samples from poses (n, 3) that see enough papers.
 
-    Parameters
-    ----------
-    poses_map_base : ndarray, shape (n, 3)
-        Poses of the base.
-    config : PlanConfig
-        Camera, and bounds of learning.
-
-    Returns
-    -------
-    Views
-        Only for poses that see enough papers, if the room has papers: a sweep at the others cannot
-        be located.
+    A sweep at other poses cannot be located; in a room without papers all are taken.
     """
     axis = mount.axis_pose_map(poses_map_base)[:, :2]
     eye = np.column_stack([axis, np.full(len(axis), eye_height(mount))])

@@ -8,8 +8,6 @@ import os
 
 from landmark_nav.errors import LandmarkNavError
 
-__all__ = ['chosen_domain', 'require_ros']
-
 _PACKAGES = (
     'rclpy',
     'diagnostic_msgs',

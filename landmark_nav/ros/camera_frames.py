@@ -1,13 +1,19 @@
-"""Subscriptions to joint states and camera_info, and frames: images with camera and angles."""
+"""Subscriptions to images, joint states and camera_info, frames, pan commands."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from math import isfinite
 from threading import Condition
 from typing import Any
 
+from builtin_interfaces.msg import Duration
 import numpy as np
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.geometry.angles import unwrap_joint
@@ -15,8 +21,61 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.ros.inputs import IrrelevantError
 from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.topics import RELIABLE
 from landmark_nav.storage.bags.timelines import JointHistory
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, Refusal
+
+
+def image_topics(topic: str, transport: str) -> list[str]:
+    """Topics with the images of `topic` by a transport; both for ``auto``."""
+    topics = {'raw': topic, 'compressed': f'{topic}/compressed'}
+    return [topics[transport]] if transport in topics else list(topics.values())
+
+
+class ImageSource:
+    """
+    Subscription to the images of `topic` or of ``topic/compressed``.
+
+    With the transport ``auto`` both are subscribed. Raw images are used until the first compressed
+    one; then the raw subscription ends: that saves bandwidth, and common middleware loses large
+    messages. A repeated image is handled once.
+    """
+
+    def __init__(
+        self,
+        node: LandmarkNode,
+        topic: str,
+        callback: Callable[[Any], None],
+        transport: str = 'auto',
+        *,
+        depth: int | None = None,
+    ) -> None:
+        self._node = node
+        self._last: Any = None
+        self._raw = topic
+        self._subscriptions: dict[str, Subscription[Any]] = {}
+        for name in image_topics(topic, transport):
+            self._subscriptions[name] = node.listen(name, self._only(name, callback), depth=depth)
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._keep(None)
+
+    def _only(self, name: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def take(message: Any) -> None:
+            if name in self._subscriptions and message != self._last:
+                if name != self._raw:
+                    self._keep(name)
+                self._last = message
+                callback(message)
+
+        return take
+
+    def _keep(self, name: str | None) -> None:
+        for other in list(self._subscriptions):
+            # Another thread may close it at the same time.
+            if other != name and (ended := self._subscriptions.pop(other, None)) is not None:
+                self._node.destroy_subscription(ended)
 
 
 def listen_for_joints(
@@ -30,14 +89,8 @@ def listen_for_joints(
     """
     Subscribe to joint states.
 
+    `on_tilt` is called with stamp, ns, and tilt, rad, if the tilt joint has messages of its own.
     Diagnostics list the names of the joints while the pan joint is not among them.
-
-    Parameters
-    ----------
-    on_sample : callable
-        Called with each sample of pan and tilt.
-    on_tilt : callable
-        Called with stamp, ns, and tilt, rad, if the tilt joint has messages of its own.
     """
     names = decode.JointNames(mount)
 
@@ -194,3 +247,66 @@ class CameraFrames:
         joints_ns = stamp_ns + max(0, round(1e9 * late_s))
         with self._news:
             self._news.wait_for(lambda: self.reaches(joints_ns) and also(stamp_ns), seconds)
+
+
+_TOPIC = 'pan_tilt/command'
+_CLASSES: dict[str, Any] = {
+    'JointTrajectory': JointTrajectory,
+    'JointState': JointState,
+    'Float64MultiArray': Float64MultiArray,
+}
+# Smallest duration of a move: controllers refuse a duration of 0.
+_MIN_DURATION_S = 0.1
+
+
+class PanCommander:
+    """Publishes pan commands; if `with_tilt`, the tilt joint is commanded too, to 0."""
+
+    def __init__(
+        self, node: LandmarkNode, mount: PanTiltMount, kind: str, with_tilt: bool = False
+    ) -> None:
+        self._node, self._kind, self._rate_rad_s = node, kind, mount.pan_rate_rad_s
+        self._joints = [mount.pan_joint, *([mount.tilt_joint] if with_tilt else [])]
+        self._publisher = node.create_publisher(_CLASSES[kind], _TOPIC, RELIABLE)
+
+    def command(self, pan_rad: float, from_pan_rad: float | None = None) -> None:
+        """Turn to `pan_rad`; `from_pan_rad`, if known, determines the duration of the move."""
+        positions = [pan_rad, 0.0][: len(self._joints)]
+        stamp = self._node.get_clock().now().to_msg()
+        if self._kind == 'Float64MultiArray':
+            message: Any = Float64MultiArray(data=positions)
+        elif self._kind == 'JointState':
+            message = JointState(name=self._joints, position=positions)
+            message.header.stamp = stamp
+        else:
+            way = abs(pan_rad - from_pan_rad) if from_pan_rad is not None else 0.0
+            seconds = max(way / self._rate_rad_s, _MIN_DURATION_S)
+            point = JointTrajectoryPoint(
+                positions=positions,
+                time_from_start=Duration(sec=int(seconds), nanosec=int(seconds % 1.0 * 1e9)),
+            )
+            # A stamp of zero means: start on arrival.
+            message = JointTrajectory(joint_names=self._joints, points=[point])
+        self._publisher.publish(message)
+
+
+def listen_for_pan(
+    node: LandmarkNode, mount: PanTiltMount, kind: str, callback: Callable[[float], None]
+) -> Subscription[Any]:
+    """Call back with the pan of every command."""
+
+    def take(message: Any) -> None:
+        if kind == 'Float64MultiArray':
+            names, positions = [mount.pan_joint], message.data
+        elif kind == 'JointState':
+            names, positions = list(message.name), message.position
+        else:
+            names = list(message.joint_names)
+            positions = message.points[-1].positions if message.points else []
+        if mount.pan_joint in names and names.index(mount.pan_joint) < len(positions):
+            pan_rad = float(positions[names.index(mount.pan_joint)])
+            if not isfinite(pan_rad):
+                raise LandmarkNavError('the pan is not a finite number')
+            callback(pan_rad)
+
+    return node.create_subscription(_CLASSES[kind], _TOPIC, take, RELIABLE)

@@ -41,19 +41,8 @@ class Input:
     """
     One input of a node: a topic, or several topics with the same data in different forms.
 
-    Parameters
-    ----------
-    topics : mapping of str to Topic or None
-        Names, relative or absolute, and their types and QoS if known.
-
-    Attributes
-    ----------
-    name : str
-        Resolved name of the first topic.
-    is_stream : bool
-        Whether it is sensor data, which arrive continuously.
-    is_awaited : bool
-        Whether the node cannot work without it.
+    `name` is the resolved name of the first topic. An input that `is_stream` is sensor data, which
+    arrive continuously; without one that `is_awaited` the node cannot work.
     """
 
     def __init__(self, node: Node, topics: Mapping[str, Topic | None]) -> None:
@@ -164,7 +153,8 @@ class Input:
         }
         if not any(publishers.values()):
             alike = _listed(self._alike()) if self.is_stream else ''
-            if not alike and self._is_of_joints() and self._node.count_publishers('/tf'):
+            joints = any(spec and spec.type_name == _JOINTS for spec in self._topics.values())
+            if not alike and joints and self._node.count_publishers('/tf'):
                 return 'nobody publishes it; angles in /tf are not read: publish a JointState'
             return 'nobody publishes it' + (f'; of its type there is {alike}' if alike else '')
         # QoS of the subscriptions, which `qos_overrides` may have changed.
@@ -179,9 +169,6 @@ class Input:
                     return f'the quality of service that {who} offers does not suffice'
         who = _listed(_full_name(one) for found in publishers.values() for one in found)
         return f'nothing came from {who} yet' if self._is_open() else ''
-
-    def _is_of_joints(self) -> bool:
-        return any(spec and spec.type_name == _JOINTS for spec in self._topics.values())
 
     def _alike(self) -> list[str]:
         """Other published topics of its type, by similarity of their names."""

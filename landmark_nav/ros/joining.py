@@ -20,14 +20,8 @@ def join_ros(context: Context | None = None, domain_id: int | None = None) -> in
     """
     Initialise ROS by the command line, without signal handlers; return the domain.
 
-    Raises `LandmarkNavError`: ROS refuses the arguments, a parameter file or the environment.
-
-    Parameters
-    ----------
-    context : Context, optional
-        Context to initialise; the default context of the process if omitted.
-    domain_id : int, optional
-        ROS domain; that of the environment if omitted.
+    Context and domain are by default those of the process and the environment. Raises
+    `LandmarkNavError`: ROS refuses the arguments, a parameter file or the environment.
     """
     domain_id = (chosen_domain() or 0) if domain_id is None else domain_id
     try:

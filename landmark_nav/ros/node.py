@@ -1,18 +1,20 @@
-"""Base class of the nodes: topics by name, guarded callbacks, services, diagnostics."""
+"""Base classes of the nodes: life cycle, topics by name, guarded callbacks, services."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 import logging
 import re
 import traceback
-from typing import Any, cast
+from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -23,16 +25,127 @@ from std_srvs.srv import Trigger
 
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.messages import decode
-from landmark_nav.ros.factory import message_class
+from landmark_nav.parameters import Config, parameter
+from landmark_nav.ros import topics
 from landmark_nav.ros.health import Health, Level, publish_health
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
-from landmark_nav.ros.managed import ManagedNode
-from landmark_nav.ros.renamed_topics import (
-    FORMER_NAMES,
-    FormerSubscription,
-    RenamedPublisher,
-)
-from landmark_nav.ros.topics import TOPICS, with_depth
+from landmark_nav.ros.parameters import declare
+
+_KINDS = ('publisher', 'subscription', 'service', 'client', 'timer')
+
+
+@dataclass(frozen=True)
+class Startup(Config):
+    """Parameters of every node."""
+
+    autostart: bool = parameter(
+        True, 'configure and activate as the node starts; false: a lifecycle manager does it'
+    )
+
+
+class ManagedNode(LifecycleNodeMixin, Node):
+    """
+    A node with the states of `rclpy.lifecycle`: unconfigured, inactive, active, finalized.
+
+    Configuration reads parameters and files and creates publishers, subscriptions, services and
+    timers (`set_up`); cleanup destroys these. An inactive node keeps its state, drops messages
+    except latched ones, and refuses its services. There is no bond: rclpy does not support it.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        self._foundation: dict[str, list[Any]] = {}
+        self._closing: list[Callable[[], None]] = []
+        self._failure: Exception | None = None
+        self._destroyed = False
+        Node.__init__(self, name, **options)
+        # An own group, so that the manager is answered while callbacks run.
+        LifecycleNodeMixin.__init__(self, callback_group=MutuallyExclusiveCallbackGroup())
+
+    def set_up(self) -> None:
+        """Create what the node works with; overridden by each node."""
+
+    def close_with(self, action: Callable[[], None]) -> None:
+        """Register an action of cleanup, such as the end of a thread, before topics end."""
+        self._closing.append(action)
+
+    @property
+    def state(self) -> str:
+        """Label of the lifecycle state."""
+        # Reading the state of a destroyed state machine crashes the process.
+        return 'finalized' if self._destroyed else str(self._state_machine.current_state[1])
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the node handles messages."""
+        return self.state == 'active'
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether cleanup is possible now; overridden."""
+        return True
+
+    def start(self) -> None:
+        """
+        Configure and activate, unless ``autostart`` is false; raises exceptions of `set_up`.
+
+        What the node has created before this call works in all states, and cleanup keeps it.
+        """
+        self._foundation = self._made()
+        if declare(self, Startup(), ('autostart',)).autostart:
+            for step in (self.trigger_configure, self.trigger_activate):
+                if step() != TransitionCallbackReturn.SUCCESS:
+                    raise self._failure or LandmarkNavError(f'{self.get_name()} does not start')
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Set up, or stay unconfigured; the reason is logged."""
+        try:
+            self.set_up()
+        except Exception as error:
+            self._failure = error
+            self._take_down()
+            if self.executor is not None:
+                # Without an executor, `start` raises the error.
+                self.get_logger().error(one_line(f'not configured: {error}'))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take down, unless a service call is running."""
+        if not self.is_idle:
+            self.get_logger().warning('not cleaned up: a service is at work')
+            return TransitionCallbackReturn.FAILURE
+        self._take_down()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take down for good; the process continues until it is ended."""
+        self._take_down()
+        return TransitionCallbackReturn.SUCCESS
+
+    on_error = on_shutdown
+
+    def destroy_node(self) -> None:
+        """Close what the node created, then destroy the node."""
+        self._close()
+        self._destroyed = True
+        super().destroy_node()
+        # Otherwise the node stays in the graph until garbage collection.
+        self._state_machine.destroy_when_not_in_use()
+
+    def _made(self) -> dict[str, list[Any]]:
+        return {kind: list(getattr(self, f'{kind}s')) for kind in _KINDS}
+
+    def _take_down(self) -> None:
+        self._close()
+        for kind, made in self._made().items():
+            for one in made:
+                if one not in self._foundation[kind]:
+                    getattr(self, f'destroy_{kind}')(one)
+
+    def _close(self) -> None:
+        while self._closing:
+            self._closing.pop()()
+
 
 # Suffixes of parameters with names of files.
 _FILES = ('_file', '_folder', 'bag')
@@ -47,20 +160,11 @@ _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.RELIABILITY,))
 
 class LandmarkNode(ManagedNode):
     """
-    Base of the package's nodes.
+    Base of the package's nodes; `subcomponent` names its task in ``/diagnostics``.
 
     An error in a callback drops the message, is logged once and is counted in ``/diagnostics``; it
     does not end the node. Errors are bad input (`LandmarkNavError`), or bugs, of which the
     traceback is logged.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node and of its executable.
-    subcomponent : str
-        Name of its task in ``/diagnostics``.
-    **options
-        Options of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
     """
 
     def __init__(self, name: str, subcomponent: str, **options: Any) -> None:
@@ -105,7 +209,7 @@ class LandmarkNode(ManagedNode):
     def announce(self) -> None:
         """Log that the node is ready: its topics, services and files, and what it waits for."""
         awaited = [one.name for one in self.inputs.awaited()]
-        own = {*_OF_RCLPY, *map(self.resolve_topic_name, FORMER_NAMES.values())}
+        own = {*_OF_RCLPY, *map(self.resolve_topic_name, topics.FORMER_NAMES.values())}
         ends = {
             'takes': [one.name for one in self.inputs],
             'gives': [one.topic_name for one in self.publishers],
@@ -122,12 +226,6 @@ class LandmarkNode(ManagedNode):
         self._log.info('ready: %s', '; '.join(words))
         self._awaits = bool(awaited)
 
-    def _note_complete(self) -> None:
-        """Log once that all awaited inputs have arrived."""
-        if self._awaits and not any(one.waits() for one in self.inputs.awaited()):
-            self._awaits = False
-            self._log.info('has all that it waited for')
-
     def required(self, name: str, value: str) -> str:
         """Value of a parameter without a default, such as the path of a file."""
         if not value:
@@ -139,12 +237,12 @@ class LandmarkNode(ManagedNode):
 
     def advertise(self, topic: str) -> Publisher[Any]:
         """Create the publisher of a public topic; ``qos_overrides`` may change its reliability."""
-        spec = TOPICS[topic]
+        spec = topics.TOPICS[topic]
         with _overriding(topic):
             return self.create_publisher(
-                message_class(spec.type_name),
+                topics.message_class(spec.type_name),
                 topic,
-                with_depth(spec.qos, spec.qos.depth),
+                topics.with_depth(spec.qos, spec.qos.depth),
                 qos_overriding_options=_OVERRIDABLE,
             )
 
@@ -162,13 +260,13 @@ class LandmarkNode(ManagedNode):
         The parameters ``qos_overrides`` of ROS may change its reliability.
         """
         callback = self._stamped(topic, callback)
-        spec = TOPICS[topic]
+        spec = topics.TOPICS[topic]
         with _overriding(topic):
             return self.create_subscription(
-                message_class(spec.type_name),
+                topics.message_class(spec.type_name),
                 topic,
                 callback,
-                with_depth(spec.qos, spec.qos.depth if depth is None else depth),
+                topics.with_depth(spec.qos, spec.qos.depth if depth is None else depth),
                 callback_group=group,
                 qos_overriding_options=_OVERRIDABLE,
             )
@@ -178,7 +276,7 @@ class LandmarkNode(ManagedNode):
     ) -> Subscription[Any]:
         """Subscribe as in rclpy; the callback is guarded and registered in `inputs`."""
         source = self.inputs.expect(topic)
-        spec = TOPICS.get(topic)
+        spec = topics.TOPICS.get(topic)
         comes_once = spec is not None and spec.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
@@ -191,9 +289,8 @@ class LandmarkNode(ManagedNode):
             except IrrelevantError as why:
                 source.of_no_use(str(why))
 
-        if former := FORMER_NAMES.get(topic):
-            old, new = (self.resolve_topic_name(name) for name in (former, topic))
-            late = FormerSubscription(self, old, new, callback, self._warn_once)
+        if former := topics.FORMER_NAMES.get(topic):
+            late = topics.hear_former(self, topic, callback, self._warn_once)
             guarded = self.guarded(former, late)
             super().create_subscription(msg_type, former, guarded, *args, **given)
         return super().create_subscription(msg_type, topic, take, *args, **given)
@@ -203,11 +300,10 @@ class LandmarkNode(ManagedNode):
     ) -> Publisher[Any]:
         """Create a publisher as in rclpy, with the former name of a renamed topic."""
         made = super().create_publisher(msg_type, topic, *args, **given)
-        if topic not in FORMER_NAMES:
-            return made
-        former = super().create_publisher(msg_type, FORMER_NAMES[topic], *args, **given)
-        served = RenamedPublisher(self, made, former, self._warn_once)
-        return cast('Publisher[Any]', served)
+        if topic in topics.FORMER_NAMES:
+            former = super().create_publisher(msg_type, topics.FORMER_NAMES[topic], *args, **given)
+            topics.publish_both(self, made, former, self._warn_once)
+        return made
 
     def create_timer(  # type: ignore[override]
         self, timer_period_sec: float, callback: Callable[[], None], *args: Any, **given: Any
@@ -335,7 +431,9 @@ class LandmarkNode(ManagedNode):
             health = self.health()
         except Exception as error:
             health = Health(Level.DEGRADED, self.fault('health', error))
-        self._note_complete()
+        if self._awaits and not any(one.waits() for one in self.inputs.awaited()):
+            self._awaits = False
+            self._log.info('has all that it waited for')
         problems = self.inputs.problems()
         for words in problems:
             self._warn_once(words)

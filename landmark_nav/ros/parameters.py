@@ -30,17 +30,8 @@ def settle(node: Node, config: Any) -> Mapping[str, Any]:
     """
     Map former names of parameters to new ones; warn of unknown parameters.
 
-    Parameters
-    ----------
-    node : Node
-        Node with values from files or the command line.
-    config : dataclass instance
-        All parameters, with those of other nodes, since files may be for several nodes.
-
-    Returns
-    -------
-    mapping
-        Fields of `robot.yaml` that were parameters in the last release.
+    `config` has all parameters, with those of other nodes, since files may be for several nodes.
+    Returns fields of `robot.yaml` that were parameters in the last release.
     """
     overrides = getattr(node, '_parameter_overrides', {})  # not public in rclpy
     # Parameters of rclpy itself are left out.
@@ -65,16 +56,10 @@ def declare(node: Node, config: T, names: Collection[str], live: Collection[str]
     Declare parameters of a dataclass and return it with their values.
 
     Values come from a parameter file or the command line; other parameters keep their defaults.
-    Parameters that are already declared keep their values.
+    Parameters that are already declared keep their values. `names` are the parameters and sections
+    that the node reads, of which `live` may be set later, see `follow`.
 
     Raises `LandmarkNavError`: a value has the wrong type, is out of range, or contradicts others.
-
-    Parameters
-    ----------
-    names : collection of str
-        Parameters and sections that the node reads.
-    live : collection of str
-        Those that may be set later, see `follow`; the others are read-only.
     """
     return changed(
         config,
@@ -92,19 +77,8 @@ def follow(
     """
     Let parameters of a node be set while it runs; invalid values are refused with the reason.
 
-    Parameters
-    ----------
-    config : dataclass instance
-        Configuration of the node before the changes.
-    live : collection of str
-        Names of the parameters and sections that may be set.
-    take : callable
-        Called with the configuration that contains the new values.
-
-    Returns
-    -------
-    callable
-        Function that ends this.
+    `take` is called with the configuration that contains the new values. Returns a function that
+    ends this.
     """
 
     def on_set(parameters: Sequence[Parameter[Any]]) -> SetParametersResult:

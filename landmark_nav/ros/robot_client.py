@@ -19,11 +19,10 @@ from std_srvs.srv import Trigger
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
-from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.joining import join_ros, listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.topics import TOPICS, with_depth
+from landmark_nav.ros.topics import message_class, ros_factory, TOPICS, with_depth
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.bags.transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
@@ -40,13 +39,6 @@ class ServiceDiscovery:
     announces its endpoints in the order of their creation by one reliable writer: a server that
     answers a client created later has discovered the earlier ones. So ``get_parameters`` of the
     server is called without names until it answers.
-
-    Parameters
-    ----------
-    node : Node
-        Node that has created a client of the service.
-    service : str
-        Name of the service.
     """
 
     def __init__(self, node: Node, service: str) -> None:
@@ -120,31 +112,11 @@ class RobotClient:
     """
     Context manager with a node. Nothing runs in the background: messages are handled in `wait`.
 
-    Parameters
-    ----------
-    domain_id : int, optional
-        ROS domain of the nodes; by default that of ``ROS_DOMAIN_ID``, else 0.
-    watch : callable
-        Called repeatedly while waiting; an exception ends the wait.
-    name, namespace : str
-        Name and namespace of the node; topics and services are in this namespace.
-    drives : bool
-        Whether it publishes velocities and start poses.
-    observes : bool
-        Whether it subscribes to odometry, poses and panoramas too; else only to diagnostics.
-
-    Attributes
-    ----------
-    status : dict
-        Node -> last `NodeStatus`.
-    odometry : OdometrySample or None
-        Last odometry.
-    fused : PoseEstimate or None
-        Last fused pose.
-    fixes : int
-        Number of triangulated poses.
-    panoramas : list of Panorama
-        All panoramas in the order of arrival.
+    `watch` is called repeatedly meanwhile; an exception ends the wait. The domain is by default
+    that of ``ROS_DOMAIN_ID``, else 0. If `drives`, it publishes velocities and start poses; if
+    `observes`, it subscribes to odometry, poses and panoramas too, else only to diagnostics.
+    `status` has the last `NodeStatus` of each node, `fixes` counts triangulated poses, `panoramas`
+    come in the order of arrival.
     """
 
     def __init__(

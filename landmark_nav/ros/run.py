@@ -3,20 +3,239 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+import ctypes
 import logging
+import os
 from pathlib import Path
+import signal
 import sys
+from threading import Condition, Event, Thread
+import time
+from types import FrameType
+from typing import Any
 
 import rclpy
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import (
+    Executor,
+    ExternalShutdownException,
+    ShutdownException,
+    TimeoutException,
+)
 from rclpy.node import Node
-from rclpy.task import Future
+from rclpy.task import Future, Task
 from rclpy.utilities import remove_ros_args
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.ros.executor import CallbackExecutor
 from landmark_nav.ros.joining import join_ros
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.shutdown_guard import ShutdownGuard
+
+_SIGEV_THREAD = 2
+
+
+class _SigEvent(ctypes.Structure):
+    _fields_ = (
+        ('value', ctypes.c_size_t),
+        ('signal', ctypes.c_int),
+        ('notify', ctypes.c_int),
+        ('function', ctypes.c_void_p),
+        ('attribute', ctypes.c_void_p),
+        ('_rest', ctypes.c_byte * 32),
+    )
+
+
+class _TimerSpec(ctypes.Structure):
+    _fields_ = (
+        ('interval_s', ctypes.c_long),
+        ('interval_ns', ctypes.c_long),
+        ('value_s', ctypes.c_long),
+        ('value_ns', ctypes.c_long),
+    )
+
+
+class ExitTimer:
+    """
+    Ends the process with status 0, `after_s` after `start`, without the interpreter lock.
+
+    Nodes that leave at the same time may hold that lock for tens of seconds: Fast DDS waits for a
+    callback whose mutex it takes repeatedly (its issue 6513).
+    """
+
+    def __init__(self, after_s: float) -> None:
+        self._libc = ctypes.CDLL(None)
+        self._after = _TimerSpec(0, 0, int(after_s), int(after_s % 1.0 * 1e9))
+        self._id = ctypes.c_void_p()
+        at_once = ctypes.cast(self._libc._exit, ctypes.c_void_p)
+        event = _SigEvent(0, 0, _SIGEV_THREAD, at_once)
+        if self._libc.timer_create(
+            time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(self._id)
+        ):
+            raise OSError('timer_create failed')
+
+    def start(self) -> None:
+        """Start the timer."""
+        self._libc.timer_settime(self._id, 0, ctypes.byref(self._after), None)
+
+    def stop(self) -> None:
+        """Delete the timer."""
+        self._libc.timer_delete(self._id)
+
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class ShutdownGuard:
+    """
+    Context manager for the main thread: a signal requests the end and limits the time to it.
+
+    A separate thread waits for the signal and calls `on_signal`: handlers of Python do not run
+    while the main thread is in C code, and a KeyboardInterrupt may be lost in a callback. If the
+    block has not ended `grace_s` later, the process ends with status 0.
+    """
+
+    def __init__(self, on_signal: Callable[[], None], grace_s: float) -> None:
+        self._on_signal = on_signal
+        self._timer = ExitTimer(grace_s)
+        self._thread = Thread(target=self._watch, name='end signals', daemon=True)
+
+    def __enter__(self) -> ShutdownGuard:
+        """Replace the handlers of the signals."""
+        self._reader, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        self._wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._handlers = {number: signal.signal(number, _noted) for number in _SIGNALS}
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Restore the handlers of the signals."""
+        signal.set_wakeup_fd(self._wakeup)
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        os.close(self._writer)
+        self._thread.join()
+        os.close(self._reader)
+        self._timer.stop()
+
+    def expect_end(self) -> None:
+        """Start the time limit for the end of the block."""
+        self._timer.start()
+
+    def _watch(self) -> None:
+        if os.read(self._reader, 1):
+            self.expect_end()
+            self._on_signal()
+
+
+def _noted(_number: int, _frame: FrameType | None) -> None:
+    """Do nothing: Python writes to the wakeup pipe only for signals with a handler."""
+
+
+# Exceptions of waiting without a result. rclpy raises the first one if a callback closes a
+# subscription while another thread begins to wait; the next wait is without it.
+_NOTHING_TO_DO = InvalidHandle, ExternalShutdownException, ShutdownException, TimeoutException
+
+
+class CallbackExecutor(Executor):
+    """
+    Executor that passes each callback to one of `threads` and waits until it has begun.
+
+    The `MultiThreadedExecutor` of rclpy does not wait. A callback that no thread has begun counts
+    as ready and is passed on again and again, which takes a core and delays the threads: joint
+    states of 50 Hz were not handled for up to two seconds (issue 1452 of rclpy, not fixed in any
+    version that the package supports).
+    """
+
+    def __init__(self, threads: int) -> None:
+        super().__init__()
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._under_way: set[Task[Any]] = set()
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait for one callback and begin it; raises exceptions of finished callbacks."""
+        with suppress(*_NOTHING_TO_DO):
+            task, _, _ = self.wait_for_ready_callbacks(timeout_sec=timeout_sec)
+            self._under_way.add(task)
+            self._begin(task)
+        self._raise()
+
+    def shutdown(self, timeout_sec: float | None = None) -> bool:
+        """Shut down after the running callbacks; raises exceptions of finished callbacks."""
+        if self._pool is not None:
+            # Running callbacks still need what rclpy destroys at shutdown.
+            self._pool.shutdown()
+        ended = super().shutdown(timeout_sec)
+        self._raise()
+        return ended
+
+    def _begin(self, task: Task[Any]) -> None:
+        if self._pool is None:
+            task()
+            return
+        begun = Event()
+
+        def run() -> None:
+            begun.set()
+            task()
+
+        self._pool.submit(run)
+        begun.wait()
+
+    def _raise(self) -> None:
+        for task in [task for task in self._under_way if task.done()]:
+            self._under_way.remove(task)
+            task.result()
+
+
+class LatestOnlyWorker:
+    """
+    Passes messages to `work`, which must not raise, in a thread of its own, one at a time.
+
+    A waiting message is replaced by a newer one, so there is no queue.
+    """
+
+    def __init__(self, work: Callable[[Any], None]) -> None:
+        self._work = work
+        self._waiting: Any = None
+        self._changed = Condition()
+        self._dropped = 0
+        self._closed = False
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages that were replaced."""
+        return self._dropped
+
+    def take(self, message: Any) -> None:
+        """Hand over a message and return at once."""
+        with self._changed:
+            self._dropped += self._waiting is not None
+            self._waiting = message
+            self._changed.notify()
+
+    def close(self) -> None:
+        """
+        End the thread after its current message.
+
+        Python aborts a process that ends while such a thread runs C++ code (issue 1484 of rclpy).
+        """
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or self._waiting is not None)
+                if self._closed:
+                    return
+                message, self._waiting = self._waiting, None
+            self._work(message)
 
 
 class _Forwarder(logging.Handler):
@@ -39,17 +258,13 @@ class _Forwarder(logging.Handler):
             logger.debug(text)
 
 
-def forward_logs(nodes: Sequence[Node]) -> None:
-    """Send the logs of the package to the loggers of nodes only."""
-    package = logging.getLogger('landmark_nav')
-    package.handlers = [_Forwarder(nodes)]
-    package.setLevel(logging.INFO)
-    package.propagate = False
-
-
 # Time after a signal at which the process ends in any case. A stage such as learning takes seconds
 # and cannot be interrupted; files are written atomically, so that ending is safe.
 _GRACE_S = 2.0
+_USAGE = """{does}
+
+usage: {name} [--ros-args [--params-file F.yaml] [-p PARAMETER:=VALUE ...]]
+Parameters: config/landmark_nav.yaml; all, with ranges: docs/reference/parameters.md"""
 
 
 def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
@@ -61,18 +276,8 @@ def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) ->
     """
     Run nodes in this process with one executor; the end of one node ends all.
 
-    Parameters
-    ----------
-    make_nodes : sequence of callable
-        Functions that create the nodes after the initialisation of ROS.
-    threads : int
-        Number of callbacks that may run at once.
-
-    Returns
-    -------
-    int
-        Exit status: 0 after a signal or the end of a node, 1 if a node could not be created or
-        failed, 2 for wrong usage.
+    `make_nodes` create them after the initialisation of ROS. Returns the exit status: 0 after a
+    signal or the end of a node, 1 if a node could not be created or failed, 2 for wrong usage.
     """
     name = Path(sys.argv[0]).stem
     asked: Future[None] = Future()
@@ -80,11 +285,14 @@ def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) ->
         try:
             join_ros()
             if own := remove_ros_args(sys.argv)[1:]:
-                print(_usage(name, sys.modules[make_nodes[0].__module__].__doc__ or ''))
+                does = sys.modules[make_nodes[0].__module__].__doc__ or ''
+                print(_USAGE.format(does=does.strip(), name=name))
                 return 0 if set(own) & {'-h', '--help'} else 2
             nodes = [make() for make in make_nodes]
             asked.add_done_callback(lambda _: nodes[0].end())
-            forward_logs(nodes)
+            package = logging.getLogger('landmark_nav')
+            package.handlers, package.propagate = [_Forwarder(nodes)], False
+            package.setLevel(logging.INFO)
             for node in nodes:
                 if node.is_active:
                     node.announce()
@@ -95,14 +303,6 @@ def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) ->
         finally:
             rclpy.try_shutdown()
     return 0
-
-
-def _usage(name: str, does: str) -> str:
-    return (
-        f'{does.strip()}\n\n'
-        f'usage: {name} [--ros-args [--params-file F.yaml] [-p PARAMETER:=VALUE ...]]\n'
-        'Parameters: config/landmark_nav.yaml; all, with ranges: docs/reference/parameters.md'
-    )
 
 
 def _spin(nodes: Sequence[LandmarkNode], threads: int, shutdown_guard: ShutdownGuard) -> None:

@@ -80,21 +80,11 @@ def plan_tour(
     scene: Scene, start_xy: npt.ArrayLike, length_m: float, rng: np.random.Generator
 ) -> FloatArray:
     """
-    Plan a path through the room, from one random position to the next.
+    Plan a path (n, 2) through the room, from one random position to the next.
 
-    Raises `LandmarkNavError`: there is no space to drive.
-
-    Parameters
-    ----------
-    start_xy : array_like, shape (2,)
-        Start; the path begins at a free position nearby if there is an obstacle.
-    length_m : float
-        Smallest length.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Points of the path, about 5 cm apart, corners rounded.
+    Its points are about 5 cm apart, corners rounded; it is at least `length_m` long, and begins at
+    a free position nearby if there is an obstacle at the start. Raises `LandmarkNavError`: there
+    is no space to drive.
     """
     grid = _FreeGrid(scene)
     at = grid.nearest(start_xy)
@@ -118,19 +108,9 @@ def plan_tour(
 
 def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> FloatArray:
     """
-    Plan the path from one position to another.
+    Plan the path (n, 2) from one position to another, as `plan_tour` does.
 
     Raises `LandmarkNavError`: there is no path between them.
-
-    Parameters
-    ----------
-    start_xy, goal_xy : array_like, shape (2,)
-        Start and goal.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Points of the path, about 5 cm apart, corners rounded.
     """
     grid = _FreeGrid(scene)
     start, goal = grid.nearest(start_xy), grid.nearest(goal_xy)
@@ -172,15 +152,10 @@ def _rounded(path: FloatArray) -> FloatArray:
 
 class PathFollower:
     """
-    Steers a base along a path.
+    Steers a base along a path (n, 2).
 
     It aims at a point ahead on the path (Coulter, Implementation of the pure pursuit path tracking
     algorithm, 1992). If that point is far to the side, it slows down or turns in place.
-
-    Parameters
-    ----------
-    path_xy : ndarray, shape (n, 2)
-        Path, map frame, metres.
     """
 
     def __init__(self, path_xy: FloatArray, speed_m_s: float) -> None:

@@ -8,8 +8,7 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.simulation.places import choose_sweep_places
-from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
+from landmark_nav.simulation.scene import Box, choose_sweep_places, Lamp, Scene, WallItem
 from landmark_nav.types import FloatArray
 
 Generator = np.random.Generator
@@ -61,14 +60,7 @@ class _Strip:
 
 
 def furnish(room: Room, rng: Generator, seed: int) -> Scene:
-    """
-    Place random things on the walls and furniture on the floor.
-
-    Returns
-    -------
-    Scene
-        Things on a wall do not overlap, nor do pieces of furniture.
-    """
+    """Place random things on the walls and furniture on the floor; neither overlap."""
     strips = [_Strip(wall, []) for wall in room.walls]
     for paper in room.papers:
         strip = strips[int(room.nearest_wall(paper.center[:2]))]
@@ -76,7 +68,11 @@ def furnish(room: Room, rng: Generator, seed: int) -> Scene:
         strip.taken.append((along - paper.width / 2, along + paper.width / 2))
     bare = [k for k, strip in enumerate(strips) if not strip.taken]
     items: list[WallItem] = []
-    _hang(items, strips, 'target', _longest(strips, bare, rng), rng)
+    # The target hangs on a wall without papers if possible, preferably on a long one.
+    choice = bare or list(range(len(strips)))
+    lengths = np.array([strips[k].wall.length for k in choice])
+    longest = int(rng.choice(choice, p=lengths**2 / np.sum(lengths**2)))
+    _hang(items, strips, 'target', longest, rng)
     if bare:
         _hang(items, strips, 'door', int(rng.choice(bare)), rng)
     boxes: list[Box] = []
@@ -161,13 +157,6 @@ def hang_tags(scene: Scene, spacing_m: float) -> tuple[WallItem, ...]:
                     items.append(WallItem('tag', index, float(along), z, _TAG_M, _TAG_M, number))
                     break
     return tuple(items)
-
-
-def _longest(strips: list[_Strip], bare: list[int], rng: Generator) -> int:
-    """Random wall for the target: one without papers if possible, preferably a long one."""
-    choice = bare or list(range(len(strips)))
-    lengths = np.array([strips[k].wall.length for k in choice])
-    return int(rng.choice(choice, p=lengths**2 / np.sum(lengths**2)))
 
 
 def _hang(
@@ -306,23 +295,10 @@ _PAPER_SIZE_M = (0.21, 0.297)
 
 def generate_scene(seed: int, room: Room | None = None) -> Scene:
     """
-    Generate a random furnished room.
+    Generate a random furnished room, in which walls and papers may be given.
 
-    Raises `LandmarkNavError`: the given room has no two positions from which all papers and the
-    target are in view.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the random generator.
-    room : Room, optional
-        Walls and papers; random by default.
-
-    Returns
-    -------
-    Scene
-        The scene has the specialised target, and two positions from which it and all papers are
-        well visible.
+    It has the specialised target, and two positions from which it and all papers are well visible.
+    Raises `LandmarkNavError`: the given room has no such positions.
     """
     best: Scene | None = None
     most = -1

@@ -11,8 +11,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import transform_points
 from landmark_nav.parameters import Config
-from landmark_nav.simulation.places import item_points, view_quality
-from landmark_nav.simulation.scene import Scene
+from landmark_nav.simulation.scene import item_points, Scene, view_quality
 from landmark_nav.types import FloatArray
 
 # Largest time step of the integration of the spring.
@@ -123,16 +122,9 @@ _ELSEWHERE_RAD = 0.6
 
 class PanControl:
     """
-    Points the camera at one item for some time, then chooses another.
+    Points the camera at one random item for some time, then chooses another.
 
-    Parameters
-    ----------
-    pan_limit_rad : float
-        Limit of the pan to both sides.
-    rng : numpy.random.Generator
-        Random choice of items and durations.
-    preferred : ndarray of bool, shape (n,), optional
-        Items of the scene that are preferred, such as known landmarks.
+    Items of the scene that are `preferred` (n,), such as known landmarks, are chosen more often.
     """
 
     def __init__(
@@ -162,14 +154,11 @@ class PanControl:
         pan = self._mount.pan_toward_rad(azimuth)
         usable = np.abs(pan) < self._limit_rad - _RESERVE_RAD
         quality = np.where(usable, self._quality(axis), 0.0)
-        if self._chosen < 0 or self._lost(quality) or time_s >= self._until_s:
+        # The item is lost if it is hidden, or of low quality while a better one is in view.
+        now = float(quality[self._chosen]) if self._chosen >= 0 else 0.0
+        if now == 0.0 or now < _LOST_QUALITY <= quality.max() or time_s >= self._until_s:
             self._choose(time_s, pan, quality)
         return float(pan[self._chosen]) if self._chosen >= 0 else 0.0
-
-    def _lost(self, quality: FloatArray) -> bool:
-        """Whether the item is hidden, or has a low quality while a better one is in view."""
-        now = float(quality[self._chosen])
-        return now == 0.0 or now < _LOST_QUALITY <= float(quality.max())
 
     def _quality(self, axis_xy: FloatArray) -> FloatArray:
         seen = view_quality(self._scene, axis_xy, self._points, self._walls, _STEEPEST_DEG)[0]

@@ -186,21 +186,9 @@ class Renderer:
         self, rotation: FloatArray, center: FloatArray, people: Sequence[Solid] = ()
     ) -> ImageArray:
         """
-        Render one image.
+        Render one image, BGR, without vignetting and noise.
 
-        Parameters
-        ----------
-        rotation : ndarray, shape (3, 3)
-            Optical frame -> map.
-        center : ndarray, shape (3,)
-            Optical centre in map, metres.
-        people : sequence of Solid
-            Moving objects.
-
-        Returns
-        -------
-        ndarray of uint8, shape (height, width, 3)
-            BGR, without vignetting and noise.
+        `rotation` is from the optical frame to map, `center` the optical centre there.
         """
         solids = [*self._solids, *people]
         surfaces = self._ground + [s for solid in solids for s in solid.surfaces]
@@ -320,11 +308,8 @@ class CameraEffects:
     """
     Applies blur, vignetting, exposure and noise to clean images.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Noise, cut out of one large field at random positions: much faster than drawing it for each
-        frame, and still different from frame to frame.
+    Noise is cut out of one large field at random positions: much faster than drawing it for each
+    frame, and still different from frame to frame.
     """
 
     def __init__(

@@ -100,13 +100,8 @@ def as_measured(
     """
     Room and mount with errors of manual measurement.
 
-    Returns
-    -------
-    room : Room
-        Walls moved along their normals by `_WALL_M`, with closed corners; papers moved along their
-        walls and vertically by `_PAPER_M`.
-    mount : PanTiltMount
-        Mount with a height changed by `_HEIGHT_M`.
+    Walls are moved along their normals by `_WALL_M`, with closed corners; papers along their walls
+    and vertically by `_PAPER_M`; the mount by `_HEIGHT_M`.
     """
     off = rng.normal(0.0, _WALL_M, len(room.walls))
     ends = np.array([[wall.start, wall.end] for wall in room.walls])

@@ -201,7 +201,7 @@ def back_to_front(
     footprints: Sequence[FloatArray], viewer_xy: FloatArray, heading_rad: float
 ) -> list[int]:
     """
-    Order upright prisms by which can hide which, the farthest first.
+    Order upright prisms by which can hide which, the farthest first; return their indices.
 
     Two convex footprints that do not overlap are separated by a line along a side of one of them.
     The one on the viewer's side can hide the other, but is never hidden by it. This gives the
@@ -209,19 +209,8 @@ def back_to_front(
     has no cycles. Newell, Newell and Sancha, A solution to the hidden surface problem, ACM 1972,
     is the general case.
 
-    Parameters
-    ----------
-    footprints : sequence of ndarray, shape (2, 2) or (4, 2)
-        Convex outlines, counter-clockwise; two points are a wall.
-    viewer_xy : ndarray, shape (2,)
-        Viewpoint.
-    heading_rad : float
-        Azimuth of the view.
-
-    Returns
-    -------
-    list of int
-        Indices of `footprints`.
+    Footprints are outlines (4, 2), counter-clockwise, or walls (2, 2); `heading_rad` is the
+    azimuth of the view.
     """
     # The two ends of a wall are repeated.
     corners = np.array([np.resize(shape, (4, 2)) for shape in footprints]).reshape(-1, 4, 2)

@@ -32,19 +32,9 @@ _LAMP_RADIUS_M = 0.9
 
 def irradiance(points: npt.ArrayLike, normal: npt.ArrayLike, lamps: Sequence[Lamp]) -> FloatArray:
     """
-    Illumination of points on a plane.
+    Illumination of points (..., 3) on a plane: factors on blue, green and red of the albedo.
 
-    Parameters
-    ----------
-    points : array_like, shape (..., 3)
-        Points on the surface, map frame, metres.
-    normal : array_like, shape (3,)
-        Unit normal of the illuminated side.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Factors on blue, green and red of the albedo; about 1 in a usual room.
+    They are about 1 in a usual room. The normal is that of the illuminated side.
     """
     at = np.asarray(points, dtype=np.float64)
     light = np.full(at.shape, _AMBIENT)
@@ -63,13 +53,9 @@ LightArray = npt.NDArray[np.uint16]
 _MOST = 65535
 
 
-def _curve() -> LightArray:
-    value = np.arange(256) / 255.0
-    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.rint(_MOST * light), dtype=np.uint16)
-
-
-_LIGHT = _curve()
+_SHARE = np.arange(256) / 255.0
+_LIGHT = np.where(_SHARE <= 0.04045, _SHARE / 12.92, ((_SHARE + 0.055) / 1.055) ** 2.4)
+_LIGHT = np.rint(_MOST * _LIGHT).astype(np.uint16)
 # Grey level with the nearest light.
 _VALUE = np.searchsorted(0.5 * (_LIGHT[1:] + _LIGHT[:-1].astype(float)), np.arange(_MOST + 1))
 _VALUE = _VALUE.astype(np.uint8)
@@ -100,17 +86,9 @@ class Pyramid:
     A texture reduced by powers of two, across and down independently, in one image.
 
     Walls seen obliquely need coarser texels across than down; square averages would blur them.
-    Level (i, j) is averaged over about 2**(j + i) texels across and 2**j down.
-
-    Parameters
-    ----------
-    atlas : ndarray of uint8, shape (rows, columns, channels)
-        Image with all levels.
-    scale, offset : ndarray of float32, shape (i, j, 2)
-        Pixel (x, y) in the atlas of texture coordinate c in [0, 1], for pixel centres at integers:
-        ``c * scale[i, j] + offset[i, j]``.
-    size_texels : (int, int)
-        Columns and rows of the finest level.
+    Level (i, j) is averaged over about 2**(j + i) texels across and 2**j down. Pixel (x, y) in the
+    `atlas` of texture coordinate c in [0, 1] is ``c * scale[i, j] + offset[i, j]``, for pixel
+    centres at integers.
     """
 
     atlas: ImageArray
@@ -134,7 +112,8 @@ class Pyramid:
                 level = _average(level, columns >> (i + j), rows >> j)
                 scale[i, j] = level.shape[1::-1]
                 offset[i, j] = (x + _BORDER_PX - 0.5, y + _BORDER_PX - 0.5)
-                pieces.append((x, y, _with_border(level)))
+                border = ((_BORDER_PX, _BORDER_PX), (_BORDER_PX, _BORDER_PX), (0, 0))
+                pieces.append((x, y, np.pad(level, border, mode='edge')))
                 x += pieces[-1][2].shape[1]
             y += pieces[-1][2].shape[0]
         width = max(x + piece.shape[1] for x, _, piece in pieces)
@@ -147,22 +126,11 @@ class Pyramid:
 @dataclass(frozen=True, eq=False)
 class Surface:
     """
-    A rectangle with a texture, seen from one side.
+    A rectangle with a texture, seen from one side, from its top left `corner`.
 
-    Parameters
-    ----------
-    corner : ndarray, shape (3,)
-        Top left corner seen from the front, map frame, metres.
-    across, down : ndarray, shape (3,)
-        Unit vectors along rows and columns of texels.
-    width_m, height_m : float
-        Size.
-    albedo : ndarray of uint8, shape (rows, columns, 3 or 4)
-        Colours in usual light; a fourth channel is opacity.
-    slants : int
-        Number of levels of foreshortening in the pyramid; 1 for none.
-    lit : bool
-        Whether lamps illuminate it; otherwise the albedo is shown unchanged.
+    `across` and `down` (3,) are unit vectors along rows and columns of texels. `albedo` (rows,
+    columns, 3 or 4) are colours in usual light, and opacity; it is shown unchanged if lamps do not
+    light it. `slants` is the number of levels of foreshortening in the pyramid; 1 for none.
     """
 
     corner: FloatArray

@@ -22,16 +22,8 @@ def fractal_noise(
     """
     Noise of several octaves, zero mean and unit standard deviation.
 
-    Parameters
-    ----------
-    cell_px : (float, float)
-        Cell size of the first octave down and across, pixels; it is halved in each octave.
-    persistence : float
-        Amplitude of an octave relative to the coarser one.
-
-    Returns
-    -------
-    ndarray of float32, shape `shape`
+    The cells of the first octave, down and across, are halved in each octave, and its amplitude is
+    multiplied by `persistence`.
     """
     rows, columns = shape
     noise = np.zeros(shape, np.float32)

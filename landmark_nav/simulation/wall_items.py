@@ -9,36 +9,14 @@ import cv2
 import numpy as np
 
 from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
-from landmark_nav.simulation.textures import (
-    Color,
-    draw_photo,
-    fractal_noise,
-    random_color,
-    to_uint8,
-    wood,
-)
+from landmark_nav.simulation import textures
 from landmark_nav.types import ImageArray
 
 Generator = np.random.Generator
 
 
 def draw_item(kind: str, seed: int, shape: tuple[int, int]) -> ImageArray:
-    """
-    Draw one item.
-
-    Parameters
-    ----------
-    kind : str
-        A kind of `WallItem`, or ``books`` for the side of a bookcase.
-    seed : int
-        The same seed draws the same image.
-    shape : (int, int)
-        Rows and columns of the result.
-
-    Returns
-    -------
-    ndarray of uint8, shape (rows, columns, 3)
-    """
+    """Draw a kind of `WallItem`, or ``books`` for the side of a bookcase, (rows, columns, 3)."""
     twice = 2 * shape[0], 2 * shape[1]
     large = (
         _tag(seed, twice) if kind == 'tag' else _PAINTERS[kind](np.random.default_rng(seed), twice)
@@ -52,9 +30,9 @@ def _poster(rng: Generator, shape: tuple[int, int]) -> ImageArray:
     """A title bar above columns of text and figures."""
     rows, columns = shape
     image = np.empty((rows, columns, 3), np.uint8)
-    image[:] = random_color(rng, (0.02, 0.15), (0.85, 1.0))
+    image[:] = textures.random_color(rng, (0.02, 0.15), (0.85, 1.0))
     title = int(rng.uniform(0.08, 0.16) * rows)
-    image[:title] = random_color(rng, (0.3, 0.9), (0.2, 0.6))
+    image[:title] = textures.random_color(rng, (0.3, 0.9), (0.2, 0.6))
     _text_line(rng, image, 0.06 * columns, 0.3 * title, 0.8 * columns, 0.4 * title, (250,) * 3)
     count = int(rng.integers(2, 4)) if columns > 0.6 * rows else 2
     gutter = 0.05 * columns
@@ -80,7 +58,7 @@ def _text_line(
     top: float,
     width: float,
     height: float,
-    color: Color,
+    color: textures.Color,
 ) -> None:
     """Words as bars: letters would not be resolved at this size."""
     x, right = left, left + width * rng.uniform(0.6, 1.0)
@@ -96,7 +74,7 @@ def _figure(
 ) -> None:
     """A coloured diagram."""
     a, b = (round(left), round(top)), (round(left + width), round(top + height))
-    cv2.rectangle(image, a, b, random_color(rng, (0.3, 0.7), (0.4, 0.9)), -1)
+    cv2.rectangle(image, a, b, textures.random_color(rng, (0.3, 0.7), (0.4, 0.9)), -1)
     low, span = np.array(a), np.maximum(np.array(b) - a, 4)
     if rng.random() < 0.5:
         points = low + span * rng.uniform(0.08, 0.92, (int(rng.integers(4, 9)), 2))
@@ -110,7 +88,7 @@ def _figure(
         for k, level in enumerate(rng.uniform(0.15, 0.9, bars)):
             x = low[0] + span[0] * np.array([k + 0.2, k + 0.75]) / bars
             y = low[1] + span[1] * np.array([1.0 - level, 0.96])
-            tone = random_color(rng, (0.2, 0.9), (0.2, 1.0))
+            tone = textures.random_color(rng, (0.2, 0.9), (0.2, 1.0))
             cv2.rectangle(image, (round(x[0]), round(y[0])), (round(x[1]), round(y[1])), tone, -1)
 
 
@@ -120,7 +98,7 @@ def _books(rng: Generator, shape: tuple[int, int]) -> ImageArray:
     image = np.full((rows, columns, 3), (22, 24, 30), np.uint8)
     frame = max(3, int(0.03 * columns))
     shelves = max(2, round(rows / columns * rng.uniform(2.5, 3.5)))
-    board = random_color(rng, (0.3, 0.6), (0.3, 0.5))
+    board = textures.random_color(rng, (0.3, 0.6), (0.3, 0.5))
     edges = np.linspace(0, rows, shelves + 1).astype(int)
     for low, high in itertools.pairwise(edges):
         x = float(frame)
@@ -128,11 +106,11 @@ def _books(rng: Generator, shape: tuple[int, int]) -> ImageArray:
             width = columns * rng.uniform(0.018, 0.055)
             if rng.random() > 0.06:
                 top = low + frame + (high - low) * rng.uniform(0.04, 0.3)
-                spine = random_color(rng, (0.1, 0.85), (0.15, 0.85))
+                spine = textures.random_color(rng, (0.1, 0.85), (0.15, 0.85))
                 end = min(x + width - 2, columns - frame)
                 cv2.rectangle(image, (round(x), round(top)), (round(end), high), spine, -1)
                 label = top + (high - top) * rng.uniform(0.1, 0.4)
-                tone = random_color(rng, (0.0, 0.4), (0.6, 1.0))
+                tone = textures.random_color(rng, (0.0, 0.4), (0.6, 1.0))
                 foot = (round(end) - 2, round(label + (high - low) * rng.uniform(0.05, 0.2)))
                 cv2.rectangle(image, (round(x) + 2, round(label)), foot, tone, -1)
             x += width
@@ -165,8 +143,8 @@ def _blinds(rng: Generator, shape: tuple[int, int]) -> ImageArray:
     phase = (np.arange(rows) / rows * slats) % 1.0
     tone = np.where(phase < 0.12, 95.0, 205.0 - 50.0 * phase) * rng.uniform(0.9, 1.1)
     image = np.repeat(np.repeat(tone[:, None, None], columns, 1), 3, 2)
-    image *= 1.0 + 0.02 * fractal_noise(rng, shape, (rows / 2, columns / 4), 3)[..., None]
-    drawing = to_uint8(image)
+    image *= 1.0 + 0.02 * textures.fractal_noise(rng, shape, (rows / 2, columns / 4), 3)[..., None]
+    drawing = textures.to_uint8(image)
     for x in rng.uniform(0.1, 0.9, int(rng.integers(2, 4))) * columns:
         cv2.line(drawing, (round(x), 0), (round(x), rows), (70, 70, 70), 4)
     cv2.rectangle(drawing, (0, 0), (columns - 1, rows - 1), (48, 48, 50), columns // 30)
@@ -178,7 +156,7 @@ def _door(rng: Generator, shape: tuple[int, int]) -> ImageArray:
     rows, columns = shape
     brown = np.array([0.42, 0.66, 1.0]) * rng.uniform(90, 190)
     color = (float(brown[0]), float(brown[1]), float(brown[2]))
-    image = wood(rng, (columns, rows), color, 2.0 / rows).transpose(1, 0, 2).copy()
+    image = textures.wood(rng, (columns, rows), color, 2.0 / rows).transpose(1, 0, 2).copy()
     line = max(2, columns // 90)
     split = rng.uniform(0.35, 0.6)
     for low, high in ((0.07, split - 0.03), (split + 0.03, 0.92)):
@@ -201,7 +179,7 @@ def _tag(number: int, shape: tuple[int, int]) -> ImageArray:
 
 
 _PAINTERS: dict[str, Callable[[Generator, tuple[int, int]], ImageArray]] = {
-    'photo': draw_photo,
+    'photo': textures.draw_photo,
     'poster': _poster,
     'shelf': _books,
     'books': _books,

@@ -25,24 +25,10 @@ def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator
     """
     Provide a hidden folder to fill, which replaces `folder` if no exception is raised.
 
+    An existing folder is replaced as a whole, if `overwrite` and if it holds a match of the first
+    pattern of `own`, the files that this program writes there; other files, of the user, are kept.
     Raises `LandmarkNavError`: `folder` is a file or holds other files, exists although `overwrite`
     is false, or cannot be written.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder to write. An existing one is replaced as a whole, but files of the user, which match
-        no pattern of `own`, are kept.
-    own : sequence of str
-        Patterns of the files that this program writes there. A folder may be replaced only if it
-        holds a match of the first pattern.
-    overwrite : bool
-        Whether an existing folder may be replaced.
-
-    Yields
-    ------
-    Path
-        Folder to fill.
     """
     if folder.is_dir() and any(folder.iterdir()) and not list(folder.glob(own[0])):
         raise LandmarkNavError(

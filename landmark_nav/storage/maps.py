@@ -21,18 +21,8 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.image_codec import encode_image
+from landmark_nav.storage import reading
 from landmark_nav.storage.atomic_io import atomic_folder, left_over
-from landmark_nav.storage.reading import (
-    array_field,
-    covariance_field,
-    field,
-    integer_field,
-    list_field,
-    name_field,
-    number_field,
-    read_image,
-    read_yaml_mapping,
-)
 from landmark_nav.storage.setup_files import wall_entry, walls_field
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap, PoseEstimate
 
@@ -65,16 +55,16 @@ def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibratio
     if document.get(key) is None:
         return None
     entry, where = document[key], f'{where}: {key}'
-    if list_field(entry, 'names', where) != list(NAMES):
+    if reading.list_field(entry, 'names', where) != list(NAMES):
         raise LandmarkNavError(f'{where}: names must be {", ".join(NAMES)}')
-    covariance = covariance_field(entry, len(NAMES), where)
+    covariance = reading.covariance_field(entry, len(NAMES), where)
     shared = None
     if 'shared_loading' in entry:
-        shared = array_field(entry, 'shared_loading', (len(NAMES), None), where)
+        shared = reading.array_field(entry, 'shared_loading', (len(NAMES), None), where)
         own = np.linalg.eigvalsh(covariance - shared @ shared.T)
         if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
             raise LandmarkNavError(f'{where}: covariance is less than shared_loading makes of it')
-    values = array_field(entry, 'values', (len(NAMES),), where)
+    values = reading.array_field(entry, 'values', (len(NAMES),), where)
     return Calibration(values, covariance, by_map=shared)
 
 
@@ -107,17 +97,17 @@ def described(landmark: Landmark) -> dict[str, Any]:
 
 def landmark_of(entry: Any, patch_of: Callable[[str], ImageArray], where: str) -> Landmark:
     """Landmark of an entry; `patch_of` reads its images, errors begin with `where`."""
-    identity = integer_field(entry, 'id', where)
+    identity = reading.integer_field(entry, 'id', where)
     where = f'{where} (id {identity})'
-    width, height = array_field(entry, 'size', (2,), where)
+    width, height = reading.array_field(entry, 'size', (2,), where)
     point = width == height == 0.0
     if min(width, height) <= 0.0 and not point:
         raise LandmarkNavError(f'{where}: size is {width:g} x {height:g}: it must be positive')
-    normal = array_field(entry, 'normal', (3,), where)
+    normal = reading.array_field(entry, 'normal', (3,), where)
     if abs(np.linalg.norm(normal) - 1.0) > 1e-3 or abs(normal[2]) > 1e-3:
         raise LandmarkNavError(f'{where}: normal is not horizontal and of length 1')
-    covariance = covariance_field(entry, 3, where)
-    loading = array_field(entry, 'shared_loading', (3, None), where)
+    covariance = reading.covariance_field(entry, 3, where)
+    loading = reading.array_field(entry, 'shared_loading', (3, None), where)
     own = np.linalg.eigvalsh(covariance - loading @ loading.T)
     if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
         raise LandmarkNavError(
@@ -126,17 +116,17 @@ def landmark_of(entry: Any, patch_of: Callable[[str], ImageArray], where: str) -
         )
     return Landmark(
         id=identity,
-        position=array_field(entry, 'position', (3,), where),
+        position=reading.array_field(entry, 'position', (3,), where),
         covariance=covariance,
         shared_loading=loading,
         normal=normal,
         width_m=float(width),
         height_m=float(height),
         patch=_NO_PATCH if point else patch_of(patch_name(identity)),
-        viewpoint=array_field(entry, 'viewpoint', (3,), where),
-        threshold=number_field(entry, 'threshold', where),
-        wall_id=name_field(entry, 'wall', where, blank=True),
-        saliency=number_field(entry, 'quality', where),
+        viewpoint=reading.array_field(entry, 'viewpoint', (3,), where),
+        threshold=reading.number_field(entry, 'threshold', where),
+        wall_id=reading.name_field(entry, 'wall', where, blank=True),
+        saliency=reading.number_field(entry, 'quality', where),
         views=tuple(
             PatchView(viewpoint, patch_of(view_name(identity, k)))
             for k, viewpoint in enumerate(_viewpoints(entry, where))
@@ -148,7 +138,7 @@ def _viewpoints(entry: Any, where: str) -> FloatArray:
     """Viewpoints (m, 3) of the views of a landmark; none in maps of older versions."""
     if 'views' not in entry:
         return np.empty((0, 3))
-    return array_field(entry, 'views', (None, 3), where)
+    return reading.array_field(entry, 'views', (None, 3), where)
 
 
 def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
@@ -162,7 +152,7 @@ def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
 
     def patch_of(name: str) -> ImageArray:
         nonlocal pixels
-        patch = read_image(folder / name, cv2.IMREAD_GRAYSCALE, _MAX_PATCH_PIXELS)
+        patch = reading.read_image(folder / name, cv2.IMREAD_GRAYSCALE, _MAX_PATCH_PIXELS)
         pixels += patch.size
         if pixels > _MAX_MAP_PIXELS:
             raise LandmarkNavError(
@@ -252,10 +242,10 @@ def load_map(folder: Path | str) -> LandmarkMap:
     path = folder / 'map.yaml'
     if not path.is_file():
         raise LandmarkNavError(f'{folder}: {_no_map(folder)}')
-    document = read_yaml_mapping(path)
+    document = reading.read_yaml_mapping(path)
     _check_version(document, path)
     where = str(path)
-    entries = list_field(document, 'landmarks', where)
+    entries = reading.list_field(document, 'landmarks', where)
     patch_of = patch_reader(folder)
     landmarks = tuple(
         landmark_of(e, patch_of, f'{path}: landmarks[{k}]') for k, e in enumerate(entries)
@@ -271,15 +261,15 @@ def load_map(folder: Path | str) -> LandmarkMap:
         raise LandmarkNavError(f'{path}: provenance is {shown(provenance)}, not a mapping')
     return LandmarkMap(
         landmarks,
-        name_field(document, 'frame_id', where),
+        reading.name_field(document, 'frame_id', where),
         walls_field(document, where),
         tuple(
             PoseEstimate(
-                integer_field(entry, 'stamp_ns', f'{path}: panorama_poses[{k}]'),
-                array_field(entry, 'pose', (3,), f'{path}: panorama_poses[{k}]'),
-                covariance_field(entry, 3, f'{path}: panorama_poses[{k}]'),
+                reading.integer_field(entry, 'stamp_ns', f'{path}: panorama_poses[{k}]'),
+                reading.array_field(entry, 'pose', (3,), f'{path}: panorama_poses[{k}]'),
+                reading.covariance_field(entry, 3, f'{path}: panorama_poses[{k}]'),
             )
-            for k, entry in enumerate(list_field(document, 'panorama_poses', where))
+            for k, entry in enumerate(reading.list_field(document, 'panorama_poses', where))
         ),
         {str(key): str(value) for key, value in provenance.items()},
         *(calibration_of(document, name, where) for name in ('prior', 'calibration')),
@@ -296,7 +286,7 @@ def _no_map(folder: Path) -> str:
 
 
 def _check_version(document: dict[str, Any], path: Path) -> None:
-    version = field(document, 'schema_version', str(path))
+    version = reading.field(document, 'schema_version', str(path))
     if version in _READ and not isinstance(version, bool):
         return
     newer = isinstance(version, int) and version > SCHEMA_VERSION

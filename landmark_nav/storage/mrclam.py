@@ -39,20 +39,10 @@ class MrclamLog:
     """
     Commands, detections and ground truth of one robot.
 
-    Parameters
-    ----------
-    landmark_map : LandmarkMap
-        The posts, as points without patches; ids are the subjects of the data set.
-    command_ns : ndarray of int, shape (n,)
-        Stamps of the commands, strictly increasing.
-    commands : ndarray, shape (n, 2)
-        Linear [m/s] and angular [rad/s] velocities; each holds until the next stamp.
-    detections : tuple of Detections
-        Posts detected in each image, without other robots.
-    truth : tuple of PoseEstimate
-        Poses by motion capture.
-    unknown : int
-        Number of readings that were left out because the list has no such barcode.
+    The map has the posts, as points without patches; ids are the subjects of the data set.
+    Commands (n, 2) are linear [m/s] and angular [rad/s] velocities; each holds until the next
+    stamp. Detections are without other robots; `unknown` is the number of readings that were left
+    out because the list has no such barcode.
     """
 
     landmark_map: LandmarkMap
@@ -69,17 +59,9 @@ def read_mrclam(
     """
     Read the files of one robot, plain (``.dat``) or compressed (``.dat.gz``).
 
-    Raises `LandmarkNavError`: a file is missing or malformed.
-
-    Parameters
-    ----------
-    folder : path-like
-        Folder with ``Barcodes.dat``, ``Landmark_Groundtruth.dat`` and the three ``RobotN_*.dat``.
-    bearing_sigma_rad : float
-        Sigma of every bearing; the data set does not give it.
-    landmark_sigma_m : float
-        Sigma of the systematic error of a post in each coordinate, in addition to that of the
-        survey: a post is not a point, and the lens is not calibrated well.
+    The data set does not give the sigma of bearings. `landmark_sigma_m` is that of the systematic
+    error of a post in each coordinate, in addition to that of the survey: a post is not a point,
+    and the lens is not calibrated well. Raises `LandmarkNavError`: a file is missing or malformed.
     """
     folder = Path(folder)
     if not folder.is_dir():

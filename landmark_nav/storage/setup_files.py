@@ -13,16 +13,7 @@ import yaml
 from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper, paper_bgr, Room, Wall
-from landmark_nav.storage.reading import (
-    array_field,
-    check_spelling,
-    field,
-    integer_field,
-    list_field,
-    name_field,
-    number_field,
-    read_yaml_mapping,
-)
+from landmark_nav.storage import reading
 
 # Greatest distance of a paper from its wall, apart from the error of the wall. Walls and papers
 # are measured to a few centimetres, and papers may hang on a frame.
@@ -75,12 +66,12 @@ def load_room(path: Path | str) -> Room:
     hangs on no wall.
     """
     path = Path(path)
-    document = read_yaml_mapping(path)
+    document = reading.read_yaml_mapping(path)
     with inside(path):
-        check_spelling(document, ('frame_id', 'walls', 'reference_area'), 'room')
+        reading.check_spelling(document, ('frame_id', 'walls', 'reference_area'), 'room')
         walls = walls_field(document, 'room')
         area = document.get('reference_area') or {}
-        hung = list_field(area, 'papers', 'reference_area', _MAX_PAPERS) if area else []
+        hung = reading.list_field(area, 'papers', 'reference_area', _MAX_PAPERS) if area else []
         papers = tuple(_paper(paper, f'papers[{i}]') for i, paper in enumerate(hung))
         for wall in walls:
             if wall.length > _MAX_WALL_M:
@@ -91,7 +82,7 @@ def load_room(path: Path | str) -> Room:
                 raise LandmarkNavError(
                     f'wall {wall.id} is {wall.height:g} m high: lengths are metres'
                 )
-        room = Room(walls, papers, name_field(document, 'frame_id', 'room', 'map'))
+        room = Room(walls, papers, reading.name_field(document, 'frame_id', 'room', 'map'))
         if room.frame_id in _MOVING_FRAMES:
             raise LandmarkNavError(f'frame_id is {room.frame_id}, which the robot moves: take map')
         for i, paper in enumerate(papers):
@@ -103,25 +94,25 @@ def walls_field(mapping: Any, where: str) -> tuple[Wall, ...]:
     """Walls of a room or a map."""
     return tuple(
         wall_of(entry, f'{where}: walls[{k}]')
-        for k, entry in enumerate(list_field(mapping, 'walls', where, _MAX_WALLS))
+        for k, entry in enumerate(reading.list_field(mapping, 'walls', where, _MAX_WALLS))
     )
 
 
 def wall_of(entry: Any, where: str) -> Wall:
     """Wall of an entry of a room or a map."""
     if isinstance(entry, dict):
-        check_spelling(entry, ('id', 'start', 'end', 'height', 'sigma_m'), where)
+        reading.check_spelling(entry, ('id', 'start', 'end', 'height', 'sigma_m'), where)
     return Wall(
-        name_field(entry, 'id', where),
+        reading.name_field(entry, 'id', where),
         _point(entry, 'start', 2, where),
         _point(entry, 'end', 2, where),
-        number_field(entry, 'height', where),
+        reading.number_field(entry, 'height', where),
         _wall_sigma(entry, where) if 'sigma_m' in entry else None,
     )
 
 
 def _wall_sigma(entry: dict[str, Any], where: str) -> float:
-    sigma = number_field(entry, 'sigma_m', where)
+    sigma = reading.number_field(entry, 'sigma_m', where)
     if not 0.0 < sigma <= _MAX_WALL_SIGMA_M:
         raise LandmarkNavError(
             f'{where}: sigma_m is {sigma:g}: take more than 0, up to {_MAX_WALL_SIGMA_M:g} m'
@@ -150,10 +141,10 @@ def room_text(room: Room) -> str:
 
 def _paper(document: Any, where: str) -> Paper:
     """Paper of an entry, with a known colour and a plausible size."""
-    color = name_field(document, 'color', where)
+    color = reading.name_field(document, 'color', where)
     with inside(where):
         paper_bgr(color)
-    width, height = (number_field(document, key, where) for key in ('width', 'height'))
+    width, height = (reading.number_field(document, key, where) for key in ('width', 'height'))
     if not (0.01 <= width <= 5.0 and 0.01 <= height <= 5.0):
         raise LandmarkNavError(
             f'{where}: {width:g} x {height:g} m is no size of a paper: lengths are metres'
@@ -175,7 +166,7 @@ def _check_on_wall(paper: Paper, room: Room, where: str) -> None:
 
 def read_robot(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
     """Content of `robot.yaml`, completed by `former` parameters for absent fields."""
-    document = read_yaml_mapping(path)
+    document = reading.read_yaml_mapping(path)
     for key, value in former.items():
         own = document.get(key, {} if isinstance(value, Mapping) else value)
         document[key] = {**value, **own} if isinstance(own, dict) else own
@@ -193,10 +184,10 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
     path = Path(path)
     document = read_robot(path, former or {})
     with inside(path):
-        check_spelling(document, _ROBOT_FIELDS, 'robot')
-        axis = field(document, 'pan_axis', 'robot')
+        reading.check_spelling(document, _ROBOT_FIELDS, 'robot')
+        axis = reading.field(document, 'pan_axis', 'robot')
         if isinstance(axis, dict):
-            check_spelling(axis, _AXIS_FIELDS, 'pan_axis')
+            reading.check_spelling(axis, _AXIS_FIELDS, 'pan_axis')
         offset = (
             _point(document, 'optical_center_offset', 3, 'robot')
             if 'optical_center_offset' in document
@@ -207,7 +198,8 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
             if max(map(abs, xyz)) > _MAX_MOUNT_M:
                 raise LandmarkNavError(f'{name} is {list(xyz)}: lengths are metres')
         pan, tilt = (
-            name_field(document, name, 'robot', name) for name in ('pan_joint', 'tilt_joint')
+            reading.name_field(document, name, 'robot', name)
+            for name in ('pan_joint', 'tilt_joint')
         )
         if pan == tilt:
             raise LandmarkNavError(f'robot: pan_joint and tilt_joint are both {pan}: rename one')
@@ -217,7 +209,7 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
             optical_center_offset=offset,
             camera_roll_rad=_angles({'camera_roll': 0.0, **document}, 'camera_roll', (), 'robot'),
             pan_sigma_rad=_sigma(document),
-            base_frame=name_field(document, 'base_frame', 'robot', 'base_link'),
+            base_frame=reading.name_field(document, 'base_frame', 'robot', 'base_link'),
             pan_joint=pan,
             tilt_joint=tilt,
             **{
@@ -235,7 +227,7 @@ def _sigma(document: dict[str, Any]) -> float:
 
 
 def _within(document: dict[str, Any], key: str, low: float, high: float, unit: str) -> float:
-    value = number_field(document, key, 'robot')
+    value = reading.number_field(document, key, 'robot')
     if not low <= value <= high:
         raise LandmarkNavError(
             f'robot: {key} is {value:g}: take {low:g} to {high:g}; it is in {unit}'
@@ -251,23 +243,25 @@ def load_camera(path: Path | str) -> CameraModel:
     supported.
     """
     path = Path(path)
-    document = read_yaml_mapping(path)
+    document = reading.read_yaml_mapping(path)
     with inside(path):
-        width = integer_field(document, 'image_width', 'camera')
-        height = integer_field(document, 'image_height', 'camera')
-        matrix = field(document, 'camera_matrix', 'camera')
-        fx, _, cx, _, fy, cy, *_ = array_field(matrix, 'data', (9,), 'camera_matrix').tolist()
-        lens = field(document, 'distortion_coefficients', 'camera')
+        width = reading.integer_field(document, 'image_width', 'camera')
+        height = reading.integer_field(document, 'image_height', 'camera')
+        matrix = reading.field(document, 'camera_matrix', 'camera')
+        fx, _, cx, _, fy, cy, *_ = reading.array_field(
+            matrix, 'data', (9,), 'camera_matrix'
+        ).tolist()
+        lens = reading.field(document, 'distortion_coefficients', 'camera')
         # Trailing zeros are removed as in a camera_info, so that models of one camera are equal.
         coefficients = np.trim_zeros(
-            array_field(lens, 'data', (None,), 'distortion_coefficients'), 'b'
+            reading.array_field(lens, 'data', (None,), 'distortion_coefficients'), 'b'
         ).tolist()
-        model = name_field(document, 'distortion_model', 'camera')
+        model = reading.name_field(document, 'distortion_model', 'camera')
         return CameraModel(width, height, fx, fy, cx, cy, model, tuple(coefficients))
 
 
 def _angles(mapping: Any, key: str, shape: tuple[int, ...], where: str) -> Any:
-    angles = array_field(mapping, key, shape, where)
+    angles = reading.array_field(mapping, key, shape, where)
     if np.any(np.abs(angles) > _HALF_TURN_RAD):
         raise LandmarkNavError(
             f'{where}: {key} is {shown(mapping[key])}, more than half a turn: '
@@ -277,4 +271,4 @@ def _angles(mapping: Any, key: str, shape: tuple[int, ...], where: str) -> Any:
 
 
 def _point(mapping: Any, key: str, size: int, where: str) -> Any:
-    return tuple(array_field(mapping, key, (size,), where).tolist())
+    return tuple(reading.array_field(mapping, key, (size,), where).tolist())

@@ -37,12 +37,10 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.places import choose_sweep_places
-from landmark_nav.simulation.recording import sweep_messages
 from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.simulation.scene import Lamp, Scene
+from landmark_nav.simulation.scene import choose_sweep_places, Lamp, Scene
 from landmark_nav.simulation.setup_documents import robot_document, room_document
-from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
+from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, sweep_messages
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room

@@ -14,7 +14,7 @@ import numpy as np
 from landmark_nav.geometry import se2
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagWriter
-from landmark_nav.storage.bags.topics import relative_name
+from landmark_nav.storage.bags.definitions import relative_name
 
 FOR_GOOD_S = 3600.0
 EVERYTHING = (CAMERA, INFO, JOINTS, ODOMETRY)

@@ -22,8 +22,7 @@ from harness import drive_parser
 from node_costs import used
 import numpy as np
 
-from landmark_nav.demo.graph import node_command, node_environment
-from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.supervisor import node_command, node_environment, Supervisor
 from landmark_nav.messages import decode
 from landmark_nav.ros.robot_client import RobotClient
 from landmark_nav.storage.bags import Bag

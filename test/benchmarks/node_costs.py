@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.demo.graph import node_commands, node_environment
 from landmark_nav.demo.scenario import prepare_room
-from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.supervisor import node_commands, node_environment, Supervisor
 
 RATE_HZ, SHAPE = 30.0, (480, 640)
 MAX_IDLE, MAX_SHARE, MAX_MS = 0.03, 0.15, 2.0
@@ -58,8 +57,8 @@ def shares(
 def send() -> None:
     """Publish images until the process is ended."""
     from landmark_nav.messages import encode
-    from landmark_nav.ros.factory import ros_factory
     from landmark_nav.ros.robot_client import RobotClient
+    from landmark_nav.ros.topics import ros_factory
 
     pixels = np.random.default_rng(0).integers(0, 255, SHAPE, np.uint8)
     with RobotClient(int(os.environ['ROS_DOMAIN_ID']), lambda: None) as client:
@@ -74,8 +73,8 @@ def send() -> None:
 def receive() -> int:
     """Take images as a node does; after a while print how many, CPU a message and age."""
     from landmark_nav.messages import decode
+    from landmark_nav.ros.camera_frames import ImageSource
     from landmark_nav.ros.health import Health, Level
-    from landmark_nav.ros.image_source import ImageSource
     from landmark_nav.ros.node import LandmarkNode
     from landmark_nav.ros.run import run_node
 

@@ -24,8 +24,7 @@ from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig
 from landmark_nav.simulation.furnishing import generate_room, generate_scene
-from landmark_nav.simulation.places import view_quality
-from landmark_nav.simulation.scene import Lamp, Scene, WallItem
+from landmark_nav.simulation.scene import Lamp, Scene, view_quality, WallItem
 from landmark_nav.simulation.setup_documents import moved_paper
 from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
 from landmark_nav.types import FloatArray, Sweep

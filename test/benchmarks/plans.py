@@ -3,11 +3,11 @@ Does planning predict what happens? Learn from planned places in simulation, and
 
 ``python test/benchmarks plans --seeds 31 32 33`` plans in rooms out of seeds, and learns from the
 plan, from random places that it expects to be good, middling and bad (a tenth, a half and nine
-tenths of all random sets are better) and from the layout of Livatino and Madsen. For each it
-prints what was predicted, what the learned map claims and what is true: landmarks, their errors,
-and the localization error at random places with bearings of known noise to all landmarks that a
-turning camera sees there, each counted as 5 cm at most. Millimetres, root mean squares. The papers
-hang as exactly as the planner expects, and it is given how exact panoramas of the simulator are.
+tenths of all random sets are better). For each it prints what was predicted, what the learned map
+claims and what is true: landmarks, their errors, and the localization error at random places with
+bearings of known noise to all landmarks that a turning camera sees there, each counted as 5 cm at
+most. Millimetres, root mean squares. The papers hang as exactly as the planner expects, and it is
+given how exact panoramas of the simulator are.
 
 Below it says for each kind of layout, and for all, how many times as large as predicted the
 errors typically were (geometric mean over the maps, each of which is one draw of the errors that
@@ -42,10 +42,9 @@ from landmark_nav.localization.triplet.visibility import (
     fully_in_view,
     observable,
 )
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast, plan_positions
 from landmark_nav.planning.prediction import CAP_M, Forecast
-from landmark_nav.planning.views import free_floor
+from landmark_nav.planning.views import free_floor, PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
@@ -77,8 +76,6 @@ def check_room(
     layouts = {'planned': plan.best}
     for rank in RANKS:
         layouts[f'random {rank:.0%}'] = plan.random[int(rank * (len(plan.random) - 1))]
-    if plan.left_right is not None:
-        layouts['left-right'] = plan.left_right
     given = replace(scene.room, papers=tuple(_as_given(p, config, rng) for p in scene.room.papers))
     for name, places in layouts.items():
         poses = places.poses_map_base

@@ -17,7 +17,7 @@ import numpy as np
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.topics import relative_name
+from landmark_nav.storage.bags.definitions import relative_name
 
 DEGREES = 180.0 / np.pi
 
@@ -459,6 +459,57 @@ def of_drives() -> dict[str, dict[str, StreamError]]:
                 change.from_on(35, pictured(lambda i: i[::2, ::2])), 'images encoding', '256 x 256'
             ),
             'joint_states without joints': joints(change.nameless, 'joint names', 'no joint'),
+        },
+        'ninth': {
+            'joint_states -2 s': joints(later(-2.0), 'joint_states clock', '(2.0|1.9). s early'),
+            'joint_states +1.7e9 s, recorded so': joints(
+                later(1.7e9), 'joint_states clock', '1.7e.09', recorded=True
+            ),
+            'images -0.7 s': both(later(-0.7), 'images clock', '(6|7).. ms early'),
+            'odom clock set back by 3 s': odom(
+                change.from_on(100, later(-3.0)), 'odom', 'back|steps'
+            ),
+            'images clock set back by 1 s': both(
+                change.from_on(35, later(-1.0)), 'images clock', 'steps back'
+            ),
+            'odom clock 1 % fast': odom(change.drifting(0.01), 'odom clock', '% fast'),
+            'third joint stamps all 0': joints(
+                change.one_in(3, change.stamps(lambda _: 0)), 'joint_states|reading', 'stamp'
+            ),
+            'odom in yards': odom(change.driven(1.0936, 1.0936, twist=1.0), 'odom', '1.09'),
+            'odom in decimetres': odom(change.driven(10.0, 10.0), 'odom', 'metres'),
+            'odom turns 0.6 times': odom(change.driven(yaw=0.6), 'odom yaw', '0.[56]'),
+            'second odometry, reversed': odom(
+                change.with_second(2, change.driven(-1.0, -1.0, -1.0)), 'odom sources', 'two'
+            ),
+            'second pan, reversed': joints(
+                change.with_second(1, change.times(-1.0)), 'joint_states sources', 'two sources'
+            ),
+            'pan of half the angle': joints(change.times(0.5), 'pan scale', '0.5|0.4'),
+            'pan jumps by 2 pi / 3 twice': joints(
+                change.from_on(90, change.from_on(70, change.added(2.0944))), 'pan jumps'
+            ),
+            'pan hangs for 3 s': joints(
+                change.where(lambda k: 100 <= k < 160, change.frozen('position')),
+                '(joint_states|pan)',
+                'stays',
+            ),
+            'pan not a number in half': joints(
+                change.each_second(change.times(np.nan)), 'reading', 'not a number'
+            ),
+            'focal length 12 % short': info(change.lens(0.88, 0.88), 'camera lens', 'short'),
+            'cx of a camera with half the width': info(
+                change.centred(-128.0, 0.0), 'camera lens', 'principal'
+            ),
+            'images upside down from half on': images(
+                change.from_on(35, pictured(lambda i: i[::-1, ::-1])), 'images', 'upside down'
+            ),
+            'camera pitched by 0.4 rad the other way': mount(
+                'camera', 'pitch', axis_rpy=(0.0, -0.4, 0.0)
+            ),
+            'mount turned by 180 deg, pan reversed': mount(
+                '(images|pan|camera|odom)', 'upside', axis_rpy=(np.pi, 0.0, np.pi)
+            ),
         },
     }
 

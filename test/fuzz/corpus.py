@@ -10,8 +10,8 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import encode
+from landmark_nav.messages.clouds import GlobalPose
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.layouts import GlobalPose
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import (
     Detections,

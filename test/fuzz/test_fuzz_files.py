@@ -31,8 +31,8 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
-from landmark_nav.storage.bags.folder import read_sweep_folder
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import TOPIC_TYPES
+from landmark_nav.storage.bags.sweeps import read_sweep_folder
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
@@ -205,6 +205,11 @@ def test_bags(kind, data, scratch):
     else:
         file.write_bytes(data.draw(changed_bytes(copy.read_bytes())))
     enter(lambda: read_all(path))
+    enter(lambda: check_bag(path))
+
+
+# Times of recording that are none.
+LOG_NS = (0, 1, 2**63 - 1, 2**63, 2**64 - 1)
 
 
 def check_bag(path):
@@ -245,7 +250,7 @@ def test_checks_of_hostile_drives(data, scratch):
                 raw = valid
                 if topic == hostile and data.draw(st.booleans()):
                     raw = store.serialize_cdr(data.draw(changed_message(kind, message)), kind)
-                bag.write(connection, stamp, raw)
+                bag.write(connection, data.draw(st.sampled_from([stamp, stamp, *LOG_NS])), raw)
     enter(lambda: check_bag(path))
     enter(lambda: list(sensor_events(Bag(path, lambda _: None), PanTiltMount())))
 

@@ -14,7 +14,7 @@ import yaml
 
 from landmark_nav.messages import decode
 from landmark_nav.messages.factory import rosbag_factory
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.storage.setup_files import load_robot
 
 

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 import pytest
 import yaml
 
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from landmark_nav.ros.factory import message_class, ros_factory
+from landmark_nav.ros.topics import message_class, ros_factory
 
 # Node -> its class and the parameters that it needs.
 NODES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -37,9 +37,7 @@ NODES: dict[str, tuple[str, dict[str, Any]]] = {
     'odometry_fusion': ('OdometryFusionNode', {'robot_file': 'robot'}),
     'room_simulator': ('RoomSimulatorNode', {'robot_file': 'robot', 'room_file': 'room'}),
 }
-JOINT = {'robot_file': 'robot', 'estimator': 'joint'}
 CASES = [(name, wanted) for name, (_, wanted) in sorted(NODES.items())]
-CASES += [('odometry_fusion', JOINT), ('triangulation_localizer', JOINT)]
 UNMEASURED = {'robot_file': 'robot'}
 CASES += [('landmark_learner', UNMEASURED), ('panorama_synthesizer', UNMEASURED)]
 MESSAGES_A_NODE = 20

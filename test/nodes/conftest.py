@@ -12,8 +12,7 @@ import tempfile
 
 import pytest
 
-from landmark_nav.demo.graph import node_command, node_environment
-from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.supervisor import node_command, node_environment, Supervisor
 
 _NUMBER = count(7 * os.getpid())
 

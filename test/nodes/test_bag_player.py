@@ -6,7 +6,7 @@ import subprocess
 from mcap.reader import make_reader
 import pytest
 
-from landmark_nav.demo.graph import node_command, node_environment
+from landmark_nav.demo.supervisor import node_command, node_environment
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.storage.bags import BagWriter
 

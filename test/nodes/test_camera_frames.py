@@ -11,11 +11,10 @@ import pytest
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
-from landmark_nav.ros.camera_frames import CameraFrames
-from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.image_source import ImageSource
+from landmark_nav.ros.camera_frames import CameraFrames, ImageSource
 from landmark_nav.ros.inputs import IrrelevantError
 from landmark_nav.ros.node import LandmarkNode
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import JointSample
 
 MOUNT = PanTiltMount()

@@ -10,9 +10,9 @@ import time
 
 import pytest
 
-from landmark_nav.demo.recorded_run import RECORDED_TOPICS
+from landmark_nav.demo.scenario import RECORDED_TOPICS
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.storage.maps import load_map
 
 NODES = 7

@@ -14,10 +14,10 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import InvalidHandle
 from rclpy.waitable import NumberOfEntities, Waitable
 
-from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
+from landmark_nav.ros.topics import ros_factory
 
 THREADS = 2
 

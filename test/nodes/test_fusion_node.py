@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.layouts import GlobalPose
+from landmark_nav.messages.clouds import GlobalPose
 from landmark_nav.nodes.odometry_fusion import OdometryFusionNode
-from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
 PERIOD_NS, SPEED_M_S = 50_000_000, 0.4

@@ -18,10 +18,9 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.camera_frames import listen_for_joints
-from landmark_nav.ros.factory import message_class, ros_factory
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.topics import TOPICS
+from landmark_nav.ros.topics import message_class, ros_factory, TOPICS
 from landmark_nav.types import JointSample, OdometrySample
 
 NS, NOW_NS = 10**9, 1_700_000_000 * 10**9

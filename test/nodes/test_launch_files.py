@@ -27,9 +27,11 @@ def assigned(module, name):
 
 def declared(module):
     return {
-        ast.literal_eval(node.args[0])
+        ast.literal_eval(row.elts[0])
         for node in ast.walk(module)
-        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'DeclareLaunchArgument'
+        if isinstance(node, ast.comprehension) and isinstance(node.iter, ast.Tuple)
+        for row in node.iter.elts
+        if isinstance(row, ast.Tuple) and len(row.elts) == 3
     }
 
 

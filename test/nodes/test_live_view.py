@@ -12,9 +12,8 @@ import pytest
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.observer import Observation
 from landmark_nav.messages import decode
-from landmark_nav.nodes import live_pose, live_view
-from landmark_nav.nodes.live_pose import LivePose
-from landmark_nav.nodes.live_view import LiveView
+from landmark_nav.nodes import live_pose
+from landmark_nav.nodes.live_pose import LivePose, LiveView
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import (
@@ -99,9 +98,9 @@ def no(*_given, **_named):
 
 def test_without_a_subscriber_nothing_is_drawn(node, monkeypatch):
     for module, name in (
-        (live_view, 'draw_observation'),
-        (live_view.encode, 'compressed_image'),
-        (live_view.encode, 'view_markers'),
+        (live_pose, 'draw_observation'),
+        (live_pose.encode, 'compressed_image'),
+        (live_pose.encode, 'view_markers'),
         (live_pose.encode, 'pose_markers'),
         (live_pose.ThinnedPath, 'message'),
     ):

@@ -8,8 +8,8 @@ import time
 import numpy as np
 
 from landmark_nav.messages import decode, encode
-from landmark_nav.ros.factory import ros_factory
-from landmark_nav.ros.pan_command import listen_for_pan, PanCommander
+from landmark_nav.ros.camera_frames import listen_for_pan, PanCommander
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot

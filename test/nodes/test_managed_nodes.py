@@ -7,7 +7,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 import pytest
 
-from landmark_nav.demo.graph import node_command, node_commands
+from landmark_nav.demo.supervisor import node_command, node_commands
 from landmark_nav.errors import LandmarkNavError
 
 FUSION, LEARNER = 'odometry_fusion', 'landmark_learner'

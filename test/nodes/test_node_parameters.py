@@ -16,7 +16,7 @@ from landmark_nav.parameters import Config, leaves, parameter
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.parameters import declare, follow, settle
-from landmark_nav.storage.config_files import shipped_config
+from landmark_nav.storage.robot_files import shipped_config
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
 from landmark_nav.messages import decode
-from landmark_nav.nodes.place_search import PlaceSearch
+from landmark_nav.nodes.triangulation_localizer import PlaceSearch
 from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate
 
 SECOND = 10**9

@@ -9,7 +9,7 @@ from std_msgs.msg import Int32
 
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.renamed_topics import FORMER_NAMES
+from landmark_nav.ros.topics import FORMER_NAMES
 
 NEW, FORMER = 'global_localization/pose', FORMER_NAMES['global_localization/pose']
 

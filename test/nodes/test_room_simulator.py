@@ -11,7 +11,7 @@ import pytest
 
 from landmark_nav.messages.decode import stamp_ns
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
-from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.topics import ros_factory
 
 CAMERA = Path(__file__).resolve().parents[1] / 'setups' / 'camera_quarter_vga.yaml'
 

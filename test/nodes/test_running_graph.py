@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.demo.graph import node_environment
+from landmark_nav.demo.supervisor import node_environment
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.messages import encode
-from landmark_nav.messages.clouds import unpack_cloud
-from landmark_nav.messages.layouts import Layout
-from landmark_nav.ros.factory import message_class, ros_factory
+from landmark_nav.messages.clouds import Layout, unpack_cloud
+from landmark_nav.ros.topics import message_class, ros_factory
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.types import PoseEstimate

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
-from landmark_nav.demo.graph import node_command, node_environment
+from landmark_nav.demo.supervisor import node_command, node_environment
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
-from landmark_nav.ros.factory import ros_factory
 from landmark_nav.ros.robot_client import ServiceDiscovery
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import JointSample, Landmark, LandmarkMap

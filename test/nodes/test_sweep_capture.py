@@ -14,10 +14,10 @@ from rclpy.executors import SingleThreadedExecutor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode, encode
-from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.camera_frames import listen_for_pan
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.pan_command import listen_for_pan
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import JointSample, OdometrySample
 
 FRAMES = 8

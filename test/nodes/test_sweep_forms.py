@@ -4,7 +4,7 @@ import numpy as np
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import encode
-from landmark_nav.ros.factory import ros_factory
+from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import JointSample
 
 CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)

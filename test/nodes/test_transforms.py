@@ -11,7 +11,7 @@ import pytest
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import rosbag_factory
-from landmark_nav.ros import transforms
+from landmark_nav.ros import topics
 from landmark_nav.types import JointSample
 
 
@@ -30,12 +30,12 @@ class Recorder:
 def test_transforms_are_sent_where_their_type_is_installed(installed, monkeypatch):
     node, mount = Recorder(), PanTiltMount()
     if installed:
-        monkeypatch.setattr(transforms, 'find_spec', lambda _name: True)
-        monkeypatch.setattr(transforms, 'message_class', lambda name: name)
-        monkeypatch.setattr(transforms, 'ros_factory', rosbag_factory())
+        monkeypatch.setattr(topics, 'find_spec', lambda _name: True)
+        monkeypatch.setattr(topics, 'message_class', lambda name: name)
+        monkeypatch.setattr(topics, 'ros_factory', rosbag_factory())
     elif find_spec('tf2_msgs') is not None:
         pytest.skip('tf2_msgs is installed')
-    broadcaster = transforms.TransformBroadcaster(node)  # type: ignore[arg-type]
+    broadcaster = topics.TransformBroadcaster(node)  # type: ignore[arg-type]
     broadcaster.send_static(1, [encode.camera_transform(mount, 'optical')])
     broadcaster.send(2, encode.joint_transforms(mount, JointSample(2, 0.5)))
     broadcaster.send(3, [encode.planar_transform('odom', 'base_link', np.array([1.0, 2.0, 0.3]))])

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.cli.main import main
-from landmark_nav.demo.graph import node_command, node_environment
-from landmark_nav.demo.supervisor import Supervisor
+from landmark_nav.demo.supervisor import node_command, node_environment, Supervisor
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag

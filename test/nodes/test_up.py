@@ -13,7 +13,7 @@ import time
 import pytest
 
 from landmark_nav.cli.main import main
-from landmark_nav.demo.graph import node_environment
+from landmark_nav.demo.supervisor import node_environment
 
 COMMAND = [sys.executable, '-m', 'landmark_nav']
 NODES = [

@@ -49,14 +49,12 @@ def test_a_plan_is_written_and_drawn(folder, capsys):
     predicted, compared = document['predicted'], document['compared']
     mean = predicted['localization']['mean_m']
     assert 0.0 < mean < compared['random']['best_m'] <= compared['random']['median_m']
-    assert mean < compared['left_right']['mean_m']
     assert predicted['landmarks'] >= 3
     assert predicted['localization']['median_m'] <= predicted['localization']['p95_m']
     camera_image = cv2.imread(str(folder / 'new' / 'plan.png'))
     assert camera_image is not None
     assert camera_image.shape[1] > camera_image.shape[0] > 300
     printed = capsys.readouterr().out
-    assert 'left and right of the middle: ' in printed
     assert 'times the error of the plan' in printed
 
     drawn = (folder / 'new' / 'plan.png').read_bytes()

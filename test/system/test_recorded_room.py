@@ -9,8 +9,8 @@ import pytest
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.planner import forecast
+from landmark_nav.planning.views import PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
@@ -113,7 +113,7 @@ def test_joint_states_that_are_stamped_late_are_reported_and_put_right(
     assert delay['value'] == pytest.approx(0.04, abs=0.002)
     usual = figures[0]['fused_position_rmse_m']
     assert run['fused']['position_rmse_m'] < 1.3 * usual + 1e-3
-    assert 'camera: joint_states' in capsys.readouterr().out
+    assert 'joint_delay' in capsys.readouterr().out
 
 
 def test_joint_states_that_become_late_are_not_put_right_from_the_start(driven, tmp_path):

@@ -28,7 +28,9 @@ def odometry(stamp, pose, **frames):
     return encode.odometry(FACTORY, OdometrySample(stamp, np.asarray(pose, float)), **frames)
 
 
-def write_sweep(bag, start, pans, *, keep=None, trajectory=True, damaged=()):
+def write_sweep(
+    bag, start, pans, *, keep=None, trajectory=True, damaged=(), change=lambda message: None
+):
     samples = [JointSample(start + k * SECOND, float(p)) for k, p in enumerate(pans)]
     for k, sample in enumerate(samples):
         stamp = sample.stamp_ns
@@ -43,6 +45,7 @@ def write_sweep(bag, start, pans, *, keep=None, trajectory=True, damaged=()):
     if trajectory:
         end = samples[-1].stamp_ns
         message = encode.sweep_trajectory(FACTORY, samples, MOUNT)
+        change(message)
         bag.write('sweep/trajectory', message, end)
 
 

@@ -14,7 +14,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints, project
-from landmark_nav.localization.estimator.filter import JointFilter, Update
+from landmark_nav.localization.estimator.filter import JointFilter
+from landmark_nav.localization.estimator.state import Update
 from landmark_nav.localization.odometry.noise import (
     Motion,
     OdometryNoiseConfig,

@@ -53,13 +53,22 @@ def pattern(kind):
         'horizontal edge',
         'horizontal bars',
         'slanted edge',
-        'vertical edge',
         'vertical bars',
         'checkerboard',
     ],
 )
 def test_what_could_be_mistaken_is_refused(kind):
     found = judge(pattern(kind))
+    assert found is not None
+    assert found.reason == AMBIGUOUS
+
+
+def test_an_upright_edge_is_accepted_unless_another_is_near():
+    edge = pattern('vertical edge')
+    assert judge(edge) is None
+    edge[:, 330:] = 60.0
+    edge[:, 345:] = 200.0
+    found = judge(edge)
     assert found is not None
     assert found.reason == AMBIGUOUS
 

@@ -43,6 +43,16 @@ def test_sweeps_come_back_with_the_measured_pans(tmp_path):
         assert sweep.pose_map_base.pose[0] == number
 
 
+def test_a_pose_that_cannot_be_used_is_left_out(tmp_path):
+    with BagWriter(tmp_path / 'learn') as bag:
+        write_sweep(bag, START, full_turn())
+        estimate = PoseEstimate(START, np.array([1.0, 2.0, 0.5]), -np.eye(3))
+        bag.write('sweep/pose', encode.pose(FACTORY, estimate), START)
+    (sweep,), warnings = sweeps_of(tmp_path / 'learn')
+    assert sweep.pose_map_base is None
+    assert 'negative variance' in warnings[0]
+
+
 @pytest.mark.parametrize(
     ('sweep', 'frames', 'words'),
     [
@@ -68,6 +78,47 @@ def test_a_sweep_with_a_gap_is_used_and_the_gap_named(tmp_path, sweep, frames, w
     assert re.search(words, warnings[0])
 
 
+def without_stamp(message):
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+
+def at_one_time(message):
+    for point in message.points:
+        point.time_from_start.sec = 0
+
+
+def on_another_clock(message):
+    message.header.stamp.sec += 5000
+
+
+def without_numbers(message):
+    for point in message.points:
+        point.positions = np.full(2, np.nan)
+
+
+def without_one_number(message):
+    message.points[5].positions = np.array([0.1, np.inf])
+
+
+@pytest.mark.parametrize(
+    ('change', 'frames', 'words'),
+    [
+        (without_stamp, 24, 'has no stamp'),
+        (at_one_time, 24, 'two points .* time_from_start'),
+        (on_another_clock, 24, 'no image at its times'),
+        (without_numbers, 24, 'not a number'),
+        (without_one_number, 23, '1 of 24 points left out: .* not a number'),
+    ],
+)
+def test_a_trajectory_that_cannot_be_used_is_left_out(tmp_path, change, frames, words):
+    path = sweep_bag(tmp_path / 'learn', {'change': change}, {})
+    sweeps, warnings = sweeps_of(path)
+    assert [len(sweep.frames) for sweep in sweeps] == [frames, 24]
+    pans = [pan for pan in full_turn() if frames == 24 or pan != full_turn()[5]]
+    np.testing.assert_allclose([frame.pan_rad for frame in sweeps[0].frames], pans)
+    assert re.search(words, warnings[0])
+
+
 @pytest.mark.parametrize('trajectory', [True, False])
 def test_an_image_that_does_not_decode_is_left_out_by_name(tmp_path, trajectory):
     path = sweep_bag(tmp_path / 'learn', {'damaged': {17}}, {}, trajectory=trajectory)
@@ -88,12 +139,17 @@ def test_an_image_that_does_not_decode_is_left_out_by_name(tmp_path, trajectory)
             'image 6, at 1005.000 s, and then nothing is seen from pan -92 to -73 deg',
         ),
         ({'damaged': range(24)}, 'image 1, at 1000.000 s'),
-        ({'keep': lambda k: False}, 'has no frames'),
     ],
 )
 def test_images_that_nothing_makes_up_for_are_refused_by_their_gap(tmp_path, sweep, which):
     with pytest.raises(LandmarkNavError, match=which):
         sweeps_of(sweep_bag(tmp_path / 'learn', sweep, {}))
+
+
+def test_a_sweep_without_images_is_left_out(tmp_path):
+    (sweep,), warnings = sweeps_of(sweep_bag(tmp_path / 'learn', {'keep': lambda k: False}, {}))
+    assert len(sweep.frames) == 24
+    assert 'no image' in warnings[0]
 
 
 def test_a_sweep_that_was_given_up_is_left_out(tmp_path):

@@ -11,7 +11,7 @@ import yaml
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import leaves
-from landmark_nav.storage.config_files import flat, shipped_config
+from landmark_nav.storage.robot_files import flat, shipped_config
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 ROBOT = BAGS / 'robot.yaml'
@@ -75,7 +75,7 @@ def test_a_file_for_other_nodes_alone_is_reported(tmp_path, caplog):
 def test_a_file_of_the_last_release_is_taken_with_warnings(tmp_path, caplog):
     text = (
         'observation: {triplet: {max_range_m: 9.0, hysteresis: 0.1}}\n'
-        'estimator: {tail_freedom: 4.0}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
+        'world: {people: 4}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
     )
     robot = tmp_path / 'robot.yaml'
     robot.write_text(ROBOT.read_text() + 'odometry: {scale_sigma: 0.25}\n')
@@ -109,7 +109,8 @@ def test_facts_of_the_robot_still_come_from_where_they_were(tmp_path, name, fact
         (for_all('fusion: 1'), "no parameter 'fusion'"),
         (for_all('capture: {fraems: 3}'), "no parameter 'capture.fraems': .* capture.frames"),
         (for_all('command: {type: x}'), 'parameter type .* take one of'),
-        (for_all('estimator: 3'), "no parameter 'estimator'"),
+        (for_all('estimator: 3'), 'estimator is a section'),
+        (for_all('command: JointState'), 'command is a section'),
         (for_all('capture: {frames: soon}'), "frames is 'soon': take a whole number"),
         (for_all('capture: {frames: true}'), 'frames is True: take a whole number'),
         (for_all('capture: {frames: -1}'), 'frames of .* is -1'),

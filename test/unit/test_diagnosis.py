@@ -16,8 +16,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.diagnosis.advice import motion_findings
 from landmark_nav.diagnosis.causes import verdict
-from landmark_nav.diagnosis.image_motion import StripView
-from landmark_nav.diagnosis.looks import Looks
+from landmark_nav.diagnosis.looks import Looks, StripView
 from landmark_nav.diagnosis.motion import (
     Clock,
     driven_again,
@@ -37,9 +36,8 @@ from landmark_nav.diagnosis.parts import (
     moved_between,
     staying_values,
 )
-from landmark_nav.diagnosis.sources import two_sources
 from landmark_nav.diagnosis.stamps import check_stamps
-from landmark_nav.diagnosis.streams import Stream
+from landmark_nav.diagnosis.streams import Stream, two_sources
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.storage.bags import Bag, sensor_events
@@ -251,6 +249,7 @@ SOME = (
     *('images black from half on', 'focal length x 0.02'),
     *('image stamps rounded down to 0.4 s', 'all clocks set by 54 years'),
     *('odom orientation all zero', 'images of two sizes', 'joint_states without joints'),
+    'images clock set back by 1 s',
 )
 
 

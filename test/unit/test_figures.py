@@ -73,8 +73,8 @@ def test_map_shows_its_landmarks(tmp_path):
 def test_panorama_marks_what_was_elected(tmp_path, column):
     view = a_panorama()
     candidates = [Candidate(column, 40.0, 20, 20, 1.0)]
-    draw_panorama(view, candidates, [landmark(7, 1.0)], 1, tmp_path / 'elected.png')
-    draw_panorama(view, candidates, [Refusal('too far')], 1, tmp_path / 'refused.png')
+    draw_panorama(view, candidates, [landmark(7, 1.0)], tmp_path / 'elected.png')
+    draw_panorama(view, candidates, [Refusal('too far')], tmp_path / 'refused.png')
     assert share_of(tmp_path / 'elected.png', LANDMARK_BGR) > 0.0005
     assert share_of(tmp_path / 'refused.png', LANDMARK_BGR) == 0.0
 

@@ -65,6 +65,9 @@ def test_contains_respects_the_margin():
         ({'cx': float('nan')}, 'not a calibrated camera'),
         ({'width': 0}, '0 x 384 image'),
         ({'distortion': (-1.5,)}, 'folds back'),
+        ({'distortion': (0, 0, 0, 3)}, 'folds back'),
+        ({'distortion': (0, 0, 1e308, 0)}, 'folds back'),
+        ({'distortion': (0,) * 8 + (30.0, 0, 0, 0)}, 'folds back'),
         ({'fx': 1.0, 'fy': 1.0}, 'deg wide'),
         ({'fx': 57000.0, 'fy': 57000.0}, 'to one side'),
         ({'cx': 1e6}, 'outside of the image'),
@@ -91,6 +94,17 @@ def test_a_lens_that_folds_back_in_the_corners_is_used_inside_of_that():
     np.testing.assert_allclose(camera.project(rays[inside]), pixels[inside], atol=1e-6)
     # No ray comes back to a pixel beyond the fold.
     assert np.linalg.norm(np.nan_to_num(back) - [254.0, 193.5], axis=1).max() < 0.51 * 570.0
+
+
+@pytest.mark.parametrize('shift', [0.05, 0.1, 0.13])
+def test_a_tangential_fold_is_one_too(shift: float) -> None:
+    camera = CameraModel(**SIZE, distortion=(0.0, 0.0, shift, -shift))
+    rays = camera.unproject(np.random.default_rng(0).uniform(-0.5, [511.5, 383.5], (500, 2)))
+    back = camera.project(rays)
+    seen = np.isfinite(back).all(axis=1)
+    assert seen.mean() > 0.4
+    np.testing.assert_allclose(camera.unproject(back[seen]), rays[seen], atol=1e-3)
+    assert bool(camera.restriction) == (shift > 0.1)
 
 
 @pytest.mark.parametrize('distortion', [(0.9,), (3.0,), (-0.3, 0.1, 0.02, -0.02), (0.0,) * 5])

@@ -37,8 +37,8 @@ def channel(number, schema_number, topic):
     return record(4, head + text(topic) + text('cdr') + struct.pack('<I', 0))
 
 
-def message(number, data):
-    return record(5, struct.pack('<HIQQ', number, 0, 5, 5) + data)
+def message(number, data, log_time=5):
+    return record(5, struct.pack('<HIQQ', number, 0, log_time, log_time) + data)
 
 
 def mcap(*records):
@@ -152,3 +152,14 @@ def test_an_index_that_is_wrong_is_done_without(tmp_path):
         assert len(list(sensor_events(bag, MOUNT))) == 90
         assert bag.counts['/odom'] == 40
         assert warnings == []
+
+
+@pytest.mark.parametrize('log_time', [2**63, 2**64 - 1])
+def test_a_log_time_that_is_none_ends_the_reading(tmp_path, log_time):
+    path = tmp_path / 'odd.mcap'
+    kind = 'sensor_msgs/msg/JointState'
+    ours = schema(1, kind, JOINTS.format('float64[] position')), channel(1, 1, '/joint_states')
+    path.write_bytes(mcap(*ours, message(1, bytes(99)), message(1, bytes(99), log_time)))
+    warnings = []
+    assert len(Bag(path, warnings.append).stamps_ns['/joint_states']) == 1
+    assert 'log time' in warnings[0]

@@ -12,10 +12,10 @@ from rosbags.interfaces import Nodetype
 from test_markers import MAP, POSE, view
 import yaml
 
-from landmark_nav.demo.recorded_run import RECORDED_TOPICS
+from landmark_nav.demo.scenario import RECORDED_TOPICS
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
-from landmark_nav.storage.bags.topics import TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.types import Triplet
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'

@@ -10,8 +10,15 @@ from wire import FACTORY, MOUNT, over_the_wire, STAMP
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.clouds import pack_cloud, unpack_cloud
-from landmark_nav.messages.layouts import DETECTIONS, EXPECTATION, GLOBAL_POSE, LANDMARKS, TRIPLET
+from landmark_nav.messages.clouds import (
+    DETECTIONS,
+    EXPECTATION,
+    GLOBAL_POSE,
+    LANDMARKS,
+    pack_cloud,
+    TRIPLET,
+    unpack_cloud,
+)
 from landmark_nav.types import JointSample, OdometrySample, PoseEstimate
 
 LAYOUTS = {

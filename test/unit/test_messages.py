@@ -10,8 +10,7 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.messages.layouts import DETECTIONS, GLOBAL_POSE, GlobalPose
+from landmark_nav.messages.clouds import DETECTIONS, GLOBAL_POSE, GlobalPose, pack_cloud
 from landmark_nav.types import (
     Detections,
     JointSample,

@@ -11,9 +11,8 @@ from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
 from landmark_nav.learning.reference_area import joined, joint_covariance, pose_errors
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
-from landmark_nav.planning.config import PlanConfig
 from landmark_nav.planning.prediction import landmark_errors, Predictor
-from landmark_nav.planning.views import free_floor, look, sample_walls
+from landmark_nav.planning.views import free_floor, look, PlanConfig, sample_walls
 from landmark_nav.types import Panorama
 
 CONFIG = PlanConfig()

@@ -15,9 +15,8 @@ import time
 import pytest
 
 from landmark_nav.demo.supervisor import ProcessEndedError, Supervisor
-from landmark_nav.ros.executor import LatestOnlyWorker
-from landmark_nav.ros.latency import Latency
-from landmark_nav.ros.shutdown_guard import ShutdownGuard
+from landmark_nav.ros.health import Latency
+from landmark_nav.ros.run import LatestOnlyWorker, ShutdownGuard
 
 pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
@@ -81,7 +80,7 @@ def run(body):
     """A process that sends itself the signals; SIGINT is ignored as in a shell's background."""
     head = """
         import os, signal, threading
-        from landmark_nav.ros.shutdown_guard import ShutdownGuard
+        from landmark_nav.ros.run import ShutdownGuard
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     """
     return subprocess.run(

@@ -16,7 +16,7 @@ from landmark_nav.evaluation.report import (
     write_report,
     write_video,
 )
-from landmark_nav.evaluation.report.write import page_html
+from landmark_nav.evaluation.report.collect import page_html
 from landmark_nav.evaluation.run_report import pose_report, run_errors, spells
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult

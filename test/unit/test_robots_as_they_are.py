@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.cli.main import main
+from landmark_nav.diagnosis import diagnose
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
@@ -148,6 +149,15 @@ def test_the_pan_is_taken_from_transforms_where_it_is_only_there(tmp_path, child
     found, warnings = pans(rewritten(tmp_path, only_transforms(child)))
     np.testing.assert_allclose(found, PANS, atol=1e-9)
     assert any('the pan is taken from /tf' in warning for warning in warnings)
+    assert not any('stamps of 0' in warning for warning in warnings)
+
+
+def test_frames_of_other_names_are_listed_where_there_are_no_joints(tmp_path):
+    warnings = []
+    bag = Bag(rewritten(tmp_path, only_transforms('turret')), warnings.append)
+    with pytest.raises(LandmarkNavError, match='joint_states is missing'):
+        list(sensor_events(bag, MOUNT))
+    assert any('turret' in line and '/tf:FRAME' in line for line in warnings)
 
 
 def test_the_pan_is_that_about_the_axis_of_the_robot(tmp_path):
@@ -156,6 +166,8 @@ def test_the_pan_is_that_about_the_axis_of_the_robot(tmp_path):
     path = rewritten(tmp_path, only_transforms('turret', camera_tilt, mast))
     found, _ = pans(path, mount, {'joint_states': '/tf:turret'})
     np.testing.assert_allclose(found, PANS, atol=1e-9)
+    bag = Bag(path, topics={'joint_states': '/tf:turret'})
+    assert [f.name for f in diagnose(bag, mount).errors] == ['images content']
     with pytest.raises(LandmarkNavError, match='has no frame camera: it has base_link, turret'):
         pans(path, mount, {'joint_states': '/tf:camera'})
     sideways = PanTiltMount(axis_rpy=(1.2, 0.0, 0.0))
@@ -175,7 +187,11 @@ def test_messages_without_stamps_have_the_time_of_recording(tmp_path, topic):
     np.testing.assert_allclose(found, PANS)
     assert [w for w in warnings if 'stamps of 0' in w] == warnings
     assert len(warnings) == 1
-    events = list(sensor_events(Bag(path), MOUNT))
+    told = [], []
+    bag = Bag(path, told[0].append)
+    assert all(each.is_unstamped(topic) for each in (bag, bag, bag.warning_to(told[1].append)))
+    assert [len(each) for each in told] == [1, 1]
+    events = list(sensor_events(bag, MOUNT))
     stamps = [e.stamp_ns for e in events if isinstance(e, OdometrySample)]
     assert stamps == [START + k * SECOND // 20 for k in range(40)]
 

@@ -8,12 +8,12 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.se2 import rot_z
+from landmark_nav.geometry.se2 import rot_z, rotation
 from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.learning.relative_pose.epipolar import center
 from landmark_nav.learning.relative_pose.scale import PlaceSource, scale_sigma, SheetSource
 from landmark_nav.learning.relative_pose.sheet_tracks import FINE, sheet_misses, sheet_tracks
-from landmark_nav.learning.relative_pose.two_views import TwoViews
+from landmark_nav.learning.relative_pose.two_views import two_views_of, TwoViews
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
 from landmark_nav.types import Panorama, PlaceChain
 
@@ -82,6 +82,43 @@ def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
     off = seen.position - middle
     assert np.linalg.norm(off) < 0.03
     assert off @ np.linalg.solve(seen.covariance, off) < 16.0
+
+
+@pytest.mark.parametrize('slant_rad', [0.0, 0.6, -0.8])
+@pytest.mark.parametrize('hidden', [0.0, 0.4])
+def test_a_paper_partly_hidden_from_one_view_gives_no_length(
+    slant_rad: float, hidden: float
+) -> None:
+    paper = np.full((4, 10, 3), np.array(paper_bgr('green')), np.uint8)
+    partly = paper.copy()
+    partly[:, : round(10 * hidden)] = 150
+    middles = np.array([[2.0, 1.1, 0.3], [1.4, -0.3, 0.3]])
+    facing = np.arctan2(-middles[:, 1], -middles[:, 0])
+    # The sheet has one direction in the room, which both viewpoints have in common.
+    slants = slant_rad + facing.mean() - facing
+    seen = [
+        find_sheets(panorama(with_sheet(texture, (0.21, 0.297), middle, slant)), A4)
+        for texture, middle, slant in zip((paper, partly), middles, slants, strict=True)
+    ]
+    way = (middles[0] - middles[1])[:2]
+    pose = TwoViews(0.0, float(np.arctan2(way[1], way[0])), np.zeros(2), 0.0, 100)
+    _, lengths = sheet_tracks(seen, {(0, 1): pose}, FINE)
+    assert set(lengths) == (set() if hidden else {(0, 1)})
+
+
+@pytest.mark.parametrize('tilt_rad', [(0.02, 0.0), (-0.01, 0.02)])
+def test_the_pose_of_one_view_in_another_does_not_depend_on_the_map(
+    tilt_rad: tuple[float, float],
+) -> None:
+    level = np.array([[0.0, 0, 0.3, 0, 0, 0], [1.7, 0.6, 0.8, 0.0, 0.0, 0.0]])
+    expected = two_views_of(level, 0, 1, np.zeros(3))
+    leant = level.copy()
+    for state in leant:  # the whole map leans about its origin
+        state[3] = center(state, np.zeros(3))[:2] @ [-tilt_rad[1], tilt_rad[0]]
+        state[4:] = rotation(-state[2]) @ tilt_rad
+    found = two_views_of(leant, 0, 1, np.zeros(3))
+    assert found.slope == pytest.approx(expected.slope, abs=1e-3)
+    assert found.tilt_rad == pytest.approx(expected.tilt_rad, abs=1e-3)
 
 
 STATES = np.array([[0.0, 0, 0, 0, 0, 0], [1.7, 0.6, 0.5, 0.002, 0.004, -0.003]])

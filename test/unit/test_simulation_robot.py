@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import CameraModel
-from landmark_nav.simulation.differential_drive import DifferentialDrive, DriveConfig
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.simulation.renderer import CameraEffects, CameraEffectsConfig
+from landmark_nav.simulation.world import DifferentialDrive, DriveConfig
 
 DT = 1.0 / 60.0
 CAMERA = CameraModel(128, 96, 100.0, 100.0, 63.5, 47.5)

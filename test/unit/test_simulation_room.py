@@ -10,9 +10,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.furnishing import generate_scene, hang_tags, move_one_box
-from landmark_nav.simulation.people import Person
-from landmark_nav.simulation.places import choose_sweep_places, EYE_HEIGHT_M
-from landmark_nav.simulation.scene import Box, Scene
+from landmark_nav.simulation.scene import Box, choose_sweep_places, EYE_HEIGHT_M, Scene
 from landmark_nav.simulation.setup_documents import (
     as_measured,
     robot_document,
@@ -22,6 +20,7 @@ from landmark_nav.simulation.setup_documents import (
 )
 from landmark_nav.simulation.solids import back_to_front
 from landmark_nav.simulation.wall_items import draw_item
+from landmark_nav.simulation.world import Person
 from landmark_nav.storage.setup_files import load_robot, load_room
 
 SEEDS = range(30)

@@ -13,10 +13,9 @@ from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import plan_tour
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.pan_tilt_unit import PanControl
-from landmark_nav.simulation.places import choose_sweep_places
-from landmark_nav.simulation.recording import drive_messages, sweep_messages
+from landmark_nav.simulation.scene import choose_sweep_places
 from landmark_nav.simulation.setup_documents import robot_document, room_document
-from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
+from landmark_nav.simulation.world import DEFAULT_MOUNT, drive_messages, RobotWorld, sweep_messages
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
@@ -57,7 +56,7 @@ def test_robot_does_not_drive_through_walls(world):
     world.advance(15.0)
     assert SCENE.room.contains(world.true_pose[:2])
     assert SCENE.distance_to_obstacles(world.true_pose[:2]) >= 0.22
-    assert world.true_twist[0] == 0.0
+    assert world.truth_sample().linear_m_s == 0.0
     world.command_velocity(0.0, 0.0)
 
 

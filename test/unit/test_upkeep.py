@@ -13,10 +13,8 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import save_map
 from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate
-from landmark_nav.upkeep.check import problems_of_map
-from landmark_nav.upkeep.comparison import compare_maps, Texture
-from landmark_nav.upkeep.frames import align_frames, FrameAlignment, in_frame_of
-from landmark_nav.upkeep.merge import merge_maps
+from landmark_nav.upkeep.comparison import compare_maps, problems_of_map, Texture
+from landmark_nav.upkeep.frames import align_frames, FrameAlignment, in_frame_of, merge_maps
 
 WALLS = (
     Wall('south', (0.0, 0.0), (6.0, 0.0), 2.6),

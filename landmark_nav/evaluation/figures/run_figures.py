@@ -11,25 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import IntArray
+from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.map_figure import draw_landmarks
-from landmark_nav.evaluation.figures.style import (
-    draw_walls,
-    FIX,
-    FUSED,
-    keep_in_view,
-    LANDMARK,
-    legend_beside,
-    new_figure,
-    ODOMETRY,
-    plain,
-    save,
-    SMOOTHED,
-    TRUTH,
-)
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import RunErrors
-from landmark_nav.evaluation.smoothed_run import Smoothed
+from landmark_nav.evaluation.run_report import RunErrors, Smoothed
 from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.types import FloatArray, LandmarkMap
 
@@ -42,34 +28,36 @@ def draw_trajectory(
     run: Replay, landmark_map: LandmarkMap, path: Path | BytesIO, smoothed: Smoothed | None = None
 ) -> None:
     """Draw true, dead reckoned, fused and other trajectories in the plan of the room."""
-    figure = new_figure(9.0, 6.6)
+    figure = style.new_figure(9.0, 6.6)
     axes = figure.add_subplot()
-    draw_walls(axes, landmark_map.walls, 0.3)
+    style.draw_walls(axes, landmark_map.walls, 0.3)
     draw_landmarks(axes, landmark_map)
     fixes = run.fixes
-    axes.plot(*fixes[:, :2].T, '.', color=FIX, markersize=4, label='triangulated', zorder=3)
-    axes.plot(*run.odometry.poses[:, :2].T, color=ODOMETRY, label='odometry alone', zorder=4)
+    axes.plot(*fixes[:, :2].T, '.', color=style.FIX, markersize=4, label='triangulated', zorder=3)
+    axes.plot(*run.odometry.poses[:, :2].T, color=style.ODOMETRY, label='odometry alone', zorder=4)
     if len(run.truth):
-        axes.plot(*run.truth.poses[:, :2].T, color=TRUTH, linewidth=3.0, label='truth', zorder=4)
+        axes.plot(
+            *run.truth.poses[:, :2].T, color=style.TRUTH, linewidth=3.0, label='truth', zorder=4
+        )
     axes.plot(
         *driven(run, run.stamps_ns, run.fused),
-        color=FUSED,
+        color=style.FUSED,
         linewidth=1.4,
         label='fused',
         zorder=5,
     )
     if smoothed is not None:
         line = driven(run, smoothed.stamps_ns, smoothed.poses)
-        axes.plot(*line, color=SMOOTHED, linewidth=1.0, label='smoothed', zorder=5)
-    axes.plot(*run.start.pose[:2], 'o', color=TRUTH, markersize=7, label='start', zorder=6)
-    axes.plot([], [], 'o', color=LANDMARK, markersize=4, label='landmark')
-    keep_in_view(axes, np.concatenate([run.odometry.poses[:, :2], run.fused[:, :2]]), 0.2)
+        axes.plot(*line, color=style.SMOOTHED, linewidth=1.0, label='smoothed', zorder=5)
+    axes.plot(*run.start.pose[:2], 'o', color=style.TRUTH, markersize=7, label='start', zorder=6)
+    axes.plot([], [], 'o', color=style.LANDMARK, markersize=4, label='landmark')
+    style.keep_in_view(axes, np.concatenate([run.odometry.poses[:, :2], run.fused[:, :2]]), 0.2)
     way = run.odometry.at(run.stamps_ns)[:, :2]
     way_m = float(np.nansum(np.hypot(*np.diff(way, axis=0).T)))
     axes.set_title(f'A drive of {way_m:.1f} m in {1e-9 * np.ptp(run.stamps_ns):.0f} s')
-    plain(axes)
-    legend_beside(axes, 'below', 7)
-    save(figure, path)
+    style.plain(axes)
+    style.legend_beside(axes, 'below', 7)
+    style.save(figure, path)
 
 
 def driven(run: Replay, stamps_ns: IntArray, poses: FloatArray) -> FloatArray:
@@ -85,17 +73,23 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
     Fixes beyond the axes are counted. A strip below shows which images gave a fix and when the
     state was lost.
     """
-    figure = new_figure(10.0, 7.6)
+    figure = style.new_figure(10.0, 7.6)
     rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 3.0, 3.0, 1.0])
     seconds = 1e-9 * (run.stamps_ns - run.begin_ns).astype(np.float64)
     by_axis = errors_by_axis(run, errors.fused, errors.triangulation)
     for axes, one in zip(rows[:3], by_axis, strict=True):
         axes.fill_between(
-            seconds, -one.band, one.band, color=FUSED, alpha=0.18, linewidth=0, label='±3 sigma'
+            seconds,
+            -one.band,
+            one.band,
+            color=style.FUSED,
+            alpha=0.18,
+            linewidth=0,
+            label='±3 sigma',
         )
-        axes.plot(seconds, one.fixes, '.', color=FIX, markersize=3, label='triangulated')
-        axes.plot(seconds, one.fused, color=FUSED, linewidth=1.3, label='fused')
-        axes.axhline(0.0, color=TRUTH, linewidth=0.6)
+        axes.plot(seconds, one.fixes, '.', color=style.FIX, markersize=3, label='triangulated')
+        axes.plot(seconds, one.fused, color=style.FUSED, linewidth=1.3, label='fused')
+        axes.axhline(0.0, color=style.TRUTH, linewidth=0.6)
         axes.set_ylim(-one.limit, one.limit)
         beyond = int(np.sum(np.abs(one.fixes) > one.limit))
         if beyond:
@@ -109,7 +103,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
                 bbox={'facecolor': 'white', 'alpha': 0.8, 'linewidth': 0, 'pad': 1},
             )
         axes.set_ylabel(one.label)
-        plain(axes)
+        style.plain(axes)
     _strip(rows[3], run, seconds)
     rows[3].set_xlabel('time [s]')
     figure.suptitle(
@@ -117,8 +111,8 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
         if len(run.truth)
         else 'No ground_truth/odom in the bag: no errors, only what the fusion claims'
     )
-    legend_beside(rows[0], 'above', 3)
-    save(figure, path)
+    style.legend_beside(rows[0], 'above', 3)
+    style.save(figure, path)
 
 
 def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
@@ -126,15 +120,15 @@ def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
     fixed = np.isfinite(run.fixes[:, 0])
     used = np.array([update.used > 0 for update in run.updates])
     marks: tuple[tuple[str, npt.NDArray[np.bool_], str], ...] = (
-        ('triangulated', fixed, FIX),
-        ('used by fusion', used, FUSED),
-        ('lost', run.lost, ODOMETRY),
+        ('triangulated', fixed, style.FIX),
+        ('used by fusion', used, style.FUSED),
+        ('lost', run.lost, style.ODOMETRY),
     )
     for height, (_, where, color) in enumerate(reversed(marks)):
         axes.plot(seconds[where], np.full(int(where.sum()), height), '|', color=color, ms=9)
     axes.set_yticks(range(3), [f'{name} {int(where.sum())}' for name, where, _ in reversed(marks)])
     axes.set_ylim(-0.6, 2.6)
-    plain(axes)
+    style.plain(axes)
 
 
 class AxisErrors(NamedTuple):

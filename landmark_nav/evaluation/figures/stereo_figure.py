@@ -1,8 +1,8 @@
 """
 Counterpart of Figure 5 of Livatino and Madsen: location of a landmark from two panoramas.
 
-Left, one landmark: its patch in one panorama, the epipolar curve with the match in the other, and
-both rays in plan. Right, the sigma of a landmark by two rays alone, all over the room.
+Left, one landmark: its patch in one panorama, and the epipolar curve with the match in the other.
+Right, both rays in plan, and the sigma of a landmark by two rays alone, all over the room.
 """
 
 from __future__ import annotations
@@ -13,17 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 import numpy as np
 
-from landmark_nav.evaluation.figures.strips import caption, mark, show, Strip
-from landmark_nav.evaluation.figures.style import (
-    CANDIDATE,
-    draw_sweep_places,
-    draw_walls,
-    FUSED,
-    HALO,
-    LANDMARK,
-    new_figure,
-    save,
-)
+from landmark_nav.evaluation.figures import style
+from landmark_nav.evaluation.figures.style import caption, mark, show, Strip
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
@@ -44,16 +35,13 @@ def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
     """
     Draw the reconstruction of a landmark and its sigma over the room; return the caption.
 
-    Parameters
-    ----------
-    result : LearningResult
-        Result with two panoramas or more, of which the first two are drawn.
+    Of more than two panoramas the first two are drawn.
     """
     source, candidate, landmark = _example(result)
     views = result.panoramas[source], result.panoramas[1 - source]
-    figure = new_figure(16.0, 7.8)
+    figure = style.new_figure(16.0, 6.6)
     left, right = np.ravel(np.asarray(figure.subfigures(1, 2, width_ratios=[1.0, 1.6])))
-    above, below, plan = left.subplots(3, 1, height_ratios=[1.0, 1.0, 1.5])
+    above, below = left.subplots(2, 1)
     width = round(_SHARE * views[0].mask.shape[1])
     turn = views[0].mask.shape[1]
     strip = Strip.around(views[0], candidate.column, candidate.row, width)
@@ -63,9 +51,7 @@ def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
     assert place is not None, 'the strip is centred on it'
     mark(above, place, candidate, str(landmark.id))
     _draw_epipolar(below, views, candidate, landmark, width, _NAMES[1 - source])
-    _draw_rays(plan, result.panoramas[:2], landmark, room)
-    axes = right.subplots()
-    low = _draw_uncertainty(axes, result, room)
+    low = _draw_uncertainty(right.subplots(), result, room, landmark)
     parallax = np.degrees(_angle(result.panoramas[:2], landmark.position[:2]))
     sigma = 1e3 * np.sqrt(np.trace(landmark.covariance[:2, :2]))
     baseline = np.hypot(*(views[0].center_map - views[1].center_map)[:2])
@@ -79,7 +65,7 @@ def draw_reconstruction(result: LearningResult, room: Room, path: Path) -> str:
         'on it.'
     )
     caption(figure, text)
-    save(figure, path)
+    style.save(figure, path)
     return text
 
 
@@ -141,7 +127,7 @@ def _draw_epipolar(
     turn = there.mask.shape[1]
     at = (curve - [strip.start, strip.top]) % [turn, 1e9]
     inside = (at[:, 0] < strip.width) & (at[:, 1] < strip.bottom - strip.top)
-    axes.plot(*np.where(inside[:, None], at, np.nan).T, color=CANDIDATE, linewidth=1.5)
+    axes.plot(*np.where(inside[:, None], at, np.nan).T, color=style.CANDIDATE, linewidth=1.5)
     scale = reach / float(np.hypot(*(landmark.position - there.center_map)[:2]))
     size = (round(candidate.width_px * scale), round(candidate.height_px * scale))
     found = Candidate(float(match[0]), float(match[1]), *size, 1.0)
@@ -156,37 +142,8 @@ def _pixel(panorama: Panorama, points: FloatArray) -> FloatArray:
     return panorama.cylinder.project(np.concatenate([turned, away[:, 2:]], axis=1))
 
 
-def _draw_rays(
-    axes: Axes, panoramas: tuple[Panorama, ...], landmark: Landmark, room: Room
-) -> None:
-    draw_walls(axes, room.walls, _MARGIN_M)
-    point = landmark.position[:2]
-    centers = np.array([p.center_map[:2] for p in panoramas])
-    for name, center, other in zip(_NAMES, centers, centers[::-1], strict=True):
-        axes.plot(*np.stack([center, point], -1), color=CANDIDATE, linewidth=1.5)
-        axes.plot(*center, 'o', color=FUSED, markersize=16, fillstyle='none')
-        axes.annotate(
-            name, (center[0], center[1]), ha='center', va='center', color=FUSED, weight='bold'
-        )
-        # Beside the ray, on the side opposite to the other ray.
-        way = (center - point) / np.hypot(*(center - point))
-        aside = np.array([-way[1], way[0]])
-        aside *= np.sign(aside @ (center - other)) or 1.0
-        axes.annotate(
-            f'd = {np.hypot(*(center - point)):.2f} m', tuple(0.5 * (center + point)),
-            tuple(5.0 * aside), textcoords='offset points', fontsize=9, path_effects=HALO,
-            ha=('right', 'center', 'left')[round(aside[0]) + 1],
-            va=('top', 'center', 'bottom')[round(aside[1]) + 1],
-        )  # fmt: skip
-    axes.plot(*point, 'o', color=LANDMARK)
-    inward = centers.mean(axis=0) - point
-    at = point + 0.5 * inward / np.hypot(*inward)
-    axes.annotate('a', (at[0], at[1]), ha='center', va='center', style='italic', path_effects=HALO)
-    axes.plot(*centers.T, ':', color=FUSED)
-
-
-def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
-    """Draw a heat map of sigmas; return the least one, mm."""
+def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room, landmark: Landmark) -> float:
+    """Draw a heat map of sigmas, and the rays to a landmark; return the least sigma, mm."""
     pair = result.panoramas[0], result.panoramas[1]
     x, y = (
         np.arange(low, high + _CELL_M, _CELL_M) for low, high in zip(*room.bounds, strict=True)
@@ -202,7 +159,7 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
         x, y, grid, cmap='viridis_r', norm=LogNorm(1.0, 100.0), shading='nearest', zorder=1
     )
     lines = axes.contour(x, y, grid, _LEVELS_MM, colors='white', linewidths=1.0, zorder=2)
-    draw_walls(axes, room.walls, _MARGIN_M)
+    style.draw_walls(axes, room.walls, _MARGIN_M)
     bar = axes.figure.colorbar(heat, ax=axes, shrink=0.7, extend='both')
     bar.add_lines(lines)
     bar.set_ticks(
@@ -212,7 +169,9 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
     bar.set_label('standard deviation of a landmark from two rays [mm]')
     centers = np.array([p.center_map[:2] for p in pair])
     axes.plot(*centers.T, '--', color='white', zorder=3)
-    draw_sweep_places(axes, centers)
+    rays = np.stack([centers[0], landmark.position[:2], centers[1]])
+    axes.plot(*rays.T, color=style.CANDIDATE, linewidth=1.5, zorder=3)
+    style.draw_sweep_places(axes, centers)
     along = centers[1] - centers[0]
     side = (cells - centers[0]) @ np.array([-along[1], along[0]])
     for letter, half in (('R', side > 0.0), ('S', side < 0.0)):
@@ -221,8 +180,8 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room) -> float:
             best = good & (sigma <= 1.3 * np.nanmin(sigma[good]))
             axes.annotate(
                 f'area {letter}', cells[best].mean(axis=0), ha='center', va='center', fontsize=16,
-                weight='bold', path_effects=HALO, zorder=6,
+                weight='bold', path_effects=style.HALO, zorder=6,
             )  # fmt: skip
-    axes.plot(*result.map.positions[:, :2].T, '.', color=LANDMARK, markersize=7, zorder=4)
+    axes.plot(*result.map.positions[:, :2].T, '.', color=style.LANDMARK, markersize=7, zorder=4)
     axes.set_title('areas R and S have the least uncertainty; dots: landmarks learned')
     return float(np.nanmin(sigma))

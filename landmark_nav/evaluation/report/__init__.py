@@ -2,25 +2,12 @@
 
 from landmark_nav.evaluation.report.collect import (
     calibration_page,
-    drawn_panoramas,
+    check_report,
     drive_page,
+    FrameStrip,
     learning_page,
     Page,
     panoramas,
+    write_report,
 )
-from landmark_nav.evaluation.report.frames import FrameStrip
 from landmark_nav.evaluation.report.video import write_video
-from landmark_nav.evaluation.report.write import check_report, write_report
-
-__all__ = [
-    'FrameStrip',
-    'Page',
-    'calibration_page',
-    'check_report',
-    'drawn_panoramas',
-    'drive_page',
-    'learning_page',
-    'panoramas',
-    'write_report',
-    'write_video',
-]

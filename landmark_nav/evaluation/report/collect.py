@@ -1,22 +1,29 @@
-"""Data of a page from the results of a run, as plain rounded values."""
+"""Pages from the results of a run: their data, as plain rounded values, and their files."""
 
 from __future__ import annotations
 
 import base64
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from datetime import datetime
+from functools import cache
+from importlib.resources import files
+import json
 from pathlib import Path
 from typing import Any, TypedDict
 
+import cv2
+from jinja2 import Environment, Template
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.calibration import Calibration
+from landmark_nav.errors import release, UsageError
 from landmark_nav.evaluation.calibration_run import Residuals
 from landmark_nav.evaluation.figures.run_figures import driven, errors_by_axis
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.report.frames import FrameStrip, jpeg
 from landmark_nav.evaluation.report.tables import (
     calibration_tables,
     calibration_verdict,
@@ -26,20 +33,66 @@ from landmark_nav.evaluation.report.tables import (
     learning_verdict,
     STATUS,
 )
-from landmark_nav.evaluation.run_report import RunErrors
-from landmark_nav.evaluation.smoothed_run import Smoothed
+from landmark_nav.evaluation.run_report import RunErrors, Smoothed
 from landmark_nav.geometry.walls import Paper, paper_bgr
+from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.localization.localizer import LocalizationUpdate
-from landmark_nav.storage.reading import read_image
-from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Landmark, LandmarkMap, Refusal
+from landmark_nav.storage.atomic_io import write_atomically
+from landmark_nav.storage.bags import SensorEvent
+from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, Refusal
+
+# Greatest size of all copies: 11 MB in base64, for a page of 15 MB with 4 MB of other data.
+_BUDGET_BYTES = 8_000_000
+_WIDTH_PX = 480
+_COPY_QUALITY = 60
+
+
+class FrameStrip:
+    """
+    Small JPEG copies of images, evenly thinned to `budget_bytes` for a drive of any length.
+
+    `frames` holds all frames without their pixels, `jpegs` the kept copies; both by stamp in
+    nanoseconds.
+    """
+
+    def __init__(self, budget_bytes: int = _BUDGET_BYTES) -> None:
+        self.frames: dict[int, CameraFrame] = {}
+        self.jpegs: dict[int, bytes] = {}
+        self._budget, self._bytes, self._stride = budget_bytes, 0, 1
+
+    def watch(self, events: Iterable[SensorEvent]) -> Iterator[SensorEvent]:
+        """Yield the events unchanged, and keep copies of their images."""
+        for event in events:
+            if isinstance(event, CameraFrame):
+                self.add(event)
+            yield event
+
+    def add(self, frame: CameraFrame) -> None:
+        """Keep a copy of an image if its index is a multiple of the stride."""
+        if len(self.frames) % self._stride == 0:
+            self.jpegs[frame.stamp_ns] = copied = jpeg(frame.image, _WIDTH_PX, _COPY_QUALITY)
+            self._bytes += len(copied)
+        self.frames[frame.stamp_ns] = replace(frame, image=np.empty((0, 0), np.uint8))
+        while self._bytes > self._budget and len(self.jpegs) > 1:
+            self.jpegs = dict(list(self.jpegs.items())[::2])
+            self._stride *= 2
+            self._bytes = sum(map(len, self.jpegs.values()))
+
+
+def jpeg(image: np.ndarray, most_px: int, quality: int) -> bytes:
+    """Encode an image, grey or BGR, reduced to a width of at most `most_px`."""
+    scale = min(1.0, most_px / image.shape[1])
+    if scale < 1.0:
+        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return encode_image(image, '.jpg', (cv2.IMWRITE_JPEG_QUALITY, quality)).tobytes()
+
 
 # Greatest number of images that are shown; more are thinned.
 _MOST_MOMENTS = 2000
 # Greatest number of points of a line of the plan.
 _MOST_POINTS = 2000
 _PATCH_PX, _PANORAMA_PX, _QUALITY = 96, 2400, 75
-_MOST_PANORAMAS = 8
 # Quantile of the residuals that the axes show; least weight of residuals, without outliers.
 _REACH, _LEAST_WEIGHT = 0.99, 0.1
 
@@ -64,14 +117,9 @@ def drive_page(
     papers: Iterable[Paper] = (),
 ) -> Page:
     """
-    Page of a drive.
+    Page of a drive: `report` is that of `run_report`, with ``spells``.
 
-    Parameters
-    ----------
-    report : mapping
-        Report of `landmark_nav.evaluation.run_report`, with ``spells``.
-    calibration : Calibration
-        Calibration with which landmarks are projected into the images.
+    Landmarks are projected into the images by `calibration`.
     """
     chosen = _moments(run)
     drive = _drive(run, chosen, landmarks, calibration, strip, smoothed)
@@ -352,28 +400,6 @@ def _residual_charts(before: Residuals, after: Residuals) -> list[dict[str, Any]
     return charts
 
 
-def drawn_panoramas(map_folder: Path) -> list[dict[str, Any]]:
-    """Panoramas that `learn` drew into the folder of a map, if there are any."""
-    shown = []
-    for number in range(1, _MOST_PANORAMAS + 1):
-        path = map_folder / f'panorama_{number}.png'
-        if path.is_file():
-            drawn = _without_border(read_image(path))
-            picture = _base64(jpeg(drawn, _PANORAMA_PX, _QUALITY))
-            shown.append({'image': picture, 'size': list(drawn.shape[1::-1]), 'candidates': []})
-    return shown
-
-
-def _without_border(drawn: ImageArray) -> ImageArray:
-    """Crop title and axes, which are white in dark mode and too small to read."""
-    inside = (drawn < 250).any(axis=2)
-    rows = np.flatnonzero(inside.mean(axis=1) > 0.5)
-    columns = np.flatnonzero(inside.mean(axis=0) > 0.5)
-    if not rows.size or not columns.size:
-        return drawn
-    return drawn[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-
-
 def panoramas(result: LearningResult) -> list[dict[str, Any]]:
     """Panoramas with the outcome of every candidate, in pixels of the panorama."""
     shown = []
@@ -398,3 +424,47 @@ def panoramas(result: LearningResult) -> list[dict[str, Any]]:
             }
         )
     return shown
+
+
+def check_report(path: Path | None) -> None:
+    """Refuse a file name that browsers do not open as a page."""
+    if path and path.suffix.lower() not in ('.html', '.htm'):
+        raise UsageError(f'--report {path}: reports are written as .html')
+
+
+def write_report(
+    path: Path, page: Page, title: str, command: str, inputs: Mapping[str, object]
+) -> None:
+    """
+    Write a page with its title, the command, and the inputs of the command by name.
+
+    Raises `LandmarkNavError`: the file cannot be written.
+    """
+    write_atomically(path, page_html(page, title, command, inputs))
+
+
+def page_html(page: Page, title: str, command: str, inputs: Mapping[str, object]) -> str:
+    """Return the page; all inserted values are escaped."""
+    now = datetime.now().astimezone().strftime('%Y-%m-%d %H:%M %z')
+    # Only a `<` in the data could end the script element.
+    data = json.dumps(page['data'], separators=(',', ':'), allow_nan=False)
+    return _template().render(
+        page=page,
+        title=title,
+        command=command,
+        inputs={name: str(value) for name, value in inputs.items() if value is not None},
+        data=data.replace('<', '\\u003c'),
+        css=_resource('page.css'),
+        js=_resource('page.js'),
+        made={'date': now, 'landmark_nav': release()},
+    )
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(_resource('page.html.j2'))
+
+
+def _resource(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding='utf-8')

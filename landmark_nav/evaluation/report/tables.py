@@ -1,4 +1,4 @@
-"""Verdicts and tables of a page: metrics with units and explanations."""
+"""Verdicts and tables for pages and terminals: metrics with units and explanations."""
 
 from __future__ import annotations
 
@@ -14,9 +14,13 @@ ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 # States of localization by the terms of the glossary.
 STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}
 
+# First characters of numbers, and of a cell without one; most rows on a terminal.
+_DIGITS, _MOST_LINES = ('', *'0123456789'), 30
+
 Table = dict[str, Any]
 Row = dict[str, Any]
 
+_SCALE = ('source', 'sheets', 'lengths [%]', 'sigma [%]', 'variance grew to fit, times')
 _WHOSE = {
     'fused': 'Of odometry and all images so far: what odometry_fusion publishes.',
     'triangulation': 'Each image for itself, from three bearings or more.',
@@ -65,6 +69,25 @@ def _table(
 def _verdict(level: str, parts: Iterable[str]) -> dict[str, str]:
     text = '; '.join(filter(None, parts))
     return {'level': level, 'text': text if text.endswith('?') else f'{text}.'}
+
+
+def table_lines(table: Table) -> list[str]:
+    """Lines of a table for a terminal; columns of numbers are aligned to the right."""
+    rows = [row['cells'] for row in table['rows']]
+    columns = []
+    for name, *cells in zip(table['head'], *rows, strict=True):
+        numbers = all(cell.lstrip('+-')[:1] in _DIGITS for cell in cells)
+        width = max(map(len, (name, *cells)))
+        side = '>' if numbers else '<'
+        columns.append([f'{cell:{side}{width}}' for cell in (name, *cells)])
+    lines = ['  '.join(line).rstrip() for line in zip(*columns, strict=True)] if rows else []
+    more = [f'... {len(rows) - _MOST_LINES} more'] if len(rows) > _MOST_LINES else []
+    return [*lines[: _MOST_LINES + 1], *more, *filter(None, [table['note']])]
+
+
+def text_of(verdict: Mapping[str, str], tables: Iterable[Table]) -> list[str]:
+    """Lines of a verdict and of its tables for a terminal."""
+    return [verdict['text'], *(line for table in tables for line in ('', *table_lines(table)))]
 
 
 def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
@@ -171,11 +194,16 @@ def _merits(report: Mapping[str, Any]) -> Iterable[Row]:
         ]  # fmt: skip
     if 'crlb_ratio' in report:
         found, times = report['found'], report['update_ms']
+        place = 'given'
+        if found is not None:
+            x, y, heading = found['pose']
+            place = f'found after {found["after_s"]:.1f} s at ({x:.2f}, {y:.2f}) m, '
+            place += f'{np.degrees(heading):.1f} deg'
         rows += [
             ('RMSE over Cramér-Rao bound', cell(report['crlb_ratio'], 1.0, 2),
              'The bound is the least error that any unbiased estimator reaches with these '
              'measurements: 1 is the best there is.'),
-            ('place', 'given' if found is None else f'found after {found["after_s"]:.1f} s',
+            ('place', place,
              'Whether the start was given, or found from images alone.'),
             ('update [ms]', f'{times["median"]:.1f}, 95 % within {times["p95"]:.1f}',
              'Computing time of one image.'),
@@ -195,9 +223,13 @@ def learning_verdict(report: Mapping[str, Any], warning: str) -> dict[str, str]:
     parts = (
         f'{report["elected"]} landmarks on {len(walls.keys() - {NO_WALL})} walls ('
         + ', '.join(f'{wall} {count}' for wall, count in walls.items())
-        + f') learned from {len(report["sweeps"])} sweeps',
+        + f') of {report["candidates"]} candidates learned from {len(report["sweeps"])} sweeps',
         f'poses of the sweeps known to {1e3 * worst_m:.1f} mm (sigma)'
         + (f', off by at most {1e3 * max(errors):.1f} mm' if errors else ''),
+        f'no room.yaml: scale from {found["scale"]}, good to '
+        f'{100 * float(found["scale_sigma"]):.2g} %'
+        if (found := report.get('unmeasured'))
+        else '',
         warning,
     )
     return _verdict('warning' if warning else 'good', parts)
@@ -207,7 +239,7 @@ def learning_tables(report: Mapping[str, Any]) -> list[Table]:
     """Sweeps, refusals and stages of learning."""
     sweeps = (
         _row(
-            f'sweep {number}', sweep['frames'],
+            f'{number}', sweep['frames'],
             *(f'{value:.3f}' for value in sweep['pose'][:2]),
             f'{np.degrees(sweep["pose"][2]):.2f}',
             f'{1e3 * np.hypot(*sweep["sigma"][:2]):.1f}',
@@ -217,12 +249,21 @@ def learning_tables(report: Mapping[str, Any]) -> list[Table]:
     )  # fmt: skip
     head = ('sweep', 'frames', 'x [m]', 'y [m]', 'heading [deg]', 'sigma [mm]', 'error [mm]')
     refused = [*report['refused'].items(), *report['ambiguous'].items()]
+    found = report.get('unmeasured', {}).get('sources', {})
+    sources = (
+        _row(
+            name, s['sheets'] or '-', f'{100.0 * (s["scale"] - 1.0):+.2f}',
+            f'{100.0 * s["sigma"]:.2g}', f'{s["inflation"]:.1f}',
+        )
+        for name, s in found.items()
+    )  # fmt: skip
     stages = (
         _row(name.replace('_', ' '), f'{s["seconds"]:.1f}', f'{s["peak_memory_mb"]:.0f}')
         for name, s in report['stages'].items()
     )
     return [
         _table('Sweeps', (*head, 'candidates', 'elected'), sweeps),
+        *([_table('Scale', _SCALE, sources, 'By each source alone.')] if found else []),
         _table('Not landmarks', ('reason', 'candidates'), (_row(k, n) for k, n in refused)),
         _table('Stages', ('stage', 'seconds', 'peak memory [MB]'), stages),
     ]
@@ -233,18 +274,28 @@ def _calibration_table(table: Mapping[str, Mapping[str, Any]]) -> Table:
     rows = []
     for name, row in table.items():
         factor, unit = SHOWN_IN[row['unit']]
-        values = (f'{factor * row[key]:.3f}' for key in ('prior', 'value', 'sigma'))
-        rows.append(
-            _row(name, *values, unit, 'yes' if row['observed'] else 'no', why=MEANINGS[name])
-        )
-    head = ('quantity', 'prior', 'estimate', 'sigma', 'unit', 'observed')
+        values = [f'{factor * row[key]:.3f}' for key in ('prior', 'value', 'sigma')]
+        values += [unit, 'yes' if row['observed'] else 'no']
+        if 'difference_sigmas' in row:  # none from an exact prior
+            off = row['difference_sigmas']
+            values.append('exact' if off is None else f'{off:.1f}')
+        rows.append(_row(name, *values, why=MEANINGS[name]))
+    head = ('quantity', 'prior', 'estimate', 'sigma', 'unit', 'observed', 'prior sigmas off')
     note = 'Observed: the recording shows it; its sigma fell by 30 % or more.'
-    return _table('Calibration', head, rows, note)
+    return _table('Calibration', head[: len(rows[0]['cells'])] if rows else head, rows, note)
 
 
 def calibration_tables(report: Mapping[str, Any]) -> list[Table]:
     """The calibration, and the motions to record for unobserved quantities."""
     wanted = [_row(', '.join(one['quantities']), one['motion']) for one in report['unobserved']]
+    wanted += [
+        _row(' and '.join(one['quantities']), 'they look alike here: their '
+             f'{"sum" if one["correlation"] < 0.0 else "difference"} is known better than each')
+        for one in report['trade_offs']
+    ]  # fmt: skip
+    if (slip := report['side_slip_bound_rad']) is not None:
+        left = f'straight metres: side slip of the wheels leaves {np.degrees(slip):.2f} deg'
+        wanted.append(_row('axis_yaw (pan zero)', left))
     more = [_table('Not observed', ('quantities', 'record'), wanted)] if wanted else []
     return [_calibration_table(report['calibration']), *more]
 

@@ -282,11 +282,13 @@ _STEPS = 10
 _TAIL_WIDTH = 2.0
 # Least angle between neighbours whose intersection is their corner, rad.
 _LEAST_CORNER_RAD = 0.2
+# Sigma of the angles of walls about multiples of a right angle.
+_RIGHT_RAD = 0.003
 
 
 def moved_walls(
     free: Adjustment, walls: Sequence[int], room: Room, config: AdjustmentConfig
-) -> Room:
+) -> tuple[Room, float]:
     """
     Move walls that have a `sigma_m` to the patches on them.
 
@@ -304,13 +306,17 @@ def moved_walls(
     Returns
     -------
     Room
-        The same room if no wall moves by more than the sigma of distances from walls.
+        The same room if no wall with a `sigma_m` has patches.
+    float
+        Greatest shift of the end of a wall along its normal, m.
     """
     index = np.asarray(walls, dtype=np.intp)
     fitted = [_fitted(wall, free, index == k, config) for k, wall in enumerate(room.walls)]
-    moves = np.array([off for off, _ in fitted])
-    if np.abs(moves).max() < config.hanging_sigma_m:
-        return room
+    moves, covariance = (np.array(part) for part in zip(*fitted, strict=True))
+    seen = [k for k, wall in enumerate(room.walls) if wall.sigma_m and np.any(index == k)]
+    if not seen:
+        return room, 0.0
+    moves[seen] = _squared([room.walls[k] for k in seen], moves[seen], covariance[seen])
     starts, ends = (
         np.array([getattr(w, end) for w in room.walls]) + moves[:, k, None] * room.normals[:, :2]
         for k, end in enumerate(('start', 'end'))
@@ -320,32 +326,38 @@ def moved_walls(
     for k, following in enumerate(after):
         corner[k] = _crossing(starts[k], ends[k], starts[following], ends[following])
     before = np.argsort(after)
-    return replace(
+    moved = replace(
         room,
         walls=tuple(
             replace(
                 wall,
                 start=(float(corner[before[k], 0]), float(corner[before[k], 1])),
                 end=(float(corner[k, 0]), float(corner[k, 1])),
-                sigma_m=wall.sigma_m and sigma,
+                # The distance of objects from the wall is an error that all patches share.
+                sigma_m=wall.sigma_m
+                and float(np.sqrt(np.diag(own).max() + config.common_hanging_sigma_m**2)),
             )
-            for k, (wall, (_, sigma)) in enumerate(zip(room.walls, fitted, strict=True))
+            for k, (wall, own) in enumerate(zip(room.walls, covariance, strict=True))
         ),
     )
+    return moved, float(np.abs(moves).max())
 
 
 def _fitted(
     wall: Wall, free: Adjustment, on: BoolArray, config: AdjustmentConfig
-) -> tuple[FloatArray, float]:
-    """Shift (2,) of both ends of a wall along its normal, and their sigma."""
+) -> tuple[FloatArray, FloatArray]:
+    """Shift (2,) of both ends of a wall along its normal, and its covariance (2, 2)."""
     if not wall.sigma_m:
-        return np.zeros(2), 0.0
+        return np.zeros(2), np.zeros((2, 2))
     normal = wall.normal[:2]
     off = free.positions[on, :2] - wall.start
     share = off @ wall.along / wall.length
     design = np.stack([1.0 - share, share], 1)
     variance = np.einsum('i,nij,j->n', normal, free.own_covariance[on, :2, :2], normal)
-    variance += config.relief_sigma_m**2 + config.hanging_sigma_m**2
+    # Patches of one section of the wall hang equally far from it.
+    section = np.floor(off @ wall.along / config.hanging_length_m)
+    _, section, patches = np.unique(section, return_inverse=True, return_counts=True)
+    variance += config.relief_sigma_m**2 + config.hanging_sigma_m**2 * patches[section]
     prior = np.eye(2) / wall.sigma_m**2
     ends, information, tail = np.zeros(2), prior, variance + wall.sigma_m**2
     for _ in range(_STEPS):
@@ -355,9 +367,44 @@ def _fitted(
         information = prior + (design * weight[:, None]).T @ design
         ends = np.linalg.solve(information, design.T @ (weight * (off @ normal)))
         tail = np.maximum(variance, 0.5 * tail)
-    # The distance of objects from the wall is an error that all patches share.
-    own = np.sqrt(np.diag(covariance_of(information)).max())
-    return ends, float(np.hypot(own, config.common_hanging_sigma_m))
+    return ends, covariance_of(information)
+
+
+def _squared(walls: Sequence[Wall], ends_m: FloatArray, covariance: FloatArray) -> FloatArray:
+    """
+    Shifts (n, 2) of the ends of walls, with the prior that most walls are at right angles.
+
+    What hangs on a short wall at various depths shows its direction badly (Coughlan and Yuille,
+    Manhattan World, ICCV 1999). Walls at other angles are outliers of this prior.
+
+    Parameters
+    ----------
+    ends_m, covariance : ndarray, shape (n, 2) and (n, 2, 2)
+        Shifts without this prior.
+    """
+    across = np.array([[-1.0, 1.0]]) / np.array([[wall.length] for wall in walls])
+    given = np.array([np.arctan2(*wall.along[1::-1]) for wall in walls])
+    turned = given + np.sum(across * ends_m, 1)
+    spread = np.einsum('ni,nij->nj', across, covariance)
+    variance = np.sum(spread * across, 1) + _RIGHT_RAD**2
+    length = np.array([wall.length for wall in walls])
+    common = max(turned, key=lambda a: float(np.sum(length * _weights(turned - a, variance))))
+    for _ in range(_STEPS):
+        off = _from_right(turned - common)
+        weight = _weights(off, variance) / variance
+        common += float(np.sum(weight * off) / np.sum(weight))
+    off = _from_right(turned - common)
+    return np.asarray(ends_m - spread * (_weights(off, variance) * off / variance)[:, None])
+
+
+def _from_right(angle_rad: FloatArray) -> FloatArray:
+    """Difference of angles from the nearest multiple of a right angle."""
+    return np.asarray((angle_rad + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi)
+
+
+def _weights(off_rad: FloatArray, variance: FloatArray) -> FloatArray:
+    """Weights (Geman and McClure) of angles that are off a multiple of a right angle."""
+    return np.asarray((1.0 + _from_right(off_rad) ** 2 / (_TAIL_WIDTH**2 * variance)) ** -2.0)
 
 
 def _next(room: Room, k: int) -> int:

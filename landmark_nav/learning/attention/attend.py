@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.patches import is_upright_edge
 from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig
-from landmark_nav.learning.attention.selection import refusal, select
+from landmark_nav.learning.attention.selection import patch_of, refusal, select
 from landmark_nav.types import Candidate, ImageArray, Panorama, Refusal
 
 # A patch keeps this far from uncovered pixels, whose neighbours are blurred by interpolation.
@@ -53,7 +54,10 @@ def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
     accepted, refused = select(saliency, _inside(panorama.mask), config, examine)
     first = max((c.saliency for c in accepted), default=1.0)
     return Attention(
-        tuple(replace(c, saliency=c.saliency / first) for c in accepted),
+        tuple(
+            replace(c, saliency=c.saliency / first, edge=is_upright_edge(patch_of(c, gray)))
+            for c in accepted
+        ),
         tuple((replace(c, saliency=c.saliency / first), why) for c, why in refused),
     )
 

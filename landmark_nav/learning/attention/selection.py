@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
+from landmark_nav.geometry.patches import is_upright_edge
 from landmark_nav.learning.attention.maps import AttentionConfig
 from landmark_nav.types import Candidate, FloatArray, ImageArray, Refusal
 
@@ -218,9 +219,10 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     score = cv2.matchTemplate(window, np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)
     columns_away = np.abs(np.arange(score.shape[1]) - column)
     rows_away = np.abs(np.arange(score.shape[0]) - row)
-    elsewhere = (columns_away > _SAME_PLACE * candidate.width_px) | (
-        rows_away[:, None] > _SAME_PLACE * candidate.height_px
-    )
+    elsewhere = columns_away > _SAME_PLACE * candidate.width_px
+    # An edge goes on above and below.
+    if not is_upright_edge(patch):
+        elsewhere = elsewhere | (rows_away[:, None] > _SAME_PLACE * candidate.height_px)
     score = np.where(elsewhere & np.isfinite(score), score, -1.0)
     at = np.unravel_index(int(np.argmax(score)), score.shape)
     if score[at] > _MAX_SIMILARITY:
@@ -229,6 +231,14 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
             f'correlation {score[at]:.2f} at {at[1] - column:+d} columns, {at[0] - row:+d} rows',
         )
     return None
+
+
+def patch_of(candidate: Candidate, gray: ImageArray) -> ImageArray:
+    """Cut a patch out of a panorama that is a full turn."""
+    left = round(candidate.column - (candidate.width_px - 1) / 2.0)
+    top = round(candidate.row - (candidate.height_px - 1) / 2.0)
+    columns = np.arange(left, left + candidate.width_px) % gray.shape[1]
+    return np.asarray(gray[top : top + candidate.height_px].take(columns, axis=1))
 
 
 def _neighborhood(

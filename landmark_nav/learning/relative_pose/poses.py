@@ -267,6 +267,11 @@ def _fitted(
         poses = {pair: two_views_of(states, *pair, lever) for pair in matched}
         tracks = sheet_tracks(sheets, poses, FINE if number else ROUGH)[0] if sheets else []
         sources: list[Source] = [*places, *SheetSource.of_kinds(tracks, lever)]
+        if not sources:
+            raise LandmarkNavError(
+                'nothing gives the scale: sheets that several sweeps show contradict their poses: '
+                'hang more sheets of the size given, or record odom'
+            )
         pairs = [matches_along(i, j, states, features, lever, config) for i, j in matched]
         fit = fit_poses(
             states, pairs, lever, config.direction_sigma_rad, prior, covariance, stacked(sources)

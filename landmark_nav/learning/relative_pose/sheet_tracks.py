@@ -26,6 +26,8 @@ ROUGH, FINE = 0.006, 0.0015
 # Significance at which two views show different sheets; greatest difference of equal lengths, in
 # sigmas; greatest relative sigma of a useful length.
 _CHANCE, _SAME_SIGMAS, _MOST_SIGMA = 1e-3, 3.0, 0.1
+# Number of directions that a sheet may face, which are tried.
+_SLANTS = 2881
 
 
 # Two views with the number of a sheet in each: both are one sheet.
@@ -153,8 +155,24 @@ def _way(
     left = way - length * along
     if left @ information @ left > chdtri(2, _CHANCE):
         return None
+    if _hidden(first, second, there) > chdtri(1, _CHANCE):
+        return None
     sigma = float(np.sqrt(variance))
     return _Pair(a, b, length, sigma) if length > 0.0 and sigma < _MOST_SIGMA * length else None
+
+
+def _hidden(first: SheetView, second: SheetView, there: FloatArray) -> float:
+    """
+    Chi-square of the widths of a sheet in two views: no slant explains one that is partly hidden.
+
+    `there` (3,) is the direction of the second view along the axes of the first.
+    """
+    slants = np.linspace(-np.pi, np.pi, _SLANTS)[:, None]
+    azimuths = np.arctan2([first.position[1], there[1]], [first.position[0], there[0]])
+    expected = np.cos(slants - azimuths)
+    views = np.array([[v.foreshortening, v.foreshortening_sigma] for v in (first, second)])
+    squares = np.sum(((expected - views[:, 0]) / views[:, 1]) ** 2, axis=1)
+    return float(squares.min())
 
 
 def _same(one: _Pair, other: _Pair) -> bool:

@@ -56,7 +56,9 @@ def two_views_of(states: FloatArray, one: int, other: int, lever: FloatArray) ->
     way = (center(there, lever) - center(here, lever)) @ rot_z(here[2])
     heading = there[2] - here[2]
     tilt = there[4:] - rotation(-heading) @ here[4:]
-    slope = float(way[2] / max(np.hypot(way[0], way[1]), _NOTHING_M))
+    roll, pitch = here[4:]
+    rise = way[2] + pitch * way[0] - roll * way[1]
+    slope = float(rise / max(np.hypot(way[0], way[1]), _NOTHING_M))
     return TwoViews(float(heading), float(np.arctan2(way[1], way[0])), tilt, slope, 0)
 
 

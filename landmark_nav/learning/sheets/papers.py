@@ -29,6 +29,7 @@ class SheetView:
     `kind` is ``papers`` or ``markers``, `name` a colour or a number; `position` (3,) is that of
     the centre from the viewpoint, along the axes of the base, m; `covariance` (3, 3) is that of
     its own errors. `shared` (3, q) are the loadings of q errors common to all sheets of a kind.
+    `foreshortening` is the width seen over that of a sheet seen from ahead, with its sigma.
     """
 
     kind: str
@@ -36,6 +37,8 @@ class SheetView:
     position: FloatArray
     covariance: FloatArray
     shared: FloatArray
+    foreshortening: float = 1.0
+    foreshortening_sigma: float = np.inf
 
 
 # Ratio of width and height of a candidate, relative to that of the sheet: a slanted sheet is
@@ -64,8 +67,22 @@ def find_papers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
                 # Outwards is right (smaller azimuth), left, down and up.
                 response = by_edge @ (by_response * [-1.0, 1.0, -1.0, 1.0])
                 shared = np.stack([config.size_sigma * position, response], 1)
-                found.append(SheetView('papers', color, position, own @ own.T, shared))
+                slant = _foreshortened(edges, sigma, by_response, config)
+                found.append(SheetView('papers', color, position, own @ own.T, shared, *slant))
     return found
+
+
+def _foreshortened(
+    edges: FloatArray, sigma: FloatArray, by_response: FloatArray, config: SheetsConfig
+) -> tuple[float, float]:
+    """Foreshortening of an upright sheet by its edges (4,), and its sigma."""
+    right, left, bottom, top = edges
+    sides = np.array([left - right, top - bottom])
+    seen = sides[0] / sides[1] * config.paper_height_m / config.paper_width_m
+    own = np.hypot(sigma[[0, 2]], sigma[[1, 3]]) / sides
+    outwards = by_response.reshape(2, 2).sum(1) / sides
+    relative = [*own, outwards[0] - outwards[1], np.sqrt(2.0) * config.size_sigma]
+    return float(seen), float(seen * np.linalg.norm(relative))
 
 
 def _may_be(edges: FloatArray, config: SheetsConfig, margin: float = 1.0) -> npt.NDArray[np.bool_]:

@@ -83,7 +83,7 @@ def match_freely(
     """
     others = [j for j in range(len(panoramas)) if j != source]
     known = _known_depth(candidate, panoramas[source], depths)
-    if depths is not None and known is None:
+    if depths is not None and known is None and not candidate.edge:
         return Refusal('no feature around it is found again')
     strict = replace(config, min_score=max(config.min_score, _MIN_SCORE))
     best: tuple[float, WallPatch] | None = None
@@ -107,9 +107,11 @@ def match_freely(
             refused = found
         else:
             seen.append(found)
-    # A single other view may match by chance; two views or several features do not.
+    # A single other view may match by chance, and an edge looks like others; two views or several
+    # features do not.
     if seen and len(seen) < 2 and not (known and known.agreed):
-        seen = [found for found in seen if found.score >= strict.min_score]
+        least = np.inf if candidate.edge else strict.min_score
+        seen = [found for found in seen if found.score >= least]
         refused = Refusal('low correlation', f'less than {strict.min_score:.2f}')
     return (patch, [own_measurement(patch, panoramas[source]), *seen]) if seen else refused
 
@@ -237,7 +239,11 @@ def _patch(
     here: Panorama,
     there: Panorama,
 ) -> WallPatch | None:
-    """The patch at a distance, rotated from facing both; None if one view is too oblique."""
+    """
+    The patch at a distance, rotated from facing both.
+
+    None if one view is too oblique, or it is below the floor, as in a mirror or outside a window.
+    """
     azimuth = float(here.cylinder.azimuth_rad(candidate.column)) + here.heading_rad
     ray = np.array([np.cos(azimuth), np.sin(azimuth), here.cylinder.tangent(candidate.row)])
     position = here.center_map + distance * ray
@@ -246,10 +252,12 @@ def _patch(
     normal = np.array([np.cos(toward), np.sin(toward), 0.0])
     cosine = float(-ray[:2] @ normal[:2])
     across = there.center_map - position
+    texel = distance / here.cylinder.fy
     if min(cosine, float(across @ normal) / float(np.hypot(*across[:2]))) < _LEAST_COSINE:
         return None
+    if position[2] < 0.5 * candidate.height_px * texel:
+        return None
     shape = (candidate.height_px, max(8, round(candidate.width_px / cosine)))
-    texel = distance / here.cylinder.fy
     return WallPatch(candidate, source, -1, position, normal, shape, texel, on_wall=False)
 
 

@@ -117,7 +117,8 @@ def hypothesize(
     ends = position[:2] + np.array([[-0.5], [0.5]]) * shape[1] * texel * right[:2]
     start, side = room.walls[wall].start, np.subtract(room.walls[wall].end, room.walls[wall].start)
     share = (ends - start) @ side / (side @ side)
-    if share.min() < 0.0 or share.max() > 1.0:
+    # A corner itself is an edge on both walls.
+    if not candidate.edge and (share.min() < 0.0 or share.max() > 1.0):
         return Refusal('across the corner of two walls')
     return WallPatch(candidate, source, wall, position, normal, shape, texel)
 
@@ -195,7 +196,10 @@ def compare(
         return Refusal('no way back', str(back))
     # In pixels of the coarser view.
     coarser = max(own.max(), seen.max())
-    off = float(np.linalg.norm(back[1] - patch.position)) / patch.texel_m / coarser
+    away = back[1] - patch.position
+    if patch.candidate.edge:
+        away[2] = 0.0
+    off = float(np.linalg.norm(away)) / patch.texel_m / coarser
     if off > _MAX_RETURN_PX:
         return Refusal('no way back', f'leads {off:.1f} px away')
     displaced = displaced_quarter(template, found) / coarser
@@ -209,7 +213,9 @@ def compare(
         # A patch that is not flat may be matched by any part of it.
         relief = _RELIEF_SHARE * displaced * coarser * patch.texel_m / reach
         sigma = np.hypot(sigma, relief)
-    nearer = log_nearer(patch, point, (here, there), (grey, grey_there))
+    nearer = 0.0, np.inf
+    if not patch.candidate.edge:
+        nearer = log_nearer(patch, point, (here, there), (grey, grey_there))
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -247,6 +253,7 @@ def _located(
         template,
         min_score=config.min_score,
         max_second_ratio=config.max_second_ratio,
+        edge=patch.candidate.edge,
     )
     if isinstance(match, Refusal):
         return match

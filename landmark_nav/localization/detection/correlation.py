@@ -180,6 +180,7 @@ def _detect(
             min_score=landmark.threshold,
             max_second_ratio=config.max_second_ratio,
             search_blur=search_blur,
+            edge=landmark.edge,
         )
         for landmark, (x0, y0, x1, y1), drawing, (search_blur, template_blur) in zip(
             landmarks, windows, drawings, blurs, strict=True

@@ -2,7 +2,7 @@
 
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import ImagePoints
-from landmark_nav.localization.estimator.filter import JointFilter, Update
+from landmark_nav.localization.estimator.filter import JointFilter
 from landmark_nav.localization.estimator.integrity import (
     Integrity,
     is_unknown,
@@ -10,6 +10,7 @@ from landmark_nav.localization.estimator.integrity import (
     ProtectionLevel,
     Status,
 )
+from landmark_nav.localization.estimator.state import Update
 
 __all__ = [
     'EstimatorConfig',

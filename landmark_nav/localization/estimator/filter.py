@@ -1,38 +1,33 @@
 """
 The joint estimator: pose, odometry, calibration, map and landmark errors in one state.
 
-An iterated extended Kalman filter with a t distribution of detections (iterated weights: Lange,
-Little and Taylor, JASA 84(408), 1989). The shared factors of the map are part of the state. The
-own error of a landmark joins the state when it is first seen; it is a first-order Gauss-Markov
-process over the way, as it changes with the viewpoint, and leaves the state when little of it is
-left. So repeated detections never make the pose more certain than the map allows.
+An iterated extended Kalman filter (`correction.py`). The shared factors of the map are part of the
+state. The own error of a landmark joins the state when it is first seen; it is a first-order
+Gauss-Markov process over the way, as it changes with the viewpoint, and leaves the state when
+little of it is left. So repeated detections never make the pose more certain than the map allows.
 """
 
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.config import EstimatorConfig, Step
+from landmark_nav.localization.estimator.correction import corrected, usable
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
     CENTER,
     DELAY,
     FLOOR_TILT,
-    FOCAL,
     ImagePoints,
-    LEAST_STEP_S,
     moved,
-    project,
     ROLL,
     SCALE,
     SLIP,
@@ -42,14 +37,13 @@ from landmark_nav.localization.estimator.factors import (
     YAW,
 )
 from landmark_nav.localization.estimator.noise import (
-    DETECTION,
     FLOOR,
-    learned,
     NOISES,
     NoiseScales,
     SLIP_NOISE,
 )
 from landmark_nav.localization.estimator.recognition import found_log_ratios, MISSED
+from landmark_nav.localization.estimator.state import MapErrors, State, Update
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
     jitter_variances,
@@ -60,22 +54,13 @@ from landmark_nav.localization.odometry.noise import (
 )
 from landmark_nav.types import Expectation, FloatArray, LandmarkMap, PoseEstimate
 
-# Iterations of an update, and the change of the pose, m and rad, that ends them: its nonlinearity
-# is then a hundredth of the noise.
-_ITERATIONS, _CONVERGED = 5, 3e-3
 # Own errors of landmarks leave the state when less than this share is left.
 _STALE = 0.05
 # Most landmarks with own errors in the state, which bounds the cost of an update.
 _MOST_LANDMARKS = 60
-# Iterations of the weights, and the relative change that ends them.
-_WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 # Fewest landmarks that support a step, as a turn of camera or base explains any two; their least
 # weight.
 _WITNESSES, _INLIER = 3, 0.3
-# Detections of less weight are outliers.
-_OUTLIER = 0.1
-# Factor on the variance of a detection that is not used.
-_NO_INFORMATION = 1e6
 # Largest factor on the variance of the own error of a landmark: farther off than five sigmas it is
 # an outlier.
 _WIDEST = 25.0
@@ -84,74 +69,9 @@ _OPEN_RAD = 0.02
 # Log of the share of the likeliest hypothesis below which another is excluded: the risk of the
 # protection level.
 _EXCLUDED = float(np.log(0.01))
-# Significance at which an image is surprising.
-_SURPRISE = 1e-3
 # Sigmas of an unknown pose, m and rad.
 _ANYWHERE = (3.0, 3.0, 2.0)
 _DRIFTING = slice(SCALE, SLIP)
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """The state; arrays are never changed in place, so that copies are cheap."""
-
-    stamp_ns: int
-    mean: FloatArray
-    covariance: FloatArray
-    by_noise: FloatArray
-    scales: NoiseScales
-    # Columns of the landmarks with own errors in the state, and the way since each was seen.
-    landmarks: IndexArray
-    unseen_m: FloatArray
-    way_m: float = 0.0
-    seconds: float = 0.0
-    # Derivative of pose, lean and odometry by those after the last image.
-    carried: FloatArray = field(default_factory=lambda: np.eye(CALIBRATION))
-
-
-class Update(NamedTuple):
-    """
-    Result of an update by an image.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        Time of the image.
-    columns : ndarray of int, shape (m,)
-        Landmarks that were used.
-    residual : ndarray, shape (m, d)
-        Measured minus predicted, given the prior and the other detections of the image.
-    covariance : ndarray, shape (m, d, d)
-        Covariance of each residual, with the nominal noise of the detection.
-    weight : ndarray, shape (m,)
-        1 for an inlier, near 0 for an outlier.
-    log_evidence : float
-        Log density of the image given all before.
-    surprising : bool
-        Whether the image as a whole is unlikely given the prediction.
-    stepped : bool
-        Whether a sudden change of camera or base before the image was assumed.
-    separation : ndarray, shape (m, 3)
-        Change of the pose if a landmark is left out.
-    without : ndarray, shape (m, 3, 3)
-        Increase of the covariance of the pose then.
-    """
-
-    stamp_ns: int
-    columns: IndexArray
-    residual: FloatArray
-    covariance: FloatArray
-    weight: FloatArray
-    log_evidence: float
-    surprising: bool
-    stepped: bool
-    separation: FloatArray
-    without: FloatArray
-
-    @property
-    def used(self) -> IndexArray:
-        """Landmarks of the image that are not outliers."""
-        return self.columns[self.weight > _OUTLIER]
 
 
 class _Hypothesis(NamedTuple):
@@ -194,9 +114,8 @@ class JointFilter:
         self._config = config or EstimatorConfig()
         self._odometry = odometry or OdometryNoiseConfig()
         self._prior, self._map = calibration, landmark_map
-        self._positions, self._loadings = landmark_map.positions, landmark_map.shared_loadings
-        self._own = landmark_map.covariances - self._loadings @ self._loadings.swapaxes(1, 2)
-        self._fixed = STATES + self._loadings.shape[2]
+        self._errors = MapErrors.of(landmark_map)
+        self._fixed = self._errors.end
         wheels = self._odometry
         floor_tilt = self._config.floor_tilt_sigma_rad
         variances = np.ones(self._fixed)
@@ -251,7 +170,7 @@ class JointFilter:
         """Covariance (3, 2 n) of the pose with x and y of all landmarks."""
         state, first = self._state, self._fixed
         shared = state.covariance[:3, STATES:first]
-        out = np.einsum('kf,nif->kni', shared, self._loadings[:, :2])
+        out = np.einsum('kf,nif->kni', shared, self._errors.loadings[:, :2])
         own = state.covariance[:3, first:].reshape(3, -1, 3)[..., :2]
         out[:, state.landmarks] += own
         return np.asarray(out.reshape(3, -1))
@@ -318,7 +237,7 @@ class JointFilter:
     def landmarks(self) -> FloatArray:
         """Current estimates (n, 3) of the positions of the map's landmarks."""
         state = self._state
-        found = self._positions + self._loadings @ state.mean[STATES : self._fixed]
+        found = self._errors.positions + self._errors.loadings @ state.mean[STATES : self._fixed]
         found[state.landmarks] += state.mean[self._fixed :].reshape(-1, 3)
         return np.asarray(found)
 
@@ -409,11 +328,11 @@ class JointFilter:
         Invalid detections are left out: values that are not finite, landmarks that are not in the
         map, and second detections of a landmark.
         """
-        seen = _usable(seen, len(self._positions))
+        seen = usable(seen, len(self._errors.positions))
         if not len(seen):
             self._state = replace(self._state, stamp_ns=max(self._state.stamp_ns, seen.stamp_ns))
             self.predicted = self._state
-            return _nothing(seen)
+            return Update.of_nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         after, update = self._corrected(prior, seen)
         if update.surprising and not seen.lost:
@@ -451,7 +370,7 @@ class JointFilter:
         recognised = found_log_ratios(update.residual, update.covariance).sum()
         if recognised + MISSED * len(seen.missed) < 0.0:
             # Chance would find as much in such large windows: the image must not move the pose.
-            after, update = replace(prior, stamp_ns=after.stamp_ns), _unused(update)
+            after, update = replace(prior, stamp_ns=after.stamp_ns), update.unused
         self._state, self.predicted = after, prior
         return update
 
@@ -469,9 +388,13 @@ class JointFilter:
         slots = np.flatnonzero(columns[:, None] == state.landmarks) % len(state.landmarks)
         places = self._fixed + 3 * slots[:, None] + np.arange(3)
         covariance = state.covariance.copy()
-        own = wider[:, None, None] * self._own[columns]
+        own = wider[:, None, None] * self._errors.own[columns]
         covariance[places[:, :, None], places[:, None]] += own
         return replace(state, covariance=covariance)
+
+    def _corrected(self, state: State, seen: ImagePoints) -> tuple[State, Update]:
+        pan_sigma_rad = self._prior.base.pan_sigma_rad
+        return corrected(state, seen, self._errors, pan_sigma_rad, self._config.tail_freedom)
 
     def _stepped(self, state: State, step: Step) -> State:
         """Return the state where the base or the calibration may have changed by so much."""
@@ -493,7 +416,7 @@ class JointFilter:
         unseen = state.unseen_m + state.way_m
         mean, covariance = state.mean.copy(), state.covariance.copy()
         if state.way_m and len(state.landmarks):
-            fresh = (1.0 - kept**2) * self._own[state.landmarks]
+            fresh = (1.0 - kept**2) * self._errors.own[state.landmarks]
             mean[first:] *= kept
             covariance[first:] *= kept
             covariance[:, first:] *= kept
@@ -510,7 +433,7 @@ class JointFilter:
 
     def _with_landmarks(self, state: State, columns: IndexArray) -> State:
         """Return the state with own errors of these landmarks, and without stale ones."""
-        seen, known = np.zeros((2, len(self._positions)), dtype=np.bool_)
+        seen, known = np.zeros((2, len(self._errors.positions)), dtype=np.bool_)
         seen[columns], known[state.landmarks] = True, True
         present = seen[state.landmarks]
         far = -self._config.correlation_length_m * np.log(_STALE)
@@ -533,7 +456,7 @@ class JointFilter:
         mean[: len(rows)] = state.mean[rows]
         covariance[: len(rows), : len(rows)] = state.covariance[np.ix_(rows, rows)]
         places = len(rows) + np.arange(3 * len(new)).reshape(-1, 3)
-        covariance[places[:, :, None], places[:, None]] = self._own[new]
+        covariance[places[:, :, None], places[:, None]] = self._errors.own[new]
         return replace(
             state,
             mean=mean,
@@ -541,170 +464,3 @@ class JointFilter:
             landmarks=np.concatenate([state.landmarks[kept], new]),
             unseen_m=np.concatenate([unseen[kept], np.zeros(len(new))]),
         )
-
-    def _corrected(self, state: State, seen: ImagePoints) -> tuple[State, Update]:
-        """Update with iterated weights and linearisation."""
-        late = float(np.sqrt(state.covariance[DELAY, DELAY]))
-        seen = replace(seen, delay_step_s=max(late, LEAST_STEP_S))
-        bend = seen.bend_rad(float(state.mean[DELAY])) * min(1.0, late / LEAST_STEP_S) ** 2
-        rows = 2 if seen.rows else 1
-        count, size = len(seen), len(state.mean)
-        slots = np.empty(len(self._positions), dtype=np.intp)
-        slots[state.landmarks] = np.arange(len(state.landmarks))
-        own = self._fixed + 3 * slots[seen.columns][:, None] + np.arange(3)
-        each = np.arange(count)
-        prior, freedom = state.mean, self._config.tail_freedom
-        noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
-        if seen.sizes is not None:
-            by_scale = state.covariance[FOCAL, FOCAL] * seen.sizes[:, :rows] ** 2 / 12.0
-            noise += by_scale[:, None] * np.eye(rows)
-        common = self._prior.base.pan_sigma_rad**2 + seen.pan_sigma_rad**2 + bend**2
-        mean, looser = prior, np.ones(count)
-        if seen.near is not None:
-            mean = np.concatenate([seen.near, prior[3:]])
-        for _ in range(_ITERATIONS):
-            points = self._positions[seen.columns] + mean[own]
-            points += self._loadings[seen.columns] @ mean[STATES : self._fixed]
-            model = project(mean, points, seen)
-            parts = np.zeros((count, 2, size))
-            parts[:, :, :STATES] = model.by_state
-            parts[:, :, STATES : self._fixed] = model.by_point @ self._loadings[seen.columns]
-            parts[each[:, None], :, own] = model.by_point.swapaxes(1, 2)
-            jacobian = parts[:, :rows].reshape(count * rows, size)
-            offset = prior - mean
-            offset[2] = wrap_rad(offset[2])
-            innovation = (seen.points - model.points)[:, :rows].ravel() - jacobian @ offset
-            with_state = state.covariance @ jacobian.T
-            by_pan = model.by_pan[:, :rows].ravel()
-            spread = jacobian @ with_state + common * np.outer(by_pan, by_pan)
-            # A landmark behind the camera has no information.
-            behind = np.where(model.ahead, 0.0, _NO_INFORMATION)
-            for _ in range(_WEIGHINGS):
-                covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
-                precision = np.linalg.inv(covariance)
-                pull = precision @ innovation
-                blocks = precision.reshape(count, rows, count, rows)[each, :, each]
-                others = np.linalg.inv(blocks)
-                alone: FloatArray = (others @ pull.reshape(count, rows, 1))[..., 0]
-                nominal = others - noise * (looser + behind - 1.0)[:, None, None]
-                squares = np.einsum(
-                    'mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0]
-                )
-                if not freedom:
-                    break
-                before, looser = looser, np.maximum((freedom + squares) / (freedom + rows), 1.0)
-                if np.abs(looser / before - 1.0).max() < _SAME_WEIGHT:
-                    break
-            widened, square = covariance, float(innovation @ pull)
-            out = looser > 1.0 / _OUTLIER
-            if out.any():
-                # What is found elsewhere than the landmark has no information: in a wide window
-                # even its widened tail would.
-                behind = np.where(out, _NO_INFORMATION, behind)
-                covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
-                precision = np.linalg.inv(covariance)
-                pull = precision @ innovation
-            after = prior + with_state @ pull
-            after[2] = wrap_rad(after[2])
-            change = np.abs(after[:3] - mean[:3]).max()
-            mean = after
-            if change < _CONVERGED:
-                break
-        gain = with_state @ precision
-        corrected = state.covariance - gain @ with_state.T
-        # Parts of the covariance by each noise.
-        acted, by_acted = jacobian[:, :STATES], gain[:STATES]
-        of_noise = acted @ state.by_noise @ acted.T
-        detected = _with_blocks(np.zeros_like(spread), noise * looser[:, None, None])
-        of_noise[DETECTION] += detected
-        scales = learned(state.scales, innovation, covariance, of_noise)
-        left = np.eye(STATES) - by_acted @ acted
-        by_noise = left @ state.by_noise @ left.T
-        by_noise[DETECTION] += by_acted @ detected @ by_acted.T
-        _, log_determinant = np.linalg.slogdet(widened)
-        evidence = -0.5 * (square + log_determinant)
-        if freedom:
-            # Prior density of the weights, which are gamma variables.
-            evidence -= 0.5 * freedom * float(np.sum(np.log(looser) + 1.0 / looser))
-        pulls = pull.reshape(count, rows, 1)
-        columns = with_state[:3] @ precision
-        separating = columns.reshape(3, count, rows).swapaxes(0, 1) @ others
-        update = Update(
-            seen.stamp_ns,
-            seen.columns,
-            alone,
-            nominal,
-            1.0 / (looser + behind),
-            float(evidence),
-            square > _surprise(count * rows),
-            False,
-            -(separating @ pulls)[..., 0],
-            separating @ columns.reshape(3, count, rows).transpose(1, 2, 0),
-        )
-        return (
-            replace(
-                state,
-                stamp_ns=max(state.stamp_ns, seen.stamp_ns),
-                mean=mean,
-                covariance=0.5 * (corrected + corrected.T),
-                by_noise=by_noise,
-                scales=scales,
-            ),
-            update,
-        )
-
-
-def _usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
-    """Return the valid detections."""
-    with np.errstate(invalid='ignore'):
-        variance = np.diagonal(seen.covariance, axis1=1, axis2=2)
-        good = (seen.columns >= 0) & (seen.columns < landmarks) & np.isfinite(seen.pan_rad)
-        good &= np.isfinite(seen.points).all(axis=1)
-        good &= np.isfinite(seen.covariance).all(axis=(1, 2)) & (variance > 0.0).all(axis=1)
-    first = np.zeros(len(seen), dtype=np.bool_)
-    first[np.unique(seen.columns, return_index=True)[1]] = True
-    good &= first
-    shared = np.array([seen.tilt_rad, seen.pan_rate_rad_s, seen.pan_sigma_rad])
-    good &= np.isfinite(shared).all()
-    return seen if good.all() else seen.chosen(good)
-
-
-def _unused(update: Update) -> Update:
-    """Return the update of an image that is not used."""
-    return update._replace(
-        weight=np.zeros_like(update.weight),
-        separation=np.zeros_like(update.separation),
-        without=np.zeros_like(update.without),
-    )
-
-
-def _nothing(seen: ImagePoints) -> Update:
-    rows = 2 if seen.rows else 1
-    none = np.empty(0)
-    return Update(
-        seen.stamp_ns,
-        seen.columns,
-        none.reshape(0, rows),
-        none.reshape(0, rows, rows),
-        none,
-        0.0,
-        False,
-        False,
-        none.reshape(0, 3),
-        none.reshape(0, 3, 3),
-    )
-
-
-@lru_cache
-def _surprise(count: int) -> float:
-    """Chi-square limit of an image with this number of measurements."""
-    return float(chdtri(count, _SURPRISE))
-
-
-def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:
-    """Add blocks (m, d, d) to the diagonal of a matrix (m d, m d)."""
-    count, size, _ = blocks.shape
-    out = np.array(matrix)
-    each = np.arange(count)
-    out.reshape(count, size, count, size)[each, :, each] += blocks
-    return out

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, ndtri
 
-from landmark_nav.localization.estimator.filter import Update
 from landmark_nav.localization.estimator.recognition import found_log_ratios, MISSED
+from landmark_nav.localization.estimator.state import Update
 from landmark_nav.types import FloatArray, PoseEstimate
 
 # Greatest contributions of one detection and of all misses of an image, which share causes, nats.

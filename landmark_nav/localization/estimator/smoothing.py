@@ -18,7 +18,8 @@ from scipy.linalg import pinvh
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints
-from landmark_nav.localization.estimator.filter import JointFilter, State
+from landmark_nav.localization.estimator.filter import JointFilter
+from landmark_nav.localization.estimator.state import State
 from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, PoseEstimate

@@ -12,7 +12,8 @@ from copy import copy
 from itertools import pairwise
 
 from landmark_nav.localization.estimator.factors import ImagePoints
-from landmark_nav.localization.estimator.filter import JointFilter, Update
+from landmark_nav.localization.estimator.filter import JointFilter
+from landmark_nav.localization.estimator.state import Update
 from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack, steps_ns
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 

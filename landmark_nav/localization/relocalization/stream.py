@@ -140,7 +140,7 @@ class Relocalizer:
         odometry: OdometryNoiseConfig | None = None,
         looking: LookingConfig | None = None,
     ) -> None:
-        self._map, self._mount = landmark_map, mount
+        self._map, self._mount = landmark_map.distinct, mount
         self._config = config or RelocalizationConfig()
         self._odometry = odometry or OdometryNoiseConfig()
         self._looking = looking or LookingConfig()

@@ -71,14 +71,7 @@ class CameraInfo:
         )
 
     def readings(self, width: int, height: int) -> Iterator[tuple[float, float, float, float]]:
-        """
-        All interpretations of K for an image of some size, the usual one first.
-
-        Yields
-        ------
-        tuple of float
-            fx, fy, cx, cy in the pixels of that image.
-        """
+        """Each fx, fy, cx, cy that K may mean for an image of some size, the usual one first."""
         fx, fy, cx, cy = self.intrinsics
         across, down = self.binning
         left, top, _, _ = self.roi

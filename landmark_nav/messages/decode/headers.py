@@ -80,25 +80,11 @@ def finite(
     count: int | None = None,
 ) -> FloatArray:
     """
-    Return values as an array of float64.
+    Return values of a field as an array of float64.
 
-    Raises `LandmarkNavError`: a value is NaN, infinite, out of bounds or not a number, or the
-    count is wrong.
-
-    Parameters
-    ----------
-    values : array-like
-        Field of a message; a foreign definition of the message may have any type here.
-    what : str
-        Name of the values in the error.
-    stamp : int
-        Stamp of the message, nanoseconds, for the error.
-    within : float
-        Largest allowed value.
-    least : float, optional
-        Smallest allowed value; `-within` by default.
-    count : int, optional
-        Required number of values.
+    A foreign definition of the message may have any type here. `what` and `stamp` [ns] are for the
+    error; `least` is `-within` by default. Raises `LandmarkNavError`: a value is NaN, infinite,
+    out of these bounds or not a number, or there are not `count`.
     """
     where = f'{what} at {stamp * 1e-9:.3f} s'
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -17,20 +17,11 @@ _MAX_NAMES = 200
 
 class JointNames:
     """
-    The pan and tilt joints among the names in joint states.
+    The pan and tilt joints among the names in joint states, which its `mount` has.
 
-    A joint with the name in ``robot.yaml`` is used. Otherwise it is the only joint whose name is
-    that name behind a prefix, such as ``robot1/pan_joint`` or ``robot1_pan_joint``.
-
-    Parameters
-    ----------
-    mount : PanTiltMount
-        Mount with the names in ``robot.yaml``.
-
-    Attributes
-    ----------
-    mount : PanTiltMount
-        Mount with the names in joint states.
+    A joint with the name in ``robot.yaml``, in the given `mount`, is used. Otherwise it is the
+    only joint whose name is that name behind a prefix, such as ``robot1/pan_joint`` or
+    ``robot1_pan_joint``.
     """
 
     def __init__(self, mount: PanTiltMount) -> None:
@@ -117,11 +108,20 @@ def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
     return stamp, _angle(names, msg.position, mount.tilt_joint, stamp, what)
 
 
-def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
+def sweep_trajectory(
+    msg: Any, mount: PanTiltMount, drop: Callable[[LandmarkNavError], None] | None = None
+) -> tuple[JointSample, ...]:
     """
     Measured angles at the frames of a sweep, out of a trajectory_msgs/JointTrajectory.
 
-    Raises `LandmarkNavError`: the pan joint is missing, or angles are not numbers.
+    Raises `LandmarkNavError`: the pan joint is missing, two frames have one stamp, or no point can
+    be used.
+
+    Parameters
+    ----------
+    drop : callable, optional
+        Called with the reason if a point cannot be used, such as an angle that is not a number;
+        without it, this is an error, too.
     """
     names = list(msg.joint_names)
     joints = JointNames(mount)
@@ -130,16 +130,26 @@ def sweep_trajectory(msg: Any, mount: PanTiltMount) -> tuple[JointSample, ...]:
         raise LandmarkNavError(f'in the sweep trajectory {joints.missing}')
     mount = joints.mount
     start = stamp_ns(msg.header)
-    return tuple(
-        _sample(
-            names,
-            point.positions,
-            start + duration_ns(point.time_from_start),
-            mount,
-            'sweep trajectory position',
-        )
-        for point in msg.points
-    )
+    samples: dict[int, JointSample] = {}
+    errors = []
+    for point in msg.points:
+        try:
+            stamp = start + duration_ns(point.time_from_start)
+            sample = _sample(names, point.positions, stamp, mount, 'sweep trajectory position')
+        except LandmarkNavError as error:
+            errors.append(error)
+            continue
+        if samples.setdefault(stamp, sample) != sample:
+            raise LandmarkNavError(
+                f'two points of the sweep trajectory are at {1e-9 * stamp:.3f} s: set the '
+                'time_from_start of each'
+            )
+    if errors and (drop is None or not samples):
+        raise errors[0]
+    if drop is not None:
+        for one in errors:
+            drop(one)
+    return tuple(samples.values())
 
 
 def _sample(

@@ -10,16 +10,10 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
-from landmark_nav.messages.clouds import unpack_cloud
-from landmark_nav.messages.decode.headers import (
-    covariances,
-    finite,
-    landmark_ids,
-    stamp_ns,
-)
+from landmark_nav.messages.clouds import LANDMARKS, unpack_cloud
+from landmark_nav.messages.decode import headers
 from landmark_nav.messages.decode.images import image
 from landmark_nav.messages.decode.poses import FARTHEST_M
-from landmark_nav.messages.layouts import LANDMARKS
 from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap
 
 # Largest side of a patch, and largest threshold, saliency or loading.
@@ -39,10 +33,10 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
     frame_id = str(landmarks_msg.header.frame_id)
     if not len(points):
         return LandmarkMap((), frame_id)
-    stamp = stamp_ns(landmarks_msg.header)
-    if stamp_ns(atlas_msg.header) != stamp:
+    stamp = headers.stamp_ns(landmarks_msg.header)
+    if headers.stamp_ns(atlas_msg.header) != stamp:
         raise LandmarkNavError('landmarks and landmarks/atlas belong to different maps')
-    ids = landmark_ids(points['id'], 'landmarks')
+    ids = headers.landmark_ids(points['id'], 'landmarks')
     walls = _walls(points, stamp)
     names = {index: wall.id for index, wall in enumerate(walls)}
     atlas = image(atlas_msg)
@@ -50,7 +44,7 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
 
     def values(*names: str, within: float, least: float | None = None) -> FloatArray:
         found = np.stack([points[name] for name in names], -1)
-        return finite(found, f'landmark {names[0]}', stamp, within, least=least)
+        return headers.finite(found, f'landmark {names[0]}', stamp, within, least=least)
 
     positions = values('x', 'y', 'z', within=FARTHEST_M)
     normals = values('normal_x', 'normal_y', 'normal_z', within=1.0 + _ROUNDING)
@@ -61,8 +55,8 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
     if (sizes.any(-1) != sizes.all(-1)).any():
         raise LandmarkNavError('a patch of landmarks has a width and no height, or the reverse')
     thresholds, saliencies = values('threshold', 'saliency', within=_MAX_VALUE).T
-    covariance = covariances(points['covariance'], 'landmark covariance', stamp, 3)
-    shared = finite(points['shared_loading'], 'shared loading', stamp, _MAX_VALUE)
+    covariance = headers.covariances(points['covariance'], 'landmark covariance', stamp, 3)
+    shared = headers.finite(points['shared_loading'], 'shared loading', stamp, _MAX_VALUE)
     loadings = shared.reshape(len(points), 3, -1)
     own = covariance - loadings @ loadings.transpose(0, 2, 1)
     largest = np.linalg.norm(covariance, 2, axis=(1, 2))
@@ -110,7 +104,7 @@ def _patch(atlas: ImageArray, point: np.void) -> ImageArray:
 
 def _views(atlas: ImageArray, point: np.void, stamp: int) -> tuple[PatchView, ...]:
     """Views of a landmark in other panoramas."""
-    viewpoints = finite(point['viewpoints'], 'viewpoint', stamp, FARTHEST_M).reshape(-1, 3)
+    viewpoints = headers.finite(point['viewpoints'], 'viewpoint', stamp, FARTHEST_M).reshape(-1, 3)
     places = point['views'].reshape(-1, 4).tolist()
     if len(places) != len(viewpoints):
         raise LandmarkNavError(
@@ -135,7 +129,7 @@ def _cut(atlas: ImageArray, point: np.void, x: int, y: int, width: int, height: 
 
 
 def _walls(points: npt.NDArray[np.void], stamp: int) -> tuple[Wall, ...]:
-    outlines = finite(points['walls'][0], 'wall', stamp, FARTHEST_M).reshape(-1, 5)
+    outlines = headers.finite(points['walls'][0], 'wall', stamp, FARTHEST_M).reshape(-1, 5)
     if not len(outlines):
         return ()
     letters = points['wall_names'][0].astype(np.uint8).tobytes()

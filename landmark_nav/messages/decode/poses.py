@@ -10,6 +10,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.messages import clouds
 from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import (
     covariances,
@@ -20,15 +21,6 @@ from landmark_nav.messages.decode.headers import (
     yaw_rad,
 )
 from landmark_nav.messages.decode.images import image_bgra
-from landmark_nav.messages.layouts import (
-    DETECTIONS,
-    EXPECTATION,
-    GLOBAL_POSE,
-    GlobalPose,
-    PLANAR,
-    TRIPLET,
-    UPRIGHT,
-)
 from landmark_nav.types import (
     Detections,
     Expectation,
@@ -67,7 +59,7 @@ def pose_estimate(msg: Any) -> PoseEstimate:
     """
     stamp = stamp_ns(msg.header)
     pose = _planar(msg.pose.pose, 'pose', stamp)
-    return PoseEstimate(stamp, pose, pose_covariance(msg, PLANAR, 'pose', stamp))
+    return PoseEstimate(stamp, pose, pose_covariance(msg, clouds.PLANAR, 'pose', stamp))
 
 
 def pose_covariance(msg: Any, axes: tuple[Any, ...], what: str, stamp: int) -> FloatArray:
@@ -83,26 +75,25 @@ def pose_covariance(msg: Any, axes: tuple[Any, ...], what: str, stamp: int) -> F
     return np.asarray(covariance)
 
 
-def global_pose(msg: Any) -> GlobalPose:
+def global_pose(msg: Any) -> clouds.GlobalPose:
     """
     Result of global localization, out of ``global_localization/pose``.
 
     Raises `LandmarkNavError`: fields are missing or of another type, there is no point, or values
     are not numbers.
     """
-    points, stamp = unpack_cloud(msg, GLOBAL_POSE), stamp_ns(msg.header)
+    points, stamp = unpack_cloud(msg, clouds.GLOBAL_POSE), stamp_ns(msg.header)
+    where = 'global_localization/pose'
     if not len(points):
-        raise LandmarkNavError(
-            f'global_localization/pose at {stamp * 1e-9:.3f} s names no landmark'
-        )
+        raise LandmarkNavError(f'{where} at {stamp * 1e-9:.3f} s names no landmark')
     first = points[0]
-    return GlobalPose(
+    return clouds.GlobalPose(
         stamp,
-        finite(first['pose'], 'global_localization/pose pose', stamp, FARTHEST_M),
-        covariances(first['covariance'], 'global_localization/pose covariance', stamp, 3)[0],
-        landmark_ids(points['id'], 'global_localization/pose'),
-        float(finite(first['pan_rate'], 'global_localization/pose pan rate', stamp, _MAX_SPEED)),
-        *delays_s([first['joint_delay']], 'global_localization/pose delay', stamp),
+        finite(first['pose'], f'{where} pose', stamp, FARTHEST_M),
+        covariances(first['covariance'], f'{where} covariance', stamp, 3)[0],
+        landmark_ids(points['id'], where),
+        float(finite(first['pan_rate'], f'{where} pan rate', stamp, _MAX_SPEED)),
+        *delays_s([first['joint_delay']], f'{where} delay', stamp),
     )
 
 
@@ -113,7 +104,7 @@ def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySam
     Raises `LandmarkNavError`: fields are missing or of another type, the number of points is not
     1, or values are not numbers.
     """
-    points, stamp = unpack_cloud(msg, EXPECTATION), stamp_ns(msg.header)
+    points, stamp = unpack_cloud(msg, clouds.EXPECTATION), stamp_ns(msg.header)
     if len(points) != 1:
         raise LandmarkNavError(f'expectation has {len(points)} points, not 1')
     first = points[0]
@@ -152,7 +143,7 @@ def detections(msg: Any) -> Detections:
     Raises `LandmarkNavError`: fields are missing or of another type, or values are not numbers
     within bounds.
     """
-    points, stamp = unpack_cloud(msg, DETECTIONS), stamp_ns(msg.header)
+    points, stamp = unpack_cloud(msg, clouds.DETECTIONS), stamp_ns(msg.header)
     (delay,) = delays_s(points['joint_delay'][:1].tolist() or [0.0], 'detections delay', stamp)
     # Other sensors may detect a landmark twice at a time.
     landmark_ids(points['id'], 'detections', unique=False)
@@ -187,7 +178,7 @@ def triplet(msg: Any) -> Triplet:
     Raises `LandmarkNavError`: fields are missing or of another type, the number of points is not
     3, or values are not numbers.
     """
-    points, stamp = unpack_cloud(msg, TRIPLET), stamp_ns(msg.header)
+    points, stamp = unpack_cloud(msg, clouds.TRIPLET), stamp_ns(msg.header)
     if len(points) != 3:
         raise LandmarkNavError(f'triplet has {len(points)} points, not 3')
     return Triplet(
@@ -244,5 +235,5 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
         cylinder,
         finite(position, 'panorama position', stamp, FARTHEST_M),
         yaw_rad(pose.orientation, 'panorama orientation', stamp),
-        pose_covariance(pose_msg, UPRIGHT, 'panorama', stamp),
+        pose_covariance(pose_msg, clouds.UPRIGHT, 'panorama', stamp),
     )

@@ -5,10 +5,13 @@ The first argument of every function is a `MessageFactory`: the same code builds
 rosbags for bags and ROS messages for topics.
 """
 
-from landmark_nav.messages.encode.headers import header
 from landmark_nav.messages.encode.images import camera_info, compressed_image, image, panorama
-from landmark_nav.messages.encode.landmarks import landmark_map
-from landmark_nav.messages.encode.markers import landmark_markers, pose_markers, view_markers
+from landmark_nav.messages.encode.markers import (
+    landmark_map,
+    landmark_markers,
+    pose_markers,
+    view_markers,
+)
 from landmark_nav.messages.encode.poses import (
     camera_transform,
     detections,
@@ -25,29 +28,4 @@ from landmark_nav.messages.encode.poses import (
     transforms,
     triplet,
 )
-
-__all__ = [
-    'Transform',
-    'camera_info',
-    'camera_transform',
-    'compressed_image',
-    'detections',
-    'expectation',
-    'global_pose',
-    'header',
-    'image',
-    'joint_state',
-    'joint_transforms',
-    'landmark_map',
-    'landmark_markers',
-    'odometry',
-    'panorama',
-    'planar_transform',
-    'pose',
-    'pose_markers',
-    'pose_stamped',
-    'sweep_trajectory',
-    'transforms',
-    'triplet',
-    'view_markers',
-]
+from landmark_nav.messages.factory import header

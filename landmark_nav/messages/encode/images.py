@@ -9,9 +9,8 @@ import numpy as np
 
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.image_codec import encode_image
-from landmark_nav.messages.encode.headers import header, pose_with_covariance
-from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.layouts import UPRIGHT
+from landmark_nav.messages.clouds import UPRIGHT
+from landmark_nav.messages.factory import header, MessageFactory, pose_with_covariance
 from landmark_nav.types import ImageArray, Panorama
 
 

@@ -10,24 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rot_y, rot_z, rotation_rpy
+from landmark_nav.messages import clouds
+from landmark_nav.messages import factory as factories
 from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.messages.encode.headers import (
-    duration,
-    header,
-    pose_with_covariance,
-    UNKNOWN_VARIANCE,
-    upright,
-    vector,
-)
 from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.messages.layouts import (
-    DETECTIONS,
-    EXPECTATION,
-    GLOBAL_POSE,
-    GlobalPose,
-    PLANAR,
-    TRIPLET,
-)
 from landmark_nav.types import (
     Detections,
     Expectation,
@@ -38,7 +24,7 @@ from landmark_nav.types import (
     Triplet,
 )
 
-_UNKNOWN: FloatArray = UNKNOWN_VARIANCE * np.eye(3)
+_UNKNOWN: FloatArray = factories.UNKNOWN_VARIANCE * np.eye(3)
 
 
 def odometry(
@@ -50,30 +36,25 @@ def odometry(
     child_frame_id: str = 'base_link',
 ) -> Any:
     """
-    Build a nav_msgs/Odometry.
+    Build a nav_msgs/Odometry; `frame_id` need not be ``odom``.
 
-    Parameters
-    ----------
-    sample : OdometrySample
-        Pose of the base in `frame_id`, which need not be ``odom``, and speeds.
-    covariance : ndarray, shape (3, 3), optional
-        Covariance of x, y, heading; unknown by default.
+    The covariance (3, 3) of x, y, heading is unknown by default.
     """
     x, y, yaw = sample.pose_odom_base
     twist = factory(
         'geometry_msgs/msg/Twist',
-        linear=vector(factory, 'Vector3', sample.linear_m_s, 0.0),
-        angular=vector(factory, 'Vector3', 0.0, 0.0, sample.angular_rad_s),
+        linear=factories.vector(factory, 'Vector3', sample.linear_m_s, 0.0),
+        angular=factories.vector(factory, 'Vector3', 0.0, 0.0, sample.angular_rad_s),
     )
     return factory(
         'nav_msgs/msg/Odometry',
-        header=header(factory, sample.stamp_ns, frame_id),
+        header=factories.header(factory, sample.stamp_ns, frame_id),
         child_frame_id=child_frame_id,
-        pose=pose_with_covariance(factory, (x, y, 0.0, yaw), covariance, PLANAR),
+        pose=factories.pose_with_covariance(factory, (x, y, 0.0, yaw), covariance, clouds.PLANAR),
         twist=factory(
             'geometry_msgs/msg/TwistWithCovariance',
             twist=twist,
-            covariance=UNKNOWN_VARIANCE * np.eye(6).reshape(-1),
+            covariance=factories.UNKNOWN_VARIANCE * np.eye(6).reshape(-1),
         ),
     )
 
@@ -83,20 +64,22 @@ def pose(factory: MessageFactory, estimate: PoseEstimate, frame_id: str = 'map')
     x, y, yaw = estimate.pose
     return factory(
         'geometry_msgs/msg/PoseWithCovarianceStamped',
-        header=header(factory, estimate.stamp_ns, frame_id),
-        pose=pose_with_covariance(factory, (x, y, 0.0, yaw), estimate.covariance, PLANAR),
+        header=factories.header(factory, estimate.stamp_ns, frame_id),
+        pose=factories.pose_with_covariance(
+            factory, (x, y, 0.0, yaw), estimate.covariance, clouds.PLANAR
+        ),
     )
 
 
-def global_pose(factory: MessageFactory, place: GlobalPose, frame_id: str = 'map') -> Any:
+def global_pose(factory: MessageFactory, place: clouds.GlobalPose, frame_id: str = 'map') -> Any:
     """Build the PointCloud2 of ``global_localization/pose``, stamped with the image."""
-    points = np.zeros(len(place.ids), dtype=GLOBAL_POSE.fields)
+    points = np.zeros(len(place.ids), dtype=clouds.GLOBAL_POSE.fields)
     points['id'] = place.ids
     points['pose'] = place.pose
     points['covariance'] = place.covariance.reshape(-1)
     points['pan_rate'] = place.pan_rate_rad_s
     points['joint_delay'] = place.joint_delay_s
-    return pack_cloud(factory, header(factory, place.stamp_ns, frame_id), points)
+    return pack_cloud(factory, factories.header(factory, place.stamp_ns, frame_id), points)
 
 
 def expectation(
@@ -115,8 +98,8 @@ def expectation(
         known.values,
         known.sigmas,
     )
-    points = np.array([point], dtype=EXPECTATION.fields)
-    return pack_cloud(factory, header(factory, expected.stamp_ns, frame_id), points)
+    points = np.array([point], dtype=clouds.EXPECTATION.fields)
+    return pack_cloud(factory, factories.header(factory, expected.stamp_ns, frame_id), points)
 
 
 def pose_stamped(
@@ -126,8 +109,8 @@ def pose_stamped(
     x, y, yaw = pose_map
     return factory(
         'geometry_msgs/msg/PoseStamped',
-        header=header(factory, stamp_ns, frame_id),
-        pose=upright(factory, x, y, 0.0, yaw),
+        header=factories.header(factory, stamp_ns, frame_id),
+        pose=factories.upright(factory, x, y, 0.0, yaw),
     )
 
 
@@ -137,7 +120,7 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
 
     Missed landmarks follow as invalid points: NaN, with a score of 0.
     """
-    points = np.zeros(len(found) + len(found.missed), dtype=DETECTIONS.fields)
+    points = np.zeros(len(found) + len(found.missed), dtype=clouds.DETECTIONS.fields)
     points['id'] = np.concatenate([found.ids, found.missed])
     for name in ('bearing', 'bearing_variance', 'u', 'v'):
         points[name] = np.nan
@@ -155,18 +138,18 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
         points['near'] = found.near
     points['joint_delay'] = found.joint_delay_s
     dense = not len(found.missed)
-    return pack_cloud(factory, header(factory, found.stamp_ns, frame_id), points, dense)
+    return pack_cloud(factory, factories.header(factory, found.stamp_ns, frame_id), points, dense)
 
 
 def triplet(factory: MessageFactory, chosen: Triplet, frame_id: str = 'base_link') -> Any:
     """Build the PointCloud2 of ``triplet``."""
-    points = np.zeros(3, dtype=TRIPLET.fields)
+    points = np.zeros(3, dtype=clouds.TRIPLET.fields)
     points['id'] = chosen.ids
     points['bearing'] = chosen.bearing_rad
     points['bearing_sigma'] = chosen.sigma_rad
     points['covariance'] = chosen.covariance.reshape(-1)
     points['pan'] = chosen.pan_rad
-    return pack_cloud(factory, header(factory, chosen.stamp_ns, frame_id), points)
+    return pack_cloud(factory, factories.header(factory, chosen.stamp_ns, frame_id), points)
 
 
 class Transform(NamedTuple):
@@ -210,11 +193,11 @@ def _stamped(factory: MessageFactory, stamp_ns: int, one: Transform) -> Any:
     x, y, z, w = Rotation.from_matrix(one.rotation).as_quat().tolist()
     return factory(
         'geometry_msgs/msg/TransformStamped',
-        header=header(factory, stamp_ns, one.parent),
+        header=factories.header(factory, stamp_ns, one.parent),
         child_frame_id=one.child,
         transform=factory(
             'geometry_msgs/msg/Transform',
-            translation=vector(factory, 'Vector3', *one.translation),
+            translation=factories.vector(factory, 'Vector3', *one.translation),
             rotation=factory('geometry_msgs/msg/Quaternion', x=x, y=y, z=z, w=w),
         ),
     )
@@ -230,7 +213,7 @@ def joint_state(factory: MessageFactory, sample: JointSample, mount: PanTiltMoun
     """Build a sensor_msgs/JointState."""
     return factory(
         'sensor_msgs/msg/JointState',
-        header=header(factory, sample.stamp_ns, ''),
+        header=factories.header(factory, sample.stamp_ns, ''),
         name=[mount.pan_joint, mount.tilt_joint],
         position=np.array([sample.pan_rad, sample.tilt_rad]),
     )
@@ -243,13 +226,13 @@ def sweep_trajectory(
     start_ns = samples[0].stamp_ns
     return factory(
         'trajectory_msgs/msg/JointTrajectory',
-        header=header(factory, start_ns, ''),
+        header=factories.header(factory, start_ns, ''),
         joint_names=[mount.pan_joint, mount.tilt_joint],
         points=[
             factory(
                 'trajectory_msgs/msg/JointTrajectoryPoint',
                 positions=np.array([sample.pan_rad, sample.tilt_rad]),
-                time_from_start=duration(factory, sample.stamp_ns - start_ns),
+                time_from_start=factories.duration(factory, sample.stamp_ns - start_ns),
             )
             for sample in samples
         ],

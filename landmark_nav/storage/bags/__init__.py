@@ -1,17 +1,6 @@
 """Bags: reading, writing, and conversion of their messages to types of this package."""
 
-from landmark_nav.storage.bags.folder import read_sweep_folder
+from landmark_nav.storage.bags.files import BagWriter
 from landmark_nav.storage.bags.reader import Bag, BagMessage
 from landmark_nav.storage.bags.sensors import sensor_events, SensorEvent
-from landmark_nav.storage.bags.sweeps import read_sweeps
-from landmark_nav.storage.bags.writer import BagWriter
-
-__all__ = [
-    'Bag',
-    'BagMessage',
-    'BagWriter',
-    'SensorEvent',
-    'read_sweep_folder',
-    'read_sweeps',
-    'sensor_events',
-]
+from landmark_nav.storage.bags.sweeps import read_sweep_folder, read_sweeps

@@ -2,7 +2,8 @@
 Reader of one MCAP file, complete or truncated: its channels and its messages.
 
 Format: https://mcap.dev/spec. A file with a valid index is read by the index, any other one record
-by record up to the damage. Messages are sorted by log time, and memory is bounded.
+by record until records have no bounds. Damaged chunks are left out. Messages are sorted by log
+time, and memory is bounded.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import bz2
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 import heapq
 from io import BytesIO
 from pathlib import Path
@@ -26,6 +28,8 @@ import zstandard
 
 from landmark_nav.errors import LandmarkNavError, why
 
+# First bytes of what zstd compressed.
+ZSTD = b'\x28\xb5\x2f\xfd'
 # Greatest size of an uncompressed chunk; a recorder writes chunks of 1 to 10 MB.
 CHUNK_BYTES = 256 * 2**20
 # Greatest compression ratio of sensor data; size to which any chunk may unpack; size to which any
@@ -42,19 +46,9 @@ def most_bytes(size: int) -> int:
 
 def unpack(data: bytes, compression: str, size: int | None) -> bytes:
     """
-    Return the uncompressed content of a chunk.
+    Return the uncompressed content of a chunk, of declared `size`, if any.
 
-    Parameters
-    ----------
-    compression : str
-        ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` if the data are not compressed.
-    size : int or None
-        Declared number of bytes of the content; None if it is not declared.
-
-    Raises
-    ------
-    ValueError
-        The content has not the declared size, or is larger than a recorder writes.
+    Raises `ValueError`: the content has not that size, or is larger than a recorder writes.
     """
     limit = min(CHUNK_BYTES, max(_SMALL_BYTES, _RATIO * len(data)))
     if size is not None and size > limit:
@@ -103,7 +97,7 @@ def unpack_file(path: Path, target: IO[bytes]) -> None:
 
 def _opened(stream: BinaryIO) -> Any:
     """Return a reader of the content of a compressed stream."""
-    zstd = stream.read(4) == b'\x28\xb5\x2f\xfd'
+    zstd = stream.read(4) == ZSTD
     stream.seek(0)
     if zstd:
         return zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
@@ -116,6 +110,8 @@ _FOOTER_BYTES = 9 + 20 + len(_MAGIC)
 
 # Greatest number of channels of a file; a robot has some hundreds.
 MAX_CHANNELS = 65535
+# Last time that fits into 64 bits with a sign.
+_LATEST_NS = 2**63 - 1
 # Greatest number of records of a chunk; a recorder writes some thousands.
 _MAX_RECORDS = 1_000_000
 
@@ -155,23 +151,10 @@ class RawMessage:
 
 class McapFile:
     """
-    An MCAP file.
+    An MCAP file, with the `counts` of messages of its channels.
 
-    Parameters
-    ----------
-    on_warning : callable
-        Called with one line if the file is truncated or damaged.
-    name : Path, optional
-        Name of the file in messages; `path` by default.
-
-    Attributes
-    ----------
-    counts : dict
-        Number of messages of each `ChannelInfo`.
-    first_ns, last_ns : int
-        Log times of the first and last message; 0 for an empty file.
-    complete : bool
-        Whether the file is not truncated.
+    `on_warning` is called with one line if the file is truncated, hence not `complete`, or
+    damaged. The log times of the first and last message are 0 for an empty file.
     """
 
     def __init__(
@@ -183,55 +166,80 @@ class McapFile:
         self.first_ns = self.last_ns = 0
         self.complete = True
         self._ordered = True
-        self._index: _Index | None = None
+        self._warn = on_warning
+        # Reasons why chunks cannot be read, by their place in the file.
+        self._damaged: dict[int, str] = {}
+        index: _Index | None = None
         try:
             with path.open('rb') as stream:
-                self._index = _Index.read(stream)
+                index = _Index.read(stream)
         except _TooManyChannelsError as error:
             raise LandmarkNavError(f'{self.name}: {error}') from error
         except _DAMAGE:
             pass
+        self._index = index if index is not None and index.agrees else None
+        if self._index is None:
+            self._take_scan()
+            # Damaged records hide those after them from a scan.
+            if not self.complete and index is not None and index.overlap_bytes <= _HELD_BYTES:
+                self._index, self.complete = index, True
         if self._index is not None:
             self._take_index(self._index)
-        else:
-            self._take_scan(on_warning)
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield messages of `topics` (all by default) by log time."""
-        if self._index is None:
-            scanned = self._scan(topics)
-            yield from scanned if self._ordered else self._by_time(scanned)
-            return
-        try:
-            if self._index.overlap_bytes <= _HELD_BYTES:
-                yield from self._index.messages(self.path, topics)
-            else:
-                yield from self._by_time(self._scan(topics))
-        except LandmarkNavError:
-            raise
-        except _DAMAGE as error:
-            raise LandmarkNavError(
-                f'{self.name}: damaged inside ({error}): repair it with `mcap recover`'
-            ) from error
-
-    def _take_index(self, index: _Index) -> None:
-        self.first_ns, self.last_ns = index.span_ns
-        for identity, info in index.records.channels.items():
-            self.counts[info] = self.counts.get(info, 0) + index.counts.get(identity, 0)
-
-    def _take_scan(self, on_warning: Callable[[str], None]) -> None:
-        self.complete = False
-        for message in self._scan(None):
-            self.counts[message.channel] = self.counts.get(message.channel, 0) + 1
-            self.first_ns = min(self.first_ns or message.stamp_ns, message.stamp_ns)
-            self._ordered &= message.stamp_ns >= self.last_ns
-            self.last_ns = max(self.last_ns, message.stamp_ns)
-        if not self.complete:
+        elif not self.complete:
             total = sum(self.counts.values())
             on_warning(
                 f'{self.name}: cut off or damaged before its end ({self._break}): read up to the '
                 f'break, {total} messages, {(self.last_ns - self.first_ns) * 1e-9:.1f} s'
             )
+
+    @property
+    def damaged(self) -> bool:
+        """Whether a chunk that was read is damaged."""
+        return bool(self._damaged)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield messages of `topics` (all by default) by log time."""
+        if self._index is None:
+            scanned = self._scan(topics)
+            found = scanned if self._ordered else self._by_time(scanned)
+        elif self._index.overlap_bytes <= _HELD_BYTES:
+            found = self._index.messages(self.path, topics, self._of_chunk)
+        else:
+            found = self._by_time(self._scan(topics))
+        known = len(self._damaged)
+        try:
+            yield from found
+        finally:
+            if lost := list(self._damaged.values())[known:]:
+                count = '1 chunk is' if len(lost) == 1 else f'{len(lost)} chunks are'
+                self._warn(f'{self.name}: {count} damaged and left out: {lost[0]}')
+
+    def _of_chunk(
+        self, place: int, span_ns: tuple[int, int], read: Callable[[], list[RawMessage]]
+    ) -> list[RawMessage]:
+        """Messages of a chunk, as `read` returns them; none if it is damaged."""
+        try:
+            return read()
+        except _TooManyChannelsError as error:
+            raise LandmarkNavError(f'{self.name}: {error}') from error
+        except _DAMAGE as error:
+            begin_s, end_s = (1e-9 * time_ns for time_ns in span_ns)
+            self._damaged[place] = f'{begin_s:.1f} to {end_s:.1f} s ({error})'
+            return []
+
+    def _take_index(self, index: _Index) -> None:
+        self.counts.clear()
+        self.first_ns, self.last_ns = index.span_ns
+        for identity, info in index.records.channels.items():
+            self.counts[info] = self.counts.get(info, 0) + index.counts.get(identity, 0)
+
+    def _take_scan(self) -> None:
+        self.complete = False
+        for message in self.messages():
+            self.counts[message.channel] = self.counts.get(message.channel, 0) + 1
+            self.first_ns = min(self.first_ns or message.stamp_ns, message.stamp_ns)
+            self._ordered &= message.stamp_ns >= self.last_ns
+            self.last_ns = max(self.last_ns, message.stamp_ns)
 
     def _scan(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
         """
@@ -248,11 +256,13 @@ class McapFile:
             try:
                 for opcode, payload, whole in _records(stream, size):
                     if opcode == Opcode.CHUNK:
-                        content = _chunk_content(payload, whole)
-                        unpacked_bytes += len(content)
-                        if unpacked_bytes > most:
+                        *span_ns, declared = struct.unpack_from('<QQQ', payload)
+                        unpacked_bytes += declared
+                        if whole and unpacked_bytes > most:
                             raise ValueError('it unpacks to more than a recording of its size')
-                        yield from records.messages(content, topics, whole)
+                        place = stream.tell() - len(payload) - 9
+                        read = partial(records.of_chunk, payload, topics, whole)
+                        yield from self._of_chunk(place, (span_ns[0], span_ns[1]), read)
                     elif opcode == Opcode.FOOTER and whole:
                         self.complete = True
                         return
@@ -305,6 +315,8 @@ class _Records:
         """Keep the definition in a record; return the message in it if it is on `topics`."""
         if opcode == Opcode.MESSAGE:
             channel, _, log_time_ns, _ = struct.unpack_from('<HIQQ', payload)
+            if log_time_ns > _LATEST_NS:
+                raise ValueError(f'a log time of {log_time_ns} ns')
             info = self.channels[channel]
             if topics is None or info.topic in topics:
                 return RawMessage(info, log_time_ns, payload[22:])
@@ -327,14 +339,15 @@ class _Records:
             self.channels[channel.id] = _info(channel, self.schemas.get(channel.schema_id))
             self.schema_of[channel.id] = channel.schema_id
 
-    def messages(
-        self, content: bytes, topics: Collection[str] | None, whole: bool
+    def of_chunk(
+        self, payload: bytes, topics: Collection[str] | None, whole: bool
     ) -> list[RawMessage]:
         """Messages of a chunk, complete (`whole`) or truncated, by log time."""
+        content = _chunk_content(payload, whole)
         found = []
         inside = _records(BytesIO(content), len(content))
         for count, (opcode, payload, entire) in enumerate(inside):
-            if not opcode or count == _MAX_RECORDS or (whole and not entire):
+            if count == _MAX_RECORDS or (whole and not entire):
                 raise ValueError('a chunk holds what is no message')
             if entire and (message := self.take(opcode, payload, topics)):
                 found.append(message)
@@ -343,12 +356,17 @@ class _Records:
 
 
 class _Index:
-    """Summary section of a complete file."""
+    """Summary section of a complete file; `agrees` if all its chunks begin where it says."""
 
     def __init__(
-        self, records: _Records, statistics: Statistics, chunks: list[ChunkIndex]
+        self,
+        records: _Records,
+        statistics: Statistics,
+        chunks: list[ChunkIndex],
+        *,
+        agrees: bool,
     ) -> None:
-        self.records = records
+        self.records, self.agrees = records, agrees
         self.counts = statistics.channel_message_counts
         self.span_ns = (
             (statistics.message_start_time, statistics.message_end_time)
@@ -400,13 +418,22 @@ class _Index:
         after = [*(offset for offset, _ in ends[1:]), begin]
         sound = all(o + n <= end for (o, n), end in zip(ends, after, strict=True))
         sound &= all(c.message_start_time <= c.message_end_time for c in chunks)
-        sound = sound and all(_begins_there(stream, chunk) for chunk in chunks)
         complete = named == statistics.message_count and schemas >= {*records.schema_of.values()}
         # Messages outside of chunks have no index.
         empty = not chunks and statistics.message_count
-        return cls(records, statistics, chunks) if sound and complete and not empty else None
+        if not sound or not complete or empty:
+            return None
+        agrees = all(_begins_there(stream, chunk) for chunk in chunks)
+        return cls(records, statistics, chunks, agrees=agrees)
 
-    def messages(self, path: Path, topics: Collection[str] | None) -> Iterator[RawMessage]:
+    def messages(
+        self,
+        path: Path,
+        topics: Collection[str] | None,
+        of_chunk: Callable[
+            [int, tuple[int, int], Callable[[], list[RawMessage]]], list[RawMessage]
+        ],
+    ) -> Iterator[RawMessage]:
         """Yield messages by log time; a chunk is read when its first message is due."""
         channels = self.records.channels
         wanted = {k for k, info in channels.items() if topics is None or info.topic in topics}
@@ -419,20 +446,30 @@ class _Index:
                     continue
                 while held and held[0][0] < chunk.message_start_time:
                     yield heapq.heappop(held)[2]
-                stream.seek(chunk.chunk_start_offset)
-                ((_, payload, whole),) = _records(stream, chunk.chunk_length)
-                content = _chunk_content(payload, whole)
-                for raw in self.records.messages(content, topics, whole):
+                span_ns = chunk.message_start_time, chunk.message_end_time
+                read = partial(self._of_chunk, stream, chunk, topics)
+                for raw in of_chunk(chunk.chunk_start_offset, span_ns, read):
                     heapq.heappush(held, (raw.stamp_ns, order, raw))
                     order += 1
         while held:
             yield heapq.heappop(held)[2]
 
+    def _of_chunk(
+        self, stream: BinaryIO, chunk: ChunkIndex, topics: Collection[str] | None
+    ) -> list[RawMessage]:
+        if not _begins_there(stream, chunk):
+            raise ValueError('it does not begin where the index says')
+        stream.seek(chunk.chunk_start_offset)
+        ((_, payload, whole),) = _records(stream, chunk.chunk_length)
+        if struct.unpack_from('<Q', payload, 16) != (chunk.uncompressed_size,):
+            raise ValueError('it has another size than the index says')
+        return self.records.of_chunk(payload, topics, whole)
+
 
 def _begins_there(stream: BinaryIO, chunk: ChunkIndex) -> bool:
     stream.seek(chunk.chunk_start_offset)
-    opcode, length = struct.unpack('<BQ', stream.read(9))
-    return bool(opcode == Opcode.CHUNK and length + 9 == chunk.chunk_length)
+    head = stream.read(9)
+    return len(head) == 9 and struct.unpack('<BQ', head) == (Opcode.CHUNK, chunk.chunk_length - 9)
 
 
 def _info(channel: Channel, schema: Schema | None) -> ChannelInfo:
@@ -451,6 +488,8 @@ def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
     while left >= 9:
         opcode, length = struct.unpack('<BQ', stream.read(9))
         left -= 9
+        if not opcode:
+            raise ValueError('zeros where a record should begin')
         if opcode not in _READ:
             stream.seek(min(length, left), 1)
             left -= length

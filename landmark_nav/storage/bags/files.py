@@ -1,33 +1,37 @@
-"""Files of a bag in all supported formats, also split and compressed ones."""
+"""Files of a bag: readers of all formats, also split and compressed ones, and the writer."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 import sqlite3
 from tempfile import NamedTemporaryFile
+from types import TracebackType
 from typing import Any
 from urllib.parse import quote
-import weakref
 from weakref import finalize
 
-from rosbags.interfaces import Connection
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1.reader import decompressors, Header, RecordType
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.storage.bags.container import (
-    ChannelInfo,
-    CHUNK_BYTES,
-    MAX_CHANNELS,
-    McapFile,
-    RawMessage,
-    unpack,
-    unpack_file,
-)
+from landmark_nav.messages.factory import default_typestore
+from landmark_nav.storage.atomic_io import atomic_folder
+from landmark_nav.storage.bags import container
+from landmark_nav.storage.bags.definitions import MAP_TOPICS
 from landmark_nav.storage.reading import read_yaml_mapping
 
 _ENCODINGS = {'MSG': 'ros2msg', 'IDL': 'ros2idl', 'NONE': ''}
@@ -42,7 +46,7 @@ class RosbagsFile:
     Raises `LandmarkNavError`: the file is damaged, or not a bag.
     """
 
-    complete = True
+    complete, damaged = True, False
 
     def __init__(self, path: Path, name: Path | None = None) -> None:
         """Open a file; messages call it `name`."""
@@ -51,12 +55,12 @@ class RosbagsFile:
             ros1 = stream.read(7) == b'#ROSBAG'
         with _naming(self.name):
             self._reader = _ros1(path) if ros1 else _sqlite3(path)
-        weakref.finalize(self, self._reader.close)
+        finalize(self, _close, self._reader)
         self._infos = {
             connection.id: _info(connection, 'ros1' if ros1 else 'cdr')
             for connection in self._reader.connections
         }
-        self.counts: dict[ChannelInfo, int] = {}
+        self.counts: dict[container.ChannelInfo, int] = {}
         for connection in self._reader.connections:
             info = self._infos[connection.id]
             self.counts[info] = self.counts.get(info, 0) + connection.msgcount
@@ -65,14 +69,22 @@ class RosbagsFile:
         self.first_ns = of_time.start_time if filled else 0
         self.last_ns = of_time.end_time - 1 if filled else 0
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[container.RawMessage]:
         """Yield messages of `topics` (all by default) by log time."""
         wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
         if not wanted:
             return
         with _naming(self.name):
             for connection, stamp_ns, data in self._reader.messages(wanted):
-                yield RawMessage(self._infos[connection.id], stamp_ns, data)
+                # SQLite keeps values of any type.
+                yield container.RawMessage(
+                    self._infos[connection.id], int(stamp_ns), bytes(memoryview(data))
+                )
+
+
+def _close(reader: Ros1Reader | Sqlite3Reader) -> None:
+    with suppress(Exception):  # a reading that an error ended keeps SQLite busy
+        reader.close()
 
 
 @contextmanager
@@ -93,7 +105,7 @@ def _sqlite3(path: Path) -> Sqlite3Reader:
         (count,) = base.execute('SELECT count(*) FROM topics').fetchone()
         (longest,) = base.execute('SELECT max(length(data)) FROM messages').fetchone()
     _check_channels(count)
-    if longest is not None and longest > CHUNK_BYTES:
+    if longest is not None and longest > container.CHUNK_BYTES:
         raise ValueError(f'a message of {longest} bytes')
     reader = Sqlite3Reader(path)
     reader.open()
@@ -112,7 +124,9 @@ def _ros1(path: Path) -> Ros1Reader:
     names = {unbounded: name for name, unbounded in decompressors.items()}
     reader.chunks = {
         place: chunk._replace(
-            decompressor=partial(unpack, compression=names[chunk.decompressor], size=None)
+            decompressor=partial(
+                container.unpack, compression=names[chunk.decompressor], size=None
+            )
         )
         for place, chunk in reader.chunks.items()
     }
@@ -120,13 +134,13 @@ def _ros1(path: Path) -> Ros1Reader:
 
 
 def _check_channels(count: int) -> None:
-    if count > MAX_CHANNELS:
+    if count > container.MAX_CHANNELS:
         raise ValueError(f'{count} channels, more than a robot has')
 
 
-def _info(connection: Connection, encoding: str) -> ChannelInfo:
+def _info(connection: Connection, encoding: str) -> container.ChannelInfo:
     definition = connection.msgdef
-    return ChannelInfo(
+    return container.ChannelInfo(
         connection.topic,
         connection.msgtype,
         encoding,
@@ -135,10 +149,10 @@ def _info(connection: Connection, encoding: str) -> ChannelInfo:
     )
 
 
-BagFile = McapFile | RosbagsFile
+BagFile = container.McapFile | RosbagsFile
 
 _MCAP, _OTHERS = b'\x89MCAP0\r\n', (b'SQLite format 3\0', b'#ROSBAG')
-_PACKED = (b'\x28\xb5\x2f\xfd', b'\x04\x22\x4d\x18')
+_PACKED = (container.ZSTD, b'\x04\x22\x4d\x18')
 _SUFFIXES = ('.mcap', '.db3', '.bag')
 _PACKED_SUFFIXES = ('.zstd', '.zst', '.lz4')
 _WHAT = 'give a rosbag2 folder or a file .mcap, .db3 or .bag'
@@ -148,14 +162,9 @@ def open_files(path: Path, on_warning: Callable[[str], None]) -> tuple[list[BagF
     """
     Open the files of a bag; also return whether messages are compressed one by one.
 
-    Raises `LandmarkNavError`: there is no bag, or a file of it is missing or damaged.
-
-    Parameters
-    ----------
-    path : Path
-        Rosbag2 folder, folder of bag files, or a bag file; the files may be compressed.
-    on_warning : callable
-        Called with one line for each defect that is passed over.
+    The bag is a rosbag2 folder, a folder of bag files, or a bag file; the files may be compressed.
+    `on_warning` is called with one line for each defect that is passed over. Raises
+    `LandmarkNavError`: there is no bag, or a file of it is missing or damaged.
     """
     paths, by_message = _paths(path, on_warning)
     return [_opened(file, on_warning) for file in paths], by_message
@@ -171,7 +180,7 @@ def _opened(path: Path, on_warning: Callable[[str], None]) -> BagFile:
         content = Path(unpacked.name)
         remove = partial(content.unlink, missing_ok=True)
         try:
-            unpack_file(path, unpacked)
+            container.unpack_file(path, unpacked)
             unpacked.seek(0)
             file = _storage(content, path, unpacked.read(16), on_warning)
         except BaseException:
@@ -183,7 +192,7 @@ def _opened(path: Path, on_warning: Callable[[str], None]) -> BagFile:
 
 def _storage(path: Path, name: Path, head: bytes, on_warning: Callable[[str], None]) -> BagFile:
     if head.startswith(_MCAP):
-        return McapFile(path, on_warning, name)
+        return container.McapFile(path, on_warning, name)
     if head.startswith(_OTHERS):
         return RosbagsFile(path, name)
     if not head:
@@ -197,8 +206,10 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
         raise LandmarkNavError(f'{path}: no bag there: {_WHAT}')
     if path.name == 'metadata.yaml':
         raise LandmarkNavError(f'{path}: give the folder it lies in, {path.parent}')
-    if not path.is_dir():
+    if path.is_file():
         return [path], False
+    if not path.is_dir():
+        raise LandmarkNavError(f'{path}: neither a file nor a folder: {_WHAT}')
     if not (path / 'metadata.yaml').is_file():
         return _without_metadata(path, on_warning), False
     metadata = path / 'metadata.yaml'
@@ -253,3 +264,86 @@ def _without_metadata(path: Path, on_warning: Callable[[str], None]) -> list[Pat
 def _bag_files(folder: Path) -> list[Path]:
     ends = tuple(f'{end}{packed}' for end in _SUFFIXES for packed in ('', *_PACKED_SUFFIXES))
     return sorted(file for file in folder.iterdir() if file.name.endswith(ends) and file.is_file())
+
+
+# Patterns of the files in the folder of a bag, for `atomic_folder`.
+_OWN = ('metadata.yaml', '*.mcap')
+# Topics that `ros2 bag play` latches: it publishes each topic with the recorded QoS.
+_LATCHED_TOPICS = {f'/{topic}' for topic in (*MAP_TOPICS, 'tf_static')}
+_NEVER = QosTime(9223372036, 854775807)
+_LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _NEVER,
+    _NEVER,
+    QosLiveliness.AUTOMATIC,
+    _NEVER,
+    False,
+)
+
+
+class BagWriter:
+    """
+    Writes a rosbag2 folder: ``metadata.yaml`` and MCAP with ``ros2msg`` schemas and ``cdr``.
+
+    It is a context manager based on `atomic_folder`: the bag appears at `path` when the context
+    ends without an exception.
+    """
+
+    def __init__(self, path: Path | str, overwrite: bool = False) -> None:
+        self.path = Path(path)
+        self._folder = atomic_folder(self.path, _OWN, overwrite)
+        self._store = default_typestore()
+        self._connections: dict[str, Any] = {}
+
+    def __enter__(self) -> BagWriter:
+        """Open the file; `LandmarkNavError` if `path` exists and may not be replaced."""
+        # The writer names the file after its folder, so that a subfolder has the name of the bag.
+        self._growing = self._folder.__enter__() / self.path.name
+        # rosbag2 writes version 9 of the metadata since Jazzy.
+        self._writer = Writer(self._growing, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Move the bag to its place, or remove it after an exception."""
+        try:
+            self._writer.__exit__(kind, error, trace)
+            for file in self._growing.iterdir() if kind is None else ():
+                file.rename(self._growing.parent / file.name)
+            if kind is None:
+                self._growing.rmdir()
+        except OSError as failed:
+            kind, error, trace = type(failed), failed, failed.__traceback__
+        self._folder.__exit__(kind, error, trace)
+
+    def write(self, topic: str, message: Any, stamp_ns: int) -> None:
+        """
+        Append a message made by `landmark_nav.messages.factory.rosbag_factory`.
+
+        ``/`` is put before a relative topic.
+        """
+        type_name = message.__msgtype__
+        data = self._store.serialize_cdr(message, type_name)
+        self.write_serialized(topic, type_name, data, stamp_ns)
+
+    def write_serialized(
+        self, topic: str, type_name: str, data: bytes | memoryview, stamp_ns: int
+    ) -> None:
+        """Append a serialised message: CDR with its four bytes of encapsulation."""
+        topic = '/' + topic.lstrip('/')
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                topic,
+                type_name,
+                typestore=self._store,
+                offered_qos_profiles=[_LATCHED] if topic in _LATCHED_TOPICS else [],
+            )
+        self._writer.write(self._connections[topic], stamp_ns, data)

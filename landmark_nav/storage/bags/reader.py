@@ -11,8 +11,9 @@ from contextlib import contextmanager
 from copy import copy
 from functools import cached_property
 import heapq
-from itertools import islice
+from itertools import islice, starmap
 import logging
+from operator import itemgetter
 from pathlib import Path
 import struct
 from typing import Any, TypeVar
@@ -23,16 +24,9 @@ from scipy.ndimage import median_filter
 from landmark_nav.arrays import IntArray
 from landmark_nav.errors import inside, LandmarkNavError, why
 from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
-from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack
-from landmark_nav.storage.bags.definitions import has_header, MessageReader, STANDARD_NAMES
+from landmark_nav.storage.bags import definitions
+from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack, ZSTD
 from landmark_nav.storage.bags.files import BagFile, open_files
-from landmark_nav.storage.bags.topics import (
-    find_topic,
-    listed,
-    relative_name,
-    remedy_of_missing,
-    TOPIC_TYPES,
-)
 
 _LOG = logging.getLogger(__name__)
 
@@ -41,18 +35,9 @@ _STAMPS = 20
 
 
 class BagMessage:
-    """
-    A message of a bag, deserialised when `message` is first used.
+    """A message of a bag with its log time, deserialised when `message` is first used."""
 
-    Attributes
-    ----------
-    topic, type_name : str
-        Absolute topic, and type such as ``sensor_msgs/msg/Image``.
-    stamp_ns : int
-        Log time.
-    """
-
-    def __init__(self, raw: RawMessage, reader: MessageReader, bag: Bag) -> None:
+    def __init__(self, raw: RawMessage, reader: definitions.MessageReader, bag: Bag) -> None:
         """Keep the serialised message."""
         self.topic = raw.channel.topic
         self.type_name = reader.type_name
@@ -119,27 +104,12 @@ class Bag:
     """
     A bag that can be read several times.
 
+    It is a folder, or a file ``.mcap``, ``.db3`` or (ROS 1) ``.bag``, and may be compressed.
+    `on_warning` is called with one line for each defect that is passed over; `topics` are those
+    of the bag by their names in the contract, if they differ. A bag is `complete` if no file is
+    truncated.
+
     Raises `LandmarkNavError`: the path does not exist, or is not a supported bag.
-
-    Parameters
-    ----------
-    path : path-like
-        Rosbag2 folder, or a file ``.mcap``, ``.db3`` or (ROS 1) ``.bag``; it may be compressed.
-    on_warning : callable
-        Called with one line for each defect that is passed over; a logger by default.
-    topics : mapping, optional
-        Name in the contract -> topic of the bag, for topics with other names.
-
-    Attributes
-    ----------
-    types : dict
-        Type of each topic.
-    counts : dict
-        Number of messages of each topic.
-    duration_s : float
-        Time from the first to the last message.
-    complete : bool
-        Whether no file is truncated.
     """
 
     def __init__(
@@ -157,18 +127,25 @@ class Bag:
             self._files, self._by_message = open_files(self.path, on_warning)
         except OSError as error:
             raise LandmarkNavError(f'{self.path}: cannot be read: {why(error)}') from error
-        self._readers: dict[ChannelInfo, MessageReader] = {}
+        self._readers: dict[ChannelInfo, definitions.MessageReader] = {}
         self._unstamped: dict[str, bool] = {}
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for file in self._files:
             for info, count in file.counts.items():
-                self.types[info.topic] = STANDARD_NAMES.get(info.type_name, info.type_name)
+                self.types[info.topic] = definitions.STANDARD_NAMES.get(
+                    info.type_name, info.type_name
+                )
                 self.counts[info.topic] = self.counts.get(info.topic, 0) + count
         filled = [file for file in self._files if any(file.counts.values())]
         self.start_ns = min((file.first_ns for file in filled), default=0)
         self.duration_s = 1e-9 * (max((f.last_ns for f in filled), default=0) - self.start_ns)
         self.complete = all(file.complete for file in self._files)
+
+    @property
+    def damaged(self) -> bool:
+        """Whether anything that was read so far had to be left out as damaged."""
+        return any(file.damaged for file in self._files)
 
     def inform(self, text: str) -> None:
         """Issue a warning, once for each text."""
@@ -189,8 +166,10 @@ class Bag:
 
         Raises `LandmarkNavError`: the topic is ambiguous, or has another type.
         """
+        if ':' in self._given.get(name, ''):
+            return None  # a frame of /tf takes its place
         with inside(self.path):
-            topic = find_topic(name, self._filled(), self._given)
+            topic = definitions.find_topic(name, self._filled(), self._given)
         given = {other.strip('/') for other in self._given.values()}
         if topic is not None and topic.strip('/') not in {name, *given}:
             self.inform(f'{topic} is taken for {name}')
@@ -207,7 +186,7 @@ class Bag:
         return [
             topic
             for topic, kind in sorted(self._filled().items())
-            if relative_name(topic) == name and kind == TOPIC_TYPES[name]
+            if definitions.relative_name(topic) == name and kind == definitions.TOPIC_TYPES[name]
         ]
 
     def require(self, *alternatives: str) -> str:
@@ -220,10 +199,10 @@ class Bag:
         for name in alternatives:
             if topic := self.find(name):
                 return topic
-        there = listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
+        there = definitions.listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
         raise LandmarkNavError(
             f'{self.path}: topic {alternatives[0]} is missing: '
-            f'{remedy_of_missing(alternatives, self._filled())}; there are {there}'
+            f'{definitions.remedy_of_missing(alternatives, self._filled())}; there are {there}'
         )
 
     def _filled(self) -> dict[str, str]:
@@ -232,14 +211,9 @@ class Bag:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
         """
-        Yield messages by log time.
+        Yield messages by log time, of all topics by default.
 
         Raises `LandmarkNavError`: a file is damaged, or the messages of a topic cannot be read.
-
-        Parameters
-        ----------
-        topics : collection of str, optional
-            Absolute names, as in `types`; all by default.
         """
         for file in self._files:
             for info in file.counts:
@@ -249,12 +223,12 @@ class Bag:
             yield BagMessage(raw, self._reader(raw.channel), self)
 
     def is_unstamped(self, topic: str) -> bool:
-        """Whether the first headers of a topic have no stamps; reported once."""
+        """Whether the first headers of a topic have no stamps; reported once by each copy."""
         if topic not in self._unstamped:
             first = islice(self.messages([topic]), _STAMPS)
             self._unstamped[topic] = not any(entry.header_ns for entry in first)
-            if self._unstamped[topic]:
-                self.inform(f'{topic} has stamps of 0: the time of recording is taken')
+        if self._unstamped[topic]:
+            self.inform(f'{topic} has stamps of 0: the time of recording is taken')
         return self._unstamped[topic]
 
     @cached_property
@@ -265,7 +239,7 @@ class Bag:
         A message without a stamp has its log time instead.
         """
         found: dict[str, list[tuple[int, int]]] = {}
-        topics = [topic for topic, kind in self._filled().items() if has_header(kind)]
+        topics = [topic for topic, kind in self._filled().items() if definitions.has_header(kind)]
         for raw in _merged(self._files, topics) if topics else ():
             entry = BagMessage(raw, self._reader(raw.channel), self)
             found.setdefault(entry.topic, []).append((entry.stamp_ns, entry.header_ns))
@@ -275,13 +249,14 @@ class Bag:
         }
 
     def unpacked(self, data: bytes) -> bytes:
-        """Data of a message, uncompressed."""
-        return unpack(data, 'zstd', None) if self._by_message else data
+        """Data of a message, uncompressed; metadata may name a compression that there is not."""
+        packed = self._by_message and data.startswith(ZSTD)
+        return unpack(data, 'zstd', None) if packed else data
 
-    def _reader(self, info: ChannelInfo) -> MessageReader:
+    def _reader(self, info: ChannelInfo) -> definitions.MessageReader:
         if info not in self._readers:
             try:
-                self._readers[info] = MessageReader(info)
+                self._readers[info] = definitions.MessageReader(info)
             except LandmarkNavError as error:
                 raise LandmarkNavError(f'{self.path}: topic {info.topic}: {error}') from error
         return self._readers[info]
@@ -289,32 +264,21 @@ class Bag:
 
 def _merged(files: Iterable[BagFile], topics: Collection[str] | None) -> Iterator[RawMessage]:
     """Yield messages of all files by log time; a file is read when its first message is due."""
+
+    def read(order: int, file: BagFile) -> Iterator[tuple[int, int, RawMessage | None]]:
+        yield file.first_ns, order, None
+        for raw in file.messages(topics):
+            yield raw.stamp_ns, order, raw
+
     wanted = [
         file
         for file in files
         if any(n and (topics is None or info.topic in topics) for info, n in file.counts.items())
     ]
-    heads: list[tuple[int, int, RawMessage, Iterator[RawMessage]]] = []
-    for order, file in enumerate(sorted(wanted, key=lambda file: file.first_ns)):
-        yield from _until(file.first_ns, heads)
-        messages = file.messages(topics)
-        if (first := next(messages, None)) is not None:
-            heapq.heappush(heads, (first.stamp_ns, order, first, messages))
-    yield from _until(None, heads)
-
-
-def _until(
-    stamp_ns: int | None, heads: list[tuple[int, int, RawMessage, Iterator[RawMessage]]]
-) -> Iterator[RawMessage]:
-    """Yield messages of opened files with log times before `stamp_ns`; None for all."""
-    while heads and (stamp_ns is None or heads[0][0] < stamp_ns):
-        _, order, raw, messages = heads[0]
-        yield raw
-        following = next(messages, None)
-        if following is None:
-            heapq.heappop(heads)
-        else:
-            heapq.heapreplace(heads, (following.stamp_ns, order, following, messages))
+    wanted.sort(key=lambda file: file.first_ns)
+    for _, _, message in heapq.merge(*starmap(read, enumerate(wanted)), key=itemgetter(0, 1)):
+        if message is not None:
+            yield message
 
 
 T = TypeVar('T')
@@ -327,14 +291,7 @@ _AROUND = 5
 
 
 def wrong_stamps(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
-    """
-    Return the errors of wrong stamps, in nanoseconds, by log time and stamp of the message.
-
-    Parameters
-    ----------
-    stamps_ns : ndarray of int, shape (n, 2)
-        Log times and stamps of the messages of a topic.
-    """
+    """Errors of wrong stamps, ns, by log times and stamps (n, 2) of the messages of a topic."""
     if len(stamps_ns) < _AROUND:
         return {}
     offsets = stamps_ns[:, 1] - stamps_ns[:, 0]
@@ -367,14 +324,8 @@ class MessageFilter:
     Leaves out the unusable messages of a topic, and reports their number once.
 
     A message is unusable if its decoder refuses it, or if its stamp deviates from those of its
-    neighbours by more than a transport delays messages (`wrong_stamps`).
-
-    Parameters
-    ----------
-    what : str
-        Noun for the messages in the report.
-    needed : bool
-        Whether at least one message must be usable.
+    neighbours by more than a transport delays messages (`wrong_stamps`). If `needed`, one must be
+    usable.
     """
 
     def __init__(
@@ -405,10 +356,11 @@ class MessageFilter:
 
     def report(self) -> None:
         """Warn of messages left out; `LandmarkNavError` if none was usable but some are needed."""
+        if not self._used and self._needed:
+            nothing = f'{self._bag.path}: {self._topic}: no message can be read'
+            raise LandmarkNavError(next(iter(self._complaints), nothing))
         if not self._complaints:
             return
-        if not self._used and self._needed:
-            raise LandmarkNavError(self._complaints[0])
         count = len(self._complaints)
         self._bag.warn(
             f'{count} of {self._used + count} {self._what} left out: {self._complaints[0]}'

@@ -1,19 +1,27 @@
-"""Reader of the sweeps of a bag: frames with their pans."""
+"""Reader of the sweeps of a bag, or of a folder of images: frames with their pans."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+import csv
 from dataclasses import dataclass, field, replace
+from io import StringIO
+from pathlib import Path
 
 import numpy as np
 
-from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.arrays import IntArray
+from landmark_nav.errors import inside, LandmarkNavError, shown
+from landmark_nav.geometry.angles import check_one_turn
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import describe_coverage, unseen_arcs
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter, naming, once
+from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded, MessageFilter, naming, once
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
+from landmark_nav.storage.reading import read_image, read_text
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
+
+_IMAGES = ('sweep/image', 'sweep/image/compressed')
 
 
 def check_coverage(
@@ -25,23 +33,10 @@ def check_coverage(
     cut_off: bool,
 ) -> bool:
     """
-    Report the angles that a sweep does not cover by the `warn` of its bag.
+    Report the angles that a sweep does not cover by the `warn` of its bag; is it usable?
 
+    `missing` angles of the trajectory have no frame. A sweep that may be cut off must be complete.
     Raises `LandmarkNavError`: the sweep has no frame.
-
-    Parameters
-    ----------
-    frames : sequence of CameraFrame
-        Frames by time.
-    missing : sequence of JointSample
-        Angles of the trajectory without a frame.
-    cut_off : bool
-        Whether the recording may have ended during this sweep.
-
-    Returns
-    -------
-    bool
-        Whether the sweep can be used; if it may be cut off, it must be complete.
     """
     where = f'{bag.path}: the sweep of {start_ns * 1e-9:.1f} s'
     pans = [frame.pan_rad for frame in frames]
@@ -95,26 +90,16 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     """
     Read the sweeps of a bag, one at a time, in the order of their start.
 
-    The pan of a frame is measured in ``sweep/trajectory``, which is published at the end of a
-    sweep. If there is none, or the bag ends before it, ``joint_states`` give the pan. Images that
-    cannot be decoded are left out if other frames cover their arcs.
+    The bag holds ``sweep/image`` or its compressed form, and ``sweep/camera_info``. The pan of a
+    frame is measured in ``sweep/trajectory``, which is published at the end of a sweep. If there
+    is none, if it cannot be used, or if the bag ends before it, ``joint_states`` give the pan.
+    Images that cannot be decoded are left out if other frames cover their arcs.
 
     Raises `LandmarkNavError`: a topic is missing, a sweep has no frames, the loss of a damaged
     frame leaves a gap, or an angle cannot be read. Missing frames and unseen directions are
     reported by the `warn` of the bag.
-
-    Parameters
-    ----------
-    bag : Bag
-        Bag with ``sweep/image`` or its compressed form and ``sweep/camera_info``; may hold
-        ``sweep/trajectory``, ``sweep/pose`` and ``joint_states``.
-
-    Yields
-    ------
-    Sweep
-        Frames by time.
     """
-    topic = bag.require('sweep/image', 'sweep/image/compressed')
+    topic = bag.require(*_IMAGES)
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')
     numbers = _numbers(bag, topic)
     plans = _plans(bag, mount, set(numbers))
@@ -219,17 +204,12 @@ def _check_unusable(
 
 def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
     """Sweeps by their trajectories, and the others by joint states, in order of their start."""
-    plans = []
-    if trajectory := bag.find('sweep/trajectory'):
-        for entry in once(bag.messages([trajectory])):
-            with naming(bag, trajectory):
-                samples = decode.sweep_trajectory(entry.message, mount)
-            if samples:
-                ordered = tuple(sorted(samples, key=lambda sample: sample.stamp_ns))
-                plans.append(_Plan(ordered, _take(ordered, left)))
-    after = plans[-1].samples[-1].stamp_ns if plans else 0
+    measured = [*measured_pans(bag, mount)]
+    plans = [_Plan(samples, _take(samples, left)) for samples in measured if samples]
+    lost = bag.damaged or not all(measured)
+    after = plans[-1].samples[-1].stamp_ns if plans and not lost else 0
     alone = sorted(stamp for stamp in left if stamp > after)
-    if alone and (not plans or not bag.complete):
+    if alone and (lost or not plans or not bag.complete):
         bag.warn(
             f'{bag.path}: {len(alone)} frames have no sweep/trajectory: '
             'their angles are taken from joint_states'
@@ -240,6 +220,38 @@ def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
     if not plans:
         raise LandmarkNavError(f'{bag.path}: no frame of a sweep has a known pan')
     return sorted(plans, key=lambda plan: plan.start_ns)
+
+
+def measured_pans(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[JointSample, ...]]:
+    """Yield the samples of each trajectory by time; none, and a report, if it cannot be used."""
+    topic = bag.find('sweep/trajectory')
+    logged = bag.stamps_ns.get(bag.require(*_IMAGES), np.empty((0, 2), np.int64))
+    images_ns = np.sort(logged[:, 1])
+    for entry in once(bag.messages([topic])) if topic else ():
+        dropped: list[LandmarkNavError] = []
+        try:
+            if not entry.header_ns:
+                raise LandmarkNavError('a trajectory has no stamp, that of its first frame')
+            samples = decode.sweep_trajectory(entry.message, mount, dropped.append)
+            if not _are_near(samples, images_ns):
+                raise LandmarkNavError(
+                    f'that of {1e-9 * entry.header_ns:.1f} s has no image at its times: stamp '
+                    'both by one clock'
+                )
+        except LandmarkNavError as error:
+            bag.inform(f'{topic}: left out: {error}')
+            samples = ()
+        if dropped:
+            count = f'{len(dropped)} of {len(dropped) + len(samples)} points'
+            bag.inform(f'{topic}: {count} left out: {dropped[0]}')
+        yield tuple(sorted(samples, key=lambda sample: sample.stamp_ns))
+
+
+def _are_near(samples: Iterable[JointSample], images_ns: IntArray) -> bool:
+    """Whether any sample is of the time of an image; `images_ns` (n,) are sorted."""
+    stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
+    first = np.searchsorted(images_ns, stamps - _SAME_FRAME_NS)
+    return bool(np.any(first < np.searchsorted(images_ns, stamps + _SAME_FRAME_NS, 'right')))
 
 
 def _take(samples: tuple[JointSample, ...], left: set[int]) -> tuple[int | None, ...]:
@@ -275,12 +287,81 @@ def _poses(bag: Bag, plans: list[_Plan]) -> list[PoseEstimate | None]:
     if topic is None:
         return found
     ends = [plan.samples[-1].stamp_ns for plan in plans]
-    for entry in bag.messages([topic]):
-        with naming(bag, topic):
-            pose = decode.pose_estimate(entry.message)
+    poses = decoded(bag, topic, lambda entry: decode.pose_estimate(entry.message), needed=False)
+    for pose in poses:
         index = int(np.searchsorted(ends, pose.stamp_ns))
         if index < len(plans):
             found[index] = pose
         elif found[-1] is None:
             found[-1] = pose
     return found
+
+
+_COLUMNS = ('file', 'pan_rad', 'focal_px', 'width', 'height')
+# Greatest size of a list, and greatest number of pixels of all its images (36 of 8 million).
+_MAX_LIST_BYTES, _MAX_SWEEP_PIXELS = 1_000_000, 300_000_000
+
+
+def read_sweep_folder(folder: Path | str) -> Sweep:
+    """
+    Read the images listed in ``frames.csv`` (`file,pan_rad,focal_px,width,height`).
+
+    The principal point is the centre of the image. Stamps are the numbers of the rows.
+
+    Raises `LandmarkNavError`: the list or an image is missing, or a value is invalid.
+    """
+    folder = Path(folder)
+    path = folder / 'frames.csv'
+    try:
+        lines = StringIO(read_text(path, _MAX_LIST_BYTES), newline='')
+        rows = list(csv.DictReader(lines, skipinitialspace=True))
+    except csv.Error as error:
+        raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
+    missing = [name for name in _COLUMNS if not rows or rows[0].get(name) is None]
+    if missing:
+        raise LandmarkNavError(
+            f'{path}: {"lists no image" if not rows else "lacks " + ", ".join(missing)}: '
+            f'it needs the columns {",".join(_COLUMNS)}'
+        )
+    frames: list[CameraFrame] = []
+    pixels = 0
+    for k, row in enumerate(rows):
+        where = f'{path}: line {k + 2}'
+        frames.append(_frame(folder, row, k, where))
+        pixels += frames[-1].camera.width * frames[-1].camera.height
+        if pixels > _MAX_SWEEP_PIXELS:
+            raise LandmarkNavError(
+                f'{where}: the images up to here have over {_MAX_SWEEP_PIXELS / 1e6:.0f} million '
+                'pixels: reduce them'
+            )
+    check_one_turn([frame.pan_rad for frame in frames], f'{path}: pan_rad')
+    return Sweep(frames[0].stamp_ns, tuple(frames))
+
+
+def _frame(folder: Path, row: dict[str, str], number: int, where: str) -> CameraFrame:
+    pan, focal = (_number(row, name, where) for name in ('pan_rad', 'focal_px'))
+    width, height = (int(_number(row, name, where)) for name in ('width', 'height'))
+    file = row['file'] or ''
+    with inside(where):
+        image = read_image(folder / file)
+    # For a camera in portrait orientation the list often has the size of the sensor; that of the
+    # image is used.
+    if sorted(image.shape[:2]) != sorted((height, width)):
+        raise LandmarkNavError(
+            f'{where}: {shown(file)} is {image.shape[1]} x {image.shape[0]}, '
+            f'not {width} x {height}'
+        )
+    height, width = image.shape[:2]
+    with inside(where):
+        camera = CameraModel(width, height, focal, focal, (width - 1) / 2.0, (height - 1) / 2.0)
+    return CameraFrame(number, image, camera, pan)
+
+
+def _number(row: dict[str, str], name: str, where: str) -> float:
+    try:
+        value = float(row[name])
+    except (TypeError, ValueError):
+        value = np.nan
+    if not np.isfinite(value):
+        raise LandmarkNavError(f'{where}: {name} is {shown(row[name])}, not a number')
+    return value

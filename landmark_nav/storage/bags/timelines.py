@@ -34,15 +34,11 @@ _MOVING_RAD, _ENOUGH_STEPS, _FASTEST_RAD_S = 1e-3, 20, 10.0
 
 class JointHistory:
     """
-    Pan and tilt at any time, interpolated between measurements.
+    Pan and tilt at any time, interpolated between measurements in any order.
 
-    Parameters
-    ----------
-    samples : iterable of JointSample
-        Measured angles in any order; of several with one stamp the last counts.
-    tilts : iterable of (int, float)
-        Stamps and tilts, rad, of a tilt joint with its own driver; they replace the tilts of the
-        samples. The tilt is constant before the first and after the last.
+    Of several samples with one stamp the last counts. Stamps and `tilts` [rad] of a tilt joint
+    with its own driver replace those of the samples; the tilt is constant before the first and
+    after the last.
     """
 
     def __init__(
@@ -136,12 +132,7 @@ class JointLog:
     """
     Pan and tilt at any time of a recording, during which the clock may be set back.
 
-    Parameters
-    ----------
-    logged : iterable of (int, JointSample)
-        Log times and angles, by log time.
-    tilts : iterable of (int, (int, float))
-        Log times, and stamps and tilts of a tilt joint with its own driver, see `JointHistory`.
+    All measurements come with their log times, and in their order; for `tilts` see `JointHistory`.
     """
 
     def __init__(

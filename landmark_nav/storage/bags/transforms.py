@@ -15,8 +15,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
+from landmark_nav.storage.bags.definitions import listed, TOPIC_TYPES
 from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded
-from landmark_nav.storage.bags.topics import listed, TOPIC_TYPES
 from landmark_nav.types import FloatArray, JointSample
 
 # Least cosine of the angle between the z axis of a frame that turns about the pan axis and the
@@ -31,25 +31,18 @@ def joints_of_transforms(
     bag: Bag, mount: PanTiltMount, frame: str = ''
 ) -> list[tuple[int, JointSample]]:
     """
-    Return pan and tilt by the transforms of a bag, with their log times.
+    Return log times and angles by the transforms of a bag; none if it lacks the frame.
 
     The pan is the rotation of the frame of the pan joint about the pan axis of `mount`; the tilt
-    is the elevation of the x axis of the frame of the tilt joint in its parent frame.
+    is the elevation of the x axis of the frame of the tilt joint in its parent frame. If `frame`
+    is empty, it is what URDF files name after ``pan_joint``: ``pan_link``, ``pan_frame`` or
+    ``pan``, also with a prefix.
 
     Raises `LandmarkNavError`: `frame` is not in ``/tf``, or does not turn about the pan axis.
-
-    Parameters
-    ----------
-    frame : str
-        Frame that turns with the pan joint. If empty, the frame that URDF files name after
-        ``pan_joint``: ``pan_link``, ``pan_frame`` or ``pan``, also with a prefix.
-
-    Returns
-    -------
-    list
-        Log times and angles; empty if the bag has no such frame.
     """
     topic = bag.find('tf')
+    if topic is None and frame:
+        raise LandmarkNavError(f'{bag.path}: there is no /tf, of which to take {frame}')
     if topic is None:
         return []
     entries = list(_transforms(bag, topic))
@@ -60,6 +53,10 @@ def joints_of_transforms(
             raise LandmarkNavError(
                 f'{bag.path}: {topic} has no frame {frame}: it has {listed(moving) or "none"}'
             )
+        bag.inform(
+            f'{topic} has no frame named after {mount.pan_joint}, but {listed(moving)}: give the '
+            'one that turns with it by --topic joint_states=/tf:FRAME'
+        )
         return []
     tilt_frame = _frame_of(mount.tilt_joint, moving)
     static_topic = bag.find('tf_static')
@@ -84,7 +81,9 @@ def joints_of_transforms(
                     ': give the frame that does by --topic joint_states=/tf:FRAME'
                 )
             pan_rad = math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
-            found.append((log_ns, JointSample(stamp_ns, pan_rad, tilt_rad)))
+            if not stamp_ns:
+                bag.inform(f'{topic} has stamps of 0: the time of recording is taken')
+            found.append((log_ns, JointSample(stamp_ns or log_ns, pan_rad, tilt_rad)))
     bag.inform(f'the pan is taken from {topic}, as {pan_frame} turns')
     return found
 
@@ -96,7 +95,7 @@ def _transforms(bag: Bag, topic: str) -> list[tuple[int, int, str, str, FloatArr
         return [
             (
                 entry.stamp_ns,
-                decode.stamp_ns(one.header) or entry.stamp_ns,
+                decode.stamp_ns(one.header),
                 str(one.child_frame_id).lstrip('/'),
                 str(one.header.frame_id).lstrip('/'),
                 _rotation(one.transform.rotation),

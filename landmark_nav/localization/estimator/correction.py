@@ -1,0 +1,194 @@
+"""
+Correction of the state by an image: an iterated extended Kalman update with t-distributed noise.
+
+Weights of the detections are iterated (Lange, Little and Taylor, JASA 84(408), 1989), and so is
+the linearisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import chdtri
+
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.localization.estimator.factors import (
+    DELAY,
+    FOCAL,
+    ImagePoints,
+    LEAST_STEP_S,
+    project,
+    STATES,
+)
+from landmark_nav.localization.estimator.noise import DETECTION, learned
+from landmark_nav.localization.estimator.state import MapErrors, OUTLIER, State, Update
+from landmark_nav.types import FloatArray
+
+# Iterations of an update, and the change of the pose, m and rad, that ends them: its nonlinearity
+# is then a hundredth of the noise.
+_ITERATIONS, _CONVERGED = 5, 3e-3
+# Iterations of the weights, and the relative change that ends them.
+_WEIGHINGS, _SAME_WEIGHT = 10, 0.3
+# Factor on the variance of a detection that is not used.
+_NO_INFORMATION = 1e6
+# Significance at which an image is surprising.
+_SURPRISE = 1e-3
+
+
+def usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
+    """Return the valid detections."""
+    with np.errstate(invalid='ignore'):
+        variance = np.diagonal(seen.covariance, axis1=1, axis2=2)
+        good = (seen.columns >= 0) & (seen.columns < landmarks) & np.isfinite(seen.pan_rad)
+        good &= np.isfinite(seen.points).all(axis=1)
+        good &= np.isfinite(seen.covariance).all(axis=(1, 2)) & (variance > 0.0).all(axis=1)
+    first = np.zeros(len(seen), dtype=np.bool_)
+    first[np.unique(seen.columns, return_index=True)[1]] = True
+    good &= first
+    shared = np.array([seen.tilt_rad, seen.pan_rate_rad_s, seen.pan_sigma_rad])
+    good &= np.isfinite(shared).all()
+    return seen if good.all() else seen.chosen(good)
+
+
+def corrected(
+    state: State, seen: ImagePoints, errors: MapErrors, pan_sigma_rad: float, freedom: float
+) -> tuple[State, Update]:
+    """
+    Correct a state by the detections of an image.
+
+    Parameters
+    ----------
+    state : State
+        Prediction, with own errors of all landmarks seen.
+    errors : MapErrors
+        Errors of the map.
+    pan_sigma_rad : float
+        Noise of the pan joint, which all detections of an image share.
+    freedom : float
+        Degrees of freedom of the t distribution of detections; 0 means Gaussian.
+    """
+    late = float(np.sqrt(state.covariance[DELAY, DELAY]))
+    seen = replace(seen, delay_step_s=max(late, LEAST_STEP_S))
+    bend = seen.bend_rad(float(state.mean[DELAY])) * min(1.0, late / LEAST_STEP_S) ** 2
+    rows = 2 if seen.rows else 1
+    count, size = len(seen), len(state.mean)
+    slots = np.empty(len(errors.positions), dtype=np.intp)
+    slots[state.landmarks] = np.arange(len(state.landmarks))
+    own = errors.end + 3 * slots[seen.columns][:, None] + np.arange(3)
+    each = np.arange(count)
+    prior = state.mean
+    noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
+    if seen.sizes is not None:
+        by_scale = state.covariance[FOCAL, FOCAL] * seen.sizes[:, :rows] ** 2 / 12.0
+        noise += by_scale[:, None] * np.eye(rows)
+    common = pan_sigma_rad**2 + seen.pan_sigma_rad**2 + bend**2
+    mean, looser = prior, np.ones(count)
+    if seen.near is not None:
+        mean = np.concatenate([seen.near, prior[3:]])
+    for _ in range(_ITERATIONS):
+        points = errors.positions[seen.columns] + mean[own]
+        points += errors.loadings[seen.columns] @ mean[STATES : errors.end]
+        model = project(mean, points, seen)
+        parts = np.zeros((count, 2, size))
+        parts[:, :, :STATES] = model.by_state
+        parts[:, :, STATES : errors.end] = model.by_point @ errors.loadings[seen.columns]
+        parts[each[:, None], :, own] = model.by_point.swapaxes(1, 2)
+        jacobian = parts[:, :rows].reshape(count * rows, size)
+        offset = prior - mean
+        offset[2] = wrap_rad(offset[2])
+        innovation = (seen.points - model.points)[:, :rows].ravel() - jacobian @ offset
+        with_state = state.covariance @ jacobian.T
+        by_pan = model.by_pan[:, :rows].ravel()
+        spread = jacobian @ with_state + common * np.outer(by_pan, by_pan)
+        # A landmark behind the camera has no information.
+        behind = np.where(model.ahead, 0.0, _NO_INFORMATION)
+        for _ in range(_WEIGHINGS):
+            covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
+            precision = np.linalg.inv(covariance)
+            pull = precision @ innovation
+            blocks = precision.reshape(count, rows, count, rows)[each, :, each]
+            others = np.linalg.inv(blocks)
+            alone: FloatArray = (others @ pull.reshape(count, rows, 1))[..., 0]
+            nominal = others - noise * (looser + behind - 1.0)[:, None, None]
+            squares = np.einsum(
+                'mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0]
+            )
+            if not freedom:
+                break
+            before, looser = looser, np.maximum((freedom + squares) / (freedom + rows), 1.0)
+            if np.abs(looser / before - 1.0).max() < _SAME_WEIGHT:
+                break
+        widened, square = covariance, float(innovation @ pull)
+        out = looser > 1.0 / OUTLIER
+        if out.any():
+            # What is found elsewhere than the landmark has no information: in a wide window
+            # even its widened tail would.
+            behind = np.where(out, _NO_INFORMATION, behind)
+            covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
+            precision = np.linalg.inv(covariance)
+            pull = precision @ innovation
+        after = prior + with_state @ pull
+        after[2] = wrap_rad(after[2])
+        change = np.abs(after[:3] - mean[:3]).max()
+        mean = after
+        if change < _CONVERGED:
+            break
+    gain = with_state @ precision
+    corrected = state.covariance - gain @ with_state.T
+    # Parts of the covariance by each noise.
+    acted, by_acted = jacobian[:, :STATES], gain[:STATES]
+    of_noise = acted @ state.by_noise @ acted.T
+    detected = _with_blocks(np.zeros_like(spread), noise * looser[:, None, None])
+    of_noise[DETECTION] += detected
+    scales = learned(state.scales, innovation, covariance, of_noise)
+    left = np.eye(STATES) - by_acted @ acted
+    by_noise = left @ state.by_noise @ left.T
+    by_noise[DETECTION] += by_acted @ detected @ by_acted.T
+    _, log_determinant = np.linalg.slogdet(widened)
+    evidence = -0.5 * (square + log_determinant)
+    if freedom:
+        # Prior density of the weights, which are gamma variables.
+        evidence -= 0.5 * freedom * float(np.sum(np.log(looser) + 1.0 / looser))
+    pulls = pull.reshape(count, rows, 1)
+    columns = with_state[:3] @ precision
+    separating = columns.reshape(3, count, rows).swapaxes(0, 1) @ others
+    update = Update(
+        seen.stamp_ns,
+        seen.columns,
+        alone,
+        nominal,
+        1.0 / (looser + behind),
+        float(evidence),
+        square > _surprise(count * rows),
+        False,
+        -(separating @ pulls)[..., 0],
+        separating @ columns.reshape(3, count, rows).transpose(1, 2, 0),
+    )
+    return (
+        replace(
+            state,
+            stamp_ns=max(state.stamp_ns, seen.stamp_ns),
+            mean=mean,
+            covariance=0.5 * (corrected + corrected.T),
+            by_noise=by_noise,
+            scales=scales,
+        ),
+        update,
+    )
+
+
+@lru_cache
+def _surprise(count: int) -> float:
+    """Chi-square limit of an image with this number of measurements."""
+    return float(chdtri(count, _SURPRISE))
+
+
+def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:
+    """Add blocks (m, d, d) to the diagonal of a matrix (m d, m d)."""
+    count, size, _ = blocks.shape
+    out = np.array(matrix)
+    each = np.arange(count)
+    out.reshape(count, size, count, size)[each, :, each] += blocks
+    return out

@@ -1,0 +1,131 @@
+"""State of the estimator, errors of the map, and the result of an update."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from landmark_nav.arrays import IndexArray
+from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints, STATES
+from landmark_nav.localization.estimator.noise import NoiseScales
+from landmark_nav.types import FloatArray, LandmarkMap
+
+# Detections of less weight are outliers.
+OUTLIER = 0.1
+
+
+class MapErrors(NamedTuple):
+    """
+    Landmarks of a map and their errors.
+
+    `positions` (n, 3) and `own` (n, 3, 3), the covariance of each landmark by itself, are in map;
+    `loadings` (n, 3, f) are those of the shared factors.
+    """
+
+    positions: FloatArray
+    own: FloatArray
+    loadings: FloatArray
+
+    @classmethod
+    def of(cls, landmark_map: LandmarkMap) -> MapErrors:
+        """Return those of a map."""
+        loadings = landmark_map.shared_loadings
+        own = landmark_map.covariances - loadings @ loadings.swapaxes(1, 2)
+        return cls(landmark_map.positions, own, loadings)
+
+    @property
+    def end(self) -> int:
+        """Where the shared factors end in the state, and own errors of landmarks begin."""
+        return STATES + int(self.loadings.shape[2])
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The state; arrays are never changed in place, so that copies are cheap."""
+
+    stamp_ns: int
+    mean: FloatArray
+    covariance: FloatArray
+    by_noise: FloatArray
+    scales: NoiseScales
+    # Columns of the landmarks with own errors in the state, and the way since each was seen.
+    landmarks: IndexArray
+    unseen_m: FloatArray
+    way_m: float = 0.0
+    seconds: float = 0.0
+    # Derivative of pose, lean and odometry by those after the last image.
+    carried: FloatArray = field(default_factory=lambda: np.eye(CALIBRATION))
+
+
+class Update(NamedTuple):
+    """
+    Result of an update by an image.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Time of the image.
+    columns : ndarray of int, shape (m,)
+        Landmarks that were used.
+    residual : ndarray, shape (m, d)
+        Measured minus predicted, given the prior and the other detections of the image.
+    covariance : ndarray, shape (m, d, d)
+        Covariance of each residual, with the nominal noise of the detection.
+    weight : ndarray, shape (m,)
+        1 for an inlier, near 0 for an outlier.
+    log_evidence : float
+        Log density of the image given all before.
+    surprising : bool
+        Whether the image as a whole is unlikely given the prediction.
+    stepped : bool
+        Whether a sudden change of camera or base before the image was assumed.
+    separation : ndarray, shape (m, 3)
+        Change of the pose if a landmark is left out.
+    without : ndarray, shape (m, 3, 3)
+        Increase of the covariance of the pose then.
+    """
+
+    stamp_ns: int
+    columns: IndexArray
+    residual: FloatArray
+    covariance: FloatArray
+    weight: FloatArray
+    log_evidence: float
+    surprising: bool
+    stepped: bool
+    separation: FloatArray
+    without: FloatArray
+
+    @classmethod
+    def of_nothing(cls, seen: ImagePoints) -> Update:
+        """Return the result of an image without landmarks."""
+        rows = 2 if seen.rows else 1
+        none = np.empty(0)
+        return cls(
+            seen.stamp_ns,
+            seen.columns,
+            none.reshape(0, rows),
+            none.reshape(0, rows, rows),
+            none,
+            0.0,
+            False,
+            False,
+            none.reshape(0, 3),
+            none.reshape(0, 3, 3),
+        )
+
+    @property
+    def used(self) -> IndexArray:
+        """Landmarks of the image that are not outliers."""
+        return self.columns[self.weight > OUTLIER]
+
+    @property
+    def unused(self) -> Update:
+        """The result of the same image if it is not used."""
+        return self._replace(
+            weight=np.zeros_like(self.weight),
+            separation=np.zeros_like(self.separation),
+            without=np.zeros_like(self.without),
+        )
