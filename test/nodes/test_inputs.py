@@ -136,6 +136,14 @@ def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(graph, domain_
     context.try_shutdown()
 
 
+def test_a_pan_that_is_only_in_transforms_is_asked_for_as_joint_states(graph):
+    graph.listener.fails = True
+    # Whatever the type: the ROS wheels have no tf2_msgs.
+    graph.publisher('robot_state_publisher', '/tf', 'std_msgs/msg/String')
+    words = '/robot/joint_states (nobody publishes it; angles in /tf are not read: publish a'
+    graph.until(graph.reports(words), int)
+
+
 def test_what_is_awaited_is_logged_and_once_that_it_is_there(graph, caplog, monkeypatch):
     # Another test may have sent what the package logs to a node.
     package = logging.getLogger('landmark_nav')

@@ -219,3 +219,16 @@ def test_a_sweep_is_interrupted_continued_and_begun_anew(robot, start, client, s
     client.wait(lambda: len(small.trajectories) == 2, 20.0, 'the trajectory')
     np.testing.assert_allclose(measured(small), STEP_RAD * np.arange(-2, 3), atol=0.01)
     client.wait(lambda: 'partial' in client.status_of('sweep_capture').reason, 20.0, 'its word')
+
+
+def test_a_frozen_camera_is_named(robot, start, client, setup_files):
+    command = 'JointState'
+    start('sweep_capture', **sweep_parameters(setup_files), **{'command.type': command})
+    small = robot('compressed', command)
+    small.frozen = True
+    with pytest.raises(LandmarkNavError, match='frames refused, the last as frozen'):
+        client.call('capture_sweep', 60.0)
+    assert not small.trajectories
+    small.frozen = False
+    assert client.call('capture_sweep', 60.0).startswith(f'{FRAMES} frames')
+    check_frames(small, client)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
 
+from landmark_nav.cli import learn
+from landmark_nav.cli.main import main
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import leaves
@@ -122,3 +125,33 @@ def test_facts_of_the_robot_still_come_from_where_they_were(tmp_path, name, fact
 def test_what_cannot_be_is_named(tmp_path, text, complaint):
     with pytest.raises(LandmarkNavError, match=rf'config\.yaml.*{complaint}'):
         load(tmp_path, text)
+
+
+def test_learn_takes_parameters_of_all_its_stages(tmp_path, monkeypatch, capsys):
+    met: list[Any] = []
+
+    def panorama_from_sweep(*arguments):
+        met.append(arguments[3])
+        return SimpleNamespace(calibration=None)
+
+    def learn_from_panoramas(panoramas, room, config, log):
+        met.append(config)
+        raise LandmarkNavError('enough')
+
+    monkeypatch.setattr('landmark_nav.diagnosis.looks.camera_error_of', lambda *_: None)
+    monkeypatch.setattr(learn, 'panorama_from_sweep', panorama_from_sweep)
+    monkeypatch.setattr(learn, 'learn_from_panoramas', learn_from_panoramas)
+    path = tmp_path / 'learn.yaml'
+    path.write_text(for_all('attention: {candidates: 50}, election: {max_count: 9}'))
+    files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(ROBOT), '--config', str(path)]
+    words = ['learn', str(BAGS / 'learn'), *files, '--out', str(tmp_path / 'map')]
+    assert main(words) == 1
+    assert 'enough' in capsys.readouterr().err
+    assert len(met) == 3
+    for config in met:
+        assert (config.attention.candidates, config.election.max_count) == (50, 9)
+        assert config.stereo == PLAIN.stereo
+    path.write_text(for_all('attention: {candidates: 0}'))
+    assert main(words) == 1
+    assert str(path) in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ['learn.yaml']

@@ -21,6 +21,19 @@ import pytest
 from scenes import Board, draw_frame, flat_texture, Scene, textured_room, true_landmark
 
 from landmark_nav.geometry.patches import PatchView
+from landmark_nav.localization.detection import detect_landmarks
+from landmark_nav.types import PoseEstimate
+
+
+@pytest.mark.parametrize('over', [{'camera_roll_rad': np.pi}, {'axis_rpy': (np.pi, 0.0, 0.0)}])
+@pytest.mark.parametrize('config', [PATCH, VIRTUAL], ids=['patch', 'virtual view'])
+def test_a_camera_that_hangs_upside_down_finds_them_too(over, config):
+    mount = replace(MOUNT, **over)
+    frame = draw_frame(SCENE, LENS, mount, HERE, 0.05)
+    prior = PoseEstimate(0, HERE, PRIOR)
+    result = detect_landmarks(frame, prior, LANDMARKS, mount, config, np.arange(4))
+    assert sorted(result.detections.ids) == [1, 2, 3, 4]
+    assert np.abs(errors_of(result, HERE)).max() < 2e-4
 
 
 def test_a_camera_that_looks_aside_and_up_measures_the_same_bearings():

@@ -116,3 +116,38 @@ def test_a_tilt_is_recognised_by_all_rows_together_and_not_by_any_single_one(cam
     assert reported == runs
     assert level + mistaken <= 2
     assert 0.75 < np.mean(squares) < 1.3
+
+
+def test_a_poster_that_was_exchanged_is_no_tilt():
+    """Two things are in view; what hangs now instead of one of them looks like it, and higher."""
+    by_roll = np.array([-3.0, -1.0, 1.0, 3.0, 140.0, 150.0, 160.0, 170.0])
+    exchanged = by_roll > 10.0
+    by_tilt_roll = np.column_stack([np.full(8, 560.0), by_roll])
+    off = np.where(exchanged, 0.012 * by_roll, 0.0)
+    covariance = 1.0 + 0.15**2 * np.eye(8)
+    two_things = np.where(exchanged[:, None], [0.0, 1.0, 1.5], [4.0, 1.0, 1.5])
+    eight_things = np.arange(8.0)[:, None] * [1.0, 0.0, 0.0]
+    assert not estimate_camera_tilt(RowResiduals(off, by_tilt_roll, covariance, two_things)).sure
+    assert estimate_camera_tilt(RowResiduals(off, by_tilt_roll, covariance, eight_things)).sure
+
+
+def test_a_height_that_was_measured_wrongly_is_no_tilt():
+    """What is near, on one side of the image, is shifted more than what is far on the other."""
+    rotation, center = MOUNT.camera_pose_map(POSE, PAN, TILT)
+    aside = np.linspace(-0.35, 0.35, 8)
+    reach = np.linspace(1.2, 4.0, 8)
+    points = center + np.stack([reach * aside, 0.1 * reach, reach], -1) @ rotation.T
+    model = RowModel.of(points, POSE, rotation, center, PLAIN, 0.0)
+    own = 0.2
+    covariance = rows_of(model, own, np.array([0.003, 0.003, 0.002]))
+    rng = np.random.default_rng(3)
+
+    def is_roll(off):
+        tilt = estimate_camera_tilt(RowResiduals(off, model.by_tilt_roll, covariance, points))
+        return tilt.is_roll
+
+    for lower_m in (-0.01, 0.01):
+        for _ in range(20):
+            off = lower_m * model.by_height + own * rng.normal(size=8)
+            assert not is_roll(off)
+            assert is_roll(off + model.by_tilt_roll @ [0.0, 0.035])

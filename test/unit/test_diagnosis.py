@@ -244,9 +244,9 @@ NAMED = {name: error for errors in of_drives().values() for name, error in error
 # One of each kind; `make degraded` has all.
 SOME = (
     *('odom clock 5 % fast', 'yaw reversed', 'odom in cm', 'zeros between joint_states'),
-    *('truth +30 s', 'pan and tilt exchanged', 'odom x and y exchanged'),
+    *('images 100 ms late', 'truth +30 s', 'pan and tilt exchanged', 'odom x and y exchanged'),
     *('pan stays from half on', 'each second image repeated', 'images turned by 90 deg'),
-    *('images black from half on', 'focal length x 0.02'),
+    *('images of two cameras', 'images black from half on', 'focal length x 0.02'),
     *('image stamps rounded down to 0.4 s', 'all clocks set by 54 years'),
     *('odom orientation all zero', 'images of two sizes', 'joint_states without joints'),
     'images clock set back by 1 s',

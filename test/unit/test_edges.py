@@ -21,7 +21,7 @@ from landmark_nav.geometry.patches import is_upright_edge
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.matching import Match, match_template
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import PoseEstimate
 
 ROOM = rectangle_room(6.0, 5.0)
 # Doors from floor to ceiling: wall, middle along it (m), width (m).
@@ -35,7 +35,7 @@ DOORS = [
 ]
 
 
-def bare_room() -> Scene:
+def bare_room():
     walls = [
         wall_board(wall, flat_texture((g, g, g)))
         for wall, g in zip(ROOM.walls, (150, 165, 140, 155), strict=True)
@@ -51,7 +51,7 @@ def bare_room() -> Scene:
     return Scene((*walls, *doors))
 
 
-def edges_xy() -> FloatArray:
+def edges_xy():
     """Edges of all doors in plan, (n, 2)."""
     ends = []
     for index, along_m, width_m in DOORS:
@@ -62,7 +62,7 @@ def edges_xy() -> FloatArray:
 
 
 @pytest.fixture(scope='module')
-def learned() -> LandmarkMap:
+def learned():
     rng = np.random.default_rng(1)
     scene = bare_room()
     places = [((2.2, 2.0, 1.1), 0.4), ((3.6, 2.9, 1.1), -2.0)]
@@ -70,7 +70,7 @@ def learned() -> LandmarkMap:
     return learn_from_panoramas(panoramas, ROOM, LearningConfig()).map
 
 
-def test_a_room_with_nothing_but_edges_is_learned(learned: LandmarkMap) -> None:
+def test_a_room_with_nothing_but_edges_is_learned(learned):
     assert len(learned.landmarks) > 12
     assert all(landmark.edge for landmark in learned.landmarks)
     assert not learned.distinct.landmarks
@@ -81,7 +81,7 @@ def test_a_room_with_nothing_but_edges_is_learned(learned: LandmarkMap) -> None:
     assert np.abs(np.sum(nearest * learned.normals[:, :2], axis=1)).max() < 0.02
 
 
-def test_bearings_of_edges_are_as_good_as_stated(learned: LandmarkMap) -> None:
+def test_bearings_of_edges_are_as_good_as_stated(learned):
     scene, squares = bare_room(), []
     for seed, pan in enumerate((0.05, 0.9, -0.8, 2.2)):
         frame = draw_frame(scene, LENS, MOUNT, HERE, pan, rng=np.random.default_rng(seed))
@@ -104,10 +104,10 @@ def test_bearings_of_edges_are_as_good_as_stated(learned: LandmarkMap) -> None:
 
 
 @pytest.mark.parametrize('slope', [0.0, 0.07, -0.07])
-def test_matches_of_an_edge_err_across_as_their_covariance_states(slope: float) -> None:
+def test_matches_of_an_edge_err_across_as_their_covariance_states(slope):
     down, across = np.mgrid[:46, :60].astype(np.float64)
 
-    def image(at: float) -> FloatArray:
+    def image(at):
         distance = across - at - slope * (down - 22.5)
         step = 90.0 + 70.0 / (1.0 + np.exp(-2.0 * distance))
         return step + 25.0 * np.exp(-0.5 * ((distance - 5.0) / 1.5) ** 2)
@@ -127,7 +127,7 @@ def test_matches_of_an_edge_err_across_as_their_covariance_states(slope: float) 
     assert 0.7 < np.mean(squares) < 1.4
 
 
-def test_only_upright_edges_are_edges() -> None:
+def test_only_upright_edges_are_edges():
     down, across = np.mgrid[:30, :30]
     for slope, upright in ((0.0, True), (0.05, True), (0.3, False), (10.0, False)):
         step = np.where(across - 14.5 - slope * (down - 14.5) < 0, 60, 200).astype(np.uint8)

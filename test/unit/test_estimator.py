@@ -172,6 +172,23 @@ def test_outliers_cost_little(share):
     assert np.mean([run.nees.mean() for run in degraded]) < 6.0
 
 
+@pytest.mark.parametrize('seed', [1, 2, 3, 4])
+def test_a_wrong_match_leaves_an_unknown_pose_to_the_others(seed):
+    drive = simulated(seed, seconds=6.0)
+    images = [event for event in drive.events if isinstance(event, ImagePoints)]
+    at = next(k for k, seen in enumerate(images) if len(seen) >= 4)
+    few = images[at].chosen(np.arange(len(images[at])) < 4)
+    few, first = replace(few, near=drive.poses[at]), np.arange(4) == 0
+    wrong = replace(few, points=few.points + 0.06 * first[:, None])
+    unknown = PoseEstimate(0, drive.poses[at] + [0.2, -0.2, 0.1], np.diag([1.0, 1.0, 0.3]))
+    poses = []
+    for seen in (wrong, few.chosen(~first)):
+        joint = JointFilter(drive.landmark_map, drive.prior, unknown)
+        joint.observe(seen)
+        poses.append(joint.estimate.pose)
+    assert poses[0] == pytest.approx(poses[1], abs=5e-3)
+
+
 def displaced(rad, at):
     def change(k, seen):
         return replace(seen, pan_rad=seen.pan_rad - rad) if k >= at else seen
@@ -210,6 +227,21 @@ def test_another_focal_length_is_noticed_at_once_and_found():
         assert focal == pytest.approx(1.0 / 1.1 - 1.0, abs=4.0 * sigma)
 
 
+def test_joint_states_that_are_suddenly_late_turn_no_heading_unnoticed():
+    mount, late_s = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4)), 0.2
+
+    def late(k, seen):
+        phase = 0.5 * (1e-9 * seen.stamp_ns - late_s)
+        pan_rad = np.full(len(seen), 2.0 * np.sin(phase))
+        return replace(seen, pan_rad=pan_rad, pan_rate_rad_s=np.cos(phase)) if k >= 58 else seen
+
+    for seed in range(4):
+        run = driven(simulated(seed, mount, mount, seconds=24.0), changed=late)
+        assert (run.nees < 31.8).all()
+        delay_s, sigma_s = run.filter.calibration['joint_delay']
+        assert delay_s == pytest.approx(late_s, abs=4.0 * sigma_s + 0.005)
+
+
 def test_no_step_is_seen_where_there_is_none():
     for seed in range(4):
         for outliers in (0.0, 0.15):
@@ -238,6 +270,14 @@ def test_what_is_no_measurement_changes_nothing(change):
     assert len(update.columns) == 0
     assert (run.filter.snapshot.mean == before.mean).all()
     assert (run.filter.snapshot.covariance == before.covariance).all()
+
+
+def test_blind_motion_widens_the_pose():
+    drive = simulated(6, seconds=4.0)
+    joint = driven(drive).filter
+    before = np.trace(joint.estimate.covariance[:2, :2])
+    joint.move(5 * NS, Motion(np.zeros(3), 1.0, blind_seconds=1.0))
+    assert np.trace(joint.estimate.covariance[:2, :2]) > before + 0.2
 
 
 def test_the_noise_of_the_wheels_is_learned():

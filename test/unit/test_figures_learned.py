@@ -19,7 +19,7 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.attention import AttentionConfig
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.storage.maps import write_map
 from landmark_nav.types import (
     CameraFrame,
@@ -140,7 +140,7 @@ def test_a_map_gives_its_observation_areas(tmp_path, capsys):
 
 
 @pytest.fixture(scope='module')
-def learned() -> LearningResult:
+def learned():
     scene = textured_room(ROOM, seed=4, feature_m=0.045)
     covariance = np.diag([1e-3, 1e-3, 1e-3, 1e-4]) ** 2
     panoramas = [
@@ -151,15 +151,13 @@ def learned() -> LearningResult:
     return learn_from_panoramas(panoramas, ROOM, config)
 
 
-def test_figure_8_counts_landmarks(learned: LearningResult, tmp_path: Path) -> None:
+def test_figure_8_counts_landmarks(learned, tmp_path):
     path = tmp_path / 'figure.png'
     assert f'{len(learned.map.landmarks)} landmarks out of' in draw_learned(learned, ROOM, path)
     assert cv2.imread(str(path)) is not None
 
 
-def test_figure_5_shows_the_angle_between_the_two_rays(
-    learned: LearningResult, tmp_path: Path
-) -> None:
+def test_figure_5_shows_the_angle_between_the_two_rays(learned, tmp_path):
     path = tmp_path / 'figure.png'
     reported = draw_reconstruction(learned, ROOM, path)
     assert cv2.imread(str(path)) is not None
@@ -170,7 +168,7 @@ def test_figure_5_shows_the_angle_between_the_two_rays(
     assert float(angle_deg) == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.6)
 
 
-def test_figure_3_shows_how_frames_overlap(learned: LearningResult, tmp_path: Path) -> None:
+def test_figure_3_shows_how_frames_overlap(learned, tmp_path):
     # 60 degrees wide, one each 10 degrees: neighbours share 5 / 6.
     camera = CameraModel(200, 160, 100.0 / np.tan(np.radians(30.0)), 173.2, 99.5, 79.5)
     empty = np.zeros((160, 200, 3), np.uint8)
@@ -183,9 +181,7 @@ def test_figure_3_shows_how_frames_overlap(learned: LearningResult, tmp_path: Pa
     assert cv2.imread(str(path)) is not None
 
 
-def test_a_folder_that_cannot_be_is_refused_before_the_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_cannot_be_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr('landmark_nav.cli.figures._gather', None)  # not reached
     file = tmp_path / 'file'
     file.touch()

@@ -97,7 +97,7 @@ def test_a_lens_that_folds_back_in_the_corners_is_used_inside_of_that():
 
 
 @pytest.mark.parametrize('shift', [0.05, 0.1, 0.13])
-def test_a_tangential_fold_is_one_too(shift: float) -> None:
+def test_a_tangential_fold_is_one_too(shift):
     camera = CameraModel(**SIZE, distortion=(0.0, 0.0, shift, -shift))
     rays = camera.unproject(np.random.default_rng(0).uniform(-0.5, [511.5, 383.5], (500, 2)))
     back = camera.project(rays)

@@ -78,3 +78,10 @@ def test_bad_data_is_refused(data):
         decode_image(data)
     with pytest.raises(LandmarkNavError):
         decode_image(np.frombuffer(data, np.uint8))
+
+
+def test_sixteen_bits_are_kept():
+    deep = np.random.default_rng(4).integers(0, 65535, (20, 30)).astype(np.uint16)
+    back = decode_image(encode_image(deep, '.png'), cv2.IMREAD_UNCHANGED)
+    assert back.dtype == np.uint16
+    assert np.array_equal(back, deep)

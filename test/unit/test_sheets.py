@@ -86,9 +86,7 @@ def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
 
 @pytest.mark.parametrize('slant_rad', [0.0, 0.6, -0.8])
 @pytest.mark.parametrize('hidden', [0.0, 0.4])
-def test_a_paper_partly_hidden_from_one_view_gives_no_length(
-    slant_rad: float, hidden: float
-) -> None:
+def test_a_paper_partly_hidden_from_one_view_gives_no_length(slant_rad, hidden):
     paper = np.full((4, 10, 3), np.array(paper_bgr('green')), np.uint8)
     partly = paper.copy()
     partly[:, : round(10 * hidden)] = 150
@@ -108,8 +106,8 @@ def test_a_paper_partly_hidden_from_one_view_gives_no_length(
 
 @pytest.mark.parametrize('tilt_rad', [(0.02, 0.0), (-0.01, 0.02)])
 def test_the_pose_of_one_view_in_another_does_not_depend_on_the_map(
-    tilt_rad: tuple[float, float],
-) -> None:
+    tilt_rad,
+):
     level = np.array([[0.0, 0, 0.3, 0, 0, 0], [1.7, 0.6, 0.8, 0.0, 0.0, 0.0]])
     expected = two_views_of(level, 0, 1, np.zeros(3))
     leant = level.copy()
