@@ -61,7 +61,7 @@ def search(prior, reported, services, ended):
         OdometryNoiseConfig(),
         LookingConfig(),
     )
-    landmark: Any = SimpleNamespace()
+    landmark: Any = SimpleNamespace(edge=False)
     made.use(LandmarkMap((landmark,)))
     made.add_odometry(OdometrySample(0, np.zeros(3)))
     return made
