@@ -373,13 +373,20 @@ class Observer:
         return result, looked_for
 
     def _distinct(self, visible: IndexArray, expected: PoseEstimate) -> IndexArray:
-        """Landmarks without edges whose window is wider than they are: it may show another one."""
+        """
+        Landmarks without edges if there are enough others.
+
+        Edges whose window is wider than they are go in any case: it may show another one.
+        """
+        edges = self._map.edges[visible]
+        if np.sum(~edges) >= self._config.detection.target_count:
+            return np.asarray(visible[~edges])
         away = self._map.positions[visible, :2] - expected.pose[:2]
         squared = np.sum(away**2, axis=1)
         variance = expected.covariance[2, 2] + np.trace(expected.covariance[:2, :2]) / squared
         half_rad = self._config.detection.window_sigmas * np.sqrt(variance)
         wide = half_rad > self._map.sizes_m[visible, 0] / np.sqrt(squared)
-        return np.asarray(visible[~(wide & self._map.edges[visible])])
+        return np.asarray(visible[~(wide & edges)])
 
 
 def _nothing(stamp_ns: int) -> Detections:

@@ -79,6 +79,8 @@ class TrueWalls:
             center = near.xy + off
         right, down = patch_axes(landmark.normal)
         across, below = (center - (np.array(shape[::-1]) - 1) / 2.0) * texel
+        if landmark.edge:  # its texture does not say how high it is
+            below = 0.0
         point = landmark.position + across * right + below * down
         size = landmark.patch.shape[::-1]
         there = cv2.remap(

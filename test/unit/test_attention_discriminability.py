@@ -12,10 +12,10 @@ WIDTH, HEIGHT = 600, 200
 AMBIGUOUS = 'looks like a place near by'
 
 
-def judge(gray, column=299.5, row=99.5, **values):
+def judge(gray, column=299.5, row=99.5, *, edge=False, **values):
     noisy = gray + np.random.default_rng(0).normal(0.0, 1.0, gray.shape)
     gray = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-    return refusal(Candidate(column, row, 32, 32, 1.0), gray, AttentionConfig(**values))
+    return refusal(Candidate(column, row, 32, 32, 1.0, edge), gray, AttentionConfig(**values))
 
 
 def texture(seed=1):
@@ -53,6 +53,7 @@ def pattern(kind):
         'horizontal edge',
         'horizontal bars',
         'slanted edge',
+        'vertical edge',
         'vertical bars',
         'checkerboard',
     ],
@@ -63,12 +64,12 @@ def test_what_could_be_mistaken_is_refused(kind):
     assert found.reason == AMBIGUOUS
 
 
-def test_an_upright_edge_is_accepted_unless_another_is_near():
-    edge = pattern('vertical edge')
-    assert judge(edge) is None
-    edge[:, 330:] = 60.0
-    edge[:, 345:] = 200.0
-    found = judge(edge)
+def test_an_upright_edge_is_distinct_across_unless_another_is_near():
+    gray = pattern('vertical edge')
+    assert judge(gray, edge=True) is None
+    gray[:, 330:] = 60.0
+    gray[:, 345:] = 200.0
+    found = judge(gray, edge=True)
     assert found is not None
     assert found.reason == AMBIGUOUS
 

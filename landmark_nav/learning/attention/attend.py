@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.patches import is_upright_edge
 from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig
-from landmark_nav.learning.attention.selection import patch_of, refusal, select
+from landmark_nav.learning.attention.selection import edges_among, refusal, select
 from landmark_nav.types import Candidate, ImageArray, Panorama, Refusal
 
 # A patch keeps this far from uncovered pixels, whose neighbours are blurred by interpolation.
@@ -52,13 +51,16 @@ def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
     saliency = attention_maps(gray, config).saliency
     examine = partial(refusal, gray=gray, config=config)
     accepted, refused = select(saliency, _inside(panorama.mask), config, examine)
+    edges = edges_among([c for c, _ in refused], accepted, gray, config)
     first = max((c.saliency for c in accepted), default=1.0)
+    places = {(c.column, c.row) for c in edges}
     return Attention(
+        tuple(replace(c, saliency=c.saliency / first) for c in (*accepted, *edges)),
         tuple(
-            replace(c, saliency=c.saliency / first, edge=is_upright_edge(patch_of(c, gray)))
-            for c in accepted
+            (replace(c, saliency=c.saliency / first), why)
+            for c, why in refused
+            if (c.column, c.row) not in places
         ),
-        tuple((replace(c, saliency=c.saliency / first), why) for c, why in refused),
     )
 
 

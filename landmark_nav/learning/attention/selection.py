@@ -8,7 +8,8 @@ layer; the attended area is inhibited, and the competition is repeated.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import cv2
@@ -25,6 +26,8 @@ Examine = Callable[[Candidate], 'Refusal | None']
 _PITCHES_PX = (4, 2, 1)
 # Number of sectors of azimuth; `candidates_per_sector` limits each.
 _SECTORS = 18
+# Edges are accepted up to this number of patches in a sector.
+_FEW = 3
 # Inhibited area around an attended patch, in patch sizes.
 _INHIBITION = 1.25
 # Saliency of uncovered pixels: a unit that contains one loses against any other.
@@ -69,7 +72,7 @@ def select(
             break
         winner = units.narrow(row, column)
         units.inhibit(winner)
-        sector = int((winner.column + 0.5) * _SECTORS / width) % _SECTORS
+        sector = _sector(winner, width)
         if taken[sector] >= config.candidates_per_sector:
             continue
         refusal = examine(winner)
@@ -211,7 +214,8 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     gray : ndarray of uint8, shape (height, width)
         Full turn: the last column borders on the first.
     """
-    window, column, row = _neighborhood(candidate, gray, config)
+    around = config.neighborhood_rows_px, config.neighborhood_columns_px
+    window, column, row = _neighborhood(candidate, gray, *around)
     patch = window[row : row + candidate.height_px, column : column + candidate.width_px]
     contrast = float(np.std(patch))
     if contrast < _MIN_CONTRAST:
@@ -221,7 +225,7 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     rows_away = np.abs(np.arange(score.shape[0]) - row)
     elsewhere = columns_away > _SAME_PLACE * candidate.width_px
     # An edge goes on above and below.
-    if not is_upright_edge(patch):
+    if not candidate.edge:
         elsewhere = elsewhere | (rows_away[:, None] > _SAME_PLACE * candidate.height_px)
     score = np.where(elsewhere & np.isfinite(score), score, -1.0)
     at = np.unravel_index(int(np.argmax(score)), score.shape)
@@ -233,22 +237,42 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     return None
 
 
-def patch_of(candidate: Candidate, gray: ImageArray) -> ImageArray:
-    """Cut a patch out of a panorama that is a full turn."""
-    left = round(candidate.column - (candidate.width_px - 1) / 2.0)
-    top = round(candidate.row - (candidate.height_px - 1) / 2.0)
-    columns = np.arange(left, left + candidate.width_px) % gray.shape[1]
-    return np.asarray(gray[top : top + candidate.height_px].take(columns, axis=1))
+def edges_among(
+    refused: Sequence[Candidate],
+    accepted: Sequence[Candidate],
+    gray: ImageArray,
+    config: AttentionConfig,
+) -> list[Candidate]:
+    """Upright edges among refused patches, in sectors of azimuth with few others."""
+    width = gray.shape[1]
+    taken = np.bincount([_sector(c, width) for c in accepted], minlength=_SECTORS)
+    edges = []
+    for candidate in refused:
+        edge = replace(candidate, edge=True)
+        if taken[_sector(edge, width)] >= _FEW or not is_upright_edge(_patch(edge, gray)):
+            continue
+        if refusal(edge, gray, config) is None:
+            edges.append(edge)
+            taken[_sector(edge, width)] += 1
+    return edges
+
+
+def _sector(candidate: Candidate, width: int) -> int:
+    return int((candidate.column + 0.5) * _SECTORS / width) % _SECTORS
+
+
+def _patch(candidate: Candidate, gray: ImageArray) -> ImageArray:
+    window, column, row = _neighborhood(candidate, gray, 0, 0)
+    return window[row : row + candidate.height_px, column : column + candidate.width_px]
 
 
 def _neighborhood(
-    candidate: Candidate, gray: ImageArray, config: AttentionConfig
+    candidate: Candidate, gray: ImageArray, around: int, along: int
 ) -> tuple[ImageArray, int, int]:
     """Cut out the neighbourhood of a patch; return it and the patch's column and row in it."""
     height, width = gray.shape
     left = round(candidate.column - (candidate.width_px - 1) / 2.0)
     top = round(candidate.row - (candidate.height_px - 1) / 2.0)
-    around, along = config.neighborhood_rows_px, config.neighborhood_columns_px
     first = max(0, top - around)
     last = min(height, top + candidate.height_px + around)
     columns = np.arange(left - along, left + candidate.width_px + along) % width
