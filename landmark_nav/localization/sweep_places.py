@@ -59,7 +59,9 @@ def places_by_odometry(
     config: OdometryNoiseConfig,
 ) -> PlaceChain:
     """
-    Poses of the base at the start of each sweep, by odometry.
+    Poses of the base at each sweep, by odometry.
+
+    The middle of a sweep counts: samples that are lost as the robot stops do not matter there.
 
     Raises `LandmarkNavError`: odometry does not cover a sweep, or the robot moved during one.
 
@@ -82,7 +84,8 @@ def places_by_odometry(
                 f'the robot moved {100 * np.hypot(x, y):.0f} cm and '
                 f'{np.degrees(turn):.1f} deg by odom in sweep {number}: let it stand, sweep again'
             )
-    return chained(_motions([begin for begin, _ in spans_ns], samples, config), config)
+    middles = [(begin + end) // 2 for begin, end in spans_ns]
+    return chained(_motions(middles, samples, config), config)
 
 
 def _given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:

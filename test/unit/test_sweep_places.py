@@ -48,6 +48,14 @@ def test_odometry_gives_relative_poses_and_errors_that_grow_with_the_way():
     assert 0.005 < np.hypot(*sigma[1, :2]) < 0.2
 
 
+def test_odometry_lost_as_the_robot_stops_does_not_matter():
+    stop, begin = STANDS + DRIVES, STANDS + DRIVES + 5
+    samples = drive()
+    kept = samples[: stop - 2] + samples[begin + 10 :]
+    places = places_by_odometry(SPANS, kept, CONFIG)
+    np.testing.assert_allclose(places.poses[1], WAY, atol=1e-3)
+
+
 def test_a_pose_is_carried_on_with_what_odometry_adds():
     samples = drive()
     known = PoseEstimate(SPANS[1][1], np.array([0.5, 0.6, -2.0]), np.diag([1e-6, 4e-6, 1e-6]))
