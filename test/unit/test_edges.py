@@ -15,13 +15,16 @@ from scenes import (
     wall_board,
 )
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import is_upright_edge
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.localizer import LocalizationConfig, Localizer
+from landmark_nav.localization.relocalization import Relocalizer
 from landmark_nav.matching import Match, match_template
-from landmark_nav.types import PoseEstimate
+from landmark_nav.types import PoseEstimate, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
 # Doors from floor to ceiling: wall, middle along it (m), width (m).
@@ -101,6 +104,18 @@ def test_bearings_of_edges_are_as_good_as_stated(learned):
         assert (found.covariance_px2[:, 1, 1] > 10.0 * found.covariance_px2[:, 0, 0]).all()
     assert len(squares) > 10
     assert np.mean(squares) < 2.0
+
+
+def test_edges_alone_find_no_place_but_keep_one(learned):
+    frame = draw_frame(bare_room(), LENS, MOUNT, HERE, 0.05, rng=np.random.default_rng(7))
+    assert isinstance(Relocalizer(learned, MOUNT).add_frame(frame), Refusal)
+    given = HERE + np.array([0.01, -0.01, 0.004])
+    for covariance, used in ((PRIOR, True), (np.diag([0.5, 0.5, 0.3]) ** 2, False)):
+        localizer = Localizer(learned, Calibration.of_mount(MOUNT), LocalizationConfig())
+        localizer.initialize(PoseEstimate(frame.stamp_ns, given, covariance))
+        update = localizer.add_frame(frame)
+        # Where the window is wide, another edge may be in it.
+        assert bool(len(update.observation.detections)) is used
 
 
 @pytest.mark.parametrize('slope', [0.0, 0.07, -0.07])
