@@ -70,7 +70,7 @@ def processes(folder):
 def wait(condition, timeout_s):
     deadline = time.monotonic() + timeout_s
     while not condition():
-        assert time.monotonic() < deadline, 'waited in vain'
+        assert time.monotonic() < deadline, 'waited too long'
         time.sleep(0.1)
 
 

@@ -233,7 +233,7 @@ def test_a_map_of_another_room_is_not_accepted(sensed, monkeypatch):
     moments = list(run(sensed, untouched, replace(MAP, landmarks=landmarks)))
     assert all(m.status == 'lost' for m in moments if m.after_s + FAULT_S >= 2.0)
     assert not any(isinstance(m.update.search, PoseEstimate) for m in moments)
-    # What is in vain is not tried with each image.
+    # A search that found nothing is not repeated with each image.
     assert all(isinstance(place, Refusal) for place in tried.values())
     assert 5 < len(tried) < 0.6 * sum(m.status == 'lost' for m in moments)
 

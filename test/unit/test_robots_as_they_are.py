@@ -187,10 +187,10 @@ def test_messages_without_stamps_have_the_time_of_recording(tmp_path, topic):
     np.testing.assert_allclose(found, PANS)
     assert [w for w in warnings if 'stamps of 0' in w] == warnings
     assert len(warnings) == 1
-    told = [], []
-    bag = Bag(path, told[0].append)
-    assert all(each.is_unstamped(topic) for each in (bag, bag, bag.warning_to(told[1].append)))
-    assert [len(each) for each in told] == [1, 1]
+    warned = [], []
+    bag = Bag(path, warned[0].append)
+    assert all(each.is_unstamped(topic) for each in (bag, bag, bag.warning_to(warned[1].append)))
+    assert [len(each) for each in warned] == [1, 1]
     events = list(sensor_events(bag, MOUNT))
     stamps = [e.stamp_ns for e in events if isinstance(e, OdometrySample)]
     assert stamps == [START + k * SECOND // 20 for k in range(40)]

@@ -282,7 +282,7 @@ _STEPS = 10
 _TAIL_WIDTH = 2.0
 # Least angle between neighbours whose intersection is their corner, rad.
 _LEAST_CORNER_RAD = 0.2
-# Sigma of the angles of walls about multiples of a right angle.
+# Sigma of the angles of walls about multiples of a right angle, rad.
 _RIGHT_RAD = 0.003
 
 
@@ -311,11 +311,14 @@ def moved_walls(
         Greatest shift of the end of a wall along its normal, m.
     """
     index = np.asarray(walls, dtype=np.intp)
-    fitted = [_fitted(wall, free, index == k, config) for k, wall in enumerate(room.walls)]
-    moves, covariance = (np.array(part) for part in zip(*fitted, strict=True))
     seen = [k for k, wall in enumerate(room.walls) if wall.sigma_m and np.any(index == k)]
     if not seen:
         return room, 0.0
+    section = wall_stretches(free.positions, walls, room, config.hanging_length_m)
+    # Patches of one section of a wall hang equally far from it.
+    hanging = np.asarray(config.hanging_sigma_m**2 * np.bincount(section)[section], np.float64)
+    fitted = [_fitted(w, free, index == k, hanging, config) for k, w in enumerate(room.walls)]
+    moves, covariance = (np.array(part) for part in zip(*fitted, strict=True))
     moves[seen] = _squared([room.walls[k] for k in seen], moves[seen], covariance[seen])
     starts, ends = (
         np.array([getattr(w, end) for w in room.walls]) + moves[:, k, None] * room.normals[:, :2]
@@ -344,9 +347,13 @@ def moved_walls(
 
 
 def _fitted(
-    wall: Wall, free: Adjustment, on: BoolArray, config: AdjustmentConfig
+    wall: Wall, free: Adjustment, on: BoolArray, hanging_m2: FloatArray, config: AdjustmentConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """Shift (2,) of both ends of a wall along its normal, and its covariance (2, 2)."""
+    """
+    Shift (2,) of both ends of a wall along its normal, and its covariance (2, 2).
+
+    `on` (n,) are its patches, `hanging_m2` (n,) the variances of their distances from the wall.
+    """
     if not wall.sigma_m:
         return np.zeros(2), np.zeros((2, 2))
     normal = wall.normal[:2]
@@ -354,10 +361,7 @@ def _fitted(
     share = off @ wall.along / wall.length
     design = np.stack([1.0 - share, share], 1)
     variance = np.einsum('i,nij,j->n', normal, free.own_covariance[on, :2, :2], normal)
-    # Patches of one section of the wall hang equally far from it.
-    section = np.floor(off @ wall.along / config.hanging_length_m)
-    _, section, patches = np.unique(section, return_inverse=True, return_counts=True)
-    variance += config.relief_sigma_m**2 + config.hanging_sigma_m**2 * patches[section]
+    variance += config.relief_sigma_m**2 + hanging_m2[on]
     prior = np.eye(2) / wall.sigma_m**2
     ends, information, tail = np.zeros(2), prior, variance + wall.sigma_m**2
     for _ in range(_STEPS):
@@ -374,8 +378,8 @@ def _squared(walls: Sequence[Wall], ends_m: FloatArray, covariance: FloatArray) 
     """
     Shifts (n, 2) of the ends of walls, with the prior that most walls are at right angles.
 
-    What hangs on a short wall at various depths shows its direction badly (Coughlan and Yuille,
-    Manhattan World, ICCV 1999). Walls at other angles are outliers of this prior.
+    What hangs on a short wall at various depths hardly shows its direction. Walls at other angles
+    are outliers of this prior (Coughlan and Yuille, Manhattan World, ICCV 1999).
 
     Parameters
     ----------
@@ -388,7 +392,7 @@ def _squared(walls: Sequence[Wall], ends_m: FloatArray, covariance: FloatArray) 
     spread = np.einsum('ni,nij->nj', across, covariance)
     variance = np.sum(spread * across, 1) + _RIGHT_RAD**2
     length = np.array([wall.length for wall in walls])
-    common = max(turned, key=lambda a: float(np.sum(length * _weights(turned - a, variance))))
+    common = max(turned, key=lambda a: float(length @ _weights(_from_right(turned - a), variance)))
     for _ in range(_STEPS):
         off = _from_right(turned - common)
         weight = _weights(off, variance) / variance
@@ -403,8 +407,8 @@ def _from_right(angle_rad: FloatArray) -> FloatArray:
 
 
 def _weights(off_rad: FloatArray, variance: FloatArray) -> FloatArray:
-    """Weights (Geman and McClure) of angles that are off a multiple of a right angle."""
-    return np.asarray((1.0 + _from_right(off_rad) ** 2 / (_TAIL_WIDTH**2 * variance)) ** -2.0)
+    """Weights (n,) of Geman and McClure for angles that are off by so much."""
+    return np.asarray((1.0 + off_rad**2 / (_TAIL_WIDTH**2 * variance)) ** -2.0)
 
 
 def _next(room: Room, k: int) -> int:

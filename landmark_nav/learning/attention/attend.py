@@ -26,7 +26,7 @@ class Attention:
     Parameters
     ----------
     candidates : tuple of Candidate
-        Most salient first.
+        Most salient first, then edges.
     refused : tuple of (Candidate, Refusal)
         Attended patches that are ambiguous.
     """
@@ -51,16 +51,12 @@ def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
     saliency = attention_maps(gray, config).saliency
     examine = partial(refusal, gray=gray, config=config)
     accepted, refused = select(saliency, _inside(panorama.mask), config, examine)
-    edges = edges_among([c for c, _ in refused], accepted, gray, config)
-    first = max((c.saliency for c in accepted), default=1.0)
-    places = {(c.column, c.row) for c in edges}
+    edges, others = edges_among(refused, accepted, gray, config)
+    candidates = (*accepted, *edges)
+    first = max((c.saliency for c in candidates), default=1.0)
     return Attention(
-        tuple(replace(c, saliency=c.saliency / first) for c in (*accepted, *edges)),
-        tuple(
-            (replace(c, saliency=c.saliency / first), why)
-            for c, why in refused
-            if (c.column, c.row) not in places
-        ),
+        tuple(replace(c, saliency=c.saliency / first) for c in candidates),
+        tuple((replace(c, saliency=c.saliency / first), why) for c, why in others),
     )
 
 

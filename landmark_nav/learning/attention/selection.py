@@ -238,23 +238,24 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
 
 
 def edges_among(
-    refused: Sequence[Candidate],
+    refused: Sequence[tuple[Candidate, Refusal]],
     accepted: Sequence[Candidate],
     gray: ImageArray,
     config: AttentionConfig,
-) -> list[Candidate]:
-    """Upright edges among refused patches, in sectors of azimuth with few others."""
+) -> tuple[list[Candidate], list[tuple[Candidate, Refusal]]]:
+    """Upright edges among refused patches, in sectors of azimuth with few others; and the rest."""
     width = gray.shape[1]
     taken = np.bincount([_sector(c, width) for c in accepted], minlength=_SECTORS)
-    edges = []
-    for candidate in refused:
-        edge = replace(candidate, edge=True)
-        if taken[_sector(edge, width)] >= _FEW or not is_upright_edge(_patch(edge, gray)):
-            continue
-        if refusal(edge, gray, config) is None:
+    edges, rest = [], []
+    for candidate, why in refused:
+        edge, sector = replace(candidate, edge=True), _sector(candidate, width)
+        few = taken[sector] < _FEW and is_upright_edge(_patch(candidate, gray))
+        if few and refusal(edge, gray, config) is None:
             edges.append(edge)
-            taken[_sector(edge, width)] += 1
-    return edges
+            taken[sector] += 1
+        else:
+            rest.append((candidate, why))
+    return edges, rest
 
 
 def _sector(candidate: Candidate, width: int) -> int:

@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.se2 import rot_z, rotation
+from landmark_nav.geometry.se2 import rotation
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
     fit_poses,
     RayPairs,
     RelativePoseConfig,
     STATE,
+    turned,
 )
 from landmark_nav.types import FloatArray
 
@@ -53,12 +54,11 @@ class TwoViews:
 def two_views_of(states: FloatArray, one: int, other: int, lever: FloatArray) -> TwoViews:
     """Relative pose of two of the states (v, 6) of sweeps; `lever` (3,) is as in `center`."""
     here, there = states[one], states[other]
-    way = (center(there, lever) - center(here, lever)) @ rot_z(here[2])
+    # In the frame of the first view, which leans: the inverse of a rotation is its transpose.
+    way = turned(here, np.eye(3)) @ (center(there, lever) - center(here, lever))
     heading = there[2] - here[2]
     tilt = there[4:] - rotation(-heading) @ here[4:]
-    roll, pitch = here[4:]
-    rise = way[2] + pitch * way[0] - roll * way[1]
-    slope = float(rise / max(np.hypot(way[0], way[1]), _NOTHING_M))
+    slope = float(way[2] / max(np.hypot(way[0], way[1]), _NOTHING_M))
     return TwoViews(float(heading), float(np.arctan2(way[1], way[0])), tilt, slope, 0)
 
 
