@@ -69,6 +69,8 @@ _SHARED_RAD = 0.025
 # depend on the angle from the optical axis as if the principal point were off by tens of pixels,
 # differently for each robot.
 _MIDDLE_RAD, _PRINCIPAL_POINT = 0.005, 0.05
+# Sigmas of the place of the camera, m, and of its focal length: the data set gives neither.
+_PLACE_M, _FOCAL = 0.03, 0.03
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -151,14 +153,19 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _mount() -> Calibration:
-    """Calibration of a camera fixed at the base, with an uncertain yaw and principal point."""
-    mount = PanTiltMount(pan_sigma_rad=_SHARED_RAD)
-    exact = Calibration.of_mount(mount, dict.fromkeys(NAMES, 0.0))
-    rows = np.zeros((2, len(NAMES)))
-    rows[0, NAMES.index('axis_yaw')] = _MIDDLE_RAD
-    rows[1, NAMES.index('principal_point')] = _PRINCIPAL_POINT
-    rows[1, NAMES.index('axis_yaw')] = -_PRINCIPAL_POINT
-    return replace(exact, covariance=rows.T @ rows)
+    """Calibration of a camera fixed at the base: of its angles and lens little is known."""
+    sigmas = dict.fromkeys(NAMES, 0.0) | {
+        'axis_x': _PLACE_M,
+        'axis_y': _PLACE_M,
+        'axis_yaw': _MIDDLE_RAD,
+        'focal_scale': _FOCAL,
+    }
+    calibration = Calibration.of_mount(PanTiltMount(pan_sigma_rad=_SHARED_RAD), sigmas)
+    # The middle of the image is known better than principal point and yaw are.
+    row = np.zeros(len(NAMES))
+    row[NAMES.index('principal_point')] = _PRINCIPAL_POINT
+    row[NAMES.index('axis_yaw')] = -_PRINCIPAL_POINT
+    return replace(calibration, covariance=calibration.covariance + np.outer(row, row))
 
 
 def _write_bag(
