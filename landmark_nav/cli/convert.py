@@ -64,12 +64,12 @@ _CONFIG = """\
 # Sigma of the error that all bearings of an image share, modelled as an error of the pan. Bearings
 # come at 4 Hz with errors that are constant for seconds (in turns, stamps are off by some tens of
 # milliseconds). As the filter regards them as independent, the sigma is larger than the error.
-_SHARED_RAD = 0.025
+_SHARED_RAD = 0.02
 # Sigmas of the direction in the middle of an image, and of the principal point. Errors of bearings
 # depend on the angle from the optical axis as if the principal point were off by tens of pixels,
 # differently for each robot.
 _MIDDLE_RAD, _PRINCIPAL_POINT = 0.005, 0.05
-# Sigmas of the place of the camera, m, and of its focal length: the data set gives neither.
+# Sigmas of the place of the camera, m, and of its focal length, which the data set does not give.
 _PLACE_M, _FOCAL = 0.03, 0.03
 
 
