@@ -198,6 +198,9 @@ def _overlap(patch: WallPatch, position: FloatArray, other: Landmark) -> float:
     if abs(away @ patch.normal) > 0.5 * size.max() or other.normal @ patch.normal < _SAME_NORMAL:
         return 0.0
     apart = np.abs([away @ right, away @ down])
+    # An edge goes on above and below: its parts share their error.
+    if patch.candidate.edge and other.edge:
+        apart[1] = 0.0
     common = np.clip((size + other_size) / 2.0 - apart, 0.0, np.minimum(size, other_size))
     return float(np.prod(common) / min(np.prod(size), np.prod(other_size)))
 

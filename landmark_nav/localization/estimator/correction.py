@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
@@ -53,7 +54,12 @@ def usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
 
 
 def corrected(
-    state: State, seen: ImagePoints, errors: MapErrors, pan_sigma_rad: float, freedom: float
+    state: State,
+    seen: ImagePoints,
+    errors: MapErrors,
+    new: npt.NDArray[np.bool_],
+    pan_sigma_rad: float,
+    freedom: float,
 ) -> tuple[State, Update]:
     """
     Correct a state by the detections of an image.
@@ -64,6 +70,8 @@ def corrected(
         Prediction, with own errors of all landmarks seen.
     errors : MapErrors
         Errors of the map.
+    new : ndarray of bool, shape (m,)
+        Landmarks that were not seen before: their own errors have the tail of the detections.
     pan_sigma_rad : float
         Noise of the pan joint, which all detections of an image share.
     freedom : float
@@ -83,6 +91,7 @@ def corrected(
     if seen.sizes is not None:
         by_scale = state.covariance[FOCAL, FOCAL] * seen.sizes[:, :rows] ** 2 / 12.0
         noise += by_scale[:, None] * np.eye(rows)
+    unseen_own = errors.own[seen.columns] * new[:, None, None]
     common = pan_sigma_rad**2 + seen.pan_sigma_rad**2 + bend**2
     mean, looser = prior, np.ones(count)
     if seen.near is not None:
@@ -104,14 +113,18 @@ def corrected(
         spread = jacobian @ with_state + common * np.outer(by_pan, by_pan)
         # A landmark behind the camera has no information.
         behind = np.where(model.ahead, 0.0, _NO_INFORMATION)
+        by_point = model.by_point[:, :rows]
+        tailed = noise + by_point @ unseen_own @ by_point.swapaxes(1, 2)
         for _ in range(_WEIGHINGS):
-            covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
+            covariance = _with_blocks(
+                spread, noise + tailed * (looser - 1.0 + behind)[:, None, None]
+            )
             precision = np.linalg.inv(covariance)
             pull = precision @ innovation
             blocks = precision.reshape(count, rows, count, rows)[each, :, each]
             others = np.linalg.inv(blocks)
             alone: FloatArray = (others @ pull.reshape(count, rows, 1))[..., 0]
-            nominal = others - noise * (looser + behind - 1.0)[:, None, None]
+            nominal = others - tailed * (looser - 1.0 + behind)[:, None, None]
             squares = np.einsum(
                 'mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0]
             )
@@ -126,7 +139,9 @@ def corrected(
             # What is found elsewhere than the landmark has no information: in a wide window
             # even its widened tail would.
             behind = np.where(out, _NO_INFORMATION, behind)
-            covariance = _with_blocks(spread, noise * (looser + behind)[:, None, None])
+            covariance = _with_blocks(
+                spread, noise + tailed * (looser - 1.0 + behind)[:, None, None]
+            )
             precision = np.linalg.inv(covariance)
             pull = precision @ innovation
         after = prior + with_state @ pull

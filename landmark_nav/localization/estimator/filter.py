@@ -334,7 +334,8 @@ class JointFilter:
             self.predicted = self._state
             return Update.of_nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
-        after, update = self._corrected(prior, seen)
+        new = ~np.isin(seen.columns, self._state.landmarks)
+        after, update = self._corrected(prior, seen, new)
         if update.surprising and not seen.lost:
             # After a knock the pose is open, and many slips in a row would close it wrongly.
             known = prior.covariance[2, 2] < _OPEN_RAD**2
@@ -343,14 +344,14 @@ class JointFilter:
                 if not (known or step.calibration):
                     continue
                 stepped = self._stepped(prior, step)
-                freed, alternative = self._corrected(stepped, seen)
+                freed, alternative = self._corrected(stepped, seen, new)
                 agree = int(np.sum(alternative.weight > _INLIER))
                 # A knock is no slip: many sigmas of it cost less than the prior of a knock.
                 unlike = alternative.surprising and not step.calibration
                 if agree >= _WITNESSES and not unlike:
                     evidence = max(
                         cause.log_odds
-                        + self._corrected(self._stepped(prior, cause), seen)[1].log_evidence
+                        + self._corrected(self._stepped(prior, cause), seen, new)[1].log_evidence
                         for cause in causes
                     )
                     alternative = alternative._replace(
@@ -365,7 +366,6 @@ class JointFilter:
                 if each.update.log_evidence >= best + _EXCLUDED * each.update.stepped
             )
             update = update._replace(log_evidence=best)
-        new = ~np.isin(seen.columns, self._state.landmarks)
         after = self._doubting(after, update, new)
         recognised = found_log_ratios(update.residual, update.covariance).sum()
         if recognised + MISSED * len(seen.missed) < 0.0:
@@ -392,9 +392,11 @@ class JointFilter:
         covariance[places[:, :, None], places[:, None]] += own
         return replace(state, covariance=covariance)
 
-    def _corrected(self, state: State, seen: ImagePoints) -> tuple[State, Update]:
+    def _corrected(
+        self, state: State, seen: ImagePoints, new: npt.NDArray[np.bool_]
+    ) -> tuple[State, Update]:
         pan_sigma_rad = self._prior.base.pan_sigma_rad
-        return corrected(state, seen, self._errors, pan_sigma_rad, self._config.tail_freedom)
+        return corrected(state, seen, self._errors, new, pan_sigma_rad, self._config.tail_freedom)
 
     def _stepped(self, state: State, step: Step) -> State:
         """Return the state where the base or the calibration may have changed by so much."""
