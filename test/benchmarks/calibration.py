@@ -167,7 +167,8 @@ class DrawnRoom:
             )
             found = panoramas[-1].calibration
             known = found if found is not None and found.surprises(given) else known
-        landmarks = learn_from_panoramas(panoramas, self._room, LearningConfig()).map
+        result = learn_from_panoramas(panoramas, self._room, LearningConfig())
+        landmarks = replace(result.map, prior=given)
         known, start = landmarks.calibration_from(given), start_of(self._folder)
         return Drive(self._folder / 'drive', landmarks, known, start)
 
