@@ -33,8 +33,8 @@ from landmark_nav.learning.calibration.combined import (
     HEIGHT,
     leant,
     levelled,
+    with_overlaps,
     with_papers,
-    with_terms,
 )
 from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
@@ -253,12 +253,15 @@ class _Maker:
         for warning in filter(None, [place.warning, _wrong_focal(found.quality)]):
             _LOG.warning('%s', warning)
         by_calibration = _by_calibration(place, found)
-        terms = found.quality.calibration
-        made = as_corrected(used, terms, found.mount)
+        made = as_corrected(used, found.common, found.mount)
+        known = with_overlaps(self._prior, used, found.whole)
         known = with_papers(
-            with_terms(self._prior, used, terms), made, place.mount_score, place.mount_information,
+            known,
+            made,
+            place.mount_score,
+            place.mount_information,
             self._area.horizon_sigma_rad,
-        )  # fmt: skip
+        )
         panorama = _panorama(sweep, view, found, place, photometry, axis_tilt)
         return replace(
             panorama,

@@ -10,27 +10,25 @@ from scipy.spatial.transform import Rotation
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
-from landmark_nav.learning.calibration.sweep_calibration import (
-    SIGNIFICANT,
-    USUAL_RANGE_M,
-)
+from landmark_nav.learning.calibration.overlap_fit import COMMON, Fit
+from landmark_nav.learning.calibration.sweep_calibration import SIGNIFICANT
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray, Sweep
 
 # The two parts of the camera's height; images show their sum.
 HEIGHT = ('axis_z', 'center_z')
-# Term of a sweep -> the quantity that it corrects, and whether it is a factor.
+# Term of a sweep -> the quantity that it corrects.
 _QUANTITIES = {
-    'focal_length': ('focal_scale', True),
-    'pan_scale': ('pan_scale', True),
-    'tilt': ('camera_tilt', False),
-    'roll': ('camera_roll', False),
-    'forward': ('center_x', False),
-    'left': ('center_y', False),
+    'focal_length': 'focal_scale',
+    'pan_scale': 'pan_scale',
+    'tilt': 'camera_tilt',
+    'roll': 'camera_roll',
+    'forward': 'center_x',
+    'left': 'center_y',
 }
 # Relative error of the ranges by which the offset of the optical centre is measured: furniture is
-# nearer than the walls. The remaining error of an offset looks like one of the focal length.
+# nearer than the walls.
 _RANGE_SHARE = 0.1
 # Smaller information, relative to the largest, is rounding.
 _ROUNDING = 1e-9
@@ -57,36 +55,26 @@ def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
     )
 
 
-def _found(
-    before: Calibration, term: CalibrationTerm, offset_m: float = 0.0
-) -> tuple[str, float, float]:
-    """Quantity that a term corrects, its value and its sigma; see `with_terms`."""
-    name, factor = _QUANTITIES[term.name]
-    value = before[name][0]
-    found = value + term.value * (1.0 + value if factor else 1.0)
-    by_range = 0.0
-    if name.startswith('center'):
-        by_range = _RANGE_SHARE * max(abs(found), abs(term.value))
-    elif term.name == 'focal_length':
-        by_range = _RANGE_SHARE * offset_m / USUAL_RANGE_M
-    return name, found, float(np.hypot(term.sigma, by_range))
+def as_corrected(before: Calibration, common: FloatArray, mount: PanTiltMount) -> Calibration:
+    """Calibration of a panorama: the one before, corrected by `common` (7,), and its axis."""
+    axis = dict(zip(('axis_roll', 'axis_pitch', 'axis_yaw'), mount.axis_rpy, strict=True))
+    names, values = _corrected_values(before, common)
+    return before.with_values(**axis, **dict(zip(names, values.tolist(), strict=True)))
 
 
-def as_corrected(
-    before: Calibration, terms: tuple[CalibrationTerm, ...], mount: PanTiltMount
-) -> Calibration:
-    """Calibration a panorama was made with: the one before, with the terms used and its axis."""
-    values = dict(zip(('axis_roll', 'axis_pitch', 'axis_yaw'), mount.axis_rpy, strict=True))
-    for term in terms:
-        if term.used and term.name in _QUANTITIES:
-            name, value, _ = _found(before, term)
-            values[name] = value
-    return before.with_values(**values)
+def _corrected_values(before: Calibration, common: FloatArray) -> tuple[list[str], FloatArray]:
+    """Names and values (q,) of the quantities that terms of a sweep correct."""
+    names = list(_QUANTITIES.values())
+    values = np.array([before[name][0] for name in names])
+    terms = common[[COMMON.index(term) for term in _QUANTITIES]]
+    focal, pan_scale = names.index('focal_scale'), names.index('pan_scale')
+    found = values + terms
+    found[focal] = (1.0 + values[focal]) * np.exp(terms[focal]) - 1.0
+    found[pan_scale] = (1.0 + values[pan_scale]) * (1.0 + terms[pan_scale]) - 1.0
+    return names, found
 
 
-def with_terms(
-    known: Calibration, before: Calibration, terms: tuple[CalibrationTerm, ...]
-) -> Calibration:
+def with_overlaps(known: Calibration, before: Calibration, fit: Fit | None) -> Calibration:
     """
     Update a calibration by the overlaps of a sweep.
 
@@ -96,16 +84,24 @@ def with_terms(
     ----------
     before : Calibration
         Calibration that the terms correct.
-    terms : tuple of CalibrationTerm
-        Terms of the sweep, used in the panorama or not.
+    fit : Fit, optional
+        All terms together, as an offset of the optical centre resembles a longer focal length:
+        without one of them, the other would be off by more than its sigma.
     """
-    offset_m = max(
-        (abs(_found(before, t)[1]) for t in terms if t.name in ('forward', 'left')), default=0.0
+    if fit is None:
+        return known
+    terms = np.array([COMMON.index(term) for term in _QUANTITIES])
+    shown = fit.sigma[terms] > 0.0
+    names, values = _corrected_values(before, fit.common)
+    covariance = fit.covariance + np.diag(fit.sigma**2 - np.diag(fit.covariance))
+    covariance = covariance[np.ix_(terms, terms)]
+    centre = np.array([name.startswith('center') for name in names])
+    offsets = np.maximum(np.abs(values), np.abs(fit.common[terms]))
+    covariance += np.diag(np.square(_RANGE_SHARE * centre * offsets))
+    rows = np.array(names)[:, None] == np.array(NAMES)
+    return known.observed(
+        rows[shown].astype(np.float64), values[shown], covariance[np.ix_(shown, shown)]
     )
-    for term in terms:
-        if term.name in _QUANTITIES:
-            known = known.measured(*_found(before, term, offset_m))
-    return known
 
 
 def with_papers(

@@ -62,7 +62,8 @@ class SweepCalibration:
     """
     A sweep and its mount, corrected by `common` (7,) in the order of `COMMON`.
 
-    `overlaps` can be used for a further calibration.
+    `overlaps` can be used for a further calibration. `whole` is the fit of all terms, used in the
+    panorama or not.
     """
 
     sweep: Sweep
@@ -70,6 +71,7 @@ class SweepCalibration:
     common: FloatArray
     quality: PanoramaQuality
     overlaps: Overlaps
+    whole: Fit | None = None
 
 
 def calibrate_sweep(
@@ -111,9 +113,10 @@ def calibrate_sweep(
         free.append(_DISTORTION)
     if range_m is not None:
         free += [_FORWARD, _LEFT]
-    fit, terms = fit_significant(problem, free, _UNIT_SIGMA_RAD, camera)
+    whole, fit, terms = fit_significant(problem, free, _UNIT_SIGMA_RAD, camera)
     quality = _quality(problem, overlaps, fit, problem.misfit_px(fit.common), terms)
-    return SweepCalibration(*corrected(sweep, mount, fit.common), fit.common, quality, overlaps)
+    used = corrected(sweep, mount, fit.common)
+    return SweepCalibration(*used, fit.common, quality, overlaps, whole)
 
 
 def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepCalibration:
@@ -141,7 +144,7 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepCalibration:
                 'align them: they need to overlap and to show texture'
             )
         problem = OverlapProblem(overlaps, given, mount)
-        fit, terms = fit_significant(problem, free, _ROUGH_SIGMA_RAD, camera)
+        _, fit, terms = fit_significant(problem, free, _ROUGH_SIGMA_RAD, camera)
         aligned, _ = corrected(given, mount, fit.common, fit.frames)
     residual_px = problem.misfit_px(fit.common, fit.frames)
     quality = _quality(problem, overlaps, fit, residual_px, terms)
@@ -175,9 +178,9 @@ def fit_significant(
     free: Sequence[int],
     frame_sigma: Sequence[float],
     camera: CameraModel,
-) -> tuple[Fit, tuple[CalibrationTerm, ...]]:
+) -> tuple[Fit, Fit, tuple[CalibrationTerm, ...]]:
     """
-    Fit, and remove the least significant terms until all that remain are significant.
+    Fit all terms; then remove the least significant terms until all that remain are significant.
 
     Parameters
     ----------
@@ -189,8 +192,8 @@ def fit_significant(
     free = sorted(free)
     shift_px = _shift_px(camera)
     found: dict[int, tuple[float, float]] = {}
+    whole = fit = problem.fit(free, frame_sigma)
     while True:
-        fit = problem.fit(free, frame_sigma)
         found |= {k: (float(fit.common[k]), float(fit.sigma[k])) for k in free}
         worth = {
             k: min(
@@ -210,9 +213,14 @@ def fit_significant(
             if max(alike, default=0.0) < _ALIKE:
                 gone.append(k)
         free = [k for k in free if k not in gone]
+        fit = problem.fit(free, frame_sigma)
     if _FOCAL in free and _DISTORTION in free:
         found[_FOCAL] = _effective_focal(fit)
-    return fit, tuple(CalibrationTerm(COMMON[k], *found[k], k in free) for k in sorted(found))
+    return (
+        whole,
+        fit,
+        tuple(CalibrationTerm(COMMON[k], *found[k], k in free) for k in sorted(found)),
+    )
 
 
 def _usual_range(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
