@@ -277,10 +277,11 @@ class Observer:
         if place is not None:
             expected = replace(expected, pose=place.pose, covariance=place.covariance)
         visible = self._visible(frame, expected)
-        enough, most = config.detection.target_count, config.detection.max_count
-        turned = expected.stepped(*self._step.zoom[1:])
-        tries = [(expected, enough)] if self._found_most and enough < len(visible) else []
-        for state, count in [*tries, (expected, most), (turned, most)]:
+        most = config.detection.max_count
+        enough = min(config.detection.target_count, most)
+        tries = [(False, enough)] if self._found_most and enough < len(visible) else []
+        for turned, count in [*tries, (False, most), (True, most)]:
+            state = expected.stepped(*self._step.zoom[1:]) if turned else expected
             result, looked_for = self._searched(frame, state, visible, count)
             found = len(result.detections)
             self._found_most = found >= _MOST * len(looked_for)
