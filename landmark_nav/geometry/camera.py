@@ -263,6 +263,11 @@ class CameraModel:
         return padded
 
     @cached_property
+    def _scale(self) -> tuple[FloatArray, FloatArray]:
+        """Focal lengths and principal point, each (2,)."""
+        return np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
+
+    @cached_property
     def _polynomial(self) -> list[float]:
         """Distortion coefficients, padded with zeros to twelve."""
         return [*self.coefficients.tolist(), *[0.0] * 7][:12]
@@ -311,10 +316,11 @@ class CameraModel:
         flat = uv.reshape(-1, 2)
         if not len(flat):
             return np.empty((*uv.shape[:-1], 3))
-        focal, center = np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
+        focal, center = self._scale
         angle, _, distorted = self._lens
         wanted = (flat - center) / focal
-        radius = np.maximum(np.linalg.norm(wanted, axis=-1, keepdims=True), 1e-12)
+        x, y = wanted.T
+        radius = np.maximum(np.sqrt(x * x + y * y), 1e-12)[:, None]
         wanted *= np.minimum(1.0, self._usable_border[1] / radius)
         radius = np.minimum(radius, self._usable_border[1])
         flat = center + wanted * focal
@@ -322,10 +328,11 @@ class CameraModel:
         # and tangential derivatives.
         angles = np.interp(radius, distorted, angle)
         slope = np.interp(angles, angle, self._slopes)
-        along, across = slope * np.cos(angles) ** 2, radius / np.maximum(np.tan(angles), 1e-12)
+        tangent = np.tan(angles)
+        along, across = slope * np.cos(angles) ** 2, radius / np.maximum(tangent, 1e-12)
         outward = wanted / radius
         rays = np.ones((len(flat), 3))
-        rays[:, :2] = outward * np.tan(angles)
+        rays[:, :2] = outward * tangent
         for _ in range(_POLISH_ITERATIONS):
             residual = self._project_unchecked(rays) - flat
             if np.abs(residual).max() < 1e-9:
@@ -344,17 +351,18 @@ class CameraModel:
             return np.asarray(found[0], dtype=np.float64).reshape(-1, 2)
         # cv2.projectPoints also computes derivatives, and takes three times as long.
         _, _, p1, p2, *_ = self._polynomial
-        x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+        focal, center = self._scale
+        tangents = points[:, :2] / points[:, 2:]
+        x, y = tangents.T
         square = x * x + y * y
         along = self._radial(square) + 2.0 * (p1 * y + p2 * x)
-        pixels = np.empty((len(x), 2))
-        pixels[:, 0] = self.fx * (x * along + p2 * square) + self.cx
-        pixels[:, 1] = self.fy * (y * along + p1 * square) + self.cy
+        distorted = tangents * along[:, None] + square[:, None] * np.array([p2, p1])
+        pixels = focal * distorted + center
         s1, s2, s3, s4 = self._polynomial[8:]
         if s1 or s2 or s3 or s4:
             pixels[:, 0] += self.fx * square * (s1 + s2 * square)
             pixels[:, 1] += self.fy * square * (s3 + s4 * square)
-        return pixels
+        return np.asarray(pixels)
 
     @property
     def ray_grid(self) -> npt.NDArray[np.float32]:
