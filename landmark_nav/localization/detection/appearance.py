@@ -98,12 +98,15 @@ def draw(
         for source, each in zip(sources, texels, strict=True)
     ]
     images = [np.zeros(each.shape[:2], np.float32) for each in rays]
-    squares = np.zeros((len(rays), 2))
+    squares = [[0.0, 0.0] for _ in rays]
     for (k, _, share), part, (across, down) in zip(shown, parts, steps, strict=True):
         cv2.scaleAdd(part, share, images[k], dst=images[k])
-        squares[k] += share * max(1.0 / across, 1.0) ** 2, share * max(1.0 / down, 1.0) ** 2
-    finer = np.sqrt(squares).tolist()
-    return [Drawing(image, (x, y)) for image, (x, y) in zip(images, finer, strict=True)]
+        squares[k][0] += share * max(1.0 / across, 1.0) ** 2
+        squares[k][1] += share * max(1.0 / down, 1.0) ** 2
+    return [
+        Drawing(image, (math.sqrt(x), math.sqrt(y)))
+        for image, (x, y) in zip(images, squares, strict=True)
+    ]
 
 
 def _to_texels(image: ImageArray, width_m: float) -> list[list[float]]:
