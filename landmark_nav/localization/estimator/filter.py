@@ -42,7 +42,7 @@ from landmark_nav.localization.estimator.noise import (
     NoiseScales,
     SLIP_NOISE,
 )
-from landmark_nav.localization.estimator.recognition import found_log_ratios, MISSED
+from landmark_nav.localization.estimator.recognition import MISSED
 from landmark_nav.localization.estimator.state import MapErrors, State, Update
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
@@ -365,10 +365,9 @@ class JointFilter:
                 if each.update.log_evidence >= best + _EXCLUDED * each.update.stepped
             )
             update = update._replace(log_evidence=best)
-        new = ~np.isin(seen.columns, self._state.landmarks)
+        new = ~(seen.columns[:, None] == self._state.landmarks).any(axis=1)
         after = self._doubting(after, update, new)
-        recognised = found_log_ratios(update.residual, update.covariance).sum()
-        if recognised + MISSED * len(seen.missed) < 0.0:
+        if update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0:
             # Chance would find as much in such large windows: the image must not move the pose.
             after, update = replace(prior, stamp_ns=after.stamp_ns), update.unused
         self._state, self.predicted = after, prior
