@@ -19,7 +19,7 @@ import struct
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from landmark_nav.arrays import IntArray
 from landmark_nav.errors import inside, LandmarkNavError, why
@@ -297,7 +297,8 @@ def wrong_stamps(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
     offsets = stamps_ns[:, 1] - stamps_ns[:, 0]
     middle = _AROUND // 2
     at = np.clip(np.arange(len(offsets)), middle, len(offsets) - 1 - middle)
-    off = offsets - median_filter(offsets, _AROUND)[at]
+    medians = np.sort(sliding_window_view(offsets, _AROUND), axis=1)[:, middle]
+    off = offsets - medians[at - middle]
     wrong = np.flatnonzero(np.abs(off) > _WRONG_STAMP_NS)
     return {(int(stamps_ns[k, 0]), int(stamps_ns[k, 1])): int(off[k]) for k in wrong}
 
