@@ -136,7 +136,11 @@ def corrected(
         if change < _CONVERGED:
             break
     gain = with_state @ precision
-    corrected = state.covariance - gain @ with_state.T
+    corrected = gain @ with_state.T
+    # In place: the covariance is larger than the cache.
+    np.subtract(state.covariance, corrected, out=corrected)
+    symmetric = corrected + corrected.T
+    symmetric *= 0.5
     # Parts of the covariance by each noise.
     acted, by_acted = jacobian[:, :STATES], gain[:STATES]
     of_noise = acted @ state.by_noise @ acted.T
@@ -172,7 +176,7 @@ def corrected(
             state,
             stamp_ns=max(state.stamp_ns, seen.stamp_ns),
             mean=mean,
-            covariance=0.5 * (corrected + corrected.T),
+            covariance=symmetric,
             by_noise=by_noise,
             scales=scales,
         ),

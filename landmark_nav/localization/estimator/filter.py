@@ -453,7 +453,7 @@ class JointFilter:
         size = len(rows) + 3 * len(new)
         mean, covariance = np.zeros(size), np.zeros((size, size))
         mean[: len(rows)] = state.mean[rows]
-        covariance[: len(rows), : len(rows)] = state.covariance[np.ix_(rows, rows)]
+        covariance[: len(rows), : len(rows)] = state.covariance[rows][:, rows]
         places = len(rows) + np.arange(3 * len(new)).reshape(-1, 3)
         covariance[places[:, :, None], places[:, None]] = self._errors.own[new]
         return replace(
