@@ -438,6 +438,8 @@ class Detections:
 
     def chosen(self, which: npt.NDArray[np.bool_]) -> Detections:
         """Return the detections selected by the mask `which` (n,)."""
+        if which.all():
+            return self
         names = ['ids', 'bearing_rad', 'variance_rad2', 'score', 'uv_px']
         names += ['covariance_px2'] if len(self.covariance_px2) else []
         names += ['points', 'point_covariance'] if len(self.points) else []

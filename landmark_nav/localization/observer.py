@@ -131,7 +131,7 @@ def most_informative(
         best = int(np.argmax(np.where(left, news * gain, -np.inf)))
         left[best] = False
         spread = covariance @ rows[best] / np.sqrt(1.0 + gain[best])
-        covariance = covariance - np.outer(spread, spread)
+        covariance = covariance - spread[:, None] * spread
         gain -= (rows @ spread) ** 2
     return np.asarray(index[~left], dtype=np.intp)
 

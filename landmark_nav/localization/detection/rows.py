@@ -162,7 +162,7 @@ def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.
     wrong = np.zeros(len(off_px), dtype=np.bool_)
     left = np.arange(len(off_px))
     while len(left) >= _LEAST_HEIGHTS:
-        inverse = np.linalg.inv(covariance[np.ix_(left, left)])
+        inverse = np.linalg.inv(covariance[left][:, left])
         sigmas = np.abs(inverse @ off_px[left]) / np.sqrt(np.diag(inverse))
         worst = int(np.argmax(sigmas))
         if sigmas[worst] < _WRONG:

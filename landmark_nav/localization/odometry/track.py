@@ -245,13 +245,11 @@ class OdometryTrack:
         if not self._stamps:
             return Motion(np.zeros(3), seconds, seconds)
         increment = relative(self._pose(from_ns), self._pose(to_ns))
-        ahead = sum(
-            sign * np.sign(beyond) * beyond**4
-            for sign, beyond in ((1.0, self._beyond_s(to_ns)), (-1.0, self._beyond_s(from_ns)))
-        )
+        end, begin = self._beyond_s(to_ns), self._beyond_s(from_ns)
+        ahead = math.copysign(end**4, end) - math.copysign(begin**4, begin)
         blind = (self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
         jitter = (2.0 * variance for variance in self._jitter.variances)
-        return Motion(increment, seconds, min(blind, _LONGEST_S), float(ahead), *jitter)
+        return Motion(increment, seconds, min(blind, _LONGEST_S), ahead, *jitter)
 
     def trim(self, before_ns: int) -> None:
         """Drop samples that are not needed for motions that start at `before_ns` or later."""
