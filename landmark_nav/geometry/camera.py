@@ -299,11 +299,12 @@ class CameraModel:
         radius = np.hypot(flat[:, 0], flat[:, 1])
         widest = min(1.05 * self._max_radius, self._usable_border[0])
         good = (depth > 1e-9) & (radius < widest * depth)
-        if good.any() and good.all():
-            return self._project_unchecked(flat).reshape((*points.shape[:-1], 2))
-        pixels = np.full((len(flat), 2), np.nan)
-        if good.any():
-            pixels[good] = self._project_unchecked(flat[good])
+        if len(flat) and good.all():
+            pixels = self._pixels(flat[:, :2] / flat[:, 2:])
+        else:
+            pixels = np.full((len(flat), 2), np.nan)
+            if good.any():
+                pixels[good] = self._pixels(flat[good, :2] / flat[good, 2:])
         return pixels.reshape((*points.shape[:-1], 2))
 
     def unproject(self, pixels: npt.ArrayLike) -> FloatArray:
@@ -331,28 +332,28 @@ class CameraModel:
         tangent = np.tan(angles)
         along, across = slope * np.cos(angles) ** 2, radius / np.maximum(tangent, 1e-12)
         outward = wanted / radius
-        rays = np.ones((len(flat), 3))
-        rays[:, :2] = outward * tangent
+        tangents = outward * tangent
         for _ in range(_POLISH_ITERATIONS):
-            residual = self._project_unchecked(rays) - flat
+            residual = self._pixels(tangents) - flat
             if np.abs(residual).max() < 1e-9:
                 break
             off = residual / focal
-            radial = np.sum(off * outward, axis=-1, keepdims=True) * outward
-            rays[:, :2] -= radial / along + (off - radial) / across
-        return rays.reshape((*uv.shape[:-1], 3))
+            radial = (off * outward).sum(axis=-1, keepdims=True) * outward
+            tangents -= radial / along + (off - radial) / across
+        rays = np.ones((*uv.shape[:-1], 3))
+        rays[..., :2] = tangents.reshape(uv.shape)
+        return rays
 
-    def _project_unchecked(self, points: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of points (n, 3) that lie in front of the camera."""
+    def _pixels(self, tangents: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of rays in front of the camera, by their x/z and y/z (n, 2)."""
         if self._is_fisheye:
             zero = np.zeros(3)
-            inside = np.ascontiguousarray(points).reshape(-1, 1, 3)
-            found = cv2.fisheye.projectPoints(inside, zero, zero, self.matrix, self.coefficients)
+            rays = np.column_stack([tangents, np.ones(len(tangents))]).reshape(-1, 1, 3)
+            found = cv2.fisheye.projectPoints(rays, zero, zero, self.matrix, self.coefficients)
             return np.asarray(found[0], dtype=np.float64).reshape(-1, 2)
         # cv2.projectPoints also computes derivatives, and takes three times as long.
         _, _, p1, p2, *_ = self._polynomial
         focal, center = self._scale
-        tangents = points[:, :2] / points[:, 2:]
         x, y = tangents.T
         square = x * x + y * y
         along = self._radial(square) + 2.0 * (p1 * y + p2 * x)
