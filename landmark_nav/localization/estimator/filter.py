@@ -413,14 +413,13 @@ class JointFilter:
             return state
         kept, first = self.kept(state.way_m), self._fixed
         unseen = state.unseen_m + state.way_m
-        mean, covariance = state.mean.copy(), state.covariance.copy()
-        if state.way_m and len(state.landmarks):
-            fresh = (1.0 - kept**2) * self._errors.own[state.landmarks]
-            mean[first:] *= kept
-            covariance[first:] *= kept
-            covariance[:, first:] *= kept
-            places = first + np.arange(3 * len(state.landmarks)).reshape(-1, 3)
-            covariance[places[:, :, None], places[:, None]] += fresh
+        left = np.ones(len(state.mean))
+        left[first:] = kept
+        mean, covariance = left * state.mean, left[:, None] * state.covariance
+        covariance *= left
+        places = first + np.arange(3 * len(state.landmarks)).reshape(-1, 3)
+        fresh = (1.0 - kept**2) * self._errors.own[state.landmarks]
+        covariance[places[:, :, None], places[:, None]] += fresh
         walk = self._config.mount_walk_rad_per_sqrt_s**2 * state.seconds
         for k in (YAW, ROLL, TILT):
             # Exact values do not change.
