@@ -129,6 +129,8 @@ class Bag:
             raise LandmarkNavError(f'{self.path}: cannot be read: {why(error)}') from error
         self._readers: dict[ChannelInfo, definitions.MessageReader] = {}
         self._unstamped: dict[str, bool] = {}
+        # Shared with copies, as it takes a pass over the files.
+        self._stamps_ns: dict[str, IntArray] = {}
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for file in self._files:
@@ -231,22 +233,24 @@ class Bag:
             self.inform(f'{topic} has stamps of 0: the time of recording is taken')
         return self._unstamped[topic]
 
-    @cached_property
+    @property
     def stamps_ns(self) -> dict[str, IntArray]:
         """
         Log times and stamps (n, 2) of the messages of each topic with headers, by log time.
 
         A message without a stamp has its log time instead.
         """
+        if self._stamps_ns:
+            return self._stamps_ns
         found: dict[str, list[tuple[int, int]]] = {}
         topics = [topic for topic, kind in self._filled().items() if definitions.has_header(kind)]
         for raw in _merged(self._files, topics) if topics else ():
             entry = BagMessage(raw, self._reader(raw.channel), self)
             found.setdefault(entry.topic, []).append((entry.stamp_ns, entry.header_ns))
-        return {
-            topic: np.array([(log, stamp or log) for log, stamp in pairs], dtype=np.int64)
-            for topic, pairs in found.items()
-        }
+        for topic, pairs in found.items():
+            stamps = [(log, stamp or log) for log, stamp in pairs]
+            self._stamps_ns[topic] = np.array(stamps, dtype=np.int64)
+        return self._stamps_ns
 
     def unpacked(self, data: bytes) -> bytes:
         """Data of a message, uncompressed; metadata may name a compression that there is not."""
