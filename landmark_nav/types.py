@@ -21,7 +21,7 @@ from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import is_upright_edge, patch_corners, PatchView
-from landmark_nav.geometry.walls import Wall
+from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.quality import PanoramaQuality
 
 
@@ -299,10 +299,18 @@ class LandmarkMap:
         """Landmark ids, (n,)."""
         return np.array([k.id for k in self.landmarks], dtype=np.int64)
 
+    @cached_property
+    def _places(self) -> dict[int, int]:
+        """Indices in `landmarks` by id."""
+        return {landmark.id: k for k, landmark in enumerate(self.landmarks)}
+
     def indices(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
         """Indices in `landmarks` of ids (n,), all of which must be in the map."""
-        order = np.argsort(self.ids)
-        return np.asarray(order[np.searchsorted(self.ids, ids, sorter=order)], dtype=np.intp)
+        return np.array([self._places[k] for k in ids.tolist()], dtype=np.intp)
+
+    def has(self, ids: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        """Which of ids (n,) are in the map."""
+        return np.array([k in self._places for k in ids.tolist()], dtype=np.bool_)
 
     @cached_property
     def edges(self) -> npt.NDArray[np.bool_]:
@@ -333,6 +341,17 @@ class LandmarkMap:
     def corners(self) -> FloatArray:
         """Corners of the patches on the wall in map, (n, 4, 3)."""
         return patch_corners(self.positions, self.normals, self.sizes_m)
+
+    @cached_property
+    def room(self) -> Room | None:
+        """The room of its walls; None without walls. Raises as `Room`."""
+        return Room(self.walls) if self.walls else None
+
+    @cached_property
+    def seen_through(self) -> npt.NDArray[np.bool_]:
+        """Which walls are between landmarks and their reference viewpoints, (n, walls)."""
+        assert self.room is not None, 'there are walls'
+        return self.room.hiding(self.viewpoints[:, :2], self.positions[:, :2])
 
     @cached_property
     def covariances(self) -> FloatArray:
@@ -419,6 +438,8 @@ class Detections:
 
     def chosen(self, which: npt.NDArray[np.bool_]) -> Detections:
         """Return the detections selected by the mask `which` (n,)."""
+        if which.all():
+            return self
         names = ['ids', 'bearing_rad', 'variance_rad2', 'score', 'uv_px']
         names += ['covariance_px2'] if len(self.covariance_px2) else []
         names += ['points', 'point_covariance'] if len(self.points) else []

@@ -14,7 +14,6 @@ from landmark_nav.cli.options import add, open_bag, progress, within, wrapped
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation import run_report
-from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.learning_report import check_truth_frame
 from landmark_nav.evaluation.replay import replay, UnknownPlaceError
 from landmark_nav.evaluation.report import (
@@ -155,6 +154,9 @@ def run(args: argparse.Namespace) -> int:
                 'check odometry, joint_states and camera where they seem to be wrong'
             )
     if args.out:
+        # Matplotlib takes a third of a second to import.
+        from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
+
         trajectory, drawn_errors = figures_in
         draw_trajectory(done, landmarks, trajectory, smoothed)
         draw_errors(done, errors, drawn_errors)

@@ -346,15 +346,16 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
     return float(0.5 * _INDEPENDENT * (k[-1] + 1) * (each.sum(1).mean() + log_area))
 
 
-# Most errors do not change the intrinsics.
-@lru_cache(maxsize=2)
+# Most errors do not change the intrinsics; those that do are tried from two setups of one camera.
+@lru_cache(maxsize=32)
 def _rays(matches: Matches, camera: CameraModel) -> tuple[FloatArray, FloatArray, float]:
     """Rays (m, 3) of both images in the optical frame; mean log of the solid angle of a pixel."""
-    before, after = (camera.unproject(pixels) for pixels in (matches.before_px, matches.after_px))
-    at = matches.after_px[::_SPARSE]
+    at, aside = matches.after_px[::_SPARSE], np.eye(2)
+    pixels = matches.before_px, matches.after_px, at + aside[0], at + aside[1]
+    ends = np.cumsum([len(part) for part in pixels])
+    before, after, *beside = np.split(camera.unproject(np.concatenate(pixels)), ends[:-1])
     middle, right, down = (
-        ray / np.linalg.norm(ray, axis=1, keepdims=True)
-        for ray in (camera.unproject(at + step) for step in ([0, 0], [1, 0], [0, 1]))
+        ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in (after[::_SPARSE], *beside)
     )
     area = np.linalg.norm(np.cross(right - middle, down - middle), axis=1)
     return before, after, float(np.mean(np.log(np.maximum(area, 1e-12))))

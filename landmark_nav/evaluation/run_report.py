@@ -421,3 +421,47 @@ def _lines(stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> str:
         f'{float(np.sin(heading / 2.0))!r} {float(np.cos(heading / 2.0))!r}\n'
         for stamp, (x, y, heading) in zip(stamps_ns.tolist(), poses.tolist(), strict=True)
     )
+
+
+def driven(run: Replay, stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> FloatArray:
+    """Line (2, n) through poses; between images that are far apart it follows odometry."""
+    known = metrics.PoseTrack.of(zip(stamps_ns.tolist(), poses, strict=True))
+    return np.asarray(run.odometry.carry(known).poses[:, :2].T)
+
+
+# Percentage of the images whose bands are completely inside the axes.
+_SHOWN_SHARE = 98.0
+_AXES = (('ahead [cm]', 100.0), ('left [cm]', 100.0), ('heading [deg]', 180.0 / np.pi))
+
+
+class AxisErrors(NamedTuple):
+    """
+    Errors (n,) ahead, to the left or in heading, in centimetres or degrees.
+
+    `band` are three sigmas; `limit` is the half height of the axes.
+    """
+
+    label: str
+    factor: float
+    fused: FloatArray
+    fixes: FloatArray
+    band: FloatArray
+    limit: float
+
+
+def errors_by_axis(run: Replay, fused: FloatArray, fixes: FloatArray) -> list[AxisErrors]:
+    """Turn errors in map (n, 3) into the frame of the robot."""
+    turned = se2.rot_z(-run.fused[:, 2])
+    covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
+    bands = 3.0 * np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    fused, fixes = (np.einsum('nij,nj->ni', turned, errors) for errors in (fused, fixes))
+    found = []
+    for k, (label, factor) in enumerate(_AXES):
+        band, off = factor * bands[:, k], factor * fused[:, k]
+        # The sigmas of a lost pose, and of a rough start, may be large: these bands exceed the
+        # axes.
+        widest = np.percentile(band[~run.lost], _SHOWN_SHARE) if not run.lost.all() else np.nan
+        shown = np.append(np.abs(off), widest)
+        limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
+        found.append(AxisErrors(label, factor, off, factor * fixes[:, k], band, limit))
+    return found

@@ -263,6 +263,11 @@ class CameraModel:
         return padded
 
     @cached_property
+    def _scale(self) -> tuple[FloatArray, FloatArray]:
+        """Focal lengths and principal point, each (2,)."""
+        return np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
+
+    @cached_property
     def _polynomial(self) -> list[float]:
         """Distortion coefficients, padded with zeros to twelve."""
         return [*self.coefficients.tolist(), *[0.0] * 7][:12]
@@ -294,11 +299,12 @@ class CameraModel:
         radius = np.hypot(flat[:, 0], flat[:, 1])
         widest = min(1.05 * self._max_radius, self._usable_border[0])
         good = (depth > 1e-9) & (radius < widest * depth)
-        if good.any() and good.all():
-            return self._project_unchecked(flat).reshape((*points.shape[:-1], 2))
-        pixels = np.full((len(flat), 2), np.nan)
-        if good.any():
-            pixels[good] = self._project_unchecked(flat[good])
+        if len(flat) and good.all():
+            pixels = self._pixels(flat[:, :2] / flat[:, 2:])
+        else:
+            pixels = np.full((len(flat), 2), np.nan)
+            if good.any():
+                pixels[good] = self._pixels(flat[good, :2] / flat[good, 2:])
         return pixels.reshape((*points.shape[:-1], 2))
 
     def unproject(self, pixels: npt.ArrayLike) -> FloatArray:
@@ -311,10 +317,11 @@ class CameraModel:
         flat = uv.reshape(-1, 2)
         if not len(flat):
             return np.empty((*uv.shape[:-1], 3))
-        focal, center = np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
+        focal, center = self._scale
         angle, _, distorted = self._lens
         wanted = (flat - center) / focal
-        radius = np.maximum(np.linalg.norm(wanted, axis=-1, keepdims=True), 1e-12)
+        x, y = wanted.T
+        radius = np.maximum(np.sqrt(x * x + y * y), 1e-12)[:, None]
         wanted *= np.minimum(1.0, self._usable_border[1] / radius)
         radius = np.minimum(radius, self._usable_border[1])
         flat = center + wanted * focal
@@ -322,39 +329,41 @@ class CameraModel:
         # and tangential derivatives.
         angles = np.interp(radius, distorted, angle)
         slope = np.interp(angles, angle, self._slopes)
-        along, across = slope * np.cos(angles) ** 2, radius / np.maximum(np.tan(angles), 1e-12)
+        tangent = np.tan(angles)
+        along, across = slope * np.cos(angles) ** 2, radius / np.maximum(tangent, 1e-12)
         outward = wanted / radius
-        rays = np.ones((len(flat), 3))
-        rays[:, :2] = outward * np.tan(angles)
+        tangents = outward * tangent
         for _ in range(_POLISH_ITERATIONS):
-            residual = self._project_unchecked(rays) - flat
+            residual = self._pixels(tangents) - flat
             if np.abs(residual).max() < 1e-9:
                 break
             off = residual / focal
-            radial = np.sum(off * outward, axis=-1, keepdims=True) * outward
-            rays[:, :2] -= radial / along + (off - radial) / across
-        return rays.reshape((*uv.shape[:-1], 3))
+            radial = (off * outward).sum(axis=-1, keepdims=True) * outward
+            tangents -= radial / along + (off - radial) / across
+        rays = np.ones((*uv.shape[:-1], 3))
+        rays[..., :2] = tangents.reshape(uv.shape)
+        return rays
 
-    def _project_unchecked(self, points: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of points (n, 3) that lie in front of the camera."""
+    def _pixels(self, tangents: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of rays in front of the camera, by their x/z and y/z (n, 2)."""
         if self._is_fisheye:
             zero = np.zeros(3)
-            inside = np.ascontiguousarray(points).reshape(-1, 1, 3)
-            found = cv2.fisheye.projectPoints(inside, zero, zero, self.matrix, self.coefficients)
+            rays = np.column_stack([tangents, np.ones(len(tangents))]).reshape(-1, 1, 3)
+            found = cv2.fisheye.projectPoints(rays, zero, zero, self.matrix, self.coefficients)
             return np.asarray(found[0], dtype=np.float64).reshape(-1, 2)
         # cv2.projectPoints also computes derivatives, and takes three times as long.
         _, _, p1, p2, *_ = self._polynomial
-        x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+        focal, center = self._scale
+        x, y = tangents.T
         square = x * x + y * y
         along = self._radial(square) + 2.0 * (p1 * y + p2 * x)
-        pixels = np.empty((len(x), 2))
-        pixels[:, 0] = self.fx * (x * along + p2 * square) + self.cx
-        pixels[:, 1] = self.fy * (y * along + p1 * square) + self.cy
+        distorted = tangents * along[:, None] + square[:, None] * np.array([p2, p1])
+        pixels = focal * distorted + center
         s1, s2, s3, s4 = self._polynomial[8:]
         if s1 or s2 or s3 or s4:
             pixels[:, 0] += self.fx * square * (s1 + s2 * square)
             pixels[:, 1] += self.fy * square * (s3 + s4 * square)
-        return pixels
+        return np.asarray(pixels)
 
     @property
     def ray_grid(self) -> npt.NDArray[np.float32]:

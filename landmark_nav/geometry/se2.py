@@ -129,10 +129,16 @@ def rot_z(angle: Any) -> FloatArray:
 
 
 def _rotation_about(axis: int, angle: Any) -> FloatArray:
-    # Fast path: most calls are for single angles.
-    single = np.ndim(angle) == 0
-    cos, sin = (math.cos(angle), math.sin(angle)) if single else (np.cos(angle), np.sin(angle))
     first, second = (axis + 1) % 3, (axis + 2) % 3
+    if isinstance(angle, float):
+        # Fast path: most calls are for single angles.
+        entries = [0.0] * 9
+        entries[4 * axis] = 1.0
+        entries[4 * first] = entries[4 * second] = math.cos(angle)
+        entries[3 * second + first] = sine = math.sin(angle)
+        entries[3 * first + second] = -sine
+        return np.array(entries).reshape(3, 3)
+    cos, sin = np.cos(angle), np.sin(angle)
     out = np.zeros((*np.shape(angle), 3, 3))
     out[..., axis, axis] = 1.0
     out[..., first, first] = out[..., second, second] = cos

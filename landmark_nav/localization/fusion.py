@@ -90,6 +90,7 @@ class Fusion:
         odometry: OdometryNoiseConfig | None = None,
     ) -> None:
         self._map, self._prior = landmark_map, calibration
+        self._may_be = calibration.widened(_MAY_STEP)
         self._config, self._odometry = (
             config or EstimatorConfig(),
             odometry or OdometryNoiseConfig(),
@@ -203,7 +204,7 @@ class Fusion:
         self._integrity.add(seen.stamp_ns, self._update, 0 if unknown else len(seen.missed))
         if self._update is not None:
             self._weigh_start(line, seen, self._update)
-        self._unlikely = self.calibration.contradictions(self._prior.widened(_MAY_STEP))
+        self._unlikely = self.calibration.contradictions(self._may_be)
         sure = self._integrity.log_ratio >= _TRUSTED and not self._unlikely
         if sure and self._anywhere is None:
             self._trusted = line.filter.snapshot
@@ -239,8 +240,8 @@ class Fusion:
         joints : JointSample or CameraFrame, optional
             Measured pan and tilt at the stamp.
         """
-        found = found.chosen(np.isin(found.ids, self._map.ids))
-        missed = self._map.indices(found.missed[np.isin(found.missed, self._map.ids)])
+        found = found.chosen(self._map.has(found.ids))
+        missed = self._map.indices(found.missed[self._map.has(found.missed)])
         columns = self._map.indices(found.ids)
         if (len(found.points) and joints is not None) or not len(found):
             pan = joints.pan_rad if joints is not None else 0.0

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from landmark_nav.calibration import Calibration
 from landmark_nav.localization.estimator import (
     EstimatorConfig,
@@ -192,7 +190,7 @@ class Localizer:
         prior = self._fusion.estimate(found.stamp_ns)
         if prior is None:
             return Refusal('no images: bearings alone show no place')
-        known = np.isin(found.ids, self._map.ids)
+        known = self._map.has(found.ids)
         refused = {int(k): Refusal('not in the map') for k in found.ids[~known]}
         found = found.chosen(known)
         seen = Observation(found, refused, lambda: self._observer.fix(found, prior))

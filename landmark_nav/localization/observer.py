@@ -131,7 +131,7 @@ def most_informative(
         best = int(np.argmax(np.where(left, news * gain, -np.inf)))
         left[best] = False
         spread = covariance @ rows[best] / np.sqrt(1.0 + gain[best])
-        covariance = covariance - np.outer(spread, spread)
+        covariance = covariance - spread[:, None] * spread
         gain -= (rows @ spread) ** 2
     return np.asarray(index[~left], dtype=np.intp)
 
@@ -276,12 +276,22 @@ class Observer:
         place = self._narrowed(frame, expected)
         if place is not None:
             expected = replace(expected, pose=place.pose, covariance=place.covariance)
-        visible = self._visible(frame, expected)
-        enough, most = config.detection.target_count, config.detection.max_count
-        turned = expected.stepped(*self._step.zoom[1:])
-        tries = [(expected, enough)] if self._found_most and enough < len(visible) else []
-        for state, count in [*tries, (expected, most), (turned, most)]:
-            result, looked_for = self._searched(frame, state, visible, count)
+        upright = straight(frame, expected.calibration)
+        visible = visible_landmarks(
+            expected,
+            self._map,
+            upright.camera,
+            expected.calibration.mount,
+            upright.pan_rad,
+            upright.tilt_rad,
+            config.triplet,
+        )
+        most = config.detection.max_count
+        enough = min(config.detection.target_count, most)
+        tries = [(False, enough)] if self._found_most and enough < len(visible) else []
+        for turned, count in [*tries, (False, most), (True, most)]:
+            state = expected.stepped(*self._step.zoom[1:]) if turned else expected
+            result, looked_for = self._searched(frame, upright, state, visible, count)
             found = len(result.detections)
             self._found_most = found >= _MOST * len(looked_for)
             if self._found_most or (count == most and found > _HARDLY_ANY * len(looked_for)):
@@ -330,22 +340,19 @@ class Observer:
         self._vain = 0
         return place.estimate
 
-    def _visible(self, frame: CameraFrame, expected: Expectation) -> IndexArray:
-        frame = straight(frame, expected.calibration)
-        return visible_landmarks(
-            expected,
-            self._map,
-            frame.camera,
-            expected.calibration.mount,
-            frame.pan_rad,
-            frame.tilt_rad,
-            self._config.triplet,
-        )
-
     def _searched(
-        self, frame: CameraFrame, expected: Expectation, visible: IndexArray, count: int
+        self,
+        frame: CameraFrame,
+        upright: CameraFrame,
+        expected: Expectation,
+        visible: IndexArray,
+        count: int,
     ) -> tuple[DetectionResult, IndexArray]:
-        """Search `count` of the visible landmarks in windows by the covariance of the state."""
+        """
+        Search `count` of the visible landmarks in windows by the covariance of the state.
+
+        `upright` is the frame, `straight` by the calibration.
+        """
         config, mount = self._config, expected.calibration.mount
         # An error of the pan shifts the image like one of the heading.
         pan = expected.pan_sigma_rad(frame.pan_rate_rad_s)
@@ -362,7 +369,7 @@ class Observer:
             config.triplet.bearing_sigma_rad, count, self._novelty,
         )  # fmt: skip
         result, self._blur = detect_blurred(
-            straight(frame, expected.calibration),
+            upright,
             shifted,
             self._map,
             mount,

@@ -23,7 +23,6 @@ import math
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 
 from landmark_nav.arrays import Float32Array, FloatArray
 
@@ -149,23 +148,26 @@ def align(
     """
     size = template.shape[1] - 2, template.shape[0] - 2
     rows = _rows(template)
-    normal = np.asarray(rows @ rows.T, dtype=np.float64)
-    power = max(float(normal[2, 2]), _TINY)
+    # Small matrices are lists: calls of NumPy would take longer than all pixels.
+    normal: list[list[float]] = (rows @ rows.T).tolist()
+    power = max(normal[2][2], _TINY)
+    xr, yr = normal[2][:2]
     # Regression of the gradients on the template.
-    gradient_gain = normal[:2, 2] / power
-    hessian = normal[:2, :2] - gradient_gain[:, None] * normal[2, :2]
-    inverse, along = _inverse(hessian), np.zeros((2, 2))
+    x_gain, y_gain = normal[0][2] / power, normal[1][2] / power
+    xx, xy = normal[0][0] - x_gain * xr, normal[0][1] - x_gain * yr
+    yy = normal[1][1] - y_gain * yr
+    inverse, along = _inverse(xx, xy, yy), np.zeros((2, 2))
     if along_px:
+        hessian = np.array([[xx, xy], [xy, yy]])
         weak, strong = np.linalg.eigh(hessian)[1].T
         inverse = np.outer(strong, strong) / max(float(strong @ hessian @ strong), _TINY)
         along = along_px**2 * np.outer(weak, weak)
     (xx, xy), (_, yy) = inverse.tolist()
-    xr, yr = normal[2, :2].tolist()
     x0, y0 = start[0] + 0.5 * (size[0] + 1), start[1] + 0.5 * (size[1] + 1)
-    x, y = x0, y0
+    x, y, aligning = x0, y0, rows[:3]
     for _ in range(_ITERATIONS):
         seen = np.asarray(cv2.getRectSubPix(search, size, (x, y)), dtype=np.float32).ravel()
-        by_x, by_y, by_reference = (rows[:3] @ seen).tolist()
+        by_x, by_y, by_reference = (aligning @ seen).tolist()
         if not by_reference > 0.0:
             return None
         # value(x) ~ gain * reference(x - d) + offset
@@ -182,19 +184,26 @@ def align(
     # The last step explains a part of the residuals.
     explained = power - step_x * right - step_y * down
     variance = max(total / gain**2 - explained, 0.0) / max(seen.size - 4, 1)
-    gradients = rows[:2] - gradient_gain.astype(np.float32)[:, None] * rows[2]
+    gradients = rows[:2] - np.array([[x_gain], [y_gain]], dtype=np.float32) * rows[2]
     contributions = gradients * (seen / np.float32(gain) - rows[2])
     fraction = (x - 0.5 * (size[0] - 1)) % 1.0, (y - 0.5 * (size[1] - 1)) % 1.0
     passed = _noise_passed(gradients, size, fraction, search_blur)
-    by_noise = variance * (inverse @ passed @ inverse)
-    by_parts = inverse @ _cluster_sum(contributions, size) @ inverse
-    ratio = by_parts.diagonal() / np.maximum(by_noise.diagonal(), _TINY)
-    inflation = np.sqrt(np.maximum(ratio - _CHANCE_EXCESS, 1.0))
+    inner = np.array([passed, _cluster_sum(contributions, size)], dtype=np.float64)
+    by_noise, by_parts = inverse @ inner @ inverse
+    by_noise *= variance
+    inflation = np.array(
+        [
+            math.sqrt(max(parts / max(noise, _TINY) - _CHANCE_EXCESS, 1.0))
+            for parts, noise in zip(
+                by_parts.diagonal().tolist(), by_noise.diagonal().tolist(), strict=True
+            )
+        ]
+    )
     return Match(
         np.array([x, y]),
         by_noise * inflation[:, None] * inflation + _FLOOR_PX2 + along,
         gain * math.sqrt(power / total),
-        _relative_blur(normal, np.asarray(rows @ seen, dtype=np.float64)),
+        _relative_blur(normal, (rows @ seen).tolist()),
     )
 
 
@@ -205,15 +214,15 @@ def _rows(template: Float32Array) -> Float32Array:
     Without the means, the offset drops out, and each step is one product with the image.
     """
     height, width = template.shape[0] - 2, template.shape[1] - 2
-    shifted = as_strided(template, (3, 3, height, width), 2 * template.strides)
+    # `as_strided` would take longer than the product.
+    shifted = np.ndarray((3, 3, height, width), np.float32, template, strides=2 * template.strides)
     rows = _STENCILS @ shifted.reshape(9, -1)
     rows -= rows.sum(axis=1, keepdims=True) / rows.shape[1]
     return np.asarray(rows, dtype=np.float32)
 
 
-def _inverse(matrix: FloatArray) -> FloatArray:
+def _inverse(xx: float, xy: float, yy: float) -> FloatArray:
     """Inverse of a symmetric matrix (2, 2); NaN where it is near singular."""
-    (xx, xy), (_, yy) = matrix.tolist()
     determinant = xx * yy - xy * xy
     scale = 1.0 / determinant if determinant > 1e-6 * (xx + yy) ** 2 else math.nan
     return np.array([[yy * scale, -xy * scale], [-xy * scale, xx * scale]])
@@ -224,13 +233,13 @@ def _noise_passed(
     size: tuple[int, int],
     fraction: tuple[float, float],
     search_blur: Pair,
-) -> FloatArray:
+) -> Float32Array:
     """``G B B^T G^T`` (2, 2) over the sum of the squares of B's kernel; gradients (2, pixels)."""
     width, height = size
     across = _noise_correlation(search_blur[0], fraction[0], width)
     down = _noise_correlation(search_blur[1], fraction[1], height)
     noise_passed = down @ gradients.reshape(2, height, width) @ across
-    return np.asarray(gradients @ noise_passed.reshape(2, -1).T, dtype=np.float64)
+    return np.asarray(gradients @ noise_passed.reshape(2, -1).T)
 
 
 def _noise_correlation(blur_px: float, fraction: float, count: int) -> Float32Array:
@@ -254,7 +263,7 @@ def _correlations(blur_px: float, fraction: float, count: int) -> Float32Array:
     return np.asarray(shared[apart] / shared[0], dtype=np.float32)
 
 
-def _cluster_sum(contributions: Float32Array, size: tuple[int, int]) -> FloatArray:
+def _cluster_sum(contributions: Float32Array, size: tuple[int, int]) -> Float32Array:
     """Sum (2, 2) over the parts of a patch of the outer products of their sums of (2, pixels)."""
     width, height = size
     stacked = contributions.reshape(2 * height, width)
@@ -262,20 +271,22 @@ def _cluster_sum(contributions: Float32Array, size: tuple[int, int]) -> FloatArr
     count = means.shape[1]
     in_each = width * height / count
     free = in_each**2 * count / (count - _USED_FREEDOM)
-    return np.asarray(free * (means @ means.T), dtype=np.float64)
+    return np.asarray(free * (means @ means.T))
 
 
-def _relative_blur(normal: FloatArray, image_products: FloatArray) -> FloatArray:
+def _relative_blur(normal: list[list[float]], image_products: list[float]) -> FloatArray:
     """
     Variance (2,) of the blur of an image relative to its template, to first order.
 
     A Gaussian of variance v adds v / 2 times the second derivative. The coefficients follow by
     regression from the products of `_rows` with each other (5, 5) and with the image (5,).
     """
-    power, reference = normal[2, 2], image_products[2]
-    projection = normal[3:, 2] / power
-    curvature = normal[3:, 3:] - projection[:, None] * normal[2, 3:]
+    power, reference, across, down = normal[2][2], *image_products[2:]
+    x_share, y_share = normal[3][2] / power, normal[4][2] / power
+    xx, xy = normal[3][3] - x_share * normal[2][3], normal[3][4] - x_share * normal[2][4]
+    yy = normal[4][4] - y_share * normal[2][4]
     # Regularised: a texture that is constant along one axis does not determine its blur.
-    curvature += 1e-3 * np.trace(curvature) * np.eye(2)
-    seen = image_products[3:] - projection * reference
-    return np.asarray(2.0 * power / reference * (_inverse(curvature) @ seen))
+    least = 1e-3 * (xx + yy)
+    seen = np.array([across - x_share * reference, down - y_share * reference])
+    blur = _inverse(xx + least, xy, yy + least) @ seen
+    return np.asarray(2.0 * power / reference * blur)

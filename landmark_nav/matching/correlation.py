@@ -72,7 +72,7 @@ def match_template(
     match = align(search, template, start, search_blur, along_px)
     if match is None:
         return Refusal('alignment failed')
-    return replace(match, score=max(score, match.score))
+    return match if match.score >= score else replace(match, score=score)
 
 
 def _second_peak(

@@ -9,6 +9,7 @@ from rendered_drives import camera_image, drive, error_of, FRAME_NS, LENS, MAP, 
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.localization.debug_image import draw_observation
+from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.expectation import Expectation
 from landmark_nav.localization.estimator import EstimatorConfig
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
@@ -37,10 +38,10 @@ class Run:
     fixes: list[tuple[PoseEstimate, FloatArray]]
 
 
-def localize(seed=1, seconds=9.0):
+def localize(seed=1, seconds=9.0, config=None):
     """Drive with the camera turned to the triplet that is best after each image."""
     rng = np.random.default_rng(seed)
-    localizer = Localizer(MAP, EXACT, LocalizationConfig())
+    localizer = Localizer(MAP, EXACT, config or LocalizationConfig())
     camera = ActiveCamera(MAP, MOUNT, TripletConfig())
     localizer.initialize(start_of(rng))
     updates, errors, nees, fixes, pan = [], [], [], [], 0.0
@@ -74,6 +75,12 @@ def test_fixes_err_as_their_covariances_say(run):
     sigma = np.array([np.sqrt(np.diag(fix.covariance)) for fix, _ in run.fixes])
     assert np.abs(errors / sigma).max() < 4.5
     assert np.mean((errors / sigma) ** 2) < 2.5
+
+
+def test_no_more_landmarks_are_searched_than_allowed():
+    few = LocalizationConfig(detection=DetectionConfig(target_count=3, max_count=2))
+    updates = localize(seconds=2.0, config=few).updates
+    assert max(len(update.observation.expected) for update in updates) == 2
 
 
 DRIVE = Path(__file__).resolve().parents[2] / 'bags' / 'drive'

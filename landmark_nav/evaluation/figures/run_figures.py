@@ -4,24 +4,16 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
 
 from matplotlib.axes import Axes
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.arrays import IntArray
 from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.map_figure import draw_landmarks
-from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import RunErrors, Smoothed
-from landmark_nav.geometry.se2 import rot_z
+from landmark_nav.evaluation.run_report import driven, errors_by_axis, RunErrors, Smoothed
 from landmark_nav.types import FloatArray, LandmarkMap
-
-# Percentage of the images whose bands are completely inside the axes.
-_SHOWN_SHARE = 98.0
-_AXES = (('ahead [cm]', 100.0), ('left [cm]', 100.0), ('heading [deg]', 180.0 / np.pi))
 
 
 def draw_trajectory(
@@ -58,12 +50,6 @@ def draw_trajectory(
     style.plain(axes)
     style.legend_beside(axes, 'below', 7)
     style.save(figure, path)
-
-
-def driven(run: Replay, stamps_ns: IntArray, poses: FloatArray) -> FloatArray:
-    """Line (2, n) through poses; between images that are far apart it follows odometry."""
-    known = PoseTrack.of(zip(stamps_ns.tolist(), poses, strict=True))
-    return np.asarray(run.odometry.carry(known).poses[:, :2].T)
 
 
 def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
@@ -129,36 +115,3 @@ def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
     axes.set_yticks(range(3), [f'{name} {int(where.sum())}' for name, where, _ in reversed(marks)])
     axes.set_ylim(-0.6, 2.6)
     style.plain(axes)
-
-
-class AxisErrors(NamedTuple):
-    """
-    Errors (n,) ahead, to the left or in heading, in centimetres or degrees.
-
-    `band` are three sigmas; `limit` is the half height of the axes.
-    """
-
-    label: str
-    factor: float
-    fused: FloatArray
-    fixes: FloatArray
-    band: FloatArray
-    limit: float
-
-
-def errors_by_axis(run: Replay, fused: FloatArray, fixes: FloatArray) -> list[AxisErrors]:
-    """Turn errors in map (n, 3) into the frame of the robot."""
-    turned = rot_z(-run.fused[:, 2])
-    covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
-    bands = 3.0 * np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    fused, fixes = (np.einsum('nij,nj->ni', turned, errors) for errors in (fused, fixes))
-    found = []
-    for k, (label, factor) in enumerate(_AXES):
-        band, off = factor * bands[:, k], factor * fused[:, k]
-        # The sigmas of a lost pose, and of a rough start, may be large: these bands exceed the
-        # axes.
-        widest = np.percentile(band[~run.lost], _SHOWN_SHARE) if not run.lost.all() else np.nan
-        shown = np.append(np.abs(off), widest)
-        limit = 1.15 * float(np.nanmax(shown)) if np.isfinite(shown).any() else 1.0
-        found.append(AxisErrors(label, factor, off, factor * fixes[:, k], band, limit))
-    return found

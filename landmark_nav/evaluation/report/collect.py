@@ -21,7 +21,6 @@ import numpy.typing as npt
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import release, UsageError
 from landmark_nav.evaluation.calibration_run import Residuals
-from landmark_nav.evaluation.figures.run_figures import driven, errors_by_axis
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.report.tables import (
@@ -33,7 +32,7 @@ from landmark_nav.evaluation.report.tables import (
     learning_verdict,
     STATUS,
 )
-from landmark_nav.evaluation.run_report import RunErrors, Smoothed
+from landmark_nav.evaluation.run_report import driven, errors_by_axis, RunErrors, Smoothed
 from landmark_nav.geometry.walls import Paper, paper_bgr
 from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.pipeline import LearningResult

@@ -21,7 +21,7 @@ import numpy as np
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.matching import blur_to
-from landmark_nav.types import FloatArray, ImageArray, Landmark
+from landmark_nav.types import FloatArray, Landmark
 
 APPEARANCES = ('patch', 'virtual_view')
 
@@ -35,7 +35,7 @@ _LEAST_SHARE = 0.1
 class Texture(NamedTuple):
     """An image of the landmark in wall coordinates, and its weight in the blend."""
 
-    image: ImageArray
+    image: Float32Array
     share: float
 
 
@@ -87,10 +87,7 @@ def draw(
         for k, rays_to_texels in zip(owner, to_texels @ rays_to_patch[owner], strict=True)
     ]
     steps = [_texels_a_pixel(each) for each in texels]
-    sources = [
-        blur_to(image.astype(np.float32), step)
-        for (_, image, _), step in zip(shown, steps, strict=True)
-    ]
+    sources = [blur_to(image, step) for (_, image, _), step in zip(shown, steps, strict=True)]
     parts = [
         cv2.remap(  # type: ignore[call-overload]
             source, each, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -98,15 +95,18 @@ def draw(
         for source, each in zip(sources, texels, strict=True)
     ]
     images = [np.zeros(each.shape[:2], np.float32) for each in rays]
-    squares = np.zeros((len(rays), 2))
+    squares = [[0.0, 0.0] for _ in rays]
     for (k, _, share), part, (across, down) in zip(shown, parts, steps, strict=True):
         cv2.scaleAdd(part, share, images[k], dst=images[k])
-        squares[k] += share * max(1.0 / across, 1.0) ** 2, share * max(1.0 / down, 1.0) ** 2
-    finer = np.sqrt(squares).tolist()
-    return [Drawing(image, (x, y)) for image, (x, y) in zip(images, finer, strict=True)]
+        squares[k][0] += share * max(1.0 / across, 1.0) ** 2
+        squares[k][1] += share * max(1.0 / down, 1.0) ** 2
+    return [
+        Drawing(image, (math.sqrt(x), math.sqrt(y)))
+        for image, (x, y) in zip(images, squares, strict=True)
+    ]
 
 
-def _to_texels(image: ImageArray, width_m: float) -> list[list[float]]:
+def _to_texels(image: Float32Array, width_m: float) -> list[list[float]]:
     """Homography (3, 3) from metres on a patch to columns and rows of its image."""
     rows, columns = image.shape
     scale = columns / width_m
@@ -136,7 +136,7 @@ def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Te
         One of `APPEARANCES`.
     """
     if appearance == 'patch' or not landmark.views:
-        return [Texture(landmark.patch, 1.0)]
+        return [Texture(landmark.patch.astype(np.float32), 1.0)]
     angle, reach = _seen_from(landmark, viewer)
     views = _views(landmark)
     misfit = []
@@ -155,10 +155,12 @@ def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Te
 
 
 @lru_cache(maxsize=4096)
-def _views(landmark: Landmark) -> tuple[tuple[ImageArray, float, float], ...]:
+def _views(landmark: Landmark) -> tuple[tuple[Float32Array, float, float], ...]:
     """Images of a landmark, each with the angle and the distance from which it was seen."""
     views = (PatchView(landmark.viewpoint, landmark.patch), *landmark.views)
-    return tuple((view.patch, *_seen_from(landmark, view.viewpoint)) for view in views)
+    return tuple(
+        (view.patch.astype(np.float32), *_seen_from(landmark, view.viewpoint)) for view in views
+    )
 
 
 def _seen_from(landmark: Landmark, viewpoint: FloatArray) -> tuple[float, float]:

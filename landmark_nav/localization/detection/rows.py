@@ -58,9 +58,11 @@ class RowModel(NamedTuple):
         moved[6, :, 2] = _STEP
         moved = moved @ rotation
         # The axis of the tilt joint; for a camera mounted upright it is the x axis of the image.
-        by_tilt = np.array([np.cos(roll_rad), -np.sin(roll_rad), 0.0])
-        moved[4] = _STEP * np.cross(points, by_tilt)
-        moved[5, :, 0], moved[5, :, 1] = _STEP * points[:, 1], -_STEP * points[:, 0]
+        right, down, ahead = points.T
+        axis_right, axis_down = np.cos(roll_rad), -np.sin(roll_rad)
+        moved[4, :, 0], moved[4, :, 1] = -_STEP * (ahead * axis_down), _STEP * (ahead * axis_right)
+        moved[4, :, 2] = _STEP * (right * axis_down - down * axis_right)
+        moved[5, :, 0], moved[5, :, 1] = _STEP * down, -_STEP * right
         rows = camera.project(points + moved)[..., 1]
         by = ((rows[1:] - rows[0]) / _STEP).T
         return cls(by[:, :3], by[:, 3:5], by[:, 5])
@@ -160,7 +162,7 @@ def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.
     wrong = np.zeros(len(off_px), dtype=np.bool_)
     left = np.arange(len(off_px))
     while len(left) >= _LEAST_HEIGHTS:
-        inverse = np.linalg.inv(covariance[np.ix_(left, left)])
+        inverse = np.linalg.inv(covariance[left][:, left])
         sigmas = np.abs(inverse @ off_px[left]) / np.sqrt(np.diag(inverse))
         worst = int(np.argmax(sigmas))
         if sigmas[worst] < _WRONG:

@@ -24,6 +24,7 @@ from landmark_nav.localization.estimator.factors import (
     STATES,
 )
 from landmark_nav.localization.estimator.noise import DETECTION, learned
+from landmark_nav.localization.estimator.recognition import found_log_ratios
 from landmark_nav.localization.estimator.state import MapErrors, OUTLIER, State, Update
 from landmark_nav.types import FloatArray
 
@@ -45,9 +46,8 @@ def usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
         good = (seen.columns >= 0) & (seen.columns < landmarks) & np.isfinite(seen.pan_rad)
         good &= np.isfinite(seen.points).all(axis=1)
         good &= np.isfinite(seen.covariance).all(axis=(1, 2)) & (variance > 0.0).all(axis=1)
-    first = np.zeros(len(seen), dtype=np.bool_)
-    first[np.unique(seen.columns, return_index=True)[1]] = True
-    good &= first
+    columns = seen.columns.tolist()
+    good &= np.array([k not in columns[:i] for i, k in enumerate(columns)], dtype=np.bool_)
     shared = np.array([seen.tilt_rad, seen.pan_rate_rad_s, seen.pan_sigma_rad])
     good &= np.isfinite(shared).all()
     return seen if good.all() else seen.chosen(good)
@@ -151,7 +151,11 @@ def corrected(
         if change < _CONVERGED:
             break
     gain = with_state @ precision
-    corrected = state.covariance - gain @ with_state.T
+    corrected = gain @ with_state.T
+    # In place: the covariance is larger than the cache.
+    np.subtract(state.covariance, corrected, out=corrected)
+    symmetric = corrected + corrected.T
+    symmetric *= 0.5
     # Parts of the covariance by each noise.
     acted, by_acted = jacobian[:, :STATES], gain[:STATES]
     of_noise = acted @ state.by_noise @ acted.T
@@ -175,6 +179,7 @@ def corrected(
         alone,
         nominal,
         1.0 / (looser + behind),
+        found_log_ratios(alone, nominal),
         float(evidence),
         square > _surprise(count * rows),
         False,
@@ -186,7 +191,7 @@ def corrected(
             state,
             stamp_ns=max(state.stamp_ns, seen.stamp_ns),
             mean=mean,
-            covariance=0.5 * (corrected + corrected.T),
+            covariance=symmetric,
             by_noise=by_noise,
             scales=scales,
         ),

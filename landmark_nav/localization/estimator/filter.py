@@ -42,7 +42,7 @@ from landmark_nav.localization.estimator.noise import (
     NoiseScales,
     SLIP_NOISE,
 )
-from landmark_nav.localization.estimator.recognition import found_log_ratios, MISSED
+from landmark_nav.localization.estimator.recognition import MISSED
 from landmark_nav.localization.estimator.state import MapErrors, State, Update
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
@@ -334,7 +334,7 @@ class JointFilter:
             self.predicted = self._state
             return Update.of_nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
-        new = ~np.isin(seen.columns, self._state.landmarks)
+        new = ~(seen.columns[:, None] == self._state.landmarks).any(axis=1)
         after, update = self._corrected(prior, seen, new)
         if update.surprising and not seen.lost:
             # After a knock the pose is open, and many slips in a row would close it wrongly.
@@ -367,8 +367,7 @@ class JointFilter:
             )
             update = update._replace(log_evidence=best)
         after = self._doubting(after, update, new)
-        recognised = found_log_ratios(update.residual, update.covariance).sum()
-        if recognised + MISSED * len(seen.missed) < 0.0:
+        if update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0:
             # Chance would find as much in such large windows: the image must not move the pose.
             after, update = replace(prior, stamp_ns=after.stamp_ns), update.unused
         self._state, self.predicted = after, prior
@@ -416,14 +415,13 @@ class JointFilter:
             return state
         kept, first = self.kept(state.way_m), self._fixed
         unseen = state.unseen_m + state.way_m
-        mean, covariance = state.mean.copy(), state.covariance.copy()
-        if state.way_m and len(state.landmarks):
-            fresh = (1.0 - kept**2) * self._errors.own[state.landmarks]
-            mean[first:] *= kept
-            covariance[first:] *= kept
-            covariance[:, first:] *= kept
-            places = first + np.arange(3 * len(state.landmarks)).reshape(-1, 3)
-            covariance[places[:, :, None], places[:, None]] += fresh
+        left = np.ones(len(state.mean))
+        left[first:] = kept
+        mean, covariance = left * state.mean, left[:, None] * state.covariance
+        covariance *= left
+        places = first + np.arange(3 * len(state.landmarks)).reshape(-1, 3)
+        fresh = (1.0 - kept**2) * self._errors.own[state.landmarks]
+        covariance[places[:, :, None], places[:, None]] += fresh
         walk = self._config.mount_walk_rad_per_sqrt_s**2 * state.seconds
         for k in (YAW, ROLL, TILT):
             # Exact values do not change.
@@ -456,7 +454,7 @@ class JointFilter:
         size = len(rows) + 3 * len(new)
         mean, covariance = np.zeros(size), np.zeros((size, size))
         mean[: len(rows)] = state.mean[rows]
-        covariance[: len(rows), : len(rows)] = state.covariance[np.ix_(rows, rows)]
+        covariance[: len(rows), : len(rows)] = state.covariance[rows][:, rows]
         places = len(rows) + np.arange(3 * len(new)).reshape(-1, 3)
         covariance[places[:, :, None], places[:, None]] = self._errors.own[new]
         return replace(

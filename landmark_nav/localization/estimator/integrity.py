@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, ndtri
 
-from landmark_nav.localization.estimator.recognition import found_log_ratios, MISSED
+from landmark_nav.localization.estimator.recognition import MISSED
 from landmark_nav.localization.estimator.state import Update
 from landmark_nav.types import FloatArray, PoseEstimate
 
@@ -135,8 +135,7 @@ class Integrity:
         if update is not None and found:
             self._found_ns = max(self._found_ns, stamp_ns)
             self._stepped |= update.stepped
-            each = found_log_ratios(update.residual, update.covariance)
-            gained += float(np.minimum(each, _MOST).sum())
+            gained += float(np.minimum(update.log_ratios, _MOST).sum())
         self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
         self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
 

@@ -75,6 +75,8 @@ class Update(NamedTuple):
         Covariance of each residual, with the nominal noise of the detection.
     weight : ndarray, shape (m,)
         1 for an inlier, near 0 for an outlier.
+    log_ratios : ndarray, shape (m,)
+        Log likelihood ratio of each residual: right pose against wrong pose.
     log_evidence : float
         Log density of the image given all before.
     surprising : bool
@@ -92,6 +94,7 @@ class Update(NamedTuple):
     residual: FloatArray
     covariance: FloatArray
     weight: FloatArray
+    log_ratios: FloatArray
     log_evidence: float
     surprising: bool
     stepped: bool
@@ -108,6 +111,7 @@ class Update(NamedTuple):
             seen.columns,
             none.reshape(0, rows),
             none.reshape(0, rows, rows),
+            none,
             none,
             0.0,
             False,

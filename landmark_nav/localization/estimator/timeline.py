@@ -13,7 +13,7 @@ from itertools import pairwise
 
 from landmark_nav.localization.estimator.factors import ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter
-from landmark_nav.localization.estimator.state import Update
+from landmark_nav.localization.estimator.state import State, Update
 from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack, steps_ns
 from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
@@ -50,6 +50,8 @@ class Timeline:
         self._images: list[ImagePoints] = []
         self._before = [joint.snapshot]
         self._extrapolated = 0
+        # The last prediction by present odometry: an image is first expected, then observed.
+        self._moved: tuple[State, int, State] | None = None
         self._settle()
 
     @property
@@ -70,7 +72,7 @@ class Timeline:
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Add a sample of odometry; return what is wrong with it, if anything."""
-        refusal = self._track.add(sample)
+        refusal, self._moved = self._track.add(sample), None
         if self._extrapolated and (refusal is None or isinstance(refusal, Distrusted)):
             # This sample replaces the extrapolation by which these images were predicted.
             self._again(len(self._images) - self._extrapolated)
@@ -98,17 +100,23 @@ class Timeline:
         """Return a copy of the filter, moved to a time from the first state of the window on."""
         other = copy(self._filter)
         at = bisect_right([state.stamp_ns for state in self._before], stamp_ns) - 1
-        other.restore(self._before[max(at, 0)])
-        move_to(stamp_ns, other, self._track)
+        self._predict(other, self._before[max(at, 0)], stamp_ns)
         return other
+
+    def _predict(self, joint: JointFilter, state: State, stamp_ns: int) -> None:
+        """Set a filter to a state, moved to a time."""
+        if self._moved is None or self._moved[:2] != (state, stamp_ns):
+            joint.restore(state)
+            move_to(stamp_ns, joint, self._track)
+            self._moved = state, stamp_ns, joint.snapshot
+        joint.restore(self._moved[2])
 
     def _again(self, first: int) -> Update:
         """Use the images from this one on again; return the update by this one."""
-        self._filter.restore(self._before[first])
         updates = []
         for place in range(first, len(self._images)):
             image = self._images[place]
-            move_to(image.stamp_ns, self._filter, self._track)
+            self._predict(self._filter, self._before[place], image.stamp_ns)
             updates.append(self._filter.observe(image))
             self._before[place + 1] = self._filter.snapshot
         ends = self._track.stamps_ns

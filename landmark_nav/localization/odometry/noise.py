@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from landmark_nav.geometry.se2 import compose
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray
 
@@ -195,9 +195,14 @@ def jitter_variances(motion: Motion) -> FloatArray:
 def twist_motion(linear_m_s: float, angular_rad_s: float, seconds: float) -> FloatArray:
     """Increment (3,) of a constant twist: an arc."""
     turn = angular_rad_s * seconds
-    # Chord of the arc; sinc keeps straight motion regular (numpy's has pi in it).
-    chord = linear_m_s * seconds * np.sinc(turn / (2.0 * np.pi))
-    return np.array([chord * np.cos(turn / 2.0), chord * np.sin(turn / 2.0), turn])
+    # Chord of the arc; sinc keeps straight motion regular.
+    chord = linear_m_s * seconds * _sinc(turn / math.tau)
+    return np.array([chord * math.cos(turn / 2.0), chord * math.sin(turn / 2.0), turn])
+
+
+def _sinc(x: float) -> float:
+    """``np.sinc``, with pi in it, of one number."""
+    return math.sin(math.pi * x) / (math.pi * x) if x else 1.0
 
 
 def fraction_of_motion(increment: FloatArray, fraction: float) -> FloatArray:
@@ -208,8 +213,8 @@ def fraction_of_motion(increment: FloatArray, fraction: float) -> FloatArray:
     """
     if fraction <= 0.0:
         return np.zeros(3)
-    turn = increment[2]
-    ratio = fraction * np.sinc(fraction * turn / (2.0 * np.pi)) / np.sinc(turn / (2.0 * np.pi))
-    chord = ratio * np.array([increment[0], increment[1], 0.0])
-    rotated = compose([0.0, 0.0, (fraction - 1.0) * turn / 2.0], chord)
-    return np.array([rotated[0], rotated[1], fraction * turn])
+    forward, left, turn = increment.tolist()
+    ratio = fraction * _sinc(fraction * turn / math.tau) / _sinc(turn / math.tau)
+    ahead, aside, back = ratio * forward, ratio * left, (fraction - 1.0) * turn / 2.0
+    c, s = math.cos(back), math.sin(back)
+    return np.array([c * ahead - s * aside, s * ahead + c * aside, fraction * turn])

@@ -48,7 +48,7 @@ class Jitter:
         self.variances = (0.0, 0.0)
         self._last: deque[tuple[float, ...]] = deque(maxlen=_IN_A_ROW)
         self._count = 0
-        self._mean, self._square = np.zeros(2), np.zeros(2)
+        self._mean, self._square = [0.0, 0.0], [0.0, 0.0]
 
     def interrupt(self) -> None:
         """Forget the last increments: the next does not follow them."""
@@ -62,14 +62,15 @@ class Jitter:
         times, *rates = zip(*self._last, strict=True)
         scale = -0.5 * (sum(times) / _IN_A_ROW) ** 2
         ahead, aside, turned = (scale * (c - b) * (d - a) for a, b, c, d in rates)
-        found = np.array([0.5 * (ahead + aside), turned])
         self._count = min(self._count + 1, _SAMPLES)
-        self._mean += (found - self._mean) / self._count
-        self._square += (found**2 - self._square) / self._count
-        sigma = np.sqrt(self._square / self._count)
-        counts = (self._mean > _SIGNIFICANT * sigma) & (self._mean > np.square(_LEAST))
-        position, heading = np.where(counts, self._mean, 0.0).tolist()
-        self.variances = position, heading
+        self.variances = self._counted(0, 0.5 * (ahead + aside)), self._counted(1, turned)
+
+    def _counted(self, k: int, found: float) -> float:
+        """Add a variance of position or heading; return the mean, 0 if it is insignificant."""
+        self._mean[k] += (found - self._mean[k]) / self._count
+        self._square[k] += (found * found - self._square[k]) / self._count
+        sigma = math.sqrt(self._square[k] / self._count)
+        return self._mean[k] if self._mean[k] > max(_SIGNIFICANT * sigma, _LEAST[k] ** 2) else 0.0
 
 
 # The last twist is extrapolated for this time, and the first one backwards.
@@ -244,13 +245,11 @@ class OdometryTrack:
         if not self._stamps:
             return Motion(np.zeros(3), seconds, seconds)
         increment = relative(self._pose(from_ns), self._pose(to_ns))
-        ahead = sum(
-            sign * np.sign(beyond) * beyond**4
-            for sign, beyond in ((1.0, self._beyond_s(to_ns)), (-1.0, self._beyond_s(from_ns)))
-        )
+        end, begin = self._beyond_s(to_ns), self._beyond_s(from_ns)
+        ahead = math.copysign(end**4, end) - math.copysign(begin**4, begin)
         blind = (self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
         jitter = (2.0 * variance for variance in self._jitter.variances)
-        return Motion(increment, seconds, min(blind, _LONGEST_S), float(ahead), *jitter)
+        return Motion(increment, seconds, min(blind, _LONGEST_S), ahead, *jitter)
 
     def trim(self, before_ns: int) -> None:
         """Drop samples that are not needed for motions that start at `before_ns` or later."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.patches import observed_well
-from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.localization.triplet.ranking import LandmarkVisibility
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
@@ -126,12 +124,12 @@ def landmark_visibilities(
         LandmarkVisibility.NO_IMAGE
     )
     left = np.flatnonzero(visibility == LandmarkVisibility.USABLE)
-    if landmark_map.walls and len(left):
-        room, points = _room(landmark_map.walls), position[left, :2]
+    room = landmark_map.room
+    if room is not None and len(left):
         # A wall does not hide a landmark that was learned through it: there is a door, a window,
         # a mirror, or a gap between the facades found.
-        opaque = ~room.hiding(landmark_map.viewpoints[left, :2], points)
-        hidden = (room.hiding(viewer[:2], points) & opaque).any(axis=-1)
+        opaque = ~landmark_map.seen_through[left]
+        hidden = (room.hiding(viewer[:2], position[left, :2]) & opaque).any(axis=-1)
         visibility[left[hidden]] = LandmarkVisibility.HIDDEN
     return visibility
 
@@ -154,8 +152,3 @@ def fully_in_view(
     points = (points_map - center[..., None, :]) @ rotation
     inside = camera.contains(camera.project(points), border_px)
     return np.asarray(inside.all(axis=-1))
-
-
-@lru_cache(maxsize=8)
-def _room(walls: tuple[Wall, ...]) -> Room:
-    return Room(walls)

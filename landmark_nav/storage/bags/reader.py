@@ -19,7 +19,7 @@ import struct
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from landmark_nav.arrays import IntArray
 from landmark_nav.errors import inside, LandmarkNavError, why
@@ -129,6 +129,8 @@ class Bag:
             raise LandmarkNavError(f'{self.path}: cannot be read: {why(error)}') from error
         self._readers: dict[ChannelInfo, definitions.MessageReader] = {}
         self._unstamped: dict[str, bool] = {}
+        # Shared with copies, as it takes a pass over the files.
+        self._stamps_ns: dict[str, IntArray] = {}
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for file in self._files:
@@ -231,22 +233,24 @@ class Bag:
             self.inform(f'{topic} has stamps of 0: the time of recording is taken')
         return self._unstamped[topic]
 
-    @cached_property
+    @property
     def stamps_ns(self) -> dict[str, IntArray]:
         """
         Log times and stamps (n, 2) of the messages of each topic with headers, by log time.
 
         A message without a stamp has its log time instead.
         """
+        if self._stamps_ns:
+            return self._stamps_ns
         found: dict[str, list[tuple[int, int]]] = {}
         topics = [topic for topic, kind in self._filled().items() if definitions.has_header(kind)]
         for raw in _merged(self._files, topics) if topics else ():
             entry = BagMessage(raw, self._reader(raw.channel), self)
             found.setdefault(entry.topic, []).append((entry.stamp_ns, entry.header_ns))
-        return {
-            topic: np.array([(log, stamp or log) for log, stamp in pairs], dtype=np.int64)
-            for topic, pairs in found.items()
-        }
+        for topic, pairs in found.items():
+            stamps = [(log, stamp or log) for log, stamp in pairs]
+            self._stamps_ns[topic] = np.array(stamps, dtype=np.int64)
+        return self._stamps_ns
 
     def unpacked(self, data: bytes) -> bytes:
         """Data of a message, uncompressed; metadata may name a compression that there is not."""
@@ -297,7 +301,8 @@ def wrong_stamps(stamps_ns: IntArray) -> dict[tuple[int, int], int]:
     offsets = stamps_ns[:, 1] - stamps_ns[:, 0]
     middle = _AROUND // 2
     at = np.clip(np.arange(len(offsets)), middle, len(offsets) - 1 - middle)
-    off = offsets - median_filter(offsets, _AROUND)[at]
+    medians = np.sort(sliding_window_view(offsets, _AROUND), axis=1)[:, middle]
+    off = offsets - medians[at - middle]
     wrong = np.flatnonzero(np.abs(off) > _WRONG_STAMP_NS)
     return {(int(stamps_ns[k, 0]), int(stamps_ns[k, 1])): int(off[k]) for k in wrong}
 
