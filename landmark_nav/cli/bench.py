@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.cli.options import add, add_number, progress, within
+from landmark_nav.cli.options import add, progress, within
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -99,9 +99,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'the same data, a reference. The ratio of the two can be compared between machines.'
     )
     add(parser, '--json', help='write the times to F')
-    add_number(parser, '--seed', within(int, 0, 2**63 - 1), 0, 'N', 'of the simulated data')
+    add(parser, '--seed', default=0, help='of the simulated data')
     text = 'how often, of which the median is taken'
-    add_number(parser, '--repeats', within(int, 1, 1000), 7, 'N', text)
+    add(parser, '--repeats', type=within(int, 1, 1000), default=7, metavar='N', help=text)
 
 
 def run(args: argparse.Namespace) -> int:
