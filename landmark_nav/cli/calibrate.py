@@ -13,7 +13,7 @@ import numpy as np
 from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.cli.check import checked
 from landmark_nav.cli.learn import panoramas_of_bag
-from landmark_nav.cli.options import add, open_bag, progress, wrapped
+from landmark_nav.cli.options import add, open_bag, progress, text_of, wrapped
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import inside, LandmarkNavError, UsageError
 from landmark_nav.evaluation import calibration_run
@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
         title = f'Calibration of {Path(args.robot).name}'
         page = calibration_page(report, residuals)
         write_report(args.report, page, title, args.command_line, inputs)
-    lines = tables.text_of(tables.calibration_verdict(report), tables.calibration_tables(report))
+    lines = text_of(tables.calibration_verdict(report), tables.calibration_tables(report))
     print(wrapped([*lines, f'written to {args.out}']))
     return 0
 

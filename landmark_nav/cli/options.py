@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 import logging
 from math import inf
@@ -150,6 +150,34 @@ def wrapped(lines: Iterable[str]) -> str:
         )
         for line in lines
     )
+
+
+# First characters of numbers, and of a cell without one; most rows of a table of a report.
+_DIGITS, _MOST_LINES = ('', *'0123456789'), 30
+
+
+def table_lines(table: Mapping[str, Any]) -> list[str]:
+    """Lines of a table and its note for a terminal, of which the first rows are shown."""
+    rows = [row['cells'] for row in table['rows']]
+    lines = aligned(table['head'], rows) if rows else []
+    more = [f'... {len(rows) - _MOST_LINES} more'] if len(rows) > _MOST_LINES else []
+    return [*lines[: _MOST_LINES + 1], *more, *filter(None, [table['note']])]
+
+
+def aligned(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a head and of rows of cells in columns; those of numbers are right-aligned."""
+    columns = []
+    for name, *cells in zip(head, *rows, strict=True):
+        numbers = all(cell.lstrip('+-')[:1] in _DIGITS for cell in cells)
+        width = max(map(len, (name, *cells)))
+        side = '>' if numbers else '<'
+        columns.append([f'{cell:{side}{width}}' for cell in (name, *cells)])
+    return ['  '.join(line).rstrip() for line in zip(*columns, strict=True)]
+
+
+def text_of(verdict: Mapping[str, str], tables: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Lines of a verdict and of its tables for a terminal."""
+    return [verdict['text'], *(line for table in tables for line in ('', *table_lines(table)))]
 
 
 def evaluate_line(
