@@ -156,12 +156,3 @@ def test_messages_that_cannot_be_read_end_the_playback(tmp_path, domain_id):
     assert 'playback ends early: ' in reported
     assert 'is played' not in reported
     assert 'Traceback' not in reported
-
-
-def test_a_bag_that_is_cut_off_is_played_up_to_the_break(recording, domain_id):
-    content = recording.read_bytes()
-    recording.write_bytes(content[: len(content) * 9 // 10])
-    status, reported = played(recording, domain_id)
-    assert status == 0
-    assert 'read up to the break' in reported
-    assert 'is played' in reported
