@@ -46,7 +46,7 @@ def check_scale(bag: Bag, sheets: SheetsConfig) -> None:
 
     Raises `LandmarkNavError`: there is no such source.
     """
-    posed = bag.find('sweep/pose') or bag.find('odom')
+    posed = bag.find('sweep/pose', 'odom')
     if not (posed or sheets.has_papers or sheets.has_markers):
         raise LandmarkNavError(
             f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
