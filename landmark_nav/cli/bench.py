@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.cli.options import add, add_number, progress, within
+from landmark_nav.cli.options import add, aligned, progress, within
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -73,7 +73,7 @@ _BEARING_SIGMA_RAD = 1e-3
 _COLUMNS, _ROWS = np.meshgrid(
     np.arange(512, dtype=np.float32) + np.float32(0.3), np.arange(512, dtype=np.float32)
 )
-_HEADER = f'{"stage":<36}{"ms":>9}{"95 % ms":>9}{"ref ms":>9}{"ratio":>9}  reference'
+_HEAD = ('stage', 'ms', '95 % ms', 'ref ms', 'ratio', 'reference')
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'the same data, a reference. The ratio of the two can be compared between machines.'
     )
     add(parser, '--json', help='write the times to F')
-    add_number(parser, '--seed', within(int, 0, 2**63 - 1), 0, 'N', 'of the simulated data')
+    add(parser, '--seed', default=0, help='of the simulated data')
     text = 'how often, of which the median is taken'
-    add_number(parser, '--repeats', within(int, 1, 1000), 7, 'N', text)
+    add(parser, '--repeats', type=within(int, 1, 1000), default=7, metavar='N', help=text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -109,13 +109,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.json)
     cv2.setNumThreads(1)
     rows = [_timed(each, args.repeats) for each in progress(_comparisons(args.seed), 'timing')]
-    print(_HEADER)
-    for row in rows:
-        p95 = '' if row['p95_seconds'] is None else f'{1e3 * row["p95_seconds"]:.4g}'
-        print(
-            f'{row["stage"]:<36}{1e3 * row["seconds"]:>9.4g}{p95:>9}'
-            f'{1e3 * row["reference_seconds"]:>9.4g}{row["ratio"]:>9.2f}  {row["reference"]}'
-        )
+    print('\n'.join(aligned(_HEAD, map(_cells, rows))))
     if args.json:
         document = {
             'schema': 1,
@@ -127,6 +121,12 @@ def run(args: argparse.Namespace) -> int:
         }
         write_json(args.json, document)
     return 0
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    times = [row[key] for key in ('seconds', 'p95_seconds', 'reference_seconds')]
+    shown = ('' if seconds is None else f'{1e3 * seconds:.4g}' for seconds in times)
+    return [row['stage'], *shown, f'{row["ratio"]:.2f}', row['reference']]
 
 
 def _timed(comparison: _Comparison, repeats: int) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.cli.check import checked
 from landmark_nav.cli.learn import panoramas_of_bag
-from landmark_nav.cli.options import add, open_bag, progress, wrapped
+from landmark_nav.cli.options import add, open_bag, progress, text_of, wrapped
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import inside, LandmarkNavError, UsageError
 from landmark_nav.evaluation import calibration_run
@@ -23,6 +23,7 @@ from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_json
 from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.bags.definitions import DRIVE_IMAGES
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
 from landmark_nav.storage.setup_files import load_room, read_robot
@@ -72,8 +73,7 @@ def run(args: argparse.Namespace) -> int:
     landmarks = load_map(args.map) if args.map else None
     bags = [open_bag(path, args) for path in args.bags]
     sweeps = [bag for bag in bags if bag.find('sweep/trajectory')]
-    images = ('camera/image_raw', 'camera/image_raw/compressed')
-    drives = [bag for bag in bags if any(map(bag.find, images)) and bag.find('odom')]
+    drives = [bag for bag in bags if bag.find(*DRIVE_IMAGES) and bag.find('odom')]
     for bag in bags:
         if bag not in sweeps and bag not in drives:
             raise LandmarkNavError(
@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
         title = f'Calibration of {Path(args.robot).name}'
         page = calibration_page(report, residuals)
         write_report(args.report, page, title, args.command_line, inputs)
-    lines = tables.text_of(tables.calibration_verdict(report), tables.calibration_tables(report))
+    lines = text_of(tables.calibration_verdict(report), tables.calibration_tables(report))
     print(wrapped([*lines, f'written to {args.out}']))
     return 0
 

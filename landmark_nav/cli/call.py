@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import os
 
-from landmark_nav.cli.options import add, add_number, within
-from landmark_nav.demo.supervisor import Interruption
-from landmark_nav.ros import require_ros
+from landmark_nav.cli.options import add, robot_client, within
 
 _SERVICES = {
     'capture_sweep': 'turn the camera all around and make a panorama',
@@ -25,9 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = 'Call a service of the nodes, and print its answer.'
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument('service', choices=_SERVICES, metavar='SERVICE', help='see below')
-    add_number(
-        parser, '--timeout', within(float, 0.1, 86400), 300.0, 'S', 'how long the answer may take'
-    )
+    timeout = {'type': within(float, 0.1, 86400), 'default': 300.0, 'metavar': 'S'}
+    add(parser, '--timeout', **timeout, help='how long the answer may take')
     add(parser, '--namespace')
     parser.epilog = 'services:\n' + '\n'.join(
         f'  {name:16} {does}' for name, does in _SERVICES.items()
@@ -36,18 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Wait for the service, call it, and print its answer."""
-    require_ros('it')
-    from landmark_nav.ros.robot_client import RobotClient
-
-    with (
-        Interruption() as interruption,
-        RobotClient(
-            watch=interruption.check,
-            name=f'call_{os.getpid()}',
-            namespace=args.namespace,
-            drives=False,
-            observes=False,
-        ) as client,
-    ):
+    with robot_client('call', namespace=args.namespace, drives=False) as client:
         print(client.call(args.service, args.timeout))
     return 0

@@ -9,16 +9,7 @@ import itertools
 import numpy as np
 
 from landmark_nav.cli.options import add, open_bag
-from landmark_nav.diagnosis import (
-    check_papers,
-    diagnose,
-    Diagnosis,
-    Finding,
-    IMAGES,
-    QUICK,
-    table,
-    worst,
-)
+from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, Finding, QUICK, table, worst
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.geometry.camera import PanTiltMount
@@ -26,6 +17,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.bags.definitions import DRIVE_IMAGES
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
@@ -77,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
 def _check_map(bag: Bag, args: argparse.Namespace) -> list[Finding]:
     """Check whether the first images of a drive show landmarks of a map."""
     landmarks = load_map(args.map)
-    if not landmarks.landmarks or not any(bag.find(name) for name in IMAGES):
+    if not landmarks.landmarks or not bag.find(*DRIVE_IMAGES):
         return []
     calibration = landmarks.calibration_from(load_calibration(args.robot))
     count = itertools.count(1)

@@ -92,21 +92,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(mrclam, '--out', required=True, metavar='BAG', help='bag to write')
     add(mrclam, '--overwrite')
-    mrclam.add_argument(
+    add(
+        mrclam,
         '--bearing-sigma',
         type=within(float, 1e-6, 90.0),
         default=0.5,
         metavar='DEG',
-        help='of every bearing in degrees, which the data do not give (default %(default)s: their '
-        'scatter about the truth)',
+        help='of every bearing in degrees, which the data do not give: their scatter about the '
+        'truth',
     )
-    mrclam.add_argument(
+    add(
+        mrclam,
         '--landmark-sigma',
         type=within(float, 1e-6, 10.0),
         default=0.02,
         metavar='M',
-        help='how far a post may be from where it seems, again and again: it has a width, the '
-        'lens is not known well (default %(default)s m)',
+        help='how many metres a post may be from where it seems, again and again: it has a width, '
+        'the lens is not known well',
     )
     mrclam.add_argument(
         '--command-delay',

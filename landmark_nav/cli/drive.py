@@ -12,8 +12,7 @@ import termios
 import time
 import tty
 
-from landmark_nav.cli.options import add, add_number, within
-from landmark_nav.demo.supervisor import Interruption
+from landmark_nav.cli.options import add, robot_client, within
 from landmark_nav.errors import UsageError
 from landmark_nav.ros import require_ros
 
@@ -63,8 +62,8 @@ class Keys:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     parser.description = f'Drive by keys of the terminal, on the topic cmd_vel. {_HELP}.'
-    add_number(parser, '--speed', within(float, 0.01, 2), 0.2, 'V', 'm/s')
-    add_number(parser, '--turn', within(float, 0.01, 4), 0.5, 'W', 'rad/s')
+    add(parser, '--speed', type=within(float, 0.01, 2), default=0.2, metavar='V', help='m/s')
+    add(parser, '--turn', type=within(float, 0.01, 4), default=0.5, metavar='W', help='rad/s')
     add(parser, '--namespace')
 
 
@@ -73,19 +72,8 @@ def run(args: argparse.Namespace) -> int:
     require_ros('it')
     if not sys.stdin.isatty():
         raise UsageError('it reads keys: start it in a terminal')
-    from landmark_nav.ros.robot_client import RobotClient
-
     keys = Keys(args.speed, args.turn)
-    with (
-        Interruption() as interruption,
-        RobotClient(
-            watch=interruption.check,
-            name=f'drive_{os.getpid()}',
-            namespace=args.namespace,
-            observes=False,
-        ) as client,
-        _unbuffered(),
-    ):
+    with robot_client('drive', namespace=args.namespace) as client, _unbuffered():
         print(_HELP, flush=True)
         try:
             while not keys.ended:

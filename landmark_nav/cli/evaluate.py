@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.check import checked
-from landmark_nav.cli.options import add, open_bag, progress, within, wrapped
+from landmark_nav.cli.options import add, open_bag, progress, text_of, within, wrapped
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation import run_report
@@ -23,7 +23,7 @@ from landmark_nav.evaluation.report import (
     write_report,
     write_video,
 )
-from landmark_nav.evaluation.report.tables import drive_tables, drive_verdict, text_of
+from landmark_nav.evaluation.report.tables import drive_tables, drive_verdict
 from landmark_nav.geometry.walls import Room
 from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.storage.bags import sensor_events

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.learn import located_sweeps
-from landmark_nav.cli.options import add, add_number, open_bag, progress, within, wrapped
+from landmark_nav.cli.options import add, open_bag, progress, wrapped
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.figures.map_figure import draw_learned, draw_observation_areas
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--bag', metavar='BAG', help='bag of sweeps of your own; needs --robot')
     add(parser, '--room', help='room.yaml: walls and papers (default: as learn finds them)')
     add(parser, '--map', help='a map of your own for Figure 6, which needs nothing else')
-    add_number(parser, '--seed', within(int, 0, 2**63 - 1), 7, 'N', 'of the simulated room')
+    add(parser, '--seed', default=7, help='of the simulated room')
     parser.add_argument(
         '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N',
         help='which figures, 3 to 8 (default: all that the data allow)',

@@ -13,13 +13,13 @@ import time
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.check import checked
-from landmark_nav.cli.options import add, open_bag, progress, wrapped
+from landmark_nav.cli.options import add, open_bag, progress, text_of, wrapped
 from landmark_nav.configuration import Configuration, load_configuration
 from landmark_nav.errors import inside, LandmarkNavError, release, UsageError
 from landmark_nav.evaluation import learning_report
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.report import check_report, learning_page, write_report
-from landmark_nav.evaluation.report.tables import learning_tables, learning_verdict, text_of
+from landmark_nav.evaluation.report.tables import learning_tables, learning_verdict
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning import unmeasured
@@ -46,7 +46,7 @@ def check_scale(bag: Bag, sheets: SheetsConfig) -> None:
 
     Raises `LandmarkNavError`: there is no such source.
     """
-    posed = bag.find('sweep/pose') or bag.find('odom')
+    posed = bag.find('sweep/pose', 'odom')
     if not (posed or sheets.has_papers or sheets.has_markers):
         raise LandmarkNavError(
             f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '

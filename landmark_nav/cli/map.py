@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.options import add
+from landmark_nav.cli.options import add, aligned
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.maps import load_map, MAP_DATA, save_map, SCHEMA_VERSION, write_map
@@ -27,6 +27,9 @@ _LISTED_SIGMAS = 3.0
 # Least share of landmarks with the same texture in two maps of one room whose walls differ. Maps
 # of two rooms share 2 of 40 by chance.
 _COMMON_SHARE = 0.1
+_HEAD = (
+    'id', 'wall', 'x m', 'y m', 'z m', 'along mm', 'across mm', 'size cm', 'range m', 'NCC',
+)  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -182,25 +185,22 @@ def _name(k: Landmark) -> str:
 
 def describe_map(landmarks: LandmarkMap) -> str:
     """Describe a map: a table of its landmarks and a summary."""
-    lines = [
-        f'{"id":>4} {"wall":<8} {"x m":>7} {"y m":>7} {"z m":>6} {"along mm":>8} '
-        f'{"across mm":>9} {"size cm":>8} {"range m":>7} {"NCC":>5}'
-    ]
+    rows = []
     for k in landmarks.landmarks:
-        x, y, z = k.position
         tangent = np.array([-k.normal[1], k.normal[0], 0.0])
         along, across = (np.sqrt(d @ k.covariance @ d) for d in (tangent, k.normal))
         size = f'{100 * k.width_m:.0f}x{100 * k.height_m:.0f}'
         distance = np.hypot(*(k.position - k.viewpoint)[:2])
-        lines.append(
-            f'{k.id:>4} {k.wall_id:<8} {x:>7.3f} {y:>7.3f} {z:>6.3f} {1e3 * along:>8.1f} '
-            f'{1e3 * across:>9.1f} {size:>8} {distance:>7.2f} {k.threshold:>5.2f}'
-        )
+        rows.append([
+            str(k.id), k.wall_id, *(f'{x:.3f}' for x in k.position), f'{1e3 * along:.1f}',
+            f'{1e3 * across:.1f}', size, f'{distance:.2f}', f'{k.threshold:.2f}',
+        ])  # fmt: skip
     counts = {wall.id: 0 for wall in landmarks.walls}
     for k in landmarks.landmarks:
         counts[k.wall_id] = counts.get(k.wall_id, 0) + 1
     on_walls = ', '.join(f'{name} {count}' for name, count in counts.items())
-    lines += [
+    lines = [
+        *aligned(_HEAD, rows),
         '',
         'along, across: sigma along the wall and off it; range: from where it was learned;',
         'NCC: least correlation at which it counts as found',

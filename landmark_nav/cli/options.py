@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
+from contextlib import contextmanager
 import logging
 from math import inf
+import os
 from pathlib import Path
 import re
 import shlex
@@ -13,32 +15,30 @@ import shutil
 import sys
 from textwrap import fill
 import time
-from typing import Any, TypeVar
+from typing import Any, TYPE_CHECKING, TypeVar
 
 from tqdm import tqdm
 
+from landmark_nav.ros import require_ros
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.types import FloatArray
 
-
-def add_number(
-    parser: argparse.ArgumentParser,
-    name: str,
-    kind: Callable[[str], float],
-    default: float,
-    metavar: str,
-    text: str,
-) -> None:
-    """Declare an option with a number; `kind` is an argument type such as that of `within`."""
-    text = f'{text} (default {default:g})'
-    parser.add_argument(name, type=kind, default=default, metavar=metavar, help=text)
+if TYPE_CHECKING:  # the import needs ROS
+    from landmark_nav.ros.robot_client import RobotClient
 
 
 def add(parser: argparse.ArgumentParser, *names: str, **special: Any) -> None:
-    """Declare arguments that several commands share; `special` overrides their settings."""
+    """
+    Declare arguments; `special` goes before the settings of those that several commands share.
+
+    The help of a number ends with its default.
+    """
     for name in names:
-        parser.add_argument(name, **{**_COMMON[name], **special})
+        settings = {**_COMMON.get(name, {}), **special}
+        if isinstance(settings.get('default'), int | float):
+            settings['help'] += ' (default %(default)g)'
+        parser.add_argument(name, **settings)
 
 
 def _namespace(text: str) -> str:
@@ -61,6 +61,26 @@ def within(
         return value
 
     return number
+
+
+@contextmanager
+def robot_client(command: str, **options: Any) -> Iterator[RobotClient]:
+    """
+    Join the ROS graph for a command until it ends or a signal comes.
+
+    `options` are those of `RobotClient`. Raises `LandmarkNavError`: ROS is not available.
+    """
+    require_ros('it')
+    from landmark_nav.demo.supervisor import Interruption
+    from landmark_nav.ros.robot_client import RobotClient
+
+    with (
+        Interruption() as interruption,
+        RobotClient(
+            watch=interruption.check, name=f'{command}_{os.getpid()}', observes=False, **options
+        ) as client,
+    ):
+        yield client
 
 
 def open_bag(path: Path | str, args: argparse.Namespace) -> Bag:
@@ -100,6 +120,7 @@ _COMMON: dict[str, dict[str, Any]] = {
         'help': 'parameters that differ from the defaults, as for --params-file of the nodes: '
         "config/landmark_nav.yaml (what describes the robot is in the robot's file)",
     },
+    '--seed': {'type': within(int, 0, 2**63 - 1), 'default': 1, 'metavar': 'N'},
     '--json': {'metavar': 'F', 'type': Path, 'help': 'write the figures to F'},
     '--report': {'metavar': 'F.html', 'type': Path, 'help': 'write a page to F.html'},
     '--namespace': {
@@ -129,6 +150,34 @@ def wrapped(lines: Iterable[str]) -> str:
         )
         for line in lines
     )
+
+
+# First characters of numbers, and of a cell without one; most rows of a table of a report.
+_DIGITS, _MOST_LINES = ('', *'0123456789'), 30
+
+
+def table_lines(table: Mapping[str, Any]) -> list[str]:
+    """Lines of a table and its note for a terminal, of which the first rows are shown."""
+    rows = [row['cells'] for row in table['rows']]
+    lines = aligned(table['head'], rows) if rows else []
+    more = [f'... {len(rows) - _MOST_LINES} more'] if len(rows) > _MOST_LINES else []
+    return [*lines[: _MOST_LINES + 1], *more, *filter(None, [table['note']])]
+
+
+def aligned(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a head and of rows of cells in columns; those of numbers are right-aligned."""
+    columns = []
+    for name, *cells in zip(head, *rows, strict=True):
+        numbers = all(cell.lstrip('+-')[:1] in _DIGITS for cell in cells)
+        width = max(map(len, (name, *cells)))
+        side = '>' if numbers else '<'
+        columns.append([f'{cell:{side}{width}}' for cell in (name, *cells)])
+    return ['  '.join(line).rstrip() for line in zip(*columns, strict=True)]
+
+
+def text_of(verdict: Mapping[str, str], tables: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Lines of a verdict and of its tables for a terminal."""
+    return [verdict['text'], *(line for table in tables for line in ('', *table_lines(table)))]
 
 
 def evaluate_line(

@@ -63,13 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=PanoramaConfig.blend,
         help='how frames are joined (default %(default)s)',
     )
-    parser.add_argument(
-        '--crop',
-        type=within(int, 0, 8192),
-        default=PanoramaConfig.crop_px,
-        metavar='PX',
-        help='use the central PX x PX square of each frame alone (default: all of it)',
-    )
+    text = 'use the central PX x PX square of each frame alone; 0: all of it'
+    crop = {'type': within(int, 0, 8192), 'default': PanoramaConfig.crop_px, 'metavar': 'PX'}
+    add(parser, '--crop', **crop, help=text)
     parser.add_argument(
         '--even-out',
         action=argparse.BooleanOptionalAction,

@@ -39,10 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, '--out', required=True, metavar='PLAN', help='plan.yaml to write')
     add(parser, '--overwrite')
-    parser.add_argument(
-        '--focal', type=within(float, 50, 20000), default=default.focal_px, metavar='PX',
-        help=f'focal length of the camera in pixels (default {default.focal_px:g})',
-    )  # fmt: skip
+    focal = {'type': within(float, 50, 20000), 'default': default.focal_px, 'metavar': 'PX'}
+    add(parser, '--focal', **focal, help='focal length of the camera in pixels')
     parser.add_argument(
         '--size', type=within(int, 16, 16384), nargs=2,
         default=(default.width_px, default.height_px),
@@ -54,11 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=('MIN', 'MAX'),
         help='range of the pan joint in rad (default: pan_min and pan_max of robot.yaml)',
     )  # fmt: skip
-    parser.add_argument(
-        '--clearance', type=within(float, 0.05, 5), default=default.clearance_m,
-        metavar='M',
-        help=f'least distance of the robot from walls in metres (default {default.clearance_m:g})',
-    )  # fmt: skip
+    clearance = {'type': within(float, 0.05, 5), 'default': default.clearance_m, 'metavar': 'M'}
+    add(parser, '--clearance', **clearance, help='least metres of the robot from walls')
 
 
 def run(args: argparse.Namespace) -> int:

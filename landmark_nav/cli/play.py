@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 
-from landmark_nav.cli.options import add, add_number, within
+from landmark_nav.cli.options import add, within
 from landmark_nav.ros import require_ros
 from landmark_nav.signals import ENDING
 
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, 'bag', '--topic')
     text = 'speed relative to the recording, 0.01 to 100'
-    add_number(parser, '--rate', within(float, 0.01, 100), 1.0, 'R', text)
+    add(parser, '--rate', type=within(float, 0.01, 100), default=1.0, metavar='R', help=text)
     parser.add_argument(
         '--ros-args',
         nargs=argparse.REMAINDER,

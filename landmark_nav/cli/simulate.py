@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.cli.options import add, add_number, evaluate_line, progress, within
+from landmark_nav.cli.options import add, evaluate_line, progress, within
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation import furnishing, setup_documents
@@ -60,33 +60,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='calibration of its camera, a YAML file as camera_calibration writes it; without it '
         'one of 512 x 512 pixels',
     )
+    add(parser, '--seed', help='of all that is drawn at random')
     for name, kind, default, metavar, text in (
-        ('--seed', within(int, 0, 2**63 - 1), 1, 'N', 'of all that is drawn at random'),
         ('--sweeps', within(int, 1, 1000), 2, 'N', 'how many sweeps'),
         ('--frames', within(int, 8, 10_000), 72, 'N', 'frames of each sweep'),
         ('--drive-seconds', within(float, 0.5, 1e5), 40.0, 'S', 'length of the drive in seconds'),
-        (
-            '--camera-rate',
-            _camera_rate,
-            5.0,
-            'HZ',
-            'images a second in the drive, a whole part of 20',
-        ),
+        ('--camera-rate', _camera_rate, 5.0, 'HZ', 'images a second, a whole part of 20'),
         ('--speed', within(float, 0.05, 10), 0.35, 'M/S', 'of the robot in the drive'),
         ('--jpeg-quality', within(int, 1, 100), 90, 'Q', 'of the images, 1 to 100'),
         ('--people', within(int, 0, 50), 0, 'N', 'who walk about'),
-    ):
-        add_number(parser, name, kind, default, metavar, text)
+        ('--exchange', within(float, 0, 1), 0.0, 'SHARE', 'share of the posters on the walls, 0 '
+         'to 1, that are replaced by others between sweeps and drive'),
+    ):  # fmt: skip
+        add(parser, name, type=kind, default=default, metavar=metavar, help=text)
     parser.add_argument(
         '--light-change',
         action='store_true',
         help='dim one lamp and move one piece of furniture between sweeps and drive',
     )
-    text = (
-        'share of the posters on the walls, 0 to 1, that are replaced by others between sweeps '
-        'and drive'
-    )
-    add_number(parser, '--exchange', within(float, 0, 1), 0.0, 'SHARE', text)
     parser.add_argument(
         '--tags',
         type=within(float, 0.3, 10),

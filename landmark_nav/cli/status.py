@@ -6,16 +6,15 @@ import argparse
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-import os
 import shutil
 import sys
 from textwrap import wrap
 import time
 from typing import TYPE_CHECKING
 
-from landmark_nav.demo.supervisor import Interruption
+from landmark_nav.cli.options import robot_client
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.ros import chosen_domain, require_ros
+from landmark_nav.ros import chosen_domain
 
 if TYPE_CHECKING:
     from landmark_nav.ros.robot_client import NodeStatus
@@ -68,21 +67,14 @@ def table(status: Mapping[str, NodeStatus], width: int, values: bool = False) ->
 
 def run(args: argparse.Namespace) -> int:
     """Gather diagnostics and print them."""
-    require_ros('it')
-    from landmark_nav.ros.robot_client import RobotClient
-
-    own = f'status_{os.getpid()}'
     once = args.once or not sys.stdout.isatty()
 
     def others() -> dict[str, NodeStatus]:
         # All nodes except that of this command.
         now_s = time.monotonic()
-        return {k: current(node, now_s) for k, node in client.status.items() if k != own}
+        return {k: current(node, now_s) for k, node in client.status.items() if k != client.name}
 
-    with (
-        Interruption() as interruption,
-        RobotClient(watch=interruption.check, name=own, drives=False, observes=False) as client,
-    ):
+    with robot_client('status', drives=False) as client:
         try:
             client.wait(lambda: bool(others()), _NO_NODE_S, 'diagnostics')
         except LandmarkNavError:

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 import time
 
-from landmark_nav.cli.options import add, add_number, within
+from landmark_nav.cli.options import add
 from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.demo.scenario import prepare_room
 from landmark_nav.demo.supervisor import Interruption, node_commands, Supervisor
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action='store_true',
         help='start a simulated robot too; without --robot and --room in a room of its own',
     )
-    add_number(parser, '--seed', within(int, 0, 2**63 - 1), 1, 'N', 'draws the simulated room')
+    add(parser, '--seed', help='draws the simulated room')
     parser.add_argument(
         '--image-transport',
         choices=('auto', 'raw', 'compressed'),

@@ -5,38 +5,35 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 import sys
 import time
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.evaluation import run_report
+from landmark_nav.evaluation.metrics import PoseTrack
+from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.estimator.integrity import ProtectionLevel
+from landmark_nav.localization.localizer import LocalizationUpdate
+from landmark_nav.localization.observer import Observation
 from landmark_nav.localization.triangulation.model import base_from_axis
+from landmark_nav.messages import decode
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.scene import choose_sweep_places
 from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import DEFAULT_MOUNT
-from landmark_nav.types import FloatArray, PoseEstimate
+from landmark_nav.storage.bags import Bag
+from landmark_nav.types import Detections, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
 if TYPE_CHECKING:  # the import needs ROS
     from landmark_nav.ros.robot_client import RobotClient
-from functools import partial
-from typing import Any, TypeVar
-
-from landmark_nav.evaluation import run_report
-from landmark_nav.evaluation.metrics import PoseTrack
-from landmark_nav.evaluation.replay import Replay
-from landmark_nav.localization.estimator.integrity import ProtectionLevel
-from landmark_nav.localization.localizer import LocalizationUpdate
-from landmark_nav.localization.observer import Observation
-from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag
-from landmark_nav.types import Detections, LandmarkMap, Refusal
 
 RECORDED_TOPICS = (
     'camera/image_raw/compressed',

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 
@@ -22,6 +21,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.storage.bags import Bag, read_sweeps
+from landmark_nav.storage.bags.definitions import DRIVE_IMAGES, SWEEP_IMAGES
 from landmark_nav.storage.bags.sweeps import measured_pans
 
 # Least number of pairs of images from which motion is judged.
@@ -105,7 +105,7 @@ def _pans(bag: Bag, mount: PanTiltMount) -> list[tuple[int, float]]:
     plans = [*measured_pans(bag, mount)]
     found = [(sample.stamp_ns, sample.pan_rad) for plan in plans for sample in plan]
     lost = not plans or not all(plans) or bag.damaged or not bag.complete
-    if lost and (bag.find('joint_states') or bag.find('tf')):
+    if lost and bag.find('joint_states', 'tf'):
         pan = pan_stream(bag, mount)
         jointed = zip(pan.stamps_ns.tolist(), pan.values[:, 0].tolist(), strict=True)
         found = list(jointed) or found
@@ -121,8 +121,6 @@ def _learned(finding: Finding) -> Finding:
 
 # Number of images that `learn` and `evaluate` decode at their start.
 QUICK = 60
-IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
-_SWEEP_IMAGES = ('sweep/image', 'sweep/image/compressed')
 
 
 def diagnose(
@@ -139,8 +137,7 @@ def diagnose(
     bag = bag.warning_to(lambda text: described.update({text: None}))
     found: list[Finding] = []
     delays = Delays()
-    images = _first(bag, IMAGES)
-    sweeps = _first(bag, _SWEEP_IMAGES)
+    images, sweeps = bag.find(*DRIVE_IMAGES), bag.find(*SWEEP_IMAGES)
     if images:
         diagnosis = DriveChecks(bag, images, mount, room).diagnosis(most_images)
         found += diagnosis.findings
@@ -156,21 +153,17 @@ def diagnose(
             checked = check_sweeps(bag, sweeps, mount, THOROUGH)
         found += checked
     if not found:
-        bag.require(*IMAGES, *_SWEEP_IMAGES)
+        bag.require(*DRIVE_IMAGES, *SWEEP_IMAGES)
     for text in described:
         line = text.replace(f'{bag.path}: ', '')
         found.append(Finding('reading', 'warning', line, when_read=True))
     return Diagnosis(tuple(found), delays)
 
 
-def _first(bag: Bag, names: Iterable[str]) -> str | None:
-    return next((topic for name in names if (topic := bag.find(name))), None)
-
-
 def check_papers(bag: Bag, mount: PanTiltMount, room: Room) -> list[Finding]:
     """Locate each sweep of a bag, if any, by the papers of a room, as `learn` does."""
     found: list[Finding] = []
-    if not (bag.find('sweep/image') or bag.find('sweep/image/compressed')):
+    if not bag.find(*SWEEP_IMAGES):
         return found
     sweeps = read_sweeps(bag, mount)
     while True:

@@ -110,7 +110,7 @@ class _ClientNode(LandmarkNode):
 
 class RobotClient:
     """
-    Context manager with a node. Nothing runs in the background: messages are handled in `wait`.
+    Context manager with a node `name`; messages are handled in `wait`, not in the background.
 
     `watch` is called repeatedly meanwhile; an exception ends the wait. The domain is by default
     that of ``ROS_DOMAIN_ID``, else 0. If `drives`, it publishes velocities and start poses; if
@@ -128,7 +128,7 @@ class RobotClient:
         drives: bool = True,
         observes: bool = True,
     ) -> None:
-        self._watch = watch
+        self.name, self._watch = name, watch
         self._context = Context()
         # The caller handles signals, since it has processes to end.
         self._domain_id = join_ros(context=self._context, domain_id=domain_id)
@@ -292,14 +292,13 @@ class RobotClient:
 
     def _last_heard(self) -> str:
         """Text: the last reports of the nodes, which often hold the reason; the worst first."""
-        own = self._node.get_name()
         rank = {level: k for k, level in enumerate(reversed(_LEVELS.values()))}
         words = [
             f'{name}: {status.reason}'
             for name, status in sorted(
                 self.status.items(), key=lambda one: (rank.get(one[1].level, -1), one[0])
             )
-            if name != own
+            if name != self.name
         ]
         return '; '.join(words) or 'nothing of any node: is ROS_DOMAIN_ID theirs?'
 

@@ -182,11 +182,6 @@ def _average(texture: ImageArray, columns: int, rows: int) -> ImageArray:
     return mean
 
 
-def _with_border(texture: ImageArray) -> ImageArray:
-    border = [(_BORDER_PX, _BORDER_PX)] * 2 + [(0, 0)]
-    return np.pad(texture, border, mode='edge')
-
-
 def _shade(texture: ImageArray, light: npt.NDArray[np.float32]) -> ImageArray:
     """Texture times illumination, in strips to avoid a large float image."""
     shaded = np.empty_like(texture)

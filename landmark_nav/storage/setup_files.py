@@ -182,7 +182,11 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
     Raises `LandmarkNavError`: a field is missing or malformed.
     """
     path = Path(path)
-    document = read_robot(path, former or {})
+    return mount_of(read_robot(path, former or {}), path)
+
+
+def mount_of(document: dict[str, Any], path: Path) -> PanTiltMount:
+    """Mount of the content of the `robot.yaml` at `path`; errors as those of `load_robot`."""
     with inside(path):
         reading.check_spelling(document, _ROBOT_FIELDS, 'robot')
         axis = reading.field(document, 'pan_axis', 'robot')

@@ -5,7 +5,7 @@ Sweeps that went wrong, through ``landmark-nav learn``: a map that is right, or 
 and learns from each pair of them. It exits with 1 if a map holds a landmark that lies farther
 from the truth than its covariance allows, if the covariances of a map are too small as a whole,
 or if something is refused for another reason than its own, or not reported.
-``test/system/test_bad_sweeps.py`` runs some.
+``test/system/test_benchmarks.py`` runs some.
 
 ``python test/benchmarks bad_sweeps --errors FOLDER`` takes the recorded sweeps of a folder with
 ``learn``, ``room.yaml`` and ``robot.yaml`` (``bags``), gives them with an error each, and prints

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import encode
 from landmark_nav.messages.clouds import GlobalPose
-from landmark_nav.messages.factory import MessageFactory
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.messages.factory import MessageFactory, rosbag_factory
 from landmark_nav.types import (
     Detections,
     Expectation,
@@ -24,8 +24,6 @@ from landmark_nav.types import (
     PoseEstimate,
     Triplet,
 )
-
-__all__ = ['CAMERA', 'ROBOT_YAML', 'ROOM_YAML', 'SECOND_NS', 'landmark_map', 'messages']
 
 SECOND_NS = 1_000_000_000
 CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -54,6 +52,7 @@ ROBOT_YAML: dict[str, Any] = {
     'pan_joint': 'pan_joint',
     'tilt_joint': 'tilt_joint',
 }
+MOUNT = PanTiltMount((0.08, 0.0, 1.1), optical_center_offset=(0.01, 0.0, 0.0), pan_sigma_rad=2e-4)
 
 
 def landmark_map(count: int = 6) -> LandmarkMap:
@@ -78,23 +77,14 @@ def landmark_map(count: int = 6) -> LandmarkMap:
     return LandmarkMap(landmarks)
 
 
-def messages(
-    make: MessageFactory, robot_file: Any, stamp_ns: int = 10 * SECOND_NS
-) -> dict[str, Any]:
-    """
-    Valid message of each topic that some node or a bag reads, by topic.
+@cache
+def recorded() -> dict[str, Any]:
+    """Messages as a bag holds them."""
+    return messages(rosbag_factory())
 
-    Parameters
-    ----------
-    make : MessageFactory
-        Builds them.
-    robot_file : path-like
-        ``robot.yaml``.
-    stamp_ns : int
-        Stamp of all of them.
 
-    """
-    mount = load_robot(robot_file)
+def messages(make: MessageFactory, stamp_ns: int = 10 * SECOND_NS) -> dict[str, Any]:
+    """Valid message of each topic that some node or a bag reads, by topic, of one stamp."""
     rng = np.random.default_rng(1)
     image = rng.integers(0, 255, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
     pose = PoseEstimate(stamp_ns, np.array([2.0, 1.5, -1.5]), np.diag([1e-3, 1e-3, 1e-3]))
@@ -112,7 +102,7 @@ def messages(
         points=np.column_stack([-np.tan(bearings), np.zeros(3)]),
         point_covariance=np.tile(1e-6 * np.eye(2), (3, 1, 1)),
     )
-    calibration = Calibration.of_mount(mount)
+    calibration = Calibration.of_mount(MOUNT)
     expected = Expectation(stamp_ns, pose.pose, pose.covariance, calibration, 0.01)
     triplet = Triplet(stamp_ns, np.arange(3), bearings, np.full(3, 1e-3), np.eye(3) * 1e-4, 0.1)
     place = GlobalPose(stamp_ns, pose.pose, pose.covariance, np.arange(3))
@@ -139,12 +129,12 @@ def messages(
         'camera/image_raw': raw,
         'camera/image_raw/compressed': compressed,
         'camera/camera_info': camera_info,
-        'joint_states': encode.joint_state(make, joints, mount),
+        'joint_states': encode.joint_state(make, joints, MOUNT),
         'odom': encode.odometry(make, sample),
         'sweep/image': raw,
         'sweep/image/compressed': compressed,
         'sweep/camera_info': camera_info,
-        'sweep/trajectory': encode.sweep_trajectory(make, frames, mount),
+        'sweep/trajectory': encode.sweep_trajectory(make, frames, MOUNT),
         'sweep/pose': encode.pose(make, pose),
         'panorama/image': panorama_image,
         'panorama/camera_info': panorama_info,
@@ -158,6 +148,6 @@ def messages(
         'global_localization/pose': encode.global_pose(make, place),
         'odometry/fused': encode.odometry(make, sample, np.eye(3) * 1e-4),
         'expectation': encode.expectation(make, expected, sample),
-        'pan_tilt/command': encode.sweep_trajectory(make, frames[:1], mount),
+        'pan_tilt/command': encode.sweep_trajectory(make, frames[:1], MOUNT),
         'cmd_vel': make('geometry_msgs/msg/Twist'),
     }

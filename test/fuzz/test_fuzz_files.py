@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import deepcopy
-from functools import cache
 import os
 from pathlib import Path
 import shutil
-import tempfile
 from typing import Any
 
 from bounds import enter, FUZZ
@@ -29,7 +27,7 @@ from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.messages.factory import default_typestore, rosbag_factory
+from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
 from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.storage.bags.sweeps import read_sweep_folder
@@ -137,14 +135,6 @@ def test_mrclam_logs(data, scratch):
     enter(lambda: read_mrclam(scratch, 1, 0.03))
 
 
-@cache
-def robot_messages():
-    with tempfile.TemporaryDirectory() as folder:
-        robot = Path(folder) / 'robot.yaml'
-        robot.write_text(yaml.safe_dump(corpus.ROBOT_YAML), encoding='utf-8')
-        return corpus.messages(rosbag_factory(), robot)
-
-
 def write_bag(path, kind, messages):
     """Write one message of each topic three times; returns the file that holds them."""
     stamps = range(10 * corpus.SECOND_NS, 13 * corpus.SECOND_NS, corpus.SECOND_NS)
@@ -189,7 +179,7 @@ def test_bags(kind, data, scratch):
     path = scratch / ('bag.bag' if kind == 'ros1' else 'bag')
     copy = scratch / 'valid'
     if not path.exists():
-        small = {topic: robot_messages()[topic] for topic in BAG_TOPICS}
+        small = {topic: corpus.recorded()[topic] for topic in BAG_TOPICS}
         file = write_bag(path, kind, small)
         copy.write_bytes(file.read_bytes())
         (scratch / 'name').write_text(os.fspath(file), encoding='utf-8')
@@ -218,39 +208,53 @@ def check_bag(path):
     assert all(finding.line().isprintable() for finding in found.findings), found
 
 
+def write_raw(path, sent):
+    """Write a bag of topics, times of recording and serialised messages."""
+    shutil.rmtree(path, ignore_errors=True)
+    store, connections = default_typestore(), {}
+    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        for topic, stamp, raw in sent:
+            if topic not in connections:
+                kind = TOPIC_TYPES[topic]
+                connections[topic] = bag.add_connection(f'/{topic}', kind, typestore=store)
+            bag.write(connections[topic], stamp, raw)
+
+
+def serialized(topic, message):
+    return default_typestore().serialize_cdr(message, TOPIC_TYPES[topic])
+
+
+def changed(data, topic):
+    """A message of a topic with hostile values."""
+    return data.draw(changed_message(TOPIC_TYPES[topic], corpus.recorded()[topic]))
+
+
 @FUZZ
 @given(data=st.data())
 def test_bags_of_hostile_messages(data, scratch):
-    path = scratch / 'bag'
-    shutil.rmtree(path, ignore_errors=True)
-    messages = dict(robot_messages())
     topic = data.draw(st.sampled_from(BAG_TOPICS))
-    store = default_typestore()
-    changed = data.draw(changed_message(TOPIC_TYPES[topic], messages[topic]))
-    raw = store.serialize_cdr(changed, TOPIC_TYPES[topic])
-    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-        connection = bag.add_connection(f'/{topic}', TOPIC_TYPES[topic], typestore=store)
-        bag.write(connection, 10 * corpus.SECOND_NS, data.draw(changed_bytes(raw)))
-    enter(lambda: read_all(path))
+    raw = data.draw(changed_bytes(serialized(topic, changed(data, topic))))
+    write_raw(scratch / 'bag', [(topic, 10 * corpus.SECOND_NS, raw)])
+    enter(lambda: read_all(scratch / 'bag'))
 
 
 @FUZZ
 @given(data=st.data())
 def test_checks_of_hostile_drives(data, scratch):
     path = scratch / 'bag'
-    shutil.rmtree(path, ignore_errors=True)
-    messages, store = dict(robot_messages()), default_typestore()
     hostile = data.draw(st.sampled_from(BAG_TOPICS))
-    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+
+    def sent():
         for topic in BAG_TOPICS:
-            kind, message = TOPIC_TYPES[topic], messages[topic]
-            connection = bag.add_connection(f'/{topic}', kind, typestore=store)
-            valid = store.serialize_cdr(message, kind)
-            for stamp in range(10 * corpus.SECOND_NS, 14 * corpus.SECOND_NS, corpus.SECOND_NS):
-                raw = valid
+            for k in range(10, 14):
+                message = corpus.recorded()[topic]
                 if topic == hostile and data.draw(st.booleans()):
-                    raw = store.serialize_cdr(data.draw(changed_message(kind, message)), kind)
-                bag.write(connection, data.draw(st.sampled_from([stamp, stamp, *LOG_NS])), raw)
+                    message = changed(data, topic)
+                stamp = k * corpus.SECOND_NS
+                logged = data.draw(st.sampled_from([stamp, stamp, *LOG_NS]))
+                yield topic, logged, serialized(topic, message)
+
+    write_raw(path, sent())
     enter(lambda: check_bag(path))
     enter(lambda: list(sensor_events(Bag(path, lambda _: None), PanTiltMount())))
 
@@ -262,22 +266,19 @@ SWEEP_TOPICS = ('sweep/image/compressed', 'sweep/camera_info', 'sweep/trajectory
 @given(data=st.data())
 def test_hostile_sweeps(data, scratch):
     path = scratch / 'bag'
-    shutil.rmtree(path, ignore_errors=True)
-    messages, store = robot_messages(), default_typestore()
     hostile = data.draw(st.sampled_from(SWEEP_TOPICS))
-    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+
+    def sent():
         for topic in SWEEP_TOPICS:
-            kind, message = TOPIC_TYPES[topic], messages[topic]
-            connection = bag.add_connection(f'/{topic}', kind, typestore=store)
-            for k in range(12):
+            for k in range(1 if 'trajectory' in topic else 12):
                 stamp = 10 * corpus.SECOND_NS + k * corpus.SECOND_NS // 10
-                if 'trajectory' in topic and k:
-                    break
                 if topic == hostile and data.draw(st.booleans()):
-                    sent = data.draw(changed_message(kind, message))
+                    message = changed(data, topic)
                 else:
-                    sent = deepcopy(message)
-                    sent.header.stamp.sec, sent.header.stamp.nanosec = divmod(stamp, 10**9)
-                bag.write(connection, stamp, store.serialize_cdr(sent, kind))
+                    message = deepcopy(corpus.recorded()[topic])
+                    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+                yield topic, stamp, serialized(topic, message)
+
+    write_raw(path, sent())
     enter(lambda: check_bag(path))
     enter(lambda: list(read_sweeps(Bag(path, lambda _: None), PanTiltMount())))

@@ -1,8 +1,6 @@
 """What decodes a message: each type with hostile values gives a value or a refusal."""
 
-from functools import cache, partial
-from pathlib import Path
-import tempfile
+from functools import partial
 
 from bounds import enter, FUZZ
 import corpus
@@ -10,24 +8,13 @@ from hostile import changed_message
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-import yaml
 
 from landmark_nav.messages import decode
-from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.storage.bags.definitions import TOPIC_TYPES
-from landmark_nav.storage.setup_files import load_robot
-
-
-@cache
-def prepared():
-    with tempfile.TemporaryDirectory() as folder:
-        robot = Path(folder) / 'robot.yaml'
-        robot.write_text(yaml.safe_dump(corpus.ROBOT_YAML), encoding='utf-8')
-        return corpus.messages(rosbag_factory(), robot), load_robot(robot)
 
 
 def _decoders():
-    valid, mount = prepared()
+    valid, mount = corpus.recorded(), corpus.MOUNT
     joints = partial(decode.joint_sample, mount=mount)
     tilt = partial(decode.lone_tilt, mount=mount)
     return {
@@ -57,12 +44,12 @@ def _decoders():
 
 @pytest.mark.parametrize('topic', sorted(_decoders()))
 def test_valid_messages_pass(topic):
-    _decoders()[topic](prepared()[0][topic])
+    _decoders()[topic](corpus.recorded()[topic])
 
 
 @pytest.mark.parametrize('topic', sorted(_decoders()))
 @FUZZ
 @given(data=st.data())
 def test_hostile_messages(topic, data):
-    message = data.draw(changed_message(TOPIC_TYPES[topic], prepared()[0][topic]))
+    message = data.draw(changed_message(TOPIC_TYPES[topic], corpus.recorded()[topic]))
     enter(lambda: _decoders()[topic](message))

@@ -110,7 +110,7 @@ def test_hostile_topics(name, wanted, data, context, files):
         heard = callbacks(node)
         for k in range(MESSAGES_A_NODE):
             stamp_ns = (10 + k) * corpus.SECOND_NS // 10
-            messages = corpus.messages(ros_factory, files['robot'], stamp_ns)
+            messages = corpus.messages(ros_factory, stamp_ns)
             for topic, callback in heard.items():
                 valid = messages[topic]
                 if data.draw(st.booleans()):

@@ -1,13 +1,16 @@
-"""Nodes of a test in one executor, in its own process."""
+"""Nodes of a test in one executor, in its own process; what nodes fuse beside the truth."""
 
 from __future__ import annotations
 
 import time
 from typing import Any, TypeVar
 
+import numpy as np
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+
+from landmark_nav.evaluation.metrics import pose_errors
 
 Made = TypeVar('Made', bound=Any)
 
@@ -45,3 +48,18 @@ class Graph:
         for node in self.nodes:
             node.destroy_node()
         self.context.try_shutdown()
+
+
+def off(fused, truth):
+    """Distance [m] and angle [rad] of a fused pose from a trajectory."""
+    error = pose_errors(fused.pose[None], truth.at([fused.stamp_ns]))[0]
+    return float(np.hypot(*error[:2])), float(abs(error[2]))
+
+
+def is_right(client, truth):
+    """Whether a pose came since the last call that claims to be well known, and is."""
+    fused, client.fused = client.fused, None
+    if fused is None or np.trace(fused.covariance[:2, :2]) > 0.05**2:
+        return False
+    away_m, turned_rad = off(fused, truth)
+    return away_m < 0.05 and turned_rad < np.radians(1.0)

@@ -1,27 +1,34 @@
-"""Recorded sweeps and a drive go through the nodes, over DDS, by `bag_player`."""
+"""Recorded sweeps and drives go through the nodes, over DDS, by `bag_player`."""
 
 from __future__ import annotations
 
 import shutil
 from typing import Any
 
-from drive_faults import late_drive
+from drive_faults import displaced_drive, late_drive
+from graph import is_right, off
 from harness import BAGS, start_of
 import numpy as np
 import pytest
+from unmeasured_bags import with_odometry
 
 from landmark_nav.calibration import NAMES
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.evaluation.metrics import error_summary, pose_errors
+from landmark_nav.geometry import se2
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import PoseEstimate
 
 # How exact the start is given, 1 sigma.
 START_SIGMA = (0.02, 0.02, 0.01)
 LATE_S = 0.04
-LEARNER, FUSION = 'landmark_learner', 'odometry_fusion'
+ROBOT, ROOM = str(BAGS / 'robot.yaml'), str(BAGS / 'room.yaml')
+LEARNER, SYNTHESIZER = 'landmark_learner', 'panorama_synthesizer'
+FUSION, LOCALIZER = 'odometry_fusion', 'triangulation_localizer'
 
 
 @pytest.fixture
@@ -41,12 +48,11 @@ def play_all(play, client):
 
 def test_learned_and_localized_as_offline(start, client, play_all, tmp_path):
     """Also where joint states are late, which is measured."""
-    robot, room = str(tmp_path / 'robot.yaml'), str(BAGS / 'room.yaml')
-    shutil.copy(BAGS / 'robot.yaml', robot)
+    robot = str(shutil.copy(ROBOT, tmp_path))
     nodes: dict[str, dict[str, Any]] = {
-        'panorama_synthesizer': {'robot_file': robot, 'room_file': room},
-        LEARNER: {'room_file': room, 'map_folder': str(tmp_path / 'map')},
-        'triangulation_localizer': {'robot_file': robot},
+        SYNTHESIZER: {'robot_file': robot, 'room_file': ROOM},
+        LEARNER: {'room_file': ROOM, 'map_folder': str(tmp_path / 'map')},
+        LOCALIZER: {'robot_file': robot},
         FUSION: {'robot_file': robot},
     }
     for name, parameters in nodes.items():
@@ -96,3 +102,65 @@ def test_learned_and_localized_as_offline(start, client, play_all, tmp_path):
     mount = np.array(NAMES) != 'joint_delay'
     off = (better.values - known.values)[mount]
     np.testing.assert_array_less(abs(off), 5.0 * better.sigmas[mount] + 1e-9)
+
+
+def test_the_place_found_by_a_displaced_camera_starts_the_fusion(
+    start, client, play, learned_map, tmp_path
+):
+    start(LEARNER, room_file=ROOM, map_folder=str(learned_map))
+    search = {'relocalization.search_s': 30.0, 'relocalization.when_lost': False}
+    start(LOCALIZER, robot_file=ROBOT, **search)
+    start(FUSION, robot_file=ROBOT)
+    client.wait(lambda: client.status_of(FUSION).reason != '', 60.0, 'the nodes')
+    assert 'landmarks loaded' in client.call('load_map', 30.0)
+    client.wait(lambda: 'no image' in client.status_of(LOCALIZER).reason, 30.0, 'the map')
+
+    drive = Bag(BAGS / 'drive')
+    play(displaced_drive(drive, tmp_path / 'drive', (1.0, 0.0, -2.0)), 0.5)
+    found = client.call('relocalize', 40.0)
+    assert found.startswith('found at')
+    client.wait(lambda: client.fused is not None, 20.0, 'a fused pose')
+    away_m, turned_rad = off(client.fused, truth_of_bag(drive))
+    assert away_m < 0.05, (found, client.fused)
+    assert turned_rad < np.radians(1.0)
+    client.wait(lambda: 'camera_roll by' in client.status_of(FUSION).reason, 20.0, 'a roll')
+
+
+def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(start, client, play, tmp_path):
+    sweeps, folder = with_odometry(BAGS / 'learn', tmp_path / 'sweeps'), tmp_path / 'map'
+    start(SYNTHESIZER, robot_file=ROBOT)
+    start(LEARNER, robot_file=ROBOT, map_folder=str(folder))
+    starts: list[Any] = []
+    client.listen('initialpose', starts.append)
+    client.wait(lambda: {SYNTHESIZER, LEARNER} <= client.status.keys(), 60.0, 'the nodes')
+    with pytest.raises(LandmarkNavError, match=r'odom.*sweep/pose.*room_file'):
+        client.call('learn_landmarks', 30.0)
+    player = play(sweeps, 10.0)
+    client.wait(lambda: client.status_of(LEARNER).values['panoramas'] == '2', 120.0, 'two sweeps')
+    client.wait(lambda: len(client.panoramas) == 2, 60.0, 'their panoramas')
+    player.wait(120.0)
+    answer = client.call('learn_landmarks', 240.0)
+    assert 'metres from odom' in answer
+    client.call('save_map', 20.0)
+    learned = load_map(folder)
+    assert learned.has_own_frame
+    assert len(learned.landmarks) >= 40
+
+    # The robot stands where it took the last sweep.
+    truth = truth_of_bag(Bag(BAGS / 'learn'))
+    client.wait(lambda: bool(starts), 10.0, 'the pose of the robot')
+    given = decode.pose_estimate(starts[-1])
+    error = pose_errors(given.pose[None], se2.relative(truth.poses[0], truth.poses[-1])[None])[0]
+    assert np.hypot(*error[:2]) < 0.02
+    assert abs(error[2]) < np.radians(0.3)
+
+    for name in (FUSION, LOCALIZER):
+        start(name, robot_file=ROBOT, use_sim_time=True)
+    client.wait(
+        lambda: client.status_of(FUSION).values.get('landmarks', '0') != '0',
+        60.0,
+        'the map',
+    )
+    drive = truth_of_bag(Bag(BAGS / 'drive')).seen_from(truth.poses[0])
+    play(BAGS / 'drive', 0.5)
+    client.wait(lambda: is_right(client, drive), 60.0, 'the pose in the map, which nobody gave')

@@ -10,11 +10,11 @@ import subprocess
 import sys
 from typing import Any
 
+from graph import is_right, off
 import numpy as np
 
 from landmark_nav.demo.supervisor import node_environment
 from landmark_nav.evaluation.learning_report import truth_of_bag
-from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.messages import encode
 from landmark_nav.messages.clouds import Layout, unpack_cloud
 from landmark_nav.ros.topics import message_class, ros_factory
@@ -50,7 +50,7 @@ class Watch:
     def wait(self, seconds, what):
         """Until a pose comes that claims to be well known, and is."""
         self._client.fused = None
-        self._client.wait(self._right, seconds, what)
+        self._client.wait(lambda: is_right(self._client, self._truth), seconds, what)
 
     def wait_for_wrong(self, seconds, what):
         """Until a pose comes that is far off."""
@@ -64,18 +64,7 @@ class Watch:
         return PoseEstimate(stamp, self._truth.at([stamp])[0] + error, 1e-4 * np.eye(3))
 
     def _off_m(self):
-        fused = self._client.fused
-        if fused is None:
-            return 0.0
-        error = pose_errors(fused.pose[None], self._truth.at([fused.stamp_ns]))[0]
-        return float(np.hypot(*error[:2]))
-
-    def _right(self):
-        fused, self._client.fused = self._client.fused, None
-        if fused is None or np.trace(fused.covariance[:2, :2]) > 0.05**2:
-            return False
-        error = pose_errors(fused.pose[None], self._truth.at([fused.stamp_ns]))[0]
-        return bool(np.hypot(*error[:2]) < 0.05 and abs(error[2]) < np.radians(1.0))
+        return off(self._client.fused, self._truth)[0] if self._client.fused else 0.0
 
 
 def test_a_restart_another_map_the_bag_again_and_a_wrong_start(

@@ -13,6 +13,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
+from rosbags.typesys.store import Typestore
 import yaml
 import zstandard
 
@@ -22,6 +23,23 @@ from landmark_nav.storage.bags import Bag, BagMessage
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), default_typestore()
 
 
+def _copied(
+    source: Path,
+    writer: Writer | Ros1Writer,
+    store: Typestore,
+    data_of: Callable[[BagMessage], bytes | memoryview] = lambda entry: entry.data,
+) -> None:
+    """Write all messages of a bag by another writer."""
+    connections = {}
+    with writer:
+        for entry in Bag(source).messages():
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(
+                    entry.topic, entry.type_name, typestore=store
+                )
+            writer.write(connections[entry.topic], entry.stamp_ns, data_of(entry))
+
+
 def rosbag2_bag(
     source: Path,
     path: Path,
@@ -29,16 +47,10 @@ def rosbag2_bag(
     storage: StoragePlugin = StoragePlugin.SQLITE3,
 ) -> Path:
     """rosbag2, perhaps compressed by rosbag2 itself."""
-    writer, connections = Writer(path, version=9, storage_plugin=storage), {}
+    writer = Writer(path, version=9, storage_plugin=storage)
     if mode is not None:
         writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        for entry in Bag(source).messages():
-            if entry.topic not in connections:
-                connections[entry.topic] = writer.add_connection(
-                    entry.topic, entry.type_name, typestore=ROS2
-                )
-            writer.write(connections[entry.topic], entry.stamp_ns, entry.data)
+    _copied(source, writer, ROS2)
     return path
 
 
@@ -47,15 +59,7 @@ def ros1_bag(source: Path, path: Path, compression: Ros1Writer.CompressionFormat
     writer = Ros1Writer(path)
     if compression is not None:
         writer.set_compression(compression)
-    connections = {}
-    with writer:
-        for entry in Bag(source).messages():
-            if entry.topic not in connections:
-                connections[entry.topic] = writer.add_connection(
-                    entry.topic, entry.type_name, typestore=ROS1
-                )
-            data = ROS2.cdr_to_ros1(entry.data, entry.type_name)
-            writer.write(connections[entry.topic], entry.stamp_ns, data)
+    _copied(source, writer, ROS1, lambda entry: ROS2.cdr_to_ros1(entry.data, entry.type_name))
     return path
 
 

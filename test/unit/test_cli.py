@@ -1,3 +1,5 @@
+"""Commands: help, wrong usage, errors in one line, completion, keys of `drive`."""
+
 import os
 import subprocess
 import sys
@@ -5,6 +7,7 @@ import types
 
 import pytest
 
+from landmark_nav.cli.drive import Keys
 from landmark_nav.cli.main import COMMANDS, main
 from landmark_nav.errors import LandmarkNavError
 
@@ -161,3 +164,36 @@ def test_a_shell_completes_commands_and_options(line, offered, tmp_path):
     command = [sys.executable, '-m', 'landmark_nav']
     subprocess.run(command, env=environment, timeout=120, check=False)
     assert offered in (tmp_path / 'offered').read_text()
+
+
+@pytest.mark.parametrize(
+    ('typed', 'velocity'),
+    [
+        ('w', (0.2, 0.0)),
+        ('s', (-0.2, 0.0)),
+        ('a', (0.0, 0.5)),
+        ('\x1b[A', (0.2, 0.0)),
+        ('\x1b[C', (0.0, -0.5)),
+        ('q', (0.2, 0.5)),
+        ('w ', (0.0, 0.0)),
+        ('W', (0.2, 0.0)),
+        ('+w', (0.25, 0.0)),
+        ('\x00\udcff\x1b', (0.0, 0.0)),
+    ],
+)
+def test_a_key_moves_the_robot(typed, velocity):
+    keys = Keys(0.2, 0.5)
+    keys.press(typed, 10.0)
+    assert keys.velocity(10.1) == pytest.approx(velocity)
+
+
+def test_the_robot_stops_without_keys():
+    keys = Keys(0.2, 0.5)
+    assert keys.velocity(0.0) == (0.0, 0.0)
+    keys.press('w', 0.0)
+    keys.press('w', 0.7)
+    assert keys.velocity(1.4) == pytest.approx((0.2, 0.0))
+    assert keys.velocity(2.0) == (0.0, 0.0)
+    keys.press('wx', 2.0)
+    assert keys.ended
+    assert keys.velocity(2.1) == (0.0, 0.0)

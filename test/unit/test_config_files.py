@@ -1,7 +1,8 @@
-"""One file of parameters, for nodes and commands."""
+"""One file of parameters, for nodes and commands, with bounds."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +14,7 @@ from landmark_nav.cli import learn
 from landmark_nav.cli.main import main
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import leaves
+from landmark_nav.parameters import Config, leaves, parameter
 from landmark_nav.storage.robot_files import flat, shipped_config
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
@@ -155,3 +156,33 @@ def test_learn_takes_parameters_of_all_its_stages(tmp_path, monkeypatch, capsys)
     assert main(words) == 1
     assert str(path) in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ['learn.yaml']
+
+
+@dataclass(frozen=True)
+class Sample(Config):
+    ratio: float = parameter(0.5, 'A share', minimum=0.0, maximum=1.0)
+    count: int = parameter(3, 'How many', minimum=1)
+    turn_rad: float = parameter(0.5, 'An angle', minimum=-3.2, maximum=3.2)
+    mode: str = parameter('fast', 'What to do', choices=('fast', 'good'))
+    active: bool = parameter(True, 'Whether at all')
+
+
+def test_bounds_belong_to_the_range():
+    assert Sample(ratio=0.0, count=1, mode='good', active=False).ratio == 0.0
+    assert Sample(ratio=1.0, count=10**9).count == 10**9
+
+
+@pytest.mark.parametrize(
+    ('values', 'message'),
+    [
+        ({'ratio': 1.01}, 'parameter ratio of Sample is 1.01: take 0 to 1'),
+        ({'ratio': float('nan')}, 'parameter ratio of Sample is nan: take a number'),
+        ({'turn_rad': 90.0}, r'turn_rad of Sample is 90: take -3\.2 to 3\.2; it is in radians'),
+        ({'count': -(10**40)}, r'count of Sample is -1e\+40: take 1 to any'),
+        ({'count': 0}, 'parameter count of Sample is 0: take 1 to any'),
+        ({'mode': 'slow'}, "parameter mode of Sample is 'slow': take one of fast, good"),
+    ],
+)
+def test_what_is_outside_is_named(values, message):
+    with pytest.raises(LandmarkNavError, match=message):
+        Sample(**values)

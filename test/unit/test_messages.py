@@ -1,5 +1,8 @@
 """Results of the stages survive encoding and decoding, or are refused by name."""
 
+from copy import deepcopy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from wire import assert_same, both, FACTORY, MOUNT, over_the_wire, STAMP
@@ -10,7 +13,16 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
-from landmark_nav.messages.clouds import DETECTIONS, GLOBAL_POSE, GlobalPose, pack_cloud
+from landmark_nav.messages.clouds import (
+    DETECTIONS,
+    EXPECTATION,
+    GLOBAL_POSE,
+    GlobalPose,
+    LANDMARKS,
+    pack_cloud,
+    TRIPLET,
+    unpack_cloud,
+)
 from landmark_nav.types import (
     Detections,
     JointSample,
@@ -192,3 +204,264 @@ def test_a_found_place_names_landmarks():
 def test_factory_refuses_fields_that_do_not_exist():
     with pytest.raises(TypeError, match='colour'):
         FACTORY('sensor_msgs/msg/Image', colour=1)
+
+
+LAYOUTS = {
+    layout.topic: layout for layout in (DETECTIONS, EXPECTATION, GLOBAL_POSE, LANDMARKS, TRIPLET)
+}
+HEAD = encode.header(FACTORY, STAMP, 'map')
+INTEGERS, FLOATS = ('i1', 'u1', 'i2', 'u2', 'i4', 'u4'), ('f4', 'f8')
+NOT_NUMBERS = (np.nan, np.inf, -np.inf, 1e300)
+
+
+def described(layout, **changed):
+    """Fields of a cloud as a list that `np.dtype` takes, some of them changed."""
+    fields = []
+    for name in layout.fields.names:
+        kind = changed.get(name, layout.fields[name])
+        if kind is not None:
+            fields.append((name, kind))
+    return fields
+
+
+def cloud(layout, points=3, **changed):
+    rows = np.zeros(points, dtype=described(layout, **changed))
+    if 'id' in rows.dtype.names and rows['id'].ndim == 1:
+        rows['id'] = range(points)
+    return pack_cloud(FACTORY, HEAD, rows)
+
+
+every_field = pytest.mark.parametrize(
+    ('topic', 'name'),
+    [(topic, name) for topic, layout in LAYOUTS.items() for name in layout.fields.names],
+)
+
+
+@every_field
+def test_a_field_of_another_kind_count_or_place_is_refused_by_name(topic, name):
+    layout = LAYOUTS[topic]
+    kind = layout.fields[name]
+    count = int(np.prod(kind.shape))
+    other = 'f4' if kind.base.kind in 'ui' else 'u4'
+    for wrong in ((other, kind.shape), (kind.base, (count + 1,)), (kind.base, (2 * count + 5,))):
+        with pytest.raises(LandmarkNavError, match=f'field {name} is'):
+            unpack_cloud(cloud(layout, **{name: wrong}), layout)
+    for attribute, value in (('offset', 10**6), ('count', 2**32 - 1), ('datatype', 77)):
+        msg = cloud(layout)
+        (field,) = (f for f in msg.fields if f.name == name)
+        setattr(field, attribute, value)
+        with pytest.raises(LandmarkNavError, match=f'field {name} is'):
+            unpack_cloud(msg, layout)
+    if name not in layout.optional:
+        with pytest.raises(LandmarkNavError, match=f'lacks the field {name}'):
+            unpack_cloud(cloud(layout, **{name: None}), layout)
+
+
+@every_field
+def test_a_field_of_another_width_or_byte_order_is_read(topic, name):
+    layout = LAYOUTS[topic]
+    kind = layout.fields[name]
+    widths = INTEGERS if kind.base.kind in 'ui' else FLOATS
+    for width in widths:
+        rows = np.zeros(2, dtype=described(layout, **{name: (width, kind.shape)}))
+        rows[name] = 7
+        again = unpack_cloud(pack_cloud(FACTORY, HEAD, rows), layout)
+        np.testing.assert_array_equal(again[name], np.full((2, *kind.shape), 7))
+    big = rows.astype(rows.dtype.newbyteorder('>'))
+    msg = pack_cloud(FACTORY, HEAD, rows)
+    msg.is_bigendian, msg.data = True, np.frombuffer(big.tobytes(), np.uint8)
+    np.testing.assert_array_equal(unpack_cloud(msg, layout)[name], again[name])
+
+
+@pytest.mark.parametrize('layout', LAYOUTS.values(), ids=LAYOUTS)
+def test_absurd_sizes_are_refused_before_memory_is_taken(layout):
+    for width, height, step, row_step in (
+        (2**32 - 1, 2**32 - 1, 0, 0),
+        (2**32 - 1, 1, 0, 0),
+        (1, 1, 2**32 - 1, 2**32 - 1),
+        (0, 0, 2**32 - 1, 0),
+        (10**7, 1, 0, 0),
+    ):
+        msg = cloud(layout)
+        msg.width, msg.height, msg.point_step, msg.row_step = width, height, step, row_step
+        with pytest.raises(LandmarkNavError, match=f'point cloud of {layout.topic}'):
+            unpack_cloud(msg, layout)
+    msg = pack_cloud(FACTORY, HEAD, np.zeros(20_000, dtype=layout.fields))
+    with pytest.raises(LandmarkNavError, match='more than any map'):
+        unpack_cloud(msg, layout)
+    msg = cloud(layout)
+    msg.fields = [*msg.fields, msg.fields[0]]
+    with pytest.raises(LandmarkNavError, match='two fields of one name'):
+        unpack_cloud(msg, layout)
+
+
+def values(layout, points=3, **changed):
+    rows = np.zeros(points, dtype=layout.fields)
+    if 'id' in layout.fields.names:
+        rows['id'] = range(points)
+    if 'bearing_variance' in layout.fields.names:
+        rows['bearing_variance'] = 1e-5
+    for name, value in changed.items():
+        rows[name] = value
+    return pack_cloud(FACTORY, HEAD, rows)
+
+
+def expectation(msg):
+    return decode.expectation(msg, MOUNT)
+
+
+SKEW = [1.0, 0.0, 0.5, 0.0, 1.0, 0.0, -0.5, 0.0, 1.0]
+BEYOND_ONE = [1.0, 2.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+NEGATIVE = [1e4, 0.0, 0.0, 0.0, 1e4, 0.0, 0.0, 0.0, -1e-9]
+NO_COVARIANCE = [*([value] * 9 for value in NOT_NUMBERS), SKEW, BEYOND_ONE, NEGATIVE]
+
+
+@pytest.mark.parametrize(
+    ('decoder', 'layout', 'points', 'name', 'wrong'),
+    [
+        (decode.detections, DETECTIONS, 3, 'bearing', [*NOT_NUMBERS, 1e7]),
+        (decode.detections, DETECTIONS, 3, 'bearing_variance', [*NOT_NUMBERS, -1.0, 0.0]),
+        (decode.detections, DETECTIONS, 3, 'score', [np.nan, np.inf]),
+        (decode.detections, DETECTIONS, 3, 'u', [np.nan, np.inf]),
+        (decode.detections, DETECTIONS, 3, 'joint_delay', [*NOT_NUMBERS, 60.0]),
+        (decode.detections, DETECTIONS, 3, 'point', [[v, 0.0] for v in NOT_NUMBERS]),
+        (decode.detections, DETECTIONS, 3, 'point_covariance', [[1.0, 2.0, 2.0, 1.0]]),
+        (decode.detections, DETECTIONS, 3, 'near', [[v, 0.0, 0.0] for v in NOT_NUMBERS]),
+        (expectation, EXPECTATION, 1, 'pose', NOT_NUMBERS),
+        (expectation, EXPECTATION, 1, 'covariance', NO_COVARIANCE),
+        (expectation, EXPECTATION, 1, 'speeds', NOT_NUMBERS),
+        (expectation, EXPECTATION, 1, 'tilt_sigma', [*NOT_NUMBERS, -1.0]),
+        (expectation, EXPECTATION, 1, 'values', NOT_NUMBERS),
+        (expectation, EXPECTATION, 1, 'sigmas', [*NOT_NUMBERS, -1.0]),
+        (decode.triplet, TRIPLET, 3, 'bearing', NOT_NUMBERS),
+        (decode.triplet, TRIPLET, 3, 'bearing_sigma', [*NOT_NUMBERS, -1.0]),
+        (decode.triplet, TRIPLET, 3, 'pan', NOT_NUMBERS),
+        (decode.triplet, TRIPLET, 3, 'id', [5]),
+        (decode.triplet, TRIPLET, 3, 'covariance', NO_COVARIANCE),
+        (decode.global_pose, GLOBAL_POSE, 3, 'pose', [*NOT_NUMBERS, 1e9]),
+        (decode.global_pose, GLOBAL_POSE, 3, 'id', [5]),
+        (decode.global_pose, GLOBAL_POSE, 3, 'pan_rate', NOT_NUMBERS),
+        (decode.global_pose, GLOBAL_POSE, 3, 'joint_delay', NOT_NUMBERS),
+        (decode.global_pose, GLOBAL_POSE, 3, 'covariance', NO_COVARIANCE),
+    ],
+)
+def test_values_that_can_not_be_are_refused(decoder, layout, points, name, wrong):
+    decoder(values(layout, points))
+    for value in wrong:
+        with pytest.raises(LandmarkNavError) as refused:
+            decoder(values(layout, points, **{name: value}))
+        assert len(str(refused.value)) < 200
+        assert '\n' not in str(refused.value)
+
+
+def test_what_is_not_estimated_is_unknown_and_both_ways_to_report_it_are_read():
+    covariance = np.diag([1e-4, 2e-4, 3e-5])
+    estimate = PoseEstimate(STAMP, np.array([1.0, 2.0, 0.3]), covariance)
+    for msg in (
+        encode.pose(FACTORY, estimate),
+        encode.odometry(FACTORY, OdometrySample(STAMP, estimate.pose), covariance),
+    ):
+        variances = np.diag(np.reshape(msg.pose.covariance, (6, 6)))
+        np.testing.assert_array_equal(variances[[0, 1, 5]], np.diag(covariance))
+        assert (variances[[2, 3, 4]] >= 1e6).all()
+        for unknown in (0.0, 1e6, np.finfo(np.float64).max):
+            msg.pose.covariance[[14, 21, 28]] = unknown
+            read = decode.pose_estimate(over_the_wire(msg))
+            np.testing.assert_array_equal(read.covariance, covariance)
+    # Wheels show nothing of their errors here.
+    wheels = encode.odometry(FACTORY, OdometrySample(STAMP, estimate.pose))
+    for full in (wheels.pose.covariance, wheels.twist.covariance):
+        assert (np.diag(np.reshape(full, (6, 6))) >= 1e6).all()
+
+
+@pytest.mark.parametrize('wrong', NO_COVARIANCE)
+def test_poses_without_a_covariance_are_refused(wrong):
+    estimate = PoseEstimate(STAMP, np.zeros(3), np.reshape(wrong, (3, 3)))
+    with pytest.raises(LandmarkNavError, match='pose covariance'):
+        decode.pose_estimate(encode.pose(FACTORY, estimate))
+
+
+@pytest.mark.parametrize('positions', [['a', 'b'], [None, None], [np.nan, 0.0], [1e300, 0.0], []])
+def test_joints_that_hold_no_angles_are_refused(positions):
+    msg = encode.joint_state(FACTORY, JointSample(STAMP, 0.1), MOUNT)
+    msg.position = positions
+    for read in (decode.joint_sample, decode.lone_tilt):
+        with pytest.raises(LandmarkNavError, match='joint_states position'):
+            read(msg, MOUNT)
+        msg.name = [MOUNT.tilt_joint, 'wheel_left']
+
+
+@pytest.mark.parametrize(('sec', 'nanosec'), [(-1, 0), (0, 2 * 10**9), ('now', 0), (np.nan, 0)])
+def test_stamps_that_are_no_time_are_refused(sec, nanosec):
+    msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
+    msg.header.stamp.sec, msg.header.stamp.nanosec = sec, nanosec
+    with pytest.raises(LandmarkNavError):
+        decode.odometry(msg)
+
+
+@pytest.mark.parametrize('turn', [{'w': 0.0}, {'x': 2.0}])
+def test_odometry_without_a_heading_is_refused(turn):
+    msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
+    vars(msg.pose.pose.orientation).update(turn)
+    with pytest.raises(LandmarkNavError, match=r'zero quaternion|fallen over'):
+        decode.odometry(msg)
+
+
+def landmarks(**changed):
+    """Messages of a map in which one landmark is changed."""
+    first, *others = some_map(5, 2).landmarks
+    members = (replace(first, **changed), *others)
+    return encode.landmark_map(FACTORY, replace(some_map(5, 2), landmarks=members), STAMP)[:2]
+
+
+@pytest.mark.parametrize(
+    'changed',
+    [
+        {'id': 4},
+        {'position': np.array([np.nan, 0.0, 0.0])},
+        {'position': np.array([1e30, 0.0, 0.0])},
+        {'normal': np.zeros(3)},
+        {'normal': np.array([0.0, 0.0, 1.0])},
+        {'width_m': -1.0},
+        {'width_m': 1e6},
+        {'height_m': 0.0},
+        {'threshold': np.nan},
+        {'covariance': -np.eye(3)},
+        {'covariance': 1e-12 * np.eye(3)},
+        {'shared_loading': np.full((3, 2), 1e200)},
+    ],
+)
+def test_a_landmark_that_can_not_be_is_refused(changed):
+    decode.landmark_map(*landmarks())
+    with pytest.raises(LandmarkNavError) as refused:
+        decode.landmark_map(*landmarks(**changed))
+    assert len(str(refused.value)) < 200
+
+
+def test_patches_that_fill_the_memory_are_refused():
+    msg, atlas = landmarks()
+    kinds = unpack_cloud(msg, LANDMARKS).dtype
+    lengths = {name: kinds[name].shape[0] for name in LANDMARKS.repeated}
+    rows = np.frombuffer(msg.data.tobytes(), LANDMARKS.sized(**lengths)).copy()
+    rows['atlas_x'] = rows['atlas_y'] = 0
+    rows['atlas_width'], rows['atlas_height'] = atlas.width, atlas.height
+    with pytest.raises(LandmarkNavError, match='do not fit an atlas'):
+        decode.landmark_map(pack_cloud(FACTORY, HEAD, rows), atlas)
+
+
+def test_panoramas_of_another_size_or_shape_are_refused():
+    messages = encode.panorama(FACTORY, some_panorama())
+    decode.panorama(*messages)
+    for attribute, value in (
+        ('width', 2**32 - 1),
+        ('height', 2**32 - 1),
+        ('width', 0),
+        ('k', np.full(9, np.nan)),
+        ('k', np.full(9, 1e300)),
+        ('k', np.zeros(9)),
+        ('k', np.zeros(4)),
+    ):
+        camera_image, info, pose = deepcopy(messages)
+        setattr(info, attribute, value)
+        with pytest.raises(LandmarkNavError):
+            decode.panorama(camera_image, info, pose)

@@ -27,6 +27,17 @@ def rewritten(tmp_path, change, topics=lambda topic: topic):
     return tmp_path / 'changed'
 
 
+def with_joints(tmp_path, change):
+    """A drive whose joint states were changed in place."""
+
+    def changed(topic, message):
+        if topic == '/joint_states':
+            change(message)
+        yield topic, message
+
+    return rewritten(tmp_path, changed)
+
+
 def pans(path, mount=MOUNT, topics=None):
     warnings = []
     events = list(sensor_events(Bag(path, warnings.append, topics), mount))
@@ -56,36 +67,26 @@ def test_a_prefixed_joint_is_taken_if_it_is_the_only_one(tmp_path, name):
     assert f'{name} for pan_joint' in warnings[0]
 
 
-def test_the_joint_without_an_angle_is_named(tmp_path):
-    def without(topic, message):
-        if topic == '/joint_states':
-            message.position = np.array([0.1, np.nan])
-        yield topic, message
-
-    with pytest.raises(LandmarkNavError, match=f'of {MOUNT.tilt_joint} .* is nan'):
-        pans(rewritten(tmp_path, without))
+@pytest.mark.parametrize(
+    ('field', 'value', 'reported'),
+    [
+        ('position', np.array([0.1, np.nan]), f'of {MOUNT.tilt_joint} .* is nan'),
+        ('name', ['shoulder', 'elbow'], 'elbow, shoulder arrive, not pan_joint'),
+    ],
+)
+def test_joints_without_an_angle_or_of_other_names_are_named(tmp_path, field, value, reported):
+    with pytest.raises(LandmarkNavError, match=reported):
+        pans(with_joints(tmp_path, lambda message: setattr(message, field, value)))
 
 
 @pytest.mark.parametrize('turns', [-100_000, -1, 0, 1, 100_000])
 def test_whole_turns_that_a_joint_counts_do_not_matter(tmp_path, turns):
-    def counted(topic, message):
-        if topic == '/joint_states':
-            message.position = np.add(message.position, [2.0 * np.pi * turns, 0.0])
-        yield topic, message
+    def count(message):
+        message.position = np.add(message.position, [2.0 * np.pi * turns, 0.0])
 
-    read = np.array(pans(rewritten(tmp_path, counted))[0])
+    read = np.array(pans(with_joints(tmp_path, count))[0])
     assert (np.abs(read) < 4.0 * np.pi).all()
     np.testing.assert_allclose(np.exp(1j * read), np.exp(1j * PANS), atol=1e-6)
-
-
-def test_the_joints_that_arrive_are_listed(tmp_path):
-    def others(topic, message):
-        if topic == '/joint_states':
-            message.name = ['shoulder', 'elbow']
-        yield topic, message
-
-    with pytest.raises(LandmarkNavError, match=r'elbow, shoulder arrive, not pan_joint'):
-        pans(rewritten(tmp_path, others))
 
 
 def test_the_topic_with_the_pan_joint_is_taken(tmp_path):

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.simulation.furnishing import generate_scene, hang_tags, move_one_box
-from landmark_nav.simulation.scene import Box, choose_sweep_places, EYE_HEIGHT_M, Scene
+from landmark_nav.simulation.renderer import Renderer
+from landmark_nav.simulation.scene import Box, choose_sweep_places, EYE_HEIGHT_M, Scene, WallItem
 from landmark_nav.simulation.setup_documents import (
     as_measured,
     robot_document,
@@ -197,3 +199,130 @@ def test_tags_hang_where_nothing_else_does(seed):
                 assert any(a >= 0.5 * s for a, s in zip(apart, sizes, strict=True))
         for paper in scene.room.papers:
             assert np.linalg.norm(tag.center(scene.room) - paper.center) > 0.5 * tag.width_m
+
+
+CAMERA = CameraModel(
+    512, 512, 555.0, 555.0, 256.7, 254.1, 'plumb_bob', (-0.19, 0.06, 0.0005, -0.0003, 0.0)
+)
+OFF_CENTRE = PanTiltMount((0.08, 0.0, 1.1), (0.0, 0.0, 0.0), (0.03, 0.02, 0.01))
+HEIGHT = 2.6
+ROOM = Room(
+    (
+        Wall('south', (0.0, 0.0), (6.03, 0.0), HEIGHT),
+        Wall('east', (6.03, 0.0), (6.03, 4.4), HEIGHT),
+        Wall('north', (6.03, 4.4), (0.0, 4.4), HEIGHT),
+        Wall('west', (0.0, 4.4), (0.0, 0.0), HEIGHT),
+    ),
+    (Paper('blue', (3.8013, 0.02, 1.7507), 0.3, 0.3),),
+)
+TARGETS = tuple(
+    WallItem('target', 0, along, z, 0.5, 0.5, 0, before)
+    for along, z, before in (
+        (0.61, 1.5507, 0.0),
+        (1.5093, 1.7, 0.03),
+        (2.7031, 1.45, 0.0),
+        (4.9, 1.6, 0.02),
+    )
+)
+SCENE = Scene(3, ROOM, TARGETS, (Box((1.2, 1.0), 0.3, (0.5, 0.4, 0.7), 'books', 5),))
+
+
+@pytest.fixture(scope='module')
+def renderer():
+    return Renderer(SCENE, CAMERA)
+
+
+def camera_pose(pose, pan, tilt=0.0):
+    rotation, center = OFF_CENTRE.camera_pose_base(pan, tilt)
+    heading = rotation_rpy((0.0, 0.0, pose[2]))
+    return heading @ rotation, heading @ center + [pose[0], pose[1], 0.0]
+
+
+def project(points_map, rotation, center):
+    return CAMERA.project((np.asarray(points_map) - center) @ rotation)
+
+
+def target_reference(item, rotation, center, window):
+    """Brightness of a target by ray casting alone, 4 x 4 rays a pixel, and where it is."""
+    u0, u1, v0, v1 = window
+    sub = (np.arange(4) + 0.5) / 4 - 0.5
+    u = (np.arange(u0, u1)[:, None] + sub).ravel()
+    v = (np.arange(v0, v1)[:, None] + sub).ravel()
+    rays = CAMERA.unproject(np.stack(np.meshgrid(u, v), -1)) @ rotation.T
+    hit = center + rays * ((item.before_m - center[1]) / rays[..., 1])[..., None]
+    radius = np.hypot(hit[..., 0] - item.along_m, hit[..., 2] - item.center_z_m) / item.width_m
+    bright = np.where((radius < 0.49) & ((radius / 0.14) % 1.0 < 0.5), 0.0, 1.0)
+    shape = (v1 - v0, 4, u1 - u0, 4)
+    return bright.reshape(shape).mean(axis=(1, 3)), radius.reshape(shape).max(axis=(1, 3)) < 0.46
+
+
+def shift_between(image, reference, where):
+    """Sub-pixel shift (x, y) of `image` from `reference`, with gain and offset free."""
+    blurred = [cv2.GaussianBlur(k.astype(np.float64), (5, 5), 1.0) for k in (image, reference)]
+    dy, dx = np.gradient(blurred[1])
+    a = np.stack([-dx, -dy, blurred[1], np.ones_like(dx)], -1)[where]
+    fit = np.linalg.lstsq(a, blurred[0][where], rcond=None)[0]
+    return np.asarray(fit[:2] / fit[2])
+
+
+# Near, far (other levels of detail), slanted; pan puts the targets all over the image.
+@pytest.mark.parametrize(
+    ('pose', 'pans', 'tilts'),
+    [
+        ((2.2, 1.4, 0.3), (-1.6, -1.2), (0.1,)),
+        ((2.9, 4.1, -1.0), (-0.9, -0.4), (-0.1, 0.2)),
+        ((5.3, 1.5, 2.0), (1.3,), (0.0, 0.15)),
+    ],
+)
+def test_walls_appear_where_the_camera_model_projects_them(renderer, pose, pans, tilts):
+    errors = []
+    for pan in pans:
+        for tilt in tilts:
+            rotation, center = camera_pose(pose, pan, tilt)
+            image = cv2.cvtColor(renderer.render(rotation, center), cv2.COLOR_BGR2GRAY)
+            for item in TARGETS:
+                corners = item.center(ROOM) + 0.25 * np.array(
+                    [[-1, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]]
+                )
+                uv = project(corners, rotation, center)
+                if not np.all(CAMERA.contains(uv, 2.0)):
+                    continue
+                low = np.ceil(uv.min(axis=0)).astype(int)
+                high = np.floor(uv.max(axis=0)).astype(int)
+                window = (low[0], high[0], low[1], high[1])
+                reference, on_target = target_reference(item, rotation, center, window)
+                part = image[low[1] : high[1], low[0] : high[0]]
+                errors.append(shift_between(part, reference, on_target))
+    errors = np.array(errors)
+    assert len(errors) >= 2
+    assert np.abs(errors).max() < 0.03
+    assert np.abs(errors.mean(axis=0)).max() < 0.015
+
+
+def test_nearer_things_cover_farther_ones(renderer):
+    # The box stands between the camera and the south wall; its top is lower than the camera.
+    rotation, center = camera_pose((1.2, 3.6, -np.pi / 2), 0.0, -0.2)
+    box = SCENE.boxes[0]
+    with_box = renderer.render(rotation, center)
+    without = Renderer(Scene(3, ROOM, TARGETS), CAMERA).render(rotation, center)
+    changed = np.any(with_box != without, axis=-1)
+    corners = np.array(
+        [[*xy, z] for xy in box.footprint for z in (0.0, box.size_m[2])], dtype=np.float64
+    )
+    # The lens bends edges outward: points along them. Seams reach a little over corners.
+    share = np.linspace(0.0, 1.0, 30)[:, None, None, None]
+    edges = (share * corners[:, None] + (1.0 - share) * corners).reshape(-1, 3)
+    hull = cv2.convexHull(project(edges, rotation, center).astype(np.float32))
+    inside = np.zeros(changed.shape, np.uint8)
+    cv2.fillConvexPoly(inside, np.rint(hull).astype(np.int32), 1)
+    assert changed[cv2.dilate(inside, np.ones((7, 7))) == 0].sum() == 0
+    assert changed[cv2.erode(inside, np.ones((7, 7))) == 1].mean() > 0.95
+
+
+def test_a_camera_of_two_million_pixels_shows_the_same_as_a_small_one():
+    small = CameraModel(480, 270, 300.0, 300.0, 239.5, 134.5)
+    rotation, center = OFF_CENTRE.camera_pose_map(np.array([2.0, 2.2, 0.4]), 0.3)
+    views = [Renderer(SCENE, camera).render(rotation, center) for camera in (
+        small, small.resized(1920, 1080))]  # fmt: skip
+    reduced = cv2.resize(views[1], (480, 270), interpolation=cv2.INTER_AREA)
+    assert np.abs(views[0].astype(float) - reduced).mean() < 4.0

@@ -14,9 +14,6 @@ ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 # States of localization by the terms of the glossary.
 STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}
 
-# First characters of numbers, and of a cell without one; most rows on a terminal.
-_DIGITS, _MOST_LINES = ('', *'0123456789'), 30
-
 Table = dict[str, Any]
 Row = dict[str, Any]
 
@@ -69,25 +66,6 @@ def _table(
 def _verdict(level: str, parts: Iterable[str]) -> dict[str, str]:
     text = '; '.join(filter(None, parts))
     return {'level': level, 'text': text if text.endswith('?') else f'{text}.'}
-
-
-def table_lines(table: Table) -> list[str]:
-    """Lines of a table for a terminal; columns of numbers are aligned to the right."""
-    rows = [row['cells'] for row in table['rows']]
-    columns = []
-    for name, *cells in zip(table['head'], *rows, strict=True):
-        numbers = all(cell.lstrip('+-')[:1] in _DIGITS for cell in cells)
-        width = max(map(len, (name, *cells)))
-        side = '>' if numbers else '<'
-        columns.append([f'{cell:{side}{width}}' for cell in (name, *cells)])
-    lines = ['  '.join(line).rstrip() for line in zip(*columns, strict=True)] if rows else []
-    more = [f'... {len(rows) - _MOST_LINES} more'] if len(rows) > _MOST_LINES else []
-    return [*lines[: _MOST_LINES + 1], *more, *filter(None, [table['note']])]
-
-
-def text_of(verdict: Mapping[str, str], tables: Iterable[Table]) -> list[str]:
-    """Lines of a verdict and of its tables for a terminal."""
-    return [verdict['text'], *(line for table in tables for line in ('', *table_lines(table)))]
 
 
 def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:

@@ -1,17 +1,18 @@
 """
 Reader of one MCAP file, complete or truncated: its channels and its messages.
 
-Format: https://mcap.dev/spec. A file with a valid index is read by the index, any other one record
-by record until records have no bounds. Damaged chunks are left out. Messages are sorted by log
+Format: https://mcap.dev/spec. A file is read by its index; without a valid one, its chunks are
+searched until records have no bounds. Damaged chunks are left out. Messages are sorted by log
 time, and memory is bounded.
 """
 
 from __future__ import annotations
 
 import bz2
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass
-from functools import partial
+from contextlib import suppress
+from dataclasses import dataclass, replace
 import heapq
 from io import BytesIO
 from pathlib import Path
@@ -23,7 +24,9 @@ import zlib
 import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
+from mcap.reader import FOOTER_SIZE
+from mcap.records import Channel, Chunk, ChunkIndex, Footer, Message, Schema, Statistics
+from mcap.stream_reader import StreamReader
 import zstandard
 
 from landmark_nav.errors import LandmarkNavError, why
@@ -105,8 +108,8 @@ def _opened(stream: BinaryIO) -> Any:
 
 
 _MAGIC = b'\x89MCAP0\r\n'
-# Opcode and length of a footer, its content, and the magic.
-_FOOTER_BYTES = 9 + 20 + len(_MAGIC)
+# Size of opcode and length of a record; size of the head of a chunk without its compression.
+_HEAD_BYTES, _CHUNK_HEAD_BYTES = 9, 40
 
 # Greatest number of channels of a file; a robot has some hundreds.
 MAX_CHANNELS = 65535
@@ -123,10 +126,7 @@ _HELD_BYTES = CHUNK_BYTES
 # complete, and the error of zstandard has no other base class.
 _DAMAGE = Exception
 
-_READ = {
-    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.CHUNK_INDEX,
-    Opcode.STATISTICS, Opcode.FOOTER,
-}  # fmt: skip
+_LOOSE = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
 
 
 @dataclass(frozen=True)
@@ -149,6 +149,26 @@ class RawMessage:
     data: bytes
 
 
+@dataclass(frozen=True)
+class _Part:
+    """
+    A chunk, or records outside of chunks (`loose`): its bytes in the file and what it holds.
+
+    `span_ns` are the first and last log time; no topics are named if they are not known.
+    """
+
+    place: int
+    length: int
+    unpacked_bytes: int
+    span_ns: tuple[int, int] = (0, 0)
+    topics: frozenset[str] = frozenset()
+    loose: bool = False
+
+
+# Parts of a file, and the number of messages of each channel.
+_Contents = tuple[list[_Part], dict[ChannelInfo, int]]
+
+
 class McapFile:
     """
     An MCAP file, with the `counts` of messages of its channels.
@@ -162,34 +182,24 @@ class McapFile:
     ) -> None:
         """Read the index, or all messages if there is none."""
         self.path, self.name = path, name or path
-        self.counts: dict[ChannelInfo, int] = {}
-        self.first_ns = self.last_ns = 0
-        self.complete = True
-        self._ordered = True
         self._warn = on_warning
-        # Reasons why chunks cannot be read, by their place in the file.
+        self._records = _Records(self.name)
+        # Reasons why parts cannot be read, by their place in the file; how many were reported.
         self._damaged: dict[int, str] = {}
-        index: _Index | None = None
-        try:
-            with path.open('rb') as stream:
-                index = _Index.read(stream)
-        except _TooManyChannelsError as error:
-            raise LandmarkNavError(f'{self.name}: {error}') from error
-        except _DAMAGE:
-            pass
-        self._index = index if index is not None and index.agrees else None
-        if self._index is None:
-            self._take_scan()
-            # Damaged records hide those after them from a scan.
-            if not self.complete and index is not None and index.overlap_bytes <= _HELD_BYTES:
-                self._index, self.complete = index, True
-        if self._index is not None:
-            self._take_index(self._index)
-        elif not self.complete:
-            total = sum(self.counts.values())
+        self._reported = 0
+        with path.open('rb') as stream:
+            (parts, self.counts), broken = self._contents(stream)
+        self.complete = not broken
+        self._parts = sorted(parts, key=lambda part: (part.span_ns[0], part.place))
+        spans_ns = [part.span_ns for part in parts if any(part.span_ns)]
+        self.first_ns = min((begin for begin, _ in spans_ns), default=0)
+        self.last_ns = max((end for _, end in spans_ns), default=0)
+        self._report_damage()
+        if broken:
+            total, span_s = sum(self.counts.values()), (self.last_ns - self.first_ns) * 1e-9
             on_warning(
-                f'{self.name}: cut off or damaged before its end ({self._break}): read up to the '
-                f'break, {total} messages, {(self.last_ns - self.first_ns) * 1e-9:.1f} s'
+                f'{self.name}: cut off or damaged before its end ({broken}): read up to the '
+                f'break, {total} messages, {span_s:.1f} s'
             )
 
     @property
@@ -199,88 +209,94 @@ class McapFile:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield messages of `topics` (all by default) by log time."""
-        if self._index is None:
-            scanned = self._scan(topics)
-            found = scanned if self._ordered else self._by_time(scanned)
-        elif self._index.overlap_bytes <= _HELD_BYTES:
-            found = self._index.messages(self.path, topics, self._of_chunk)
-        else:
-            found = self._by_time(self._scan(topics))
-        known = len(self._damaged)
+        parts = self._parts
+        if topics is not None:
+            parts = [p for p in parts if not p.topics or not p.topics.isdisjoint(topics)]
         try:
-            yield from found
+            with self.path.open('rb') as stream:
+                read = ((part, self._read(stream, part, topics)) for part in parts)
+                fits = _overlap_bytes(parts) <= _HELD_BYTES
+                yield from _merged(read) if fits else self._sorted(read)
         finally:
-            if lost := list(self._damaged.values())[known:]:
-                count = '1 chunk is' if len(lost) == 1 else f'{len(lost)} chunks are'
-                self._warn(f'{self.name}: {count} damaged and left out: {lost[0]}')
+            self._report_damage()
 
-    def _of_chunk(
-        self, place: int, span_ns: tuple[int, int], read: Callable[[], list[RawMessage]]
-    ) -> list[RawMessage]:
-        """Messages of a chunk, as `read` returns them; none if it is damaged."""
+    def _contents(self, stream: BinaryIO) -> tuple[_Contents, str]:
+        """Parts by the index, else those that are found; also the break that ends a search."""
+        index = None
+        with suppress(_DAMAGE):
+            index = _index(stream, self._records)
+            if index is not None and all(_begins_there(stream, part) for part in index[0]):
+                return index, ''
+        contents, broken = self._search(stream)
+        # Damaged records hide those after them from a search.
+        return (index, '') if broken and index is not None else (contents, broken)
+
+    def _search(self, stream: BinaryIO) -> tuple[_Contents, str]:
+        """Read all parts up to where records have no bounds; also what is wrong there, if so."""
+        places: list[_Part] = []
+        broken = ''
         try:
-            return read()
-        except _TooManyChannelsError as error:
-            raise LandmarkNavError(f'{self.name}: {error}') from error
+            for part in _places(stream):
+                last = places[-1] if places else part
+                after = last.loose and part.loose and last.place + last.length == part.place
+                if after and last.length < _BLOCK_BYTES:
+                    together = last.length + part.length
+                    places[-1] = replace(last, length=together, unpacked_bytes=together)
+                else:
+                    places.append(part)
         except _DAMAGE as error:
-            begin_s, end_s = (1e-9 * time_ns for time_ns in span_ns)
-            self._damaged[place] = f'{begin_s:.1f} to {end_s:.1f} s ({error})'
-            return []
+            broken = str(error)
+        parts: list[_Part] = []
+        counts = Counter[ChannelInfo]()
+        for part in places:
+            if found := self._read(stream, part, None):
+                counts.update(raw.channel for raw in found)
+                topics = frozenset(raw.channel.topic for raw in found)
+                span_ns = found[0].stamp_ns, found[-1].stamp_ns
+                parts.append(replace(part, span_ns=span_ns, topics=topics))
+        return (parts, counts), broken
 
-    def _take_index(self, index: _Index) -> None:
-        self.counts.clear()
-        self.first_ns, self.last_ns = index.span_ns
-        for identity, info in index.records.channels.items():
-            self.counts[info] = self.counts.get(info, 0) + index.counts.get(identity, 0)
+    def _read(
+        self, stream: BinaryIO, part: _Part, topics: Collection[str] | None
+    ) -> list[RawMessage]:
+        """Messages of a part by log time; if it is damaged none, or the loose ones before that."""
+        found: list[RawMessage] = []
+        try:
+            stream.seek(part.place)
+            content = stream.read(part.length)
+            if not part.loose:
+                content = _chunk_content(content, part)
+            for number, (opcode, payload) in enumerate(_records(content)):
+                if number == _MAX_RECORDS:
+                    raise ValueError('a chunk holds what is no message')
+                if message := self._records.take(opcode, payload, topics):
+                    found.append(message)
+        except LandmarkNavError:
+            raise
+        except _DAMAGE as error:
+            begin_s, end_s = (1e-9 * time_ns for time_ns in part.span_ns)
+            self._damaged[part.place] = f'{begin_s:.1f} to {end_s:.1f} s ({error})'
+            if not part.loose:
+                return []
+        found.sort(key=lambda raw: raw.stamp_ns)
+        return found
 
-    def _take_scan(self) -> None:
-        self.complete = False
-        for message in self.messages():
-            self.counts[message.channel] = self.counts.get(message.channel, 0) + 1
-            self.first_ns = min(self.first_ns or message.stamp_ns, message.stamp_ns)
-            self._ordered &= message.stamp_ns >= self.last_ns
-            self.last_ns = max(self.last_ns, message.stamp_ns)
+    def _report_damage(self) -> None:
+        """Warn of the damage that was found since the last time."""
+        if lost := list(self._damaged.values())[self._reported :]:
+            self._reported = len(self._damaged)
+            count = '1 chunk is' if len(lost) == 1 else f'{len(lost)} chunks are'
+            self._warn(f'{self.name}: {count} damaged and left out: {lost[0]}')
 
-    def _scan(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
-        """
-        Yield messages up to the damage, in the order of the file, sorted within a chunk.
-
-        Set `complete` if the footer is reached.
-        """
-        records = _Records()
-        size = self.path.stat().st_size - len(_MAGIC)
-        unpacked_bytes, most = 0, most_bytes(size)
-        self._break = 'it ends too early'
-        with self.path.open('rb') as stream:
-            stream.seek(len(_MAGIC))
-            try:
-                for opcode, payload, whole in _records(stream, size):
-                    if opcode == Opcode.CHUNK:
-                        *span_ns, declared = struct.unpack_from('<QQQ', payload)
-                        unpacked_bytes += declared
-                        if whole and unpacked_bytes > most:
-                            raise ValueError('it unpacks to more than a recording of its size')
-                        place = stream.tell() - len(payload) - 9
-                        read = partial(records.of_chunk, payload, topics, whole)
-                        yield from self._of_chunk(place, (span_ns[0], span_ns[1]), read)
-                    elif opcode == Opcode.FOOTER and whole:
-                        self.complete = True
-                        return
-                    elif whole and (one := records.take(opcode, payload, topics)):
-                        yield one
-            except _TooManyChannelsError as error:
-                raise LandmarkNavError(f'{self.name}: {error}') from error
-            except _DAMAGE as error:
-                self._break = str(error)
-
-    def _by_time(self, messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
+    def _sorted(self, read: Iterable[tuple[_Part, list[RawMessage]]]) -> Iterator[RawMessage]:
         """Yield messages by log time; a temporary file holds their data to spare memory."""
         places: list[tuple[int, int, int, ChannelInfo]] = []
         try:
             with TemporaryFile() as data:
-                for raw in messages:
-                    places.append((raw.stamp_ns, data.tell(), len(raw.data), raw.channel))
-                    data.write(raw.data)
+                for _, messages in read:
+                    for raw in messages:
+                        places.append((raw.stamp_ns, data.tell(), len(raw.data), raw.channel))
+                        data.write(raw.data)
                 places.sort(key=lambda place: place[:2])
                 for stamp_ns, offset, size, channel in places:
                     data.seek(offset)
@@ -291,20 +307,42 @@ class McapFile:
             ) from error
 
 
-class _TooManyChannelsError(ValueError):
-    """Error: a file defines more channels than any recording."""
+def _merged(read: Iterable[tuple[_Part, list[RawMessage]]]) -> Iterator[RawMessage]:
+    """Yield messages by log time; a part is read when its first message is due."""
+    held: list[tuple[int, int, int, RawMessage]] = []
+    for part, messages in read:
+        while held and held[0][0] < part.span_ns[0]:
+            yield heapq.heappop(held)[-1]
+        for order, raw in enumerate(messages):
+            heapq.heappush(held, (raw.stamp_ns, part.place, order, raw))
+    while held:
+        yield heapq.heappop(held)[-1]
 
-    def __init__(self) -> None:
-        super().__init__(f'over {MAX_CHANNELS} channels: not a recording of a robot')
+
+def _overlap_bytes(parts: Iterable[_Part]) -> int:
+    """Greatest size of parts, given by their first log times, whose times overlap."""
+    ends: list[tuple[int, int]] = []
+    most = held = 0
+    for part in parts:
+        while ends and ends[0][0] < part.span_ns[0]:
+            held -= heapq.heappop(ends)[1]
+        held += part.unpacked_bytes
+        heapq.heappush(ends, (part.span_ns[1], part.unpacked_bytes))
+        most = max(most, held)
+    return most
 
 
 class _Records:
-    """Channels defined by records, and the messages of records."""
+    """
+    Channels defined by the records of a file, and the messages of records.
 
-    def __init__(self) -> None:
+    Raises `LandmarkNavError`: the file defines more channels than any recording.
+    """
+
+    def __init__(self, name: Path) -> None:
+        self._name = name
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, ChannelInfo] = {}
-        self.schema_of: dict[int, int] = {}
         # Definitions that were parsed: each chunk may repeat them.
         self._seen: dict[tuple[int, bytes], bytes] = {}
         self._defined = 0
@@ -324,195 +362,144 @@ class _Records:
             key = opcode, payload[:2]
             if self._seen.get(key) != payload:
                 self._seen[key] = payload
-                self._define(opcode, ReadDataStream(BytesIO(payload)))
+                kind = Schema if opcode == Opcode.SCHEMA else Channel
+                self.define(kind.read(ReadDataStream(BytesIO(payload))))
         return None
 
-    def _define(self, opcode: int, record: ReadDataStream) -> None:
+    def define(self, record: Schema | Channel) -> None:
+        """Keep a definition."""
         self._defined += 1
         if self._defined > 2 * MAX_CHANNELS:
-            raise _TooManyChannelsError
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(record)
-            self.schemas[schema.id] = schema
-        else:
-            channel = Channel.read(record)
-            self.channels[channel.id] = _info(channel, self.schemas.get(channel.schema_id))
-            self.schema_of[channel.id] = channel.schema_id
-
-    def of_chunk(
-        self, payload: bytes, topics: Collection[str] | None, whole: bool
-    ) -> list[RawMessage]:
-        """Messages of a chunk, complete (`whole`) or truncated, by log time."""
-        content = _chunk_content(payload, whole)
-        found = []
-        inside = _records(BytesIO(content), len(content))
-        for count, (opcode, payload, entire) in enumerate(inside):
-            if count == _MAX_RECORDS or (whole and not entire):
-                raise ValueError('a chunk holds what is no message')
-            if entire and (message := self.take(opcode, payload, topics)):
-                found.append(message)
-        found.sort(key=lambda raw: raw.stamp_ns)
-        return found
-
-
-class _Index:
-    """Summary section of a complete file; `agrees` if all its chunks begin where it says."""
-
-    def __init__(
-        self,
-        records: _Records,
-        statistics: Statistics,
-        chunks: list[ChunkIndex],
-        *,
-        agrees: bool,
-    ) -> None:
-        self.records, self.agrees = records, agrees
-        self.counts = statistics.channel_message_counts
-        self.span_ns = (
-            (statistics.message_start_time, statistics.message_end_time)
-            if statistics.message_count
-            else (0, 0)
+            raise LandmarkNavError(
+                f'{self._name}: over {MAX_CHANNELS} channels: not a recording of a robot'
+            )
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+            return
+        schema = self.schemas.get(record.schema_id)
+        self.channels[record.id] = ChannelInfo(
+            record.topic,
+            schema.name if schema else '',
+            record.message_encoding,
+            schema.encoding if schema else '',
+            schema.data.decode('utf-8', 'replace') if schema else '',
         )
-        self.chunks = sorted(chunks, key=lambda c: (c.message_start_time, c.chunk_start_offset))
-        ends: list[tuple[int, int]] = []
-        self.overlap_bytes = held = 0
-        for chunk in self.chunks:
-            while ends and ends[0][0] < chunk.message_start_time:
-                held -= heapq.heappop(ends)[1]
-            held += chunk.uncompressed_size
-            heapq.heappush(ends, (chunk.message_end_time, chunk.uncompressed_size))
-            self.overlap_bytes = max(self.overlap_bytes, held)
 
-    @classmethod
-    def read(cls, stream: BinaryIO) -> _Index | None:
-        """Read the summary; None if it does not name all chunks, channels and schemas."""
-        size = stream.seek(0, 2)
-        stream.seek(size - _FOOTER_BYTES)
-        ((opcode, footer, _),) = _records(stream, _FOOTER_BYTES - len(_MAGIC))
-        if opcode != Opcode.FOOTER or stream.read() != _MAGIC:
+
+def _index(stream: BinaryIO, records: _Records) -> _Contents | None:
+    """Read the summary; None if it does not name all chunks, channels and schemas."""
+    size = stream.seek(0, 2)
+    end = size - FOOTER_SIZE - len(_MAGIC)
+    stream.seek(end)
+    (footer,) = StreamReader(stream, skip_magic=True).records
+    if not isinstance(footer, Footer) or not len(_MAGIC) < footer.summary_start <= end:
+        return None
+    chunks, statistics, schemas = [], None, {0}
+    stream.seek(footer.summary_start)
+    for record in StreamReader(stream, skip_magic=True, emit_chunks=True).records:
+        if isinstance(record, ChunkIndex):
+            chunks.append(record)
+        elif isinstance(record, Statistics):
+            statistics = record
+        elif isinstance(record, Schema | Channel):
+            records.define(record)
+            if isinstance(record, Channel):
+                schemas.add(record.schema_id)
+        elif isinstance(record, Chunk | Message):
             return None
-        begin = Footer.read(ReadDataStream(BytesIO(footer))).summary_start
-        if not len(_MAGIC) < begin <= size - _FOOTER_BYTES:
-            return None
-        records, chunks, statistics = _Records(), [], None
-        stream.seek(begin)
-        for opcode, payload, whole in _records(stream, size - begin):
-            if opcode == Opcode.CHUNK_INDEX:
-                chunks.append(ChunkIndex.read(ReadDataStream(BytesIO(payload))))
-            elif opcode == Opcode.STATISTICS:
-                statistics = Statistics.read(ReadDataStream(BytesIO(payload)))
-            elif opcode in (Opcode.CHUNK, Opcode.MESSAGE) or not whole:
-                return None
-            elif opcode == Opcode.FOOTER:
-                break
-            else:
-                records.take(opcode, payload, None)
-        if statistics is None or len(chunks) != statistics.chunk_count:
-            return None
-        if sum(chunk.uncompressed_size for chunk in chunks) > most_bytes(size):
-            return None
-        counts = statistics.channel_message_counts
-        named = sum(counts.get(identity, 0) for identity in records.channels)
-        schemas = {0, *records.schemas}
-        ends = sorted((c.chunk_start_offset, c.chunk_length) for c in chunks)
-        after = [*(offset for offset, _ in ends[1:]), begin]
-        sound = all(o + n <= end for (o, n), end in zip(ends, after, strict=True))
-        sound &= all(c.message_start_time <= c.message_end_time for c in chunks)
-        complete = named == statistics.message_count and schemas >= {*records.schema_of.values()}
-        # Messages outside of chunks have no index.
-        empty = not chunks and statistics.message_count
-        if not sound or not complete or empty:
-            return None
-        agrees = all(_begins_there(stream, chunk) for chunk in chunks)
-        return cls(records, statistics, chunks, agrees=agrees)
-
-    def messages(
-        self,
-        path: Path,
-        topics: Collection[str] | None,
-        of_chunk: Callable[
-            [int, tuple[int, int], Callable[[], list[RawMessage]]], list[RawMessage]
-        ],
-    ) -> Iterator[RawMessage]:
-        """Yield messages by log time; a chunk is read when its first message is due."""
-        channels = self.records.channels
-        wanted = {k for k, info in channels.items() if topics is None or info.topic in topics}
-        held: list[tuple[int, int, RawMessage]] = []
-        order = 0
-        with path.open('rb') as stream:
-            for chunk in self.chunks:
-                held_channels = chunk.message_index_offsets.keys()
-                if held_channels and not wanted & held_channels:
-                    continue
-                while held and held[0][0] < chunk.message_start_time:
-                    yield heapq.heappop(held)[2]
-                span_ns = chunk.message_start_time, chunk.message_end_time
-                read = partial(self._of_chunk, stream, chunk, topics)
-                for raw in of_chunk(chunk.chunk_start_offset, span_ns, read):
-                    heapq.heappush(held, (raw.stamp_ns, order, raw))
-                    order += 1
-        while held:
-            yield heapq.heappop(held)[2]
-
-    def _of_chunk(
-        self, stream: BinaryIO, chunk: ChunkIndex, topics: Collection[str] | None
-    ) -> list[RawMessage]:
-        if not _begins_there(stream, chunk):
-            raise ValueError('it does not begin where the index says')
-        stream.seek(chunk.chunk_start_offset)
-        ((_, payload, whole),) = _records(stream, chunk.chunk_length)
-        if struct.unpack_from('<Q', payload, 16) != (chunk.uncompressed_size,):
-            raise ValueError('it has another size than the index says')
-        return self.records.of_chunk(payload, topics, whole)
+    if statistics is None or len(chunks) != statistics.chunk_count:
+        return None
+    if sum(chunk.uncompressed_size for chunk in chunks) > most_bytes(size):
+        return None
+    channels = records.channels
+    counts = Counter[ChannelInfo]()
+    for identity, info in channels.items():
+        counts[info] += statistics.channel_message_counts.get(identity, 0)
+    complete = counts.total() == statistics.message_count and schemas <= {0, *records.schemas}
+    # Messages outside of chunks have no index.
+    if not complete or (statistics.message_count and not chunks):
+        return None
+    parts = [
+        _Part(
+            chunk.chunk_start_offset,
+            chunk.chunk_length,
+            chunk.uncompressed_size,
+            (chunk.message_start_time, chunk.message_end_time),
+            frozenset(channels[k].topic for k in chunk.message_index_offsets if k in channels),
+        )
+        for chunk in chunks
+    ]
+    return parts, counts
 
 
-def _begins_there(stream: BinaryIO, chunk: ChunkIndex) -> bool:
-    stream.seek(chunk.chunk_start_offset)
-    head = stream.read(9)
-    return len(head) == 9 and struct.unpack('<BQ', head) == (Opcode.CHUNK, chunk.chunk_length - 9)
+def _begins_there(stream: BinaryIO, part: _Part) -> bool:
+    """Whether a chunk begins where the index says."""
+    stream.seek(part.place)
+    return stream.read(_HEAD_BYTES) == struct.pack('<BQ', Opcode.CHUNK, part.length - _HEAD_BYTES)
 
 
-def _info(channel: Channel, schema: Schema | None) -> ChannelInfo:
-    return ChannelInfo(
-        channel.topic,
-        schema.name if schema else '',
-        channel.message_encoding,
-        schema.encoding if schema else '',
-        schema.data.decode('utf-8', 'replace') if schema else '',
-    )
+def _places(stream: BinaryIO) -> Iterator[_Part]:
+    """
+    Yield chunks and loose records in the order of the file, up to the footer.
 
-
-def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
-    """Yield opcode, content and completeness of each record in `size` bytes; others are empty."""
-    left = size
-    while left >= 9:
-        opcode, length = struct.unpack('<BQ', stream.read(9))
-        left -= 9
+    A truncated chunk that is not compressed yields its records. Raises an error of any kind:
+    records have no bounds, or unpack to more than a recording of the size.
+    """
+    end = stream.seek(0, 2)
+    place, unpacked_bytes, most = len(_MAGIC), 0, most_bytes(end)
+    while place + _HEAD_BYTES <= end:
+        stream.seek(place)
+        opcode, length = struct.unpack('<BQ', stream.read(_HEAD_BYTES))
+        after = place + _HEAD_BYTES + length
         if not opcode:
             raise ValueError('zeros where a record should begin')
-        if opcode not in _READ:
-            stream.seek(min(length, left), 1)
-            left -= length
-            yield opcode, b'', left >= 0
-            continue
-        if min(length, left) > CHUNK_BYTES + 2**16:
+        if opcode in _LOOSE | {Opcode.CHUNK} and min(after, end) - place > CHUNK_BYTES + 2**16:
             raise ValueError(f'a record of {length} bytes')
-        payload = stream.read(min(length, left))
-        left -= len(payload)
-        yield opcode, payload, len(payload) == length
-        if len(payload) < length:
+        if opcode == Opcode.FOOTER and after <= end:
             return
+        if opcode == Opcode.CHUNK:
+            *span_ns, declared, _, name_length = struct.unpack('<QQQII', stream.read(32))
+            if after <= end:
+                unpacked_bytes += declared
+                if unpacked_bytes > most:
+                    raise ValueError('it unpacks to more than a recording of its size')
+                size = after - place
+                yield _Part(place, size, declared, (span_ns[0], span_ns[1]))
+            elif not name_length:
+                after = place + _HEAD_BYTES + _CHUNK_HEAD_BYTES
+        elif opcode in _LOOSE and after <= end:
+            yield _Part(place, after - place, after - place, loose=True)
+        place = after
+    raise ValueError('it ends too early')
 
 
-def _chunk_content(payload: bytes, whole: bool) -> bytes:
-    """Records in a chunk; of a truncated one those that are left, if it is not compressed."""
+def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record; `ValueError` if they have no bounds."""
+    place = 0
+    while place < len(content):
+        opcode, length = struct.unpack_from('<BQ', content, place)
+        place += _HEAD_BYTES
+        if not opcode or place + length > len(content):
+            raise ValueError('a chunk holds what is no message')
+        yield opcode, content[place : place + length]
+        place += length
+
+
+def _chunk_content(chunk: bytes, part: _Part) -> bytes:
+    """
+    Return the records in a chunk.
+
+    Raises `ValueError`: it is not the one that the index names, or its content is damaged.
+    """
     # Start, end, size (8 bytes each), checksum (4), compression (length and text), length (8).
-    _, _, size, checksum, name_length = struct.unpack_from('<QQQII', payload)
-    compression = payload[32 : 32 + name_length].decode()
-    data = payload[40 + name_length :]
-    if not whole:
-        return data if not compression else b''
-    content = unpack(data, compression, size)
+    opcode, length, _, _, size, checksum, name_length = struct.unpack_from('<BQQQQII', chunk)
+    if opcode != Opcode.CHUNK or length != part.length - _HEAD_BYTES:
+        raise ValueError('it does not begin where the index says')
+    if size != part.unpacked_bytes:
+        raise ValueError('it has another size than the index says')
+    begin = _HEAD_BYTES + 32
+    compression = chunk[begin : begin + name_length].decode()
+    content = unpack(chunk[begin + name_length + 8 :], compression, size)
     if checksum and zlib.crc32(content) != checksum:
         raise ValueError('the checksum (crc) of a chunk differs')
     return content

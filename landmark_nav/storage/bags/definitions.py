@@ -16,6 +16,10 @@ from landmark_nav.storage.bags.container import ChannelInfo
 # Latched topics: a later subscriber receives the last message.
 MAP_TOPICS = ('landmarks', 'landmarks/atlas', 'landmarks/markers')
 
+# Images of a drive and of sweeps, in the order in which they are looked for.
+DRIVE_IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
+SWEEP_IMAGES = ('sweep/image', 'sweep/image/compressed')
+
 # Greatest number of names in a message.
 _MOST_NAMES = 5
 

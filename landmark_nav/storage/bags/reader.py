@@ -162,12 +162,16 @@ class Bag:
         other._informed = set()
         return other
 
-    def find(self, name: str) -> str | None:
+    def find(self, *names: str) -> str | None:
         """
-        Return the topic that the contract calls `name`; None if it has no messages.
+        Return the topic that the contract calls by the first of `names` that has messages.
 
-        Raises `LandmarkNavError`: the topic is ambiguous, or has another type.
+        It is None if none has. Raises `LandmarkNavError`: the topic is ambiguous, or has another
+        type.
         """
+        return next((topic for name in names if (topic := self._find(name))), None)
+
+    def _find(self, name: str) -> str | None:
         if ':' in self._given.get(name, ''):
             return None  # a frame of /tf takes its place
         with inside(self.path):
@@ -198,9 +202,8 @@ class Bag:
         Raises `LandmarkNavError`: the bag has none of them. The message lists the topics of the
         bag, and those that could be meant.
         """
-        for name in alternatives:
-            if topic := self.find(name):
-                return topic
+        if topic := self.find(*alternatives):
+            return topic
         there = definitions.listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
         raise LandmarkNavError(
             f'{self.path}: topic {alternatives[0]} is missing: '

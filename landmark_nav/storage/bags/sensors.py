@@ -10,15 +10,13 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
+from landmark_nav.storage.bags.definitions import DRIVE_IMAGES, SWEEP_IMAGES
 from landmark_nav.storage.bags.reader import Bag, BagMessage, MessageFilter, once
 from landmark_nav.storage.bags.timelines import CameraInfos, JointLog
 from landmark_nav.types import CameraFrame, Detections, OdometrySample, PoseEstimate, Refusal
 
 # Topics whose clock is compared with that of the ground truth; the first available one is used.
-_BESIDE = (
-    *('odom', 'joint_states', 'camera/image_raw', 'camera/image_raw/compressed'),
-    *('sweep/image', 'sweep/image/compressed'),
-)
+_BESIDE = ('odom', 'joint_states', *DRIVE_IMAGES, *SWEEP_IMAGES)
 # Least offset of another clock, which exceeds delays of transport, and greatest median deviation
 # from it.
 _OTHER_CLOCK_NS, _STEADY_NS = 500_000_000, 50_000_000
@@ -61,8 +59,6 @@ def _shift_ns(bag: Bag, topic: str) -> int:
 
 SensorEvent = CameraFrame | Detections | OdometrySample | PoseEstimate
 
-_IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
-
 
 def sensor_events(
     bag: Bag,
@@ -83,10 +79,10 @@ def sensor_events(
 
     Raises `LandmarkNavError`: a topic is missing, or none of its messages can be used.
     """
-    if not any(bag.find(name) for name in _IMAGES) and bag.find('detections'):
+    if not bag.find(*DRIVE_IMAGES) and bag.find('detections'):
         yield from _detections_and_motion(bag)
         return
-    images = bag.require(*_IMAGES)
+    images = bag.require(*DRIVE_IMAGES)
     odometry = bag.require('odom')
     cameras = CameraInfos.read(bag, 'camera/camera_info')
     joints = JointLog.read(bag, mount)

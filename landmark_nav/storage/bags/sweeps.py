@@ -16,12 +16,11 @@ from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import describe_coverage, unseen_arcs
 from landmark_nav.messages import decode
+from landmark_nav.storage.bags.definitions import SWEEP_IMAGES
 from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded, MessageFilter, naming, once
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.storage.reading import read_image, read_text
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
-
-_IMAGES = ('sweep/image', 'sweep/image/compressed')
 
 
 def check_coverage(
@@ -99,7 +98,7 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     frame leaves a gap, or an angle cannot be read. Missing frames and unseen directions are
     reported by the `warn` of the bag.
     """
-    topic = bag.require(*_IMAGES)
+    topic = bag.require(*SWEEP_IMAGES)
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')
     numbers = _numbers(bag, topic)
     plans = _plans(bag, mount, set(numbers))
@@ -225,7 +224,7 @@ def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
 def measured_pans(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[JointSample, ...]]:
     """Yield the samples of each trajectory by time; none, and a report, if it cannot be used."""
     topic = bag.find('sweep/trajectory')
-    logged = bag.stamps_ns.get(bag.require(*_IMAGES), np.empty((0, 2), np.int64))
+    logged = bag.stamps_ns.get(bag.require(*SWEEP_IMAGES), np.empty((0, 2), np.int64))
     images_ns = np.sort(logged[:, 1])
     for entry in once(bag.messages([topic])) if topic else ():
         dropped: list[LandmarkNavError] = []
