@@ -43,7 +43,7 @@ from landmark_nav.localization.estimator.noise import (
     SLIP_NOISE,
 )
 from landmark_nav.localization.estimator.recognition import MISSED
-from landmark_nav.localization.estimator.state import MapErrors, State, Update
+from landmark_nav.localization.estimator.state import MapErrors, OUTLIER, State, Update
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
     jitter_variances,
@@ -61,9 +61,6 @@ _MOST_LANDMARKS = 60
 # Fewest landmarks that support a step, as a turn of camera or base explains any two; their least
 # weight.
 _WITNESSES, _INLIER = 3, 0.3
-# Largest factor on the variance of the own error of a landmark: farther off than five sigmas it is
-# an outlier.
-_WIDEST = 25.0
 # A heading that is known worse than this, rad, shows no slip of the wheels.
 _OPEN_RAD = 0.02
 # Log of the share of the likeliest hypothesis below which another is excluded: the risk of the
@@ -378,18 +375,35 @@ class JointFilter:
         Return the state with wider own errors of new landmarks that were found to be off.
 
         Own errors have the tail of the detections: what is off by itself stays off, image after
-        image, where one detection would not.
+        image, where one detection would not. An outlier says nothing of its landmark, which stays
+        new.
         """
-        wider = np.minimum(1.0 / update.weight[new], _WIDEST) - 1.0
-        if not wider.any():
+        looser = 1.0 / update.weight[new]
+        if not (looser > 1.0).any():
             return state
-        columns = update.columns[new]
-        slots = np.flatnonzero(columns[:, None] == state.landmarks) % len(state.landmarks)
+        columns, out = update.columns[new], update.weight[new] <= OUTLIER
+        state = self._only(state, ~np.isin(state.landmarks, columns[out]))
+        columns, wider = columns[~out], looser[~out] - 1.0
+        slots = np.flatnonzero(columns[:, None] == state.landmarks) % max(len(state.landmarks), 1)
         places = self._fixed + 3 * slots[:, None] + np.arange(3)
         covariance = state.covariance.copy()
         own = wider[:, None, None] * self._errors.own[columns]
         covariance[places[:, :, None], places[:, None]] += own
         return replace(state, covariance=covariance)
+
+    def _only(self, state: State, kept: npt.NDArray[np.bool_]) -> State:
+        """Return the state with own errors of some of its landmarks."""
+        if kept.all():
+            return state
+        own = self._fixed + 3 * np.flatnonzero(kept)[:, None] + [0, 1, 2]
+        rows = np.concatenate([np.arange(self._fixed), own.ravel()])
+        return replace(
+            state,
+            mean=state.mean[rows],
+            covariance=state.covariance[np.ix_(rows, rows)],
+            landmarks=state.landmarks[kept],
+            unseen_m=state.unseen_m[kept],
+        )
 
     def _corrected(
         self, state: State, seen: ImagePoints, new: npt.NDArray[np.bool_]
@@ -444,23 +458,18 @@ class JointFilter:
             # Remove those that were not seen for the longest way.
             others = np.flatnonzero(kept & ~present)
             kept[others[np.argsort(-state.unseen_m[others], kind='stable')[:excess]]] = False
-        unseen = np.where(present, 0.0, state.unseen_m)
-        if not len(new) and kept.all():
-            return replace(state, unseen_m=unseen)
-        first = self._fixed
-        rows = np.concatenate(
-            [np.arange(first), first + (3 * np.flatnonzero(kept)[:, None] + [0, 1, 2]).ravel()]
-        )
-        size = len(rows) + 3 * len(new)
+        state = self._only(replace(state, unseen_m=np.where(present, 0.0, state.unseen_m)), kept)
+        if not len(new):
+            return state
+        old, size = len(state.mean), len(state.mean) + 3 * len(new)
         mean, covariance = np.zeros(size), np.zeros((size, size))
-        mean[: len(rows)] = state.mean[rows]
-        covariance[: len(rows), : len(rows)] = state.covariance[rows][:, rows]
-        places = len(rows) + np.arange(3 * len(new)).reshape(-1, 3)
+        mean[:old], covariance[:old, :old] = state.mean, state.covariance
+        places = old + np.arange(3 * len(new)).reshape(-1, 3)
         covariance[places[:, :, None], places[:, None]] = self._errors.own[new]
         return replace(
             state,
             mean=mean,
             covariance=covariance,
-            landmarks=np.concatenate([state.landmarks[kept], new]),
-            unseen_m=np.concatenate([unseen[kept], np.zeros(len(new))]),
+            landmarks=np.concatenate([state.landmarks, new]),
+            unseen_m=np.concatenate([state.unseen_m, np.zeros(len(new))]),
         )
