@@ -21,21 +21,26 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
-from landmark_nav.learning.attention import attend, AttentionConfig
-from landmark_nav.learning.calibration import calibrate_sweep
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig
+from landmark_nav.learning.adjustment.solution import adjust
+from landmark_nav.learning.attention.attend import attend
+from landmark_nav.learning.attention.maps import AttentionConfig
+from landmark_nav.learning.calibration.sweep_calibration import calibrate_sweep
 from landmark_nav.learning.capture.frames import look_at, relative_sharpness
 from landmark_nav.learning.election import elect, ElectionConfig
-from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
+from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
-from landmark_nav.learning.reference_area import (
-    joint_covariance,
-    locate_sweep,
-    ReferenceAreaConfig,
+from landmark_nav.learning.reference_area.common_errors import joint_covariance
+from landmark_nav.learning.reference_area.location import locate_sweep
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.stereo.wall_patch import (
+    own_measurement,
+    PatchMeasurement,
+    StereoConfig,
+    WallPatch,
 )
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
+from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.fusion import Fusion

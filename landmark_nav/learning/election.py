@@ -16,7 +16,7 @@ from scipy.special import chdtrc, chdtri
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import patch_axes, PatchView, relative_sampling
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment import Adjustment
+from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, wall_texture, WallPatch
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal

@@ -17,13 +17,9 @@ import numpy as np
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment import (
-    adjust,
-    Adjustment,
-    AdjustmentConfig,
-    CALIBRATED,
-    depth_from_scale,
-)
+from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig, CALIBRATED
+from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
     moved_walls,
@@ -31,14 +27,15 @@ from landmark_nav.learning.adjustment.wall_fit import (
     wall_warnings,
     WallResidual,
 )
-from landmark_nav.learning.attention import attend, AttentionConfig
+from landmark_nav.learning.attention.attend import attend
+from landmark_nav.learning.attention.maps import AttentionConfig
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.least_squares import checked_covariance
-from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
+from landmark_nav.learning.reference_area.common_errors import joint_covariance
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again, Found
-from landmark_nav.learning.stereo.wall_patch import Ties
+from landmark_nav.learning.stereo.wall_patch import StereoConfig, Ties
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
     Candidate,

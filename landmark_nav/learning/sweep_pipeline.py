@@ -21,12 +21,6 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_one_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.calibration import (
-    calibrate_sweep,
-    check_turn,
-    moved_px,
-    SweepCalibration,
-)
 from landmark_nav.learning.calibration.combined import (
     as_calibrated,
     as_corrected,
@@ -36,20 +30,28 @@ from landmark_nav.learning.calibration.combined import (
     with_papers,
     with_terms,
 )
-from landmark_nav.learning.least_squares import checked_covariance
-from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
-from landmark_nav.learning.reference_area import (
-    locate_sweep,
-    MountError,
-    optical_height,
-    PaperRecord,
-    PaperSearch,
-    ReferenceAreaConfig,
-    SweepPlace,
-    WRONG_PRIOR,
-    WrongMountError,
+from landmark_nav.learning.calibration.sweep_calibration import (
+    calibrate_sweep,
+    moved_px,
+    SweepCalibration,
 )
+from landmark_nav.learning.calibration.turn import check_turn
+from landmark_nav.learning.least_squares import checked_covariance
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
+from landmark_nav.learning.panorama.synthesis import (
+    CylinderImage,
+    PanoramaConfig,
+    synthesize_cylinder,
+)
+from landmark_nav.learning.reference_area.faults import PaperRecord
+from landmark_nav.learning.reference_area.location import (
+    locate_sweep,
+    optical_height,
+    PaperSearch,
+    SweepPlace,
+)
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.refusals import MountError, WRONG_PRIOR, WrongMountError
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality

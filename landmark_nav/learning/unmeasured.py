@@ -18,26 +18,17 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration.combined import leant
-from landmark_nav.learning.facades import (
-    FacadesConfig,
-    find_facades,
-    open_room,
-    placed_matches,
-    room_of,
-    SeenPoints,
-)
+from landmark_nav.learning.facades.outline import open_room, room_of
+from landmark_nav.learning.facades.planes import FacadesConfig, find_facades
+from landmark_nav.learning.facades.points import placed_matches, SeenPoints
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
     LearningConfig,
     LearningResult,
 )
-from landmark_nav.learning.relative_pose import (
-    find_features,
-    relative_poses,
-    RelativePoseConfig,
-    RelativePoses,
-)
-from landmark_nav.learning.relative_pose.epipolar import center, RayPairs
+from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, RelativePoseConfig
+from landmark_nav.learning.relative_pose.features import find_features
+from landmark_nav.learning.relative_pose.poses import relative_poses, RelativePoses
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties

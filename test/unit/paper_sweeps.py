@@ -13,8 +13,9 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig, SweepPlace
+from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.reference_area.location import locate_sweep, SweepPlace
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.types import FloatArray, Sweep
 
 MOUNT = PanTiltMount(axis_xyz=(0.12, 0.01, 1.1))

@@ -6,9 +6,10 @@ import pytest
 from scenes import Board, draw_panorama, Scene, smooth_texture
 from wall_views import candidate_at, greys_of
 
-from landmark_nav.learning.adjustment import Adjustment, depth_from_scale
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
+from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
+from landmark_nav.learning.adjustment.solution import Adjustment
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, StereoConfig, WallPatch
+from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Refusal
 
 EAST = ROOM.normals[1]

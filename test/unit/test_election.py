@@ -7,7 +7,7 @@ from scenes import draw_panorama, rectangle_room, textured_room
 from wall_views import greys_of
 
 from landmark_nav.geometry import se2
-from landmark_nav.learning.adjustment import Adjustment
+from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
 from landmark_nav.types import Candidate, Landmark, Refusal

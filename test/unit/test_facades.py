@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.facades import (
-    FacadesConfig,
-    find_facades,
-    open_room,
-    room_of,
-    SeenPoints,
-)
+from landmark_nav.learning.facades.outline import open_room, room_of
+from landmark_nav.learning.facades.planes import FacadesConfig, find_facades
+from landmark_nav.learning.facades.points import SeenPoints
 
 CONFIG = FacadesConfig()
 EYES = np.array([[1.5, 1.5, 1.1], [3.5, 2.0, 1.1]])

@@ -18,7 +18,7 @@ from landmark_nav.evaluation.figures.style import Strip, widest
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.learning.attention import AttentionConfig
+from landmark_nav.learning.attention.maps import AttentionConfig
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.storage.maps import write_map
 from landmark_nav.types import (

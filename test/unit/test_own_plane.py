@@ -6,10 +6,10 @@ from scenes import Board, draw_panorama, rectangle_room, smooth_texture, texture
 from wall_views import candidate_at, greys_of
 
 from landmark_nav.geometry import se2
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again
 from landmark_nav.learning.stereo.own_plane import match_freely
-from landmark_nav.learning.stereo.wall_patch import WallPatch
+from landmark_nav.learning.stereo.wall_patch import StereoConfig, WallPatch
+from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Refusal
 
 ROOM = rectangle_room(6.0, 5.0)

@@ -9,7 +9,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.learning.stereo import StereoConfig
+from landmark_nav.learning.stereo.wall_patch import StereoConfig
 from landmark_nav.planning.planner import (
     exchange,
     forecast,

@@ -8,8 +8,13 @@ from scipy.linalg import block_diag
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
-from landmark_nav.learning.reference_area import joined, joint_covariance, pose_errors
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig
+from landmark_nav.learning.adjustment.solution import adjust
+from landmark_nav.learning.reference_area.common_errors import (
+    joined,
+    joint_covariance,
+    pose_errors,
+)
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.planning.prediction import landmark_errors, Predictor
 from landmark_nav.planning.views import free_floor, look, PlanConfig, sample_walls

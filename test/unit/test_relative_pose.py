@@ -7,8 +7,9 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rot_z
-from landmark_nav.learning.relative_pose import Features, relative_poses, RelativePoseConfig
-from landmark_nav.learning.relative_pose.epipolar import misses, RayPairs
+from landmark_nav.learning.relative_pose.epipolar import misses, RayPairs, RelativePoseConfig
+from landmark_nav.learning.relative_pose.features import Features
+from landmark_nav.learning.relative_pose.poses import relative_poses
 from landmark_nav.types import PlaceChain
 
 CONFIG = RelativePoseConfig()

@@ -19,13 +19,14 @@ from scenes import (
 from wall_views import candidate_at, greys_of
 
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
     PatchMeasurement,
+    StereoConfig,
     wall_texture,
     WallPatch,
 )
+from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Candidate, Panorama, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)

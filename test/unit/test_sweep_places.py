@@ -9,7 +9,7 @@ from turning_camera import turn_sweep
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.calibration import check_turn, measure_turn
+from landmark_nav.learning.calibration.turn import check_turn, measure_turn
 from landmark_nav.learning.sweep import assemble_sweep
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.sweep_places import carried_on, known_places, places_by_odometry

@@ -21,7 +21,7 @@ from scipy.special import chdtri
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt
-from landmark_nav.learning.panorama import CylinderImage
+from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutlines
 from landmark_nav.learning.reference_area.model import (

@@ -19,7 +19,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
-from landmark_nav.learning.panorama import CylinderImage
+from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig

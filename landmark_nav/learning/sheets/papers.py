@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.panorama import CylinderImage
+from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
 from landmark_nav.learning.reference_area.edges import outline_blobs
 from landmark_nav.learning.sheets.config import SheetsConfig
