@@ -1,5 +1,5 @@
 """
-The room that facades enclose: its outline, and facades inside it.
+The room that facades enclose.
 
 Seen from the sweeps, the farthest facade in each direction belongs to the outline. Neighbours meet
 at the intersection of their planes; otherwise a wall without landmarks joins them.
@@ -26,8 +26,8 @@ _OPEN_WALLS, _OPEN_M, _OPEN_SHARE = 12, 1.0, 0.98
 # A facade extends beyond its last point by this; a corner is at most this far from the observed
 # parts of its two walls.
 _BEYOND_M, _FARTHEST_CORNER_M = 0.1, 3.0
-# Shorter walls are left out; facades inside the room have this thickness.
-_SHORTEST_M, _THICK_M = 0.03, 0.02
+# Shorter walls are left out.
+_SHORTEST_M = 0.03
 # A wider sector without facades is closed by an arc around the sweeps.
 _WIDE_RAD = 2.0
 # A facade that is less high above the viewpoint hides little; facades end this far above their
@@ -66,10 +66,6 @@ def room_of(facades: Sequence[Facade], eyes: FloatArray, config: FacadesConfig) 
             f'the {len(tall)} flat surfaces found do not surround the sweeps: take another sweep '
             'that sees more textured walls, or give room.yaml'
         )
-    used = {facade for _, facade in corners}
-    for k, inner in enumerate(tall):
-        if k not in used and room.contains(np.array([inner.start, inner.end])).all():
-            room = _with_island(room, inner, k, config)
     return room
 
 
@@ -219,25 +215,3 @@ def _fits(corner: FloatArray, end: FloatArray, start: FloatArray) -> bool:
         np.hypot(*(corner - end)) < _FARTHEST_CORNER_M
         and np.hypot(*(corner - start)) < _FARTHEST_CORNER_M
     )
-
-
-def _with_island(room: Room, facade: Facade, k: int, config: FacadesConfig) -> Room:
-    """The room with a thin box behind a facade, unless it crosses other walls."""
-    back = -_THICK_M * facade.normal
-    points = [facade.start, facade.end, facade.end + back, facade.start + back]
-    height = facade.high_m + _ABOVE_M
-    box = [
-        _wall(
-            k if n == 0 else -1,
-            len(room.walls) + n,
-            points[n],
-            points[(n + 1) % 4],
-            height,
-            config,
-        )
-        for n in range(4)
-    ]
-    try:
-        return Room((*room.walls, *box), room.papers, room.frame_id)
-    except LandmarkNavError:
-        return room

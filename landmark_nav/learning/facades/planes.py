@@ -50,9 +50,6 @@ _FLOOR_M = 0.08
 _REFITS = 4
 # Points this near to a facade belong to it and to no other, m.
 _TAKEN_M = 0.06
-# Least cosine between the normals of parts of one facade; points farther behind a facade, m, are
-# seen through it.
-_SAME_NORMAL, _BEHIND_M = 0.98, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +91,7 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
     """Find facades among points, in the order of their support."""
     left = above = points.chosen(points.positions[:, 2] > _FLOOR_M)
     rng = np.random.default_rng(_SEED)
-    found: list[SeenPoints] = []
+    found: list[Facade] = []
     while len(found) < config.max_facades and len(left) >= config.min_cells:
         members = _best_line(left, config, rng)
         if members is None:
@@ -103,33 +100,9 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
         cells = facade.cells - _cells_beside(above, facade, config)
         large = cells >= config.min_cells and facade.length_m >= config.min_length_m
         if large and facade.turn_rad < _TURN_RAD:
-            found.append(left.chosen(members))
+            found.append(facade)
         left = left.chosen(~(members | _covered(left, facade, config)))
-    facades = _joined(found, config)
-    return sorted((f for f in facades if not _seen_through(f, points)), key=lambda f: -f.cells)
-
-
-def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
-    """Facades, with parts of one facade joined."""
-    facades = [refit(members, config) for members in found]
-    bound = _INLIER_SIGMAS * config.relief_m
-    k = 0
-    while k < len(facades):
-        for j in range(k + 1, len(facades)):
-            if facades[k].normal @ facades[j].normal < _SAME_NORMAL:
-                continue
-            both = SeenPoints.joined([found[k], found[j]])
-            whole = refit(both, config)
-            ends = np.array([(f.start, f.end) for f in (facades[k], facades[j])])
-            off = (ends - whole.start) @ whole.normal
-            # The front of a cupboard and the wall next to it also fit a line, but a rotated one.
-            if max(np.abs(off).max(), np.abs(np.diff(off)).max()) < bound:
-                found[k], facades[k] = both, whole
-                del found[j], facades[j]
-                break
-        else:
-            k += 1
-    return facades
+    return sorted(found, key=lambda f: -f.cells)
 
 
 def _cells_beside(points: SeenPoints, facade: Facade, config: FacadesConfig) -> int:
@@ -142,22 +115,6 @@ def _cells_beside(points: SeenPoints, facade: Facade, config: FacadesConfig) -> 
     variance = _variance(points, facade.normal, config)
     beside &= away > _INLIER_SIGMAS * np.sqrt(variance)
     return _cells(along[beside], height[beside])
-
-
-def _seen_through(facade: Facade, points: SeenPoints) -> bool:
-    """Whether more points are seen through a facade than on it."""
-    eye, ray = points.viewpoints, points.positions - points.viewpoints
-    ahead = (eye[:, :2] - facade.start) @ facade.normal
-    with np.errstate(divide='ignore', invalid='ignore'):
-        share = -ahead / (ray[:, :2] @ facade.normal)
-    hit = eye + share[:, None] * ray
-    along = (hit[:, :2] - facade.start) @ facade.along
-    depth = (1.0 - share) * np.hypot(ray[:, 0], ray[:, 1])
-    through = (ahead > 0.0) & (share > 0.0) & (depth > _BEHIND_M)
-    through &= (along > 0.0) & (along < facade.length_m)
-    through &= (hit[:, 2] > facade.low_m) & (hit[:, 2] < facade.high_m)
-    off = points.positions[through]
-    return _cells(off[:, :2] @ facade.along, off[:, 2]) > facade.cells
 
 
 def refit(members: SeenPoints, config: FacadesConfig) -> Facade:
