@@ -268,8 +268,7 @@ def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
 def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Comparison]:
     """Yield stereo, adjustment and election of the candidates."""
     config = StereoConfig()
-    images = [cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY) for view in panoramas]
-    greys = [image.astype(np.float32) for image in images]
+    greys = [view.grey for view in panoramas]
     proposed = [
         [hypothesize(c, k, panoramas[k], room, config) for c in group]
         for k, group in enumerate(candidates)
@@ -278,7 +277,7 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
     small = greys[0][:40, :40]
     yield _Comparison(
         'stereo match of a candidate',
-        lambda: [match_in(p, 1, panoramas, greys, room, config) for p in hypotheses[0]],
+        lambda: [match_in(p, 1, panoramas, room, config) for p in hypotheses[0]],
         'cv2.matchTemplate over the other panorama',
         lambda: [cv2.matchTemplate(greys[1], small, cv2.TM_CCOEFF_NORMED) for _ in hypotheses[0]],
         count=len(hypotheses[0]),
@@ -287,7 +286,7 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
     measurements: list[list[PatchMeasurement]] = []
     for k, group in enumerate(hypotheses):
         for patch in group:
-            found = match_in(patch, 1 - k, panoramas, greys, room, config)
+            found = match_in(patch, 1 - k, panoramas, room, config)
             if isinstance(found, PatchMeasurement):
                 patches.append(patch)
                 measurements.append([own_measurement(patch, panoramas[k]), found])
@@ -311,7 +310,7 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
     yield _Comparison(
         'election of a patch',
         lambda: elect(
-            patches, measurements, adjustment, adjustment, panoramas, greys, room, ElectionConfig()
+            patches, measurements, adjustment, adjustment, panoramas, room, ElectionConfig()
         ),
         'two cv2.remap of 30 x 30 px',
         lambda: [

@@ -70,7 +70,6 @@ def elect(
     adjustment: Adjustment,
     free: Adjustment,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     room: Room,
     config: ElectionConfig,
 ) -> list[Landmark | Refusal]:
@@ -87,8 +86,6 @@ def elect(
         The same by measurements alone, without walls.
     panoramas : sequence of Panorama
         Panoramas with adjusted poses.
-    greys : sequence of ndarray, shape (height, width)
-        Their grey images, float32.
 
     Returns
     -------
@@ -121,7 +118,7 @@ def elect(
         score = min(s.score for s in measurements[k])
         landmark = _landmark(
             len(taken) + 1, patch, adjustment.positions[k], panoramas[patch.source],
-            greys[patch.source], room.walls[patch.wall].id if patch.on_wall else '',
+            room.walls[patch.wall].id if patch.on_wall else '',
             covariance=covariance[k],
             shared_loading=adjustment.shared_loading[k],
             threshold=float(np.clip(_THRESHOLD_SHARE * score, 0.55, 0.85)),
@@ -129,7 +126,7 @@ def elect(
         if landmark is None:
             outcomes[k] = Refusal('runs out of its panorama')
             continue
-        views = [_view(landmark, panoramas[other], greys[other]) for other in others]
+        views = [_view(landmark, panoramas[other]) for other in others]
         landmark = replace(landmark, views=tuple(view for view in views if view is not None))
         outcomes[k] = landmark
         taken.append(landmark)
@@ -207,14 +204,13 @@ def _landmark(
     patch: WallPatch,
     position: FloatArray,
     panorama: Panorama,
-    grey: Float32Array,
     wall_id: str,
     *,
     covariance: FloatArray,
     shared_loading: FloatArray,
     threshold: float,
 ) -> Landmark | None:
-    texture = wall_texture(panorama, grey, position, patch.normal, patch.shape, patch.texel_m)
+    texture = wall_texture(panorama, position, patch.normal, patch.shape, patch.texel_m)
     if texture is None:
         return None
     return Landmark(
@@ -233,13 +229,13 @@ def _landmark(
     )
 
 
-def _view(landmark: Landmark, panorama: Panorama, grey: Float32Array) -> PatchView | None:
+def _view(landmark: Landmark, panorama: Panorama) -> PatchView | None:
     """Image of a landmark in another panorama, at the resolution of that panorama."""
     reach = float(np.hypot(*(panorama.center_map - landmark.position)[:2]))
     columns = max(8, round(landmark.width_m * panorama.cylinder.fy / reach))
     texel = landmark.width_m / columns
     shape = (max(8, round(landmark.height_m / texel)), columns)
-    texture = wall_texture(panorama, grey, landmark.position, landmark.normal, shape, texel)
+    texture = wall_texture(panorama, landmark.position, landmark.normal, shape, texel)
     return None if texture is None else PatchView(panorama.center_map, _levels(texture))
 
 

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 import logging
 
-import cv2
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
@@ -120,9 +119,6 @@ def learn_from_panoramas(
     """
     _check(panoramas)
     log = log or StageLog()
-    greys = [
-        np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for p in panoramas
-    ]
     with log.measure('attention'):
         attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
@@ -130,12 +126,12 @@ def learn_from_panoramas(
     if places is None:
         places = joint_covariance(panoramas, room, config.reference_area)
     with log.measure('stereo'):
-        found = find_again(panoramas, candidates, greys, room, config.stereo, ties)
+        found = find_again(panoramas, candidates, room, config.stereo, ties)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
             free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
             room, shift_m = moved_walls(free, found.walls, room, config.adjustment)
             if shift_m > config.adjustment.hanging_sigma_m:
-                found = find_again(panoramas, candidates, greys, room, config.stereo, ties)
+                found = find_again(panoramas, candidates, room, config.stereo, ties)
     outcomes = found.outcomes
     if len(found.patches) < 3:
         raise LandmarkNavError(
@@ -176,7 +172,6 @@ def learn_from_panoramas(
             adjustment,
             free,
             adjusted,
-            greys,
             room,
             config.election,
         )

@@ -34,7 +34,6 @@ def log_nearer(
     patch: WallPatch,
     point: FloatArray,
     panoramas: tuple[Panorama, Panorama],
-    greys: tuple[Float32Array, Float32Array],
 ) -> tuple[float, float]:
     """
     Log ratio of the distances of two panoramas from the true plane of a patch.
@@ -45,8 +44,8 @@ def log_nearer(
         The patch in the first of `panoramas`.
     point : ndarray, shape (3,)
         Its match in the other, on the plane of the patch.
-    panoramas, greys : tuple
-        Both panoramas, and their grey images.
+    panoramas : tuple
+        Both panoramas.
 
     Returns
     -------
@@ -56,8 +55,8 @@ def log_nearer(
     """
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
     views = [
-        wall_texture(panorama, grey, place, patch.normal, shape, patch.texel_m)
-        for panorama, grey, place in zip(panoramas, greys, (patch.position, point), strict=True)
+        wall_texture(panorama, place, patch.normal, shape, patch.texel_m)
+        for panorama, place in zip(panoramas, (patch.position, point), strict=True)
     ]
     if views[0] is None or views[1] is None:
         return 0.0, np.inf

@@ -123,7 +123,6 @@ def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:
 
 def wall_texture(
     panorama: Panorama,
-    grey: Float32Array,
     position: FloatArray,
     normal: FloatArray,
     shape: tuple[int, int],
@@ -134,8 +133,6 @@ def wall_texture(
 
     Parameters
     ----------
-    grey : ndarray, shape (height, width)
-        Grey image of the panorama, float32.
     position, normal : ndarray, shape (3,)
         Centre and normal of the patch in map.
     shape : tuple of int
@@ -149,13 +146,14 @@ def wall_texture(
         None if the panorama does not cover the patch.
     """
     columns, rows = _pixels(panorama, position, normal, shape, texel_m)
-    if rows.min() < 1.0 or rows.max() > grey.shape[0] - 2.0:
+    if rows.min() < 1.0 or rows.max() > panorama.mask.shape[0] - 2.0:
         return None
     corners = np.rint(rows[[0, -1]][:, [0, -1]]).astype(int)
-    if not panorama.mask[corners, np.rint(columns[[0, -1]]).astype(int) % grey.shape[1]].all():
+    sides = np.rint(columns[[0, -1]]).astype(int) % panorama.mask.shape[1]
+    if not panorama.mask[corners, sides].all():
         return None
     found = cv2.remap(
-        grey,
+        panorama.grey,
         np.tile(columns.astype(np.float32), (shape[0], 1)),
         rows.astype(np.float32),
         cv2.INTER_CUBIC,

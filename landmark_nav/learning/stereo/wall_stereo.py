@@ -127,7 +127,6 @@ def match_in(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
 ) -> PatchMeasurement | Refusal:
@@ -157,14 +156,13 @@ def match_in(
     approach = max(reach, reach_there) / min(reach, reach_there)
     if parallax < config.min_parallax_rad and approach < config.min_approach:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
-    return compare(patch, other, panoramas, greys, config)
+    return compare(patch, other, panoramas, config)
 
 
 def compare(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> PatchMeasurement | Refusal:
     """
@@ -173,25 +171,24 @@ def compare(
     The search extends in front of the plane and behind it as `config` says.
     """
     here, there = panoramas[patch.source], panoramas[other]
-    grey, grey_there = greys[patch.source], greys[other]
     center, shape = _search_area(patch, here, there, config)
     plane = patch.normal, patch.shape, patch.texel_m
-    template = wall_texture(here, grey, patch.position, *plane)
+    template = wall_texture(here, patch.position, *plane)
     if template is None:
         return _UNCOVERED
     # The sharper view is blurred to the resolution of the other, which improves the correlation.
     own, seen = (texels_per_pixel(patch, p) for p in (here, there))
     template = blur_to(template, seen, own)
-    ahead = _located(patch, template, there, grey_there, center, shape, (own, seen), config)
+    ahead = _located(patch, template, there, center, shape, (own, seen), config)
     if isinstance(ahead, Refusal):
         return ahead
     match, point = ahead
-    found = wall_texture(there, grey_there, point, *plane)
+    found = wall_texture(there, point, *plane)
     if found is None:
         return _UNCOVERED
     found = blur_to(found, own, seen)
     loose = replace(config, min_score=_RETURN_SCORE * config.min_score)
-    back = _located(patch, found, here, grey, patch.position, shape, (seen, own), loose)
+    back = _located(patch, found, here, patch.position, shape, (seen, own), loose)
     if isinstance(back, Refusal):
         return Refusal('no way back', str(back))
     # In pixels of the coarser view.
@@ -215,7 +212,7 @@ def compare(
         sigma = np.hypot(sigma, relief)
     nearer = 0.0, np.inf
     if not patch.candidate.edge:
-        nearer = log_nearer(patch, point, (here, there), (grey, grey_there))
+        nearer = log_nearer(patch, point, (here, there))
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -231,7 +228,6 @@ def _located(
     patch: WallPatch,
     template: Float32Array,
     panorama: Panorama,
-    grey: Float32Array,
     center: FloatArray,
     shape: tuple[int, int],
     blur: tuple[FloatArray, FloatArray],
@@ -245,7 +241,7 @@ def _located(
     right, down = patch_axes(patch.normal)
     center = center + (rows.start + 0.5 * (count - shape[0])) * patch.texel_m * down
     size = (count, shape[1])
-    search = wall_texture(panorama, grey, center, patch.normal, size, patch.texel_m)
+    search = wall_texture(panorama, center, patch.normal, size, patch.texel_m)
     if search is None:
         return _UNCOVERED
     match = match_template(
