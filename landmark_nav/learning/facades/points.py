@@ -46,7 +46,7 @@ class SeenPoints:
 
 
 def placed_matches(
-    states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
+    states: FloatArray, pairs: RayPairs, sigma_rad: float
 ) -> tuple[SeenPoints, RayPairs]:
     """
     Intersect the rays of matches between two views in plan.
@@ -57,12 +57,10 @@ def placed_matches(
         States of the sweeps, from `relative_poses`.
     pairs : RayPairs
         Inlier matches.
-    lever : ndarray, shape (3,)
-        Viewpoint in the base frame.
     sigma_rad : float
         Sigma of a direction.
     """
-    here, there = (center(states[k], lever) for k in (pairs.one, pairs.other))
+    here, there = (center(states[k]) for k in (pairs.one, pairs.other))
     w = turned(states[pairs.one], pairs.rays)
     v = turned(states[pairs.other], pairs.other_rays)
     w, v = (r / np.hypot(r[:, 0], r[:, 1])[:, None] for r in (w, v))
