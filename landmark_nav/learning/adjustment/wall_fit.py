@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
+from scipy.stats import theilslopes
 
 from landmark_nav.arrays import BoolArray
 from landmark_nav.errors import LandmarkNavError
@@ -250,7 +251,7 @@ def _complaint(things: FloatArray, sigma_m: float, hanging_sigma_m: float, patch
     along, off = things.T
     if len(things) < _LEAST_THINGS:
         return ''
-    slope = _slope(along, off)
+    slope = theilslopes(off, along).slope
     straightened = off - slope * along
     spread = float(np.quantile(np.abs(straightened - np.median(straightened)), 0.75))
     median = float(np.median(off))
@@ -269,12 +270,6 @@ def _complaint(things: FloatArray, sigma_m: float, hanging_sigma_m: float, patch
         f'has its {patches} patches {abs(median) * 100:.1f} cm {place} it '
         f'(+-{spread * 100:.1f} cm){furniture if median > _MAX_DISTANCE_M else ""}'
     )
-
-
-def _slope(x: FloatArray, y: FloatArray) -> float:
-    """Median slope between any two points (Sen, JASA 63, 1968)."""
-    left, right = np.nonzero(x[:, None] < x)
-    return float(np.median((y[right] - y[left]) / (x[right] - x[left])))
 
 
 _STEPS = 10
