@@ -23,8 +23,8 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.adjustment.solution import adjust
-from landmark_nav.learning.attention.attend import attend
 from landmark_nav.learning.attention.maps import AttentionConfig
+from landmark_nav.learning.attention.selection import attend
 from landmark_nav.learning.calibration.sweep_calibration import calibrate_sweep
 from landmark_nav.learning.capture.frames import look_at, relative_sharpness
 from landmark_nav.learning.election import elect, ElectionConfig
@@ -32,7 +32,7 @@ from landmark_nav.learning.panorama.photometry import even_out, measure_photomet
 from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
-from landmark_nav.learning.reference_area.location import locate_sweep
+from landmark_nav.learning.reference_area.location import PaperSearch
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
@@ -195,7 +195,7 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
     unplaced = replace(sweeps[0], pose_map_base=None)
     yield _Comparison(
         'place of a sweep by its papers',
-        lambda: locate_sweep(unplaced, view, room, _MOUNT, config),
+        lambda: PaperSearch(unplaced, view, room, _MOUNT, config).located(),
         'its frames in HSV, a mask for each of three colours',
         lambda: [
             cv2.inRange(cv2.cvtColor(one.image, cv2.COLOR_BGR2HSV), (hue, 90, 40), (hue, 255, 255))

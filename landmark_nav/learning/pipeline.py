@@ -26,8 +26,8 @@ from landmark_nav.learning.adjustment.wall_fit import (
     wall_warnings,
     WallResidual,
 )
-from landmark_nav.learning.attention.attend import attend
 from landmark_nav.learning.attention.maps import AttentionConfig
+from landmark_nav.learning.attention.selection import attend
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.reference_area.common_errors import joint_covariance

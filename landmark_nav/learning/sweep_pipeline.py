@@ -45,7 +45,6 @@ from landmark_nav.learning.panorama.synthesis import (
 )
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.reference_area.location import (
-    locate_sweep,
     optical_height,
     PaperSearch,
     SweepPlace,
@@ -279,15 +278,15 @@ class _Maker:
     ) -> SweepPlace:
         """Pose of a sweep by papers, or the given one if they agree."""
         sweep, mount, known = found.sweep, found.mount, found.sweep.pose_map_base
+        papers = PaperSearch(sweep, view, self._room, mount, area)
         if known is None:
-            return locate_sweep(sweep, view, self._room, mount, area, most_sigmas)
+            return papers.located(most_sigmas)
         plane = np.ix_([0, 1, 3], [0, 1, 3])
         covariance = np.zeros((4, 4))
         covariance[plane] = _given_covariance(known)
         place = SweepPlace(known.pose, optical_height(sweep, mount), covariance)
         mounted = _by_calibration(place, found)
         uncertain = covariance + mounted @ self._prior.covariance @ mounted.T
-        papers = PaperSearch(sweep, view, self._room, mount, area)
         papers.check_agreement(known.pose, uncertain[plane])
         covariance[2, 2] = area.height_sigma_m**2
         return place

@@ -21,8 +21,12 @@ from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration.combined import leant
 from landmark_nav.learning.facades.outline import open_room, room_of
-from landmark_nav.learning.facades.planes import FacadesConfig, find_facades
-from landmark_nav.learning.facades.points import placed_matches, SeenPoints
+from landmark_nav.learning.facades.planes import (
+    FacadesConfig,
+    find_facades,
+    placed_matches,
+    SeenPoints,
+)
 from landmark_nav.learning.pipeline import (
     learn_from_panoramas,
     LearningConfig,

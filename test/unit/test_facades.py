@@ -5,8 +5,7 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.facades.outline import open_room, room_of
-from landmark_nav.learning.facades.planes import FacadesConfig, find_facades
-from landmark_nav.learning.facades.points import SeenPoints
+from landmark_nav.learning.facades.planes import FacadesConfig, find_facades, SeenPoints
 
 CONFIG = FacadesConfig()
 EYES = np.array([[1.5, 1.5, 1.1], [3.5, 2.0, 1.1]])

@@ -15,8 +15,7 @@ import numpy as np
 from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.facades.planes import Facade, FacadesConfig
-from landmark_nav.learning.facades.points import SeenPoints
+from landmark_nav.learning.facades.planes import Facade, FacadesConfig, SeenPoints
 from landmark_nav.types import FloatArray
 
 _RAYS = 1440

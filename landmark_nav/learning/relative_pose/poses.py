@@ -41,7 +41,7 @@ from landmark_nav.learning.relative_pose.two_views import (
     two_views_of,
     TwoViews,
 )
-from landmark_nav.learning.sheets.papers import SheetView
+from landmark_nav.learning.sheets import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
 # Number of nearest sweeps with which each is matched, if their places are known.

@@ -17,7 +17,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.relative_pose.epipolar import center, STATE, turned
 from landmark_nav.learning.relative_pose.two_views import TwoViews
-from landmark_nav.learning.sheets.papers import SheetView
+from landmark_nav.learning.sheets import SheetView
 from landmark_nav.types import FloatArray
 
 # Sigma of relative poses before and after the fit, rad; times the range it is the residual between
