@@ -54,6 +54,11 @@ def match_at(panoramas, point, config=CONFIG):
     return patch, match_in(patch, 1, panoramas, ROOM, config)
 
 
+def plane_at(point, shape):
+    normal = ROOM.normals[EAST]
+    return WallPatch(Candidate(0.0, 0.0, 32, 32, 1.0), 0, EAST, point, normal, shape, 0.014)
+
+
 def direction_to(panorama, point):
     """Azimuth in the base frame, and tangent, of a point."""
     d = point - panorama.center_map
@@ -114,9 +119,7 @@ def test_a_wall_seen_along_is_refused():
 
 def test_a_wall_looks_the_same_from_both_places(panoramas, scene):
     point, normal = np.array([6.0, 2.4, 1.15]), ROOM.normals[EAST]
-    first, second = (
-        wall_texture(panorama, point, normal, (40, 60), 0.014) for panorama in panoramas
-    )
+    first, second = (wall_texture(plane_at(point, (40, 60)), view) for view in panoramas)
     points = patch_points(point, normal, (40, 60), 0.014)
     truth, _ = scene.look(points + 0.1 * normal, np.broadcast_to(-normal, points.shape))
     for texture in (first, second):
@@ -125,13 +128,13 @@ def test_a_wall_looks_the_same_from_both_places(panoramas, scene):
 
 
 def test_the_seam_of_a_panorama_does_not_show(scene):
-    point, normal = np.array([6.0, 2.4, 1.15]), ROOM.normals[EAST]
+    point = np.array([6.0, 2.4, 1.15])
     textures = []
     # The point ahead, and right behind, where the panorama is cut.
     for heading in (0.0, np.pi):
         toward = float(np.arctan2(*(point - CENTERS[0])[1::-1]))
         panorama = draw_panorama(scene, CENTERS[0], toward + heading)
-        textures.append(wall_texture(panorama, point, normal, (40, 60), 0.014))
+        textures.append(wall_texture(plane_at(point, (40, 60)), panorama))
     assert textures[0] is not None
     assert textures[1] is not None
     assert np.abs(textures[0] - textures[1]).max() < 3.0
@@ -139,10 +142,10 @@ def test_the_seam_of_a_panorama_does_not_show(scene):
 
 def test_a_patch_out_of_the_image_has_no_texture(panoramas):
     high = np.array([6.0, 2.0, 2.6])
-    assert wall_texture(panoramas[0], high, ROOM.normals[EAST], (40, 40), 0.014) is None
+    assert wall_texture(plane_at(high, (40, 40)), panoramas[0]) is None
     blind = replace(panoramas[0], mask=np.zeros_like(panoramas[0].mask))
     point = np.array([6.0, 2.4, 1.15])
-    assert wall_texture(blind, point, ROOM.normals[EAST], (40, 40), 0.014) is None
+    assert wall_texture(plane_at(point, (40, 40)), blind) is None
 
 
 def test_the_search_is_as_wide_as_places_are_uncertain(panoramas):

@@ -8,6 +8,8 @@ in front of it differ by one factor in both directions.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -55,7 +57,7 @@ def log_nearer(
     """
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
     views = [
-        wall_texture(panorama, place, patch.normal, shape, patch.texel_m)
+        wall_texture(replace(patch, position=place, shape=shape), panorama)
         for panorama, place in zip(panoramas, (patch.position, point), strict=True)
     ]
     if views[0] is None or views[1] is None:
@@ -68,7 +70,7 @@ def log_nearer(
     else:
         smaller, sigma = log_magnification(seen_view, own_view, coarser) or (0.0, np.inf)
         larger = -smaller
-    reach, reach_there = ((p.center_map - patch.position) @ patch.normal for p in panoramas)
+    reach, reach_there = (patch.reach_m(panorama) for panorama in panoramas)
     return larger + float(np.log(reach / reach_there)), sigma
 
 

@@ -143,7 +143,7 @@ def is_off_wall(
             * reach
             / float(np.hypot(*(there.center_map - here.center_map)[:2]))
         )
-        off.append(abs(1.0 - distance / reach) * _normal_reach(patch, here) - slack)
+        off.append(abs(1.0 - distance / reach) * patch.reach_m(here) - slack)
     return min(off) > config.max_off_wall_m
 
 
@@ -191,8 +191,8 @@ def _depth(
     here, there = panoramas[source], panoramas[other]
     found: list[tuple[float, float]] = []
     for patch in _moved(candidate, source, here, there):
-        step = 0.5 * (1.0 / _STEP - 1.0) * _normal_reach(patch, here)
-        if _normal_reach(patch, there) < 2.0 * step:
+        step = 0.5 * (1.0 / _STEP - 1.0) * patch.reach_m(here)
+        if patch.reach_m(there) < 2.0 * step:
             continue
         wide = replace(
             config,
@@ -314,7 +314,7 @@ def _near(
     found = compare(patch, other, panoramas, close)
     if isinstance(found, Refusal):
         return found
-    ratio = _normal_reach(patch, here) / _normal_reach(patch, there)
+    ratio = patch.reach_m(here) / patch.reach_m(there)
     missed = abs(found.log_nearer - float(np.log(ratio)))
     if missed > _MAX_SIZE + _SIZE_SIGMAS * found.sigma_log_nearer:
         return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
@@ -338,9 +338,3 @@ def _distance(
         return None
     distance = float(np.hypot(*base) * np.sin(heading - toward) / parallax)
     return distance if _NEAREST_M / 2.0 < distance < 2.0 * _FARTHEST_M else None
-
-
-def _normal_reach(patch: WallPatch, panorama: Panorama) -> float:
-    """Distance of a panorama from the plane of a patch."""
-    reach: FloatArray = (panorama.center_map - patch.position) @ patch.normal
-    return float(reach)
