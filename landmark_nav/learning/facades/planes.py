@@ -124,6 +124,8 @@ _FLOOR_M = 0.08
 _REFITS = 4
 # Points this near to a facade belong to it and to no other, m.
 _TAKEN_M = 0.06
+# Least cosine between the normals of parts of one facade.
+_SAME_NORMAL = 0.98
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +167,7 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
     """Find facades among points, in the order of their support."""
     left = above = points.chosen(points.positions[:, 2] > _FLOOR_M)
     rng = np.random.default_rng(_SEED)
-    found: list[Facade] = []
+    found: list[SeenPoints] = []
     while len(found) < config.max_facades and len(left) >= config.min_cells:
         members = _best_line(left, config, rng)
         if members is None:
@@ -174,9 +176,32 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
         cells = facade.cells - _cells_beside(above, facade, config)
         large = cells >= config.min_cells and facade.length_m >= config.min_length_m
         if large and facade.turn_rad < _TURN_RAD:
-            found.append(facade)
+            found.append(left.chosen(members))
         left = left.chosen(~(members | _covered(left, facade, config)))
-    return sorted(found, key=lambda f: -f.cells)
+    return sorted(_joined(found, config), key=lambda f: -f.cells)
+
+
+def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
+    """Facades, with parts of one facade joined."""
+    facades = [refit(members, config) for members in found]
+    bound = _INLIER_SIGMAS * config.relief_m
+    k = 0
+    while k < len(facades):
+        for j in range(k + 1, len(facades)):
+            if facades[k].normal @ facades[j].normal < _SAME_NORMAL:
+                continue
+            both = SeenPoints.joined([found[k], found[j]])
+            whole = refit(both, config)
+            ends = np.array([(f.start, f.end) for f in (facades[k], facades[j])])
+            off = (ends - whole.start) @ whole.normal
+            # The front of a cupboard and the wall next to it also fit a line, but a rotated one.
+            if max(np.abs(off).max(), np.abs(np.diff(off)).max()) < bound:
+                found[k], facades[k] = both, whole
+                del found[j], facades[j]
+                break
+        else:
+            k += 1
+    return facades
 
 
 def _cells_beside(points: SeenPoints, facade: Facade, config: FacadesConfig) -> int:
