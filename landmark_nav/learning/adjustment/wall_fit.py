@@ -18,6 +18,7 @@ from scipy.stats import theilslopes
 
 from landmark_nav.arrays import BoolArray
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.se2 import cross, crossing
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_stretches
 from landmark_nav.learning.adjustment.solution import Adjustment
@@ -417,8 +418,6 @@ def _crossing(
 ) -> FloatArray:
     """Corner (2,) of a wall and the one after it."""
     along, after = end - start, other_end - other
-    sine = along[0] * after[1] - along[1] * after[0]
-    if abs(sine) < _LEAST_CORNER_RAD * np.hypot(*along) * np.hypot(*after):
+    if abs(cross(along, after)) < _LEAST_CORNER_RAD * np.hypot(*along) * np.hypot(*after):
         return np.asarray(0.5 * (end + other))
-    off = other - start
-    return np.asarray(start + (off[0] * after[1] - off[1] * after[0]) / sine * along)
+    return crossing(start, along, other, after)

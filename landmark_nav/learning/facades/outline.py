@@ -14,6 +14,7 @@ import numpy as np
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.se2 import cross, crossing
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.facades.planes import Facade, FacadesConfig, SeenPoints
 from landmark_nav.types import FloatArray
@@ -25,6 +26,8 @@ _OPEN_WALLS, _OPEN_M, _OPEN_SHARE = 12, 1.0, 0.98
 # A facade extends beyond its last point by this; a corner is at most this far from the observed
 # parts of its two walls.
 _BEYOND_M, _FARTHEST_CORNER_M = 0.1, 3.0
+# Least sine of the angle between two walls that meet.
+_LEAST_SINE = 0.2
 # Shorter walls are left out.
 _SHORTEST_M = 0.03
 # A wider sector without facades is closed by an arc around the sweeps.
@@ -146,7 +149,8 @@ def _corners(
     corners: list[tuple[FloatArray, int]] = []
     for first, second in zip(runs, [*runs[1:], runs[0]], strict=True):
         one, other = facades[first], facades[second]
-        corner = _crossing(one, other)
+        meet = abs(cross(one.along, other.along)) > _LEAST_SINE
+        corner = crossing(one.start, one.along, other.start, other.along) if meet else None
         if corner is not None and _fits(corner, one.end, other.start):
             corners.append((corner, second))
         else:
@@ -197,15 +201,6 @@ def _around(end: FloatArray, start: FloatArray, middle: FloatArray) -> list[Floa
     angles = azimuth + np.linspace(0.0, turn, 2 + int(turn / _WIDE_RAD * 2.0))[1:-1]
     reach = max(float(np.hypot(*first)), float(np.hypot(*last)))
     return list(middle + reach * np.stack([np.cos(angles), np.sin(angles)], 1))
-
-
-def _crossing(one: Facade, other: Facade) -> FloatArray | None:
-    sine = float(one.along[0] * other.along[1] - one.along[1] * other.along[0])
-    if abs(sine) < 0.2:
-        return None
-    off = other.start - one.start
-    t = (off[0] * other.along[1] - off[1] * other.along[0]) / sine
-    return np.asarray(one.start + t * one.along)
 
 
 def _fits(corner: FloatArray, end: FloatArray, start: FloatArray) -> bool:

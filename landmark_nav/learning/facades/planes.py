@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.arrays import BoolArray
+from landmark_nav.geometry.se2 import cross
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
@@ -71,10 +72,9 @@ def placed_matches(
     v = turned(states[pairs.other], pairs.other_rays)
     w, v = (r / np.hypot(r[:, 0], r[:, 1])[:, None] for r in (w, v))
     way = there - here
-    sine = w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]
+    sine = cross(w, v)
     with np.errstate(divide='ignore', invalid='ignore'):
-        reach = (way[0] * v[:, 1] - way[1] * v[:, 0]) / sine
-        reach_there = (way[0] * w[:, 1] - way[1] * w[:, 0]) / sine
+        reach, reach_there = cross(way, v) / sine, cross(way, w) / sine
         first, second = here + reach[:, None] * w, there + reach_there[:, None] * v
         along = (reach_there * sigma_rad / sine) ** 2, (reach * sigma_rad / sine) ** 2
     covariance = (

@@ -14,7 +14,7 @@ import numpy as np
 
 from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.se2 import rot_z
+from landmark_nav.geometry.se2 import cross, rot_z
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt, root_of
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
@@ -125,10 +125,8 @@ def misses(
         jacobian[:, k, 3] = sign * normal[:, 2]
         jacobian[:, k, 4:] = (turn @ rot_z(at[2]))[:, :2]
     # In plan: whether the rays meet ahead of both.
-    parallax = w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]
-    ahead = way[0] * v[:, 1] - way[1] * v[:, 0]
-    ahead_there = way[0] * w[:, 1] - way[1] * w[:, 0]
-    before = (parallax * ahead > 0.0) & (parallax * ahead_there > 0.0)
+    parallax = cross(w, v)
+    before = (parallax * cross(way, v) > 0.0) & (parallax * cross(way, w) > 0.0)
     before &= np.abs(parallax) > _LEAST_PARALLAX
     return off * scale, jacobian * scale[:, None, None], before
 
