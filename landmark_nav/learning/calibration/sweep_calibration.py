@@ -39,9 +39,6 @@ _FOCAL, _DISTORTION, _SCALE, _TILT, _ROLL, _FORWARD, _LEFT = range(len(COMMON))
 # Fewest matches per link of the chain.
 _LEAST_PER_LINK = 8
 
-# Correlation above which two terms may replace each other.
-_ALIKE = 0.3
-
 # Usual range of walls in a room.
 USUAL_RANGE_M = 3.0
 
@@ -177,7 +174,7 @@ def fit_significant(
     camera: CameraModel,
 ) -> tuple[Fit, tuple[CalibrationTerm, ...]]:
     """
-    Fit, and remove the least significant terms until all that remain are significant.
+    Fit, and remove insignificant terms until all that remain are significant.
 
     Parameters
     ----------
@@ -199,17 +196,10 @@ def fit_significant(
             )
             for k in free
         }
-        weak = [k for k in sorted(free, key=lambda k: worth[k]) if worth[k] <= 1.0]
+        weak = [k for k in free if worth[k] <= 1.0]
         if not weak:
             break
-        # Of correlated terms only one is removed at a time, as one may replace the other.
-        scale = np.sqrt(np.diag(fit.covariance))
-        gone: list[int] = []
-        for k in weak:
-            alike = [abs(fit.covariance[k, j]) / (scale[k] * scale[j]) for j in gone]
-            if max(alike, default=0.0) < _ALIKE:
-                gone.append(k)
-        free = [k for k in free if k not in gone]
+        free = [k for k in free if k not in weak]
     if _FOCAL in free and _DISTORTION in free:
         found[_FOCAL] = _effective_focal(fit)
     return fit, tuple(CalibrationTerm(COMMON[k], *found[k], k in free) for k in sorted(found))
