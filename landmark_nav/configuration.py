@@ -15,7 +15,7 @@ from typing import Any
 
 from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.former_parameters import settled
-from landmark_nav.learning.capture import CaptureConfig
+from landmark_nav.learning.capture.config import CaptureConfig
 from landmark_nav.learning.pipeline import LearningConfig
 from landmark_nav.learning.sweep_pipeline import PanoramaStages
 from landmark_nav.learning.unmeasured import UnmeasuredConfig

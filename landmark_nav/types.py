@@ -12,10 +12,11 @@ from enum import auto, Enum
 from functools import cached_property
 import math
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.arrays import FloatArray, ImageArray
+from landmark_nav.arrays import Float32Array, FloatArray, ImageArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import CameraModel
@@ -198,6 +199,11 @@ class Panorama:
     calibration: Calibration | None = None
     made_with: FloatArray | None = None
     by_calibration: FloatArray | None = None
+
+    @cached_property
+    def grey(self) -> Float32Array:
+        """Grey image (height, width)."""
+        return np.asarray(cv2.cvtColor(self.image, cv2.COLOR_BGR2GRAY), dtype=np.float32)
 
     @property
     def axis(self) -> PoseEstimate:

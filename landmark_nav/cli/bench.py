@@ -21,21 +21,26 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
-from landmark_nav.learning.attention import attend, AttentionConfig
-from landmark_nav.learning.calibration import calibrate_sweep
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig
+from landmark_nav.learning.adjustment.solution import adjust
+from landmark_nav.learning.attention.maps import AttentionConfig
+from landmark_nav.learning.attention.selection import attend
+from landmark_nav.learning.calibration.sweep_calibration import calibrate_sweep
 from landmark_nav.learning.capture.frames import look_at, relative_sharpness
 from landmark_nav.learning.election import elect, ElectionConfig
-from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
+from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
-from landmark_nav.learning.reference_area import (
-    joint_covariance,
-    locate_sweep,
-    ReferenceAreaConfig,
+from landmark_nav.learning.reference_area.common_errors import joint_covariance
+from landmark_nav.learning.reference_area.location import PaperSearch
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.stereo.wall_patch import (
+    own_measurement,
+    PatchMeasurement,
+    StereoConfig,
+    WallPatch,
 )
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import own_measurement, PatchMeasurement, WallPatch
+from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
 from landmark_nav.localization.fusion import Fusion
@@ -190,7 +195,7 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
     unplaced = replace(sweeps[0], pose_map_base=None)
     yield _Comparison(
         'place of a sweep by its papers',
-        lambda: locate_sweep(unplaced, view, room, _MOUNT, config),
+        lambda: PaperSearch(unplaced, view, room, _MOUNT, config).located(),
         'its frames in HSV, a mask for each of three colours',
         lambda: [
             cv2.inRange(cv2.cvtColor(one.image, cv2.COLOR_BGR2HSV), (hue, 90, 40), (hue, 255, 255))
@@ -263,8 +268,7 @@ def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
 def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Comparison]:
     """Yield stereo, adjustment and election of the candidates."""
     config = StereoConfig()
-    images = [cv2.cvtColor(view.image, cv2.COLOR_BGR2GRAY) for view in panoramas]
-    greys = [image.astype(np.float32) for image in images]
+    greys = [view.grey for view in panoramas]
     proposed = [
         [hypothesize(c, k, panoramas[k], room, config) for c in group]
         for k, group in enumerate(candidates)
@@ -273,7 +277,7 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
     small = greys[0][:40, :40]
     yield _Comparison(
         'stereo match of a candidate',
-        lambda: [match_in(p, 1, panoramas, greys, room, config) for p in hypotheses[0]],
+        lambda: [match_in(p, 1, panoramas, room, config) for p in hypotheses[0]],
         'cv2.matchTemplate over the other panorama',
         lambda: [cv2.matchTemplate(greys[1], small, cv2.TM_CCOEFF_NORMED) for _ in hypotheses[0]],
         count=len(hypotheses[0]),
@@ -282,7 +286,7 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
     measurements: list[list[PatchMeasurement]] = []
     for k, group in enumerate(hypotheses):
         for patch in group:
-            found = match_in(patch, 1 - k, panoramas, greys, room, config)
+            found = match_in(patch, 1 - k, panoramas, room, config)
             if isinstance(found, PatchMeasurement):
                 patches.append(patch)
                 measurements.append([own_measurement(patch, panoramas[k]), found])
@@ -306,7 +310,7 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
     yield _Comparison(
         'election of a patch',
         lambda: elect(
-            patches, measurements, adjustment, adjustment, panoramas, greys, room, ElectionConfig()
+            patches, measurements, adjustment, adjustment, panoramas, room, ElectionConfig()
         ),
         'two cv2.remap of 30 x 30 px',
         lambda: [

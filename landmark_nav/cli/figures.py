@@ -23,7 +23,7 @@ from landmark_nav.evaluation.figures.panorama_figure import (
 from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.attention import AttentionConfig, FEATURES
+from landmark_nav.learning.attention.maps import AttentionConfig, FEATURES
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep

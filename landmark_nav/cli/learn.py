@@ -24,7 +24,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning import unmeasured
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
-from landmark_nav.learning.reference_area import PaperRecord
+from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.sheets import SheetsConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages, record_papers

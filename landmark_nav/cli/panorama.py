@@ -14,13 +14,10 @@ from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import unseen_arcs
 from landmark_nav.image_codec import encode_image
-from landmark_nav.learning.calibration import (
-    align_sweep,
-    calibrate_sweep,
-    check_turn,
-)
-from landmark_nav.learning.panorama import BLENDS, PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.calibration.sweep_calibration import align_sweep, calibrate_sweep
+from landmark_nav.learning.calibration.turn import check_turn
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
+from landmark_nav.learning.panorama.synthesis import BLENDS, PanoramaConfig, synthesize_cylinder
 from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically

@@ -26,6 +26,19 @@ def rotation(theta_rad: npt.ArrayLike) -> FloatArray:
     return turned
 
 
+def cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Cross products (...) in plan of vectors (..., 2) or (..., 3)."""
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
+
+
+def crossing(
+    start: FloatArray, along: FloatArray, other: FloatArray, other_along: FloatArray
+) -> FloatArray:
+    """Intersection (2,) of two lines in plan, each by a point (2,) and a direction (2,)."""
+    share = cross(other - start, other_along) / cross(along, other_along)
+    return np.asarray(start + share * along)
+
+
 def compose(pose_a_b: npt.ArrayLike, pose_b_c: npt.ArrayLike) -> FloatArray:
     """Pose of c in a, (..., 3), from b in a and c in b; the heading is wrapped."""
     first = np.asarray(pose_a_b, dtype=np.float64)

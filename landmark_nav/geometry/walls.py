@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.geometry.se2 import cross
 
 # Tolerance when a wall is tested for hiding a point: thickness of what hangs on a wall, and number
 # of standard deviations of the wall's position.
@@ -103,10 +104,6 @@ class Room:
     def _check_crossings(self) -> None:
         a, b = self._starts, self._ends
         side = b - a
-
-        def cross(u: FloatArray, v: FloatArray) -> FloatArray:
-            return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
-
         # Segments i and j cross if the ends of each lie on different sides of the other.
         start_side = cross(side[:, None], a[None] - a[:, None])
         end_side = cross(side[:, None], b[None] - a[:, None])

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from landmark_nav.arrays import Float32Array
-from landmark_nav.geometry.patches import patch_axes, PatchView, relative_sampling
+from landmark_nav.geometry.patches import PatchView, relative_sampling
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment import Adjustment
+from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, wall_texture, WallPatch
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
@@ -70,7 +70,6 @@ def elect(
     adjustment: Adjustment,
     free: Adjustment,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     room: Room,
     config: ElectionConfig,
 ) -> list[Landmark | Refusal]:
@@ -87,8 +86,6 @@ def elect(
         The same by measurements alone, without walls.
     panoramas : sequence of Panorama
         Panoramas with adjusted poses.
-    greys : sequence of ndarray, shape (height, width)
-        Their grey images, float32.
 
     Returns
     -------
@@ -121,7 +118,7 @@ def elect(
         score = min(s.score for s in measurements[k])
         landmark = _landmark(
             len(taken) + 1, patch, adjustment.positions[k], panoramas[patch.source],
-            greys[patch.source], room.walls[patch.wall].id if patch.on_wall else '',
+            room.walls[patch.wall].id if patch.on_wall else '',
             covariance=covariance[k],
             shared_loading=adjustment.shared_loading[k],
             threshold=float(np.clip(_THRESHOLD_SHARE * score, 0.55, 0.85)),
@@ -129,7 +126,7 @@ def elect(
         if landmark is None:
             outcomes[k] = Refusal('runs out of its panorama')
             continue
-        views = [_view(landmark, panoramas[other], greys[other]) for other in others]
+        views = [_view(patch, landmark, panoramas[other]) for other in others]
         landmark = replace(landmark, views=tuple(view for view in views if view is not None))
         outcomes[k] = landmark
         taken.append(landmark)
@@ -193,7 +190,7 @@ def _overlap(patch: WallPatch, position: FloatArray, other: Landmark) -> float:
     """Overlap of two patches in one plane, relative to the smaller one."""
     size = np.array([patch.shape[1], patch.shape[0]]) * patch.texel_m
     other_size = np.array([other.width_m, other.height_m])
-    right, down = patch_axes(patch.normal)
+    right, down = patch.axes
     away = other.position - position
     if abs(away @ patch.normal) > 0.5 * size.max() or other.normal @ patch.normal < _SAME_NORMAL:
         return 0.0
@@ -210,14 +207,13 @@ def _landmark(
     patch: WallPatch,
     position: FloatArray,
     panorama: Panorama,
-    grey: Float32Array,
     wall_id: str,
     *,
     covariance: FloatArray,
     shared_loading: FloatArray,
     threshold: float,
 ) -> Landmark | None:
-    texture = wall_texture(panorama, grey, position, patch.normal, patch.shape, patch.texel_m)
+    texture = wall_texture(replace(patch, position=position), panorama)
     if texture is None:
         return None
     return Landmark(
@@ -236,13 +232,14 @@ def _landmark(
     )
 
 
-def _view(landmark: Landmark, panorama: Panorama, grey: Float32Array) -> PatchView | None:
+def _view(patch: WallPatch, landmark: Landmark, panorama: Panorama) -> PatchView | None:
     """Image of a landmark in another panorama, at the resolution of that panorama."""
     reach = float(np.hypot(*(panorama.center_map - landmark.position)[:2]))
     columns = max(8, round(landmark.width_m * panorama.cylinder.fy / reach))
     texel = landmark.width_m / columns
     shape = (max(8, round(landmark.height_m / texel)), columns)
-    texture = wall_texture(panorama, grey, landmark.position, landmark.normal, shape, texel)
+    seen = replace(patch, position=landmark.position, shape=shape, texel_m=texel)
+    texture = wall_texture(seen, panorama)
     return None if texture is None else PatchView(panorama.center_map, _levels(texture))
 
 

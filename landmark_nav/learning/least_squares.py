@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
+from scipy.optimize import least_squares
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
@@ -21,10 +22,8 @@ from landmark_nav.types import FloatArray
 _RIDGE = 1e-14
 # First damping, factors of its growth and decay, and the damping at which no step is found.
 _FIRST_DAMPING, _GROWTH, _DECAY, _MAX_DAMPING = 1e-4, 10.0, 0.1, 1e8
-# Relative tolerance for rounding when costs are compared.
-_ROUNDING = 1e-9
-# Largest number of iterations, and the decrease of the cost that ends them.
-_ITERATIONS, _MIN_DECREASE = 20, 1e-3
+# Relative tolerance for rounding when costs are compared, and decrease that ends the iteration.
+_ROUNDING, _SAME_COST = 1e-9, 1e-6
 
 
 def root_of(matrix: FloatArray) -> FloatArray:
@@ -152,22 +151,11 @@ def levenberg_marquardt(
         Sum of squares.
     information : ndarray, shape (n, n)
     """
-    damping = Damping()
-    state, (residuals, jacobian) = start, linearize(start)
-    for _ in range(_ITERATIONS):
-        cost = float(residuals @ residuals)
-        normal, slope = jacobian.T @ jacobian, jacobian.T @ residuals
-        tried, there = state, (residuals, jacobian)
-
-        def cost_with(by: float) -> float:
-            nonlocal tried, there
-            tried = state - solve_positive(normal + by * np.diag(np.diag(normal)), slope)  # noqa: B023
-            there = linearize(tried)
-            return float(there[0] @ there[0])
-
-        if not damping.lowers(cost_with, cost):
-            break
-        state, (residuals, jacobian) = tried, there
-        if cost - residuals @ residuals < _MIN_DECREASE:
-            break
-    return state, float(residuals @ residuals), jacobian.T @ jacobian
+    fit = least_squares(
+        lambda state: linearize(state)[0],
+        start,
+        lambda state: linearize(state)[1],
+        method='lm',
+        ftol=_SAME_COST,
+    )
+    return fit.x, 2.0 * fit.cost, fit.jac.T @ fit.jac

@@ -11,19 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 import logging
 
-import cv2
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment import (
-    adjust,
-    Adjustment,
-    AdjustmentConfig,
-    CALIBRATED,
-    depth_from_scale,
-)
+from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig, CALIBRATED
+from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
     moved_walls,
@@ -31,14 +26,15 @@ from landmark_nav.learning.adjustment.wall_fit import (
     wall_warnings,
     WallResidual,
 )
-from landmark_nav.learning.attention import attend, AttentionConfig
+from landmark_nav.learning.attention.maps import AttentionConfig
+from landmark_nav.learning.attention.selection import attend
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.least_squares import checked_covariance
-from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
+from landmark_nav.learning.reference_area.common_errors import joint_covariance
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.stereo import StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again, Found
-from landmark_nav.learning.stereo.wall_patch import Ties
+from landmark_nav.learning.stereo.wall_patch import StereoConfig, Ties
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
     Candidate,
@@ -123,9 +119,6 @@ def learn_from_panoramas(
     """
     _check(panoramas)
     log = log or StageLog()
-    greys = [
-        np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), dtype=np.float32) for p in panoramas
-    ]
     with log.measure('attention'):
         attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
@@ -133,12 +126,12 @@ def learn_from_panoramas(
     if places is None:
         places = joint_covariance(panoramas, room, config.reference_area)
     with log.measure('stereo'):
-        found = find_again(panoramas, candidates, greys, room, config.stereo, ties)
+        found = find_again(panoramas, candidates, room, config.stereo, ties)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
             free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
             room, shift_m = moved_walls(free, found.walls, room, config.adjustment)
             if shift_m > config.adjustment.hanging_sigma_m:
-                found = find_again(panoramas, candidates, greys, room, config.stereo, ties)
+                found = find_again(panoramas, candidates, room, config.stereo, ties)
     outcomes = found.outcomes
     if len(found.patches) < 3:
         raise LandmarkNavError(
@@ -179,7 +172,6 @@ def learn_from_panoramas(
             adjustment,
             free,
             adjusted,
-            greys,
             room,
             config.election,
         )

@@ -21,12 +21,6 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_one_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.calibration import (
-    calibrate_sweep,
-    check_turn,
-    moved_px,
-    SweepCalibration,
-)
 from landmark_nav.learning.calibration.combined import (
     as_calibrated,
     as_corrected,
@@ -36,20 +30,27 @@ from landmark_nav.learning.calibration.combined import (
     with_overlaps,
     with_papers,
 )
-from landmark_nav.learning.least_squares import checked_covariance
-from landmark_nav.learning.panorama import CylinderImage, PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
-from landmark_nav.learning.reference_area import (
-    locate_sweep,
-    MountError,
-    optical_height,
-    PaperRecord,
-    PaperSearch,
-    ReferenceAreaConfig,
-    SweepPlace,
-    WRONG_PRIOR,
-    WrongMountError,
+from landmark_nav.learning.calibration.sweep_calibration import (
+    calibrate_sweep,
+    moved_px,
+    SweepCalibration,
 )
+from landmark_nav.learning.calibration.turn import check_turn
+from landmark_nav.learning.least_squares import checked_covariance
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
+from landmark_nav.learning.panorama.synthesis import (
+    CylinderImage,
+    PanoramaConfig,
+    synthesize_cylinder,
+)
+from landmark_nav.learning.reference_area.faults import PaperRecord
+from landmark_nav.learning.reference_area.location import (
+    optical_height,
+    PaperSearch,
+    SweepPlace,
+)
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.refusals import MountError, WRONG_PRIOR, WrongMountError
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
@@ -280,15 +281,15 @@ class _Maker:
     ) -> SweepPlace:
         """Pose of a sweep by papers, or the given one if they agree."""
         sweep, mount, known = found.sweep, found.mount, found.sweep.pose_map_base
+        papers = PaperSearch(sweep, view, self._room, mount, area)
         if known is None:
-            return locate_sweep(sweep, view, self._room, mount, area, most_sigmas)
+            return papers.located(most_sigmas)
         plane = np.ix_([0, 1, 3], [0, 1, 3])
         covariance = np.zeros((4, 4))
         covariance[plane] = _given_covariance(known)
         place = SweepPlace(known.pose, optical_height(sweep, mount), covariance)
         mounted = _by_calibration(place, found)
         uncertain = covariance + mounted @ self._prior.covariance @ mounted.T
-        papers = PaperSearch(sweep, view, self._room, mount, area)
         papers.check_agreement(known.pose, uncertain[plane])
         covariance[2, 2] = area.height_sigma_m**2
         return place

@@ -12,18 +12,19 @@ from dataclasses import dataclass, field, replace
 import logging
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration.combined import leant
-from landmark_nav.learning.facades import (
+from landmark_nav.learning.facades.outline import open_room, room_of
+from landmark_nav.learning.facades.planes import (
     FacadesConfig,
     find_facades,
-    open_room,
     placed_matches,
-    room_of,
     SeenPoints,
 )
 from landmark_nav.learning.pipeline import (
@@ -31,13 +32,9 @@ from landmark_nav.learning.pipeline import (
     LearningConfig,
     LearningResult,
 )
-from landmark_nav.learning.relative_pose import (
-    find_features,
-    relative_poses,
-    RelativePoseConfig,
-    RelativePoses,
-)
-from landmark_nav.learning.relative_pose.epipolar import center, RayPairs
+from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, RelativePoseConfig
+from landmark_nav.learning.relative_pose.features import find_features
+from landmark_nav.learning.relative_pose.poses import relative_poses, RelativePoses
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
@@ -139,11 +136,12 @@ def locate(
     with log.measure('relative_poses'):
         features = [find_features(p, config.relative_pose.features) for p in panoramas]
         sheets = [find_sheets(p, config.sheets) for p in panoramas]
-        poses = relative_poses(features, known, lever, config.relative_pose, sheets, before)
+        axes = [_of_axis(chain, lever) for chain in known]
+        poses = relative_poses(features, axes, lever, config.relative_pose, sheets, before)
     with log.measure('facades'):
         sigma = config.relative_pose.direction_sigma_rad
-        matched = [placed_matches(poses.states, p, lever, sigma) for p in poses.pairs]
-        eyes = np.array([center(state, lever) for state in poses.states])
+        matched = [placed_matches(poses.states, p, sigma) for p in poses.pairs]
+        eyes = center(poses.states)
         joined = SeenPoints.joined([points for points, _ in matched])
         facades = find_facades(joined, config.facades)
         try:
@@ -161,7 +159,7 @@ def locate(
         )
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
-    places = _viewpoints(poses, eyes, lever)
+    places = _viewpoints(poses)
     return Located(tuple(located), room, places, poses, ties)
 
 
@@ -201,15 +199,16 @@ def locate_sweeps(
     tilts = located.poses.states[:, 4:]
     if np.abs(tilts).max() < _UPRIGHT_RAD:
         tilts = np.zeros(tilts.shape)
+    bases = se2.compose(located.poses.states[:, :3], [*-lever[:2], 0.0])
     again = [
         panorama_from_sweep(
-            replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, state[:3], _KNOWN)),
+            replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, base, _KNOWN)),
             located.room,
             leant(mount, tilt) if tilt.any() else mount,
             stages,
             log,
         )
-        for sweep, state, tilt in zip(sweeps(), located.poses.states, tilts, strict=True)
+        for sweep, base, tilt in zip(sweeps(), bases, tilts, strict=True)
     ]
     if all(
         np.array_equal(new.image, old.image) for new, old in zip(again, panoramas, strict=True)
@@ -257,22 +256,29 @@ def _measured(pairs: RayPairs, sigma_rad: float) -> Iterator[list[PatchMeasureme
         ]
 
 
-def _viewpoints(poses: RelativePoses, eyes: FloatArray, lever: FloatArray) -> FloatArray:
+def _of_axis(chain: PlaceChain, lever: FloatArray) -> PlaceChain:
+    """Poses of the pan axis, with the heading of the base, by those of the base."""
+    axis = np.array([*lever[:2], 0.0])
+    by_base = block_diag(*[se2.compose_jacobians(pose, axis)[0] for pose in chain.poses])
+    return replace(
+        chain,
+        poses=se2.compose(chain.poses, axis),
+        covariance=by_base @ chain.covariance @ by_base.T,
+    )
+
+
+def _viewpoints(poses: RelativePoses) -> FloatArray:
     """Joint covariance (4 v, 4 v) of x, y, z, heading of viewpoints, for a fixed scale."""
     count = len(poses.states)
-    jacobian = np.zeros((count, 4, count, 3))
-    for k, state in enumerate(poses.states):
-        jacobian[k, :2, k, :2] = np.eye(2)
-        jacobian[k, :2, k, 2] = rotation(state[2] + np.pi / 2) @ lever[:2]
-        jacobian[k, 3, k, 2] = 1.0
-    flat = jacobian.reshape(4 * count, 3 * count)
-    joint = flat @ poses.covariance @ flat.T
+    joint = np.zeros((4 * count, 4 * count))
+    plane = np.flatnonzero(np.arange(4 * count) % 4 != 2)
+    joint[np.ix_(plane, plane)] = poses.covariance
     heights = 4 * np.arange(1, count) + 2
     joint[heights, heights] += RELATIVE_SIGMA[2] ** 2
     joint += _LEAST_VARIANCE * np.eye(4 * count)
     # Derivative of the scale by the viewpoints.
     way = np.zeros((count, 4))
-    way[:, :2] = (eyes - eyes[0])[:, :2]
+    way[:, :2] = (poses.states - poses.states[0])[:, :2]
     growth = way.ravel() / np.sum(way**2)
     along = joint @ growth
     return np.asarray(joint - np.outer(along, along) / (growth @ along + _FIXED_SCALE**2))

@@ -10,7 +10,7 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.learning import sweep_pipeline
-from landmark_nav.learning.reference_area import PaperRecord
+from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.configured import calibration_of, configured

@@ -16,15 +16,14 @@ from sensor_msgs.msg import CompressedImage
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.learning.capture import (
+from landmark_nav.learning.capture.config import CaptureConfig
+from landmark_nav.learning.capture.frames import Look, look_at, Shot
+from landmark_nav.learning.capture.sweep import (
     begin_or_resume,
-    CaptureConfig,
     describe_progress,
     describe_sweep,
-    Shot,
     SweepCapture,
 )
-from landmark_nav.learning.capture.frames import Look, look_at
 from landmark_nav.messages import decode
 from landmark_nav.messages.encode import sweep_trajectory
 from landmark_nav.nodes.configured import calibration_of, configured

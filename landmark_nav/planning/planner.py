@@ -21,7 +21,7 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.reference_area import LEAST_PAPERS
+from landmark_nav.learning.reference_area.search import LEAST_PAPERS
 from landmark_nav.planning.prediction import Forecast, Predictor
 from landmark_nav.planning.views import (
     free_floor,

@@ -19,9 +19,9 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import observed_well
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment import AdjustmentConfig
 from landmark_nav.learning.adjustment.depth_from_scale import INFORMATIVE
-from landmark_nav.learning.reference_area import joined
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig
+from landmark_nav.learning.reference_area.common_errors import joined
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.planning.views import band_share, PlanConfig, Views, WallSamples
 from landmark_nav.types import FloatArray

@@ -11,10 +11,12 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment import AdjustmentConfig
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.election import ElectionConfig
-from landmark_nav.learning.reference_area import LEAST_PAPERS, pose_errors, ReferenceAreaConfig
-from landmark_nav.learning.stereo import StereoConfig
+from landmark_nav.learning.reference_area.common_errors import pose_errors
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.search import LEAST_PAPERS
+from landmark_nav.learning.stereo.wall_patch import StereoConfig
 from landmark_nav.learning.unmeasured import RELATIVE_SIGMA
 from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.parameters import Config

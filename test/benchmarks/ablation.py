@@ -50,7 +50,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     },
     'median': {f'{_LEARN}panorama.synthesis:PanoramaConfig.blend': 'feather'},
     'calibration by overlaps': {f'{_LEARN}calibration.sweep_calibration:_WORTH_PX': BEST},
-    'refusal of what is ambiguous': {f'{_LEARN}attention.attend:refusal': _nothing},
+    'refusal of what is ambiguous': {f'{_LEARN}attention.selection:refusal': _nothing},
     'symmetry': {f'{_ATTENTION}weight_symmetry': 0.0},
     'corners': {f'{_ATTENTION}weight_corners': 0.0},
     'edges': {f'{_ATTENTION}weight_edges': 0.0},

@@ -35,7 +35,8 @@ from landmark_nav.evaluation.calibration_run import calibrate_by_drive
 from landmark_nav.evaluation.metrics import consistency, pose_errors, undetected_failures
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
-from landmark_nav.learning.reference_area import PaperRecord, ReferenceAreaConfig
+from landmark_nav.learning.reference_area.faults import PaperRecord
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.world import DEFAULT_MOUNT

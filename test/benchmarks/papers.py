@@ -21,8 +21,9 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig
+from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.reference_area.location import PaperSearch
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.simulation.furnishing import generate_room, generate_scene
 from landmark_nav.simulation.scene import Lamp, Scene, view_quality, WallItem
 from landmark_nav.simulation.setup_documents import moved_paper
@@ -155,7 +156,7 @@ def main() -> int:
             head = f'{seed}: {len(room.papers)} papers, gamma {gamma}: '
             try:
                 view = synthesize_cylinder(sweep, mount, PanoramaConfig())
-                place = locate_sweep(sweep, view, room, mount, CONFIG)
+                place = PaperSearch(sweep, view, room, mount, CONFIG).located()
             except LandmarkNavError as error:
                 refused += 1
                 print(f'{head}refused: {error}', flush=True)

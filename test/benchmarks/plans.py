@@ -33,7 +33,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import bearings
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.adjustment import AdjustmentConfig
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.triangulation import triangulate

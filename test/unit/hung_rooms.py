@@ -8,9 +8,10 @@ import numpy as np
 from scenes import rectangle_room
 
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.adjustment import adjust, Adjustment, AdjustmentConfig
-from landmark_nav.learning.adjustment.problem import wall_stretches
-from landmark_nav.learning.reference_area import joint_covariance, ReferenceAreaConfig
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_stretches
+from landmark_nav.learning.adjustment.solution import adjust, Adjustment
+from landmark_nav.learning.reference_area.common_errors import joint_covariance
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray, Panorama
 

@@ -13,8 +13,9 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
-from landmark_nav.learning.reference_area import locate_sweep, ReferenceAreaConfig, SweepPlace
+from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.reference_area.location import PaperSearch, SweepPlace
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.types import FloatArray, Sweep
 
 MOUNT = PanTiltMount(axis_xyz=(0.12, 0.01, 1.1))
@@ -82,7 +83,7 @@ def locate(
     sweep: Sweep, room: Room, mount: PanTiltMount = MOUNT, config: ReferenceAreaConfig = CONFIG
 ) -> SweepPlace:
     view = synthesize_cylinder(sweep, mount, PanoramaConfig())
-    return locate_sweep(sweep, view, room, mount, config)
+    return PaperSearch(sweep, view, room, mount, config).located()
 
 
 def error_of(place: SweepPlace, pose: FloatArray) -> FloatArray:

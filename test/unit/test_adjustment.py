@@ -29,8 +29,13 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.learning.adjustment import adjust, AdjustmentConfig, CALIBRATED
-from landmark_nav.learning.adjustment.problem import Problem, wall_stretches
+from landmark_nav.learning.adjustment.problem import (
+    AdjustmentConfig,
+    CALIBRATED,
+    Problem,
+    wall_stretches,
+)
+from landmark_nav.learning.adjustment.solution import adjust
 from landmark_nav.learning.least_squares import (
     checked_covariance,
     covariance_of,

@@ -6,7 +6,8 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.attention import attend, attention_maps, AttentionConfig, FEATURES
+from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig, FEATURES
+from landmark_nav.learning.attention.selection import attend
 from landmark_nav.types import Panorama
 
 WIDTH, HEIGHT = 1601, 300

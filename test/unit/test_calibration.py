@@ -9,7 +9,7 @@ from turning_camera import turn_sweep
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.calibration import align_sweep, calibrate_sweep
+from landmark_nav.learning.calibration.sweep_calibration import align_sweep, calibrate_sweep
 from landmark_nav.types import CameraFrame, Sweep
 
 MOUNT = PanTiltMount((0.1, 0.0, 1.0))

@@ -17,7 +17,8 @@ from turning_robot import (
 )
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.learning.capture import begin_or_resume, CaptureConfig, describe_sweep
+from landmark_nav.learning.capture.config import CaptureConfig
+from landmark_nav.learning.capture.sweep import begin_or_resume, describe_sweep
 from landmark_nav.types import OdometrySample
 
 

@@ -9,8 +9,9 @@ from scenes import rectangle_room
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.learning.adjustment import adjust
-from landmark_nav.learning.reference_area import joint_covariance, pose_errors, ReferenceAreaConfig
+from landmark_nav.learning.adjustment.solution import adjust
+from landmark_nav.learning.reference_area.common_errors import joint_covariance, pose_errors
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 
 PAPERS = tuple(
     Paper(color, (x, 0.0, 1.4), 0.21, 0.297)

@@ -4,11 +4,12 @@ from hung_rooms import CONFIG, ROOM
 import numpy as np
 import pytest
 from scenes import Board, draw_panorama, Scene, smooth_texture
-from wall_views import candidate_at, greys_of
+from wall_views import candidate_at
 
-from landmark_nav.learning.adjustment import Adjustment, depth_from_scale
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
+from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
+from landmark_nav.learning.adjustment.solution import Adjustment
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, StereoConfig, WallPatch
+from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Refusal
 
 EAST = ROOM.normals[1]
@@ -91,14 +92,13 @@ def test_stereo_measures_the_relative_size_on_the_baseline(before_m):
     panoramas = [
         draw_panorama(Scene((camera_image,)), pose[:3], float(pose[3]), rng=rng) for pose in POSES
     ]
-    greys = greys_of(panoramas)
     normalized = []
     for point in spot + [[0.0, y, z] for y in (-0.1, 0.0, 0.1) for z in (-0.1, 0.0, 0.1)]:
         for source in (0, 1):
             candidate = candidate_at(panoramas[source], point, 28 - 10 * source)
             patch = hypothesize(candidate, source, panoramas[source], ROOM, STEREO)
             assert isinstance(patch, WallPatch)
-            seen = match_in(patch, 1 - source, panoramas, greys, ROOM, STEREO)
+            seen = match_in(patch, 1 - source, panoramas, ROOM, STEREO)
             if isinstance(seen, Refusal):
                 # Twenty centimetres do not look flat any more.
                 assert before_m > 0.1

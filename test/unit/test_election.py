@@ -4,10 +4,9 @@ import numpy as np
 from patch_texels import patch_points
 import pytest
 from scenes import draw_panorama, rectangle_room, textured_room
-from wall_views import greys_of
 
 from landmark_nav.geometry import se2
-from landmark_nav.learning.adjustment import Adjustment
+from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, WallPatch
 from landmark_nav.types import Candidate, Landmark, Refusal
@@ -65,7 +64,6 @@ def elect_from(panoramas, patches, adjustment=None, config=None, scores=None, fr
         adjustment or perfect(patches),
         free or perfect(patches),
         panoramas,
-        greys_of(panoramas),
         ROOM,
         config or ElectionConfig(),
     )

@@ -30,7 +30,7 @@ from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.learning.attention import AttentionConfig
+from landmark_nav.learning.attention.maps import AttentionConfig
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation

@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import Board, draw_panorama, rectangle_room, smooth_texture, textured_room
-from wall_views import candidate_at, greys_of
+from wall_views import candidate_at
 
 from landmark_nav.geometry import se2
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.found_again import find_again
 from landmark_nav.learning.stereo.own_plane import match_freely
-from landmark_nav.learning.stereo.wall_patch import WallPatch
+from landmark_nav.learning.stereo.wall_patch import StereoConfig, WallPatch
+from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
@@ -42,7 +42,7 @@ def board(center, normal, seed):
 
 def freely(panoramas, point, depths=None):
     candidate = candidate_at(panoramas[0], point, 30)
-    return match_freely(candidate, 0, panoramas, greys_of(panoramas), CONFIG, depths)
+    return match_freely(candidate, 0, panoramas, CONFIG, depths)
 
 
 @pytest.mark.parametrize(
@@ -52,11 +52,10 @@ def test_what_stands_before_a_wall_is_found_at_its_depth(center, angle):
     normal = np.append(se2.rotation(angle) @ EAST[:2], 0.0)
     furnished = replace(SCENE, boards=(*SCENE.boards, board(center, normal, 8)))
     panoramas = views_of(furnished, furnished)
-    greys = greys_of(panoramas)
     patch = patch_at(panoramas[0], np.array(center))
-    assert isinstance(match_in(patch, 1, panoramas, greys, ROOM, CONFIG), Refusal)
+    assert isinstance(match_in(patch, 1, panoramas, ROOM, CONFIG), Refusal)
     candidates = [[candidate_at(panoramas[0], np.array(center), 30)], []]
-    found = find_again(panoramas, candidates, greys, ROOM, CONFIG)
+    found = find_again(panoramas, candidates, ROOM, CONFIG)
     assert found.walls == [-1]
     (patch,) = found.patches
     assert patch.position == pytest.approx(np.array(center), abs=0.03)
@@ -68,10 +67,9 @@ def test_what_stands_before_a_wall_is_found_at_its_depth(center, angle):
 def test_a_wall_that_is_reported_too_near_or_too_far_is_found_where_it_is(east_m):
     given = rectangle_room(east_m, 5.0)
     panoramas = views_of(SCENE, SCENE)
-    greys = greys_of(panoramas)
     points = [np.array([6.0, y, z]) for y in (1.6, 2.2, 2.8) for z in (1.0, 1.3)]
     candidates = [[candidate_at(panoramas[0], point, 30) for point in points], []]
-    found = find_again(panoramas, candidates, greys, given, CONFIG)
+    found = find_again(panoramas, candidates, given, CONFIG)
     own = [patch for patch in found.patches if not patch.on_wall]
     assert len(own) >= 4
     for patch in own:

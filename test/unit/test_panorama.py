@@ -8,7 +8,7 @@ from scenes import draw_cylinder, draw_sweep, rectangle_room, textured_room
 
 from landmark_nav.cli.main import main
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.panorama import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.types import CameraFrame, Sweep
 

@@ -7,8 +7,8 @@ from paper_sweeps import CONFIG, EAST
 import pytest
 from scenes import rectangle_room
 
-from landmark_nav.learning.reference_area import paper_faults, PaperView
 from landmark_nav.learning.reference_area.edges import PaperOutlines
+from landmark_nav.learning.reference_area.faults import paper_faults, PaperView
 
 EYE_M = 1.1
 POSES = np.array([[3.5, 2.0, 0.3], [2.2, 3.6, -0.8]])

@@ -9,7 +9,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
-from landmark_nav.learning.panorama import CylinderImage
+from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
 from landmark_nav.types import FloatArray

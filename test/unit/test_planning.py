@@ -13,10 +13,14 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.learning.adjustment import adjust, AdjustmentConfig
-from landmark_nav.learning.reference_area import joined, joint_covariance, pose_errors
-from landmark_nav.learning.stereo import StereoConfig
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig
+from landmark_nav.learning.adjustment.solution import adjust
+from landmark_nav.learning.reference_area.common_errors import (
+    joined,
+    joint_covariance,
+    pose_errors,
+)
+from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, StereoConfig
 from landmark_nav.planning.planner import (
     exchange,
     forecast,

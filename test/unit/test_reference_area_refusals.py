@@ -12,7 +12,7 @@ from scenes import Board, flat_texture, rectangle_room
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.learning.reference_area import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.sweep_pipeline import why_seen_otherwise
 
 POSE = np.array([3.5, 2.0, 0.3])

@@ -4,15 +4,21 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rot_z
-from landmark_nav.learning.relative_pose import Features, relative_poses, RelativePoseConfig
-from landmark_nav.learning.relative_pose.epipolar import misses, RayPairs
+from landmark_nav.learning.relative_pose.epipolar import (
+    center,
+    misses,
+    RayPairs,
+    RelativePoseConfig,
+)
+from landmark_nav.learning.relative_pose.features import Features
+from landmark_nav.learning.relative_pose.poses import relative_poses
 from landmark_nav.types import PlaceChain
 
 CONFIG = RelativePoseConfig()
-LEVER = np.array([0.08, 0.02, 1.1])
+EYE_M = 1.1
+LEVER = np.array([0.08, 0.02, EYE_M])
 POSES = np.array([[0.0, 0.0, 0.0], [1.8, 0.6, 0.5], [2.4, -0.9, -2.0]])
 NOISE_RAD = 1e-3
 
@@ -31,7 +37,7 @@ def features(poses, points, rng, strangers=60, tilt=None):
     looks = rng.normal(size=(len(points), 64))
     seen = []
     for k, pose in enumerate(poses):
-        eye = rot_z(pose[2]) @ LEVER + [*pose[:2], 0.0]
+        eye = np.array([*pose[:2], EYE_M])
         rays = (points - eye) @ rot_z(pose[2])
         if tilt is not None:
             rays = rays - np.cross(np.append(tilt[k], 0.0), rays)
@@ -65,8 +71,7 @@ def found(poses, known, seed, sigma_m=0.06):
 def directions_off(states, poses):
     """Errors of heading and direction, radians, of all sweeps but the first."""
     off = wrap_rad(states[1:, 2] - poses[1:, 2])
-    eyes = [se2.compose(p[:, :3], [*LEVER[:2], 0.0]) for p in (states, poses)]
-    course = [np.arctan2(*(e[1:, :2] - e[0, :2]).T[::-1]) for e in eyes]
+    course = [np.arctan2(*(e[1:, :2] - e[0, :2]).T[::-1]) for e in (states, poses)]
     return np.stack([off, wrap_rad(course[0] - course[1])], 1)
 
 
@@ -104,7 +109,6 @@ def test_panoramas_of_different_rooms_are_refused():
 def test_panoramas_of_one_place_are_refused_whatever_odometry_states():
     rng = np.random.default_rng(8)
     poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.4]])
-    poses[1, :2] = LEVER[:2] - se2.rotation(0.4) @ LEVER[:2]
     seen = features(poses, room_points(rng, 250), rng)
     with pytest.raises(LandmarkNavError, match='from one place'):
         relative_poses(seen, [odometry(POSES[:2])], LEVER, CONFIG)
@@ -113,18 +117,18 @@ def test_panoramas_of_one_place_are_refused_whatever_odometry_states():
 def test_misses_are_zero_for_true_poses_and_their_slopes_are_right():
     rng = np.random.default_rng(10)
     states = np.zeros((2, 6))
+    states[:, 3] = EYE_M
     states[1, :3] = POSES[1]
     exact = []
     for state in states:
-        eye = rot_z(state[2]) @ LEVER + [*state[:2], state[3]]
-        rays = (room_points(np.random.default_rng(3), 40) - eye) @ rot_z(state[2])
+        rays = (room_points(np.random.default_rng(3), 40) - center(state)) @ rot_z(state[2])
         exact.append(rays / np.hypot(rays[:, 0], rays[:, 1])[:, None])
     pairs = RayPairs(0, 1, *exact)
-    off, slopes, before = misses(states, pairs, LEVER, NOISE_RAD)
+    off, slopes, before = misses(states, pairs, NOISE_RAD)
     assert np.abs(off).max() < 1e-6
     assert before.all()
     for view in range(2):
         step = np.zeros((2, 6))
         step[view] = 1e-7 * rng.normal(size=6)
-        moved = misses(states + step, pairs, LEVER, NOISE_RAD)[0]
+        moved = misses(states + step, pairs, NOISE_RAD)[0]
         assert moved - off == pytest.approx(slopes[:, view] @ step[view], abs=1e-5)

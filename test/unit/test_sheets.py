@@ -18,7 +18,6 @@ from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
 from landmark_nav.types import Panorama, PlaceChain
 
 CYLINDER = Cylinder.with_resolution(550.0, -0.4, 0.4)
-LEVER = np.array([0.08, 0.0, 1.1])
 A4 = SheetsConfig(paper_width_m=0.21, paper_height_m=0.297)
 
 
@@ -109,17 +108,17 @@ def test_the_pose_of_one_view_in_another_does_not_depend_on_the_map(
     tilt_rad,
 ):
     level = np.array([[0.0, 0, 0.3, 0, 0, 0], [1.7, 0.6, 0.8, 0.0, 0.0, 0.0]])
-    expected = two_views_of(level, 0, 1, np.zeros(3))
+    expected = two_views_of(level, 0, 1)
     leant = level.copy()
     for state in leant:  # the whole map leans about its origin
-        state[3] = center(state, np.zeros(3))[:2] @ [-tilt_rad[1], tilt_rad[0]]
+        state[3] = center(state)[:2] @ [-tilt_rad[1], tilt_rad[0]]
         state[4:] = rotation(-state[2]) @ tilt_rad
-    found = two_views_of(leant, 0, 1, np.zeros(3))
+    found = two_views_of(leant, 0, 1)
     assert found.slope == pytest.approx(expected.slope, abs=1e-3)
     assert found.tilt_rad == pytest.approx(expected.tilt_rad, abs=1e-3)
 
 
-STATES = np.array([[0.0, 0, 0, 0, 0, 0], [1.7, 0.6, 0.5, 0.002, 0.004, -0.003]])
+STATES = np.array([[0.08, 0, 0, 1.1, 0, 0], [1.77, 0.64, 0.5, 1.102, 0.004, -0.003]])
 SHEETS = np.array([[2.0, -1.8, 1.6], [3.1, 1.2, 1.4], [0.6, 2.1, 1.7]])
 
 
@@ -128,7 +127,7 @@ def views(state, rng, size=1.0, names='abc'):
     seen = []
     for name, sheet in zip(names, SHEETS, strict=True):
         tilt = np.array([*state[4:], 0.0])
-        true = (sheet - center(state, LEVER)) @ rot_z(state[2])
+        true = (sheet - center(state)) @ rot_z(state[2])
         true = true - np.cross(tilt, true)
         reach = np.linalg.norm(true)
         ray = true / reach
@@ -141,7 +140,7 @@ def views(state, rng, size=1.0, names='abc'):
 
 
 def true_pose():
-    way = center(STATES[1], LEVER) - center(STATES[0], LEVER)
+    way = center(STATES[1]) - center(STATES[0])
     slope = float(way[2] / np.hypot(way[0], way[1]))
     direction = float(np.arctan2(way[1], way[0]))
     return TwoViews(float(STATES[1, 2]), direction, STATES[1, 4:], slope, 100)
@@ -151,7 +150,7 @@ def papers(seed, size=1.0):
     rng = np.random.default_rng(seed)
     sheets = [views(state, rng, size) for state in STATES]
     tracks, _ = sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
-    return SheetSource('papers', tracks, LEVER)
+    return SheetSource('papers', tracks)
 
 
 def test_sheets_that_look_alike_are_distinguished_and_false_ones_left_out():
@@ -162,7 +161,7 @@ def test_sheets_that_look_alike_are_distinguished_and_false_ones_left_out():
         seen.append(replace(seen[0], position=rng.normal(0.0, 2.0, 3)))
     tracks, lengths = sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
     assert len(tracks) == len(SHEETS)
-    way = np.linalg.norm(center(STATES[1], LEVER) - center(STATES[0], LEVER))
+    way = np.linalg.norm(center(STATES[1]) - center(STATES[0]))
     assert lengths[0, 1] == pytest.approx(way, rel=0.01)
 
 
@@ -176,7 +175,7 @@ def test_sheets_that_contradict_each_other_are_refused():
 
 
 def test_the_scale_that_sheets_give_is_consistent():
-    shares = [papers(seed).share(STATES, LEVER) for seed in range(60)]
+    shares = [papers(seed).share(STATES) for seed in range(60)]
     # The error of the size given is in sigma, but not in these.
     noise = np.sqrt(np.array([s.sigma for s in shares]) ** 2 - 0.002**2)
     normal = (np.array([s.scale for s in shares]) - 1.0) / noise
@@ -185,9 +184,9 @@ def test_the_scale_that_sheets_give_is_consistent():
 
 def test_slopes_of_sheets_are_right():
     track = papers(3).tracks[0]
-    off, slopes, _ = sheet_misses(STATES, track, LEVER)
+    off, slopes, _ = sheet_misses(STATES, track)
     step = 1e-6 * np.random.default_rng(4).normal(size=STATES.shape)
-    ahead, back = (sheet_misses(STATES + sign * step, track, LEVER)[0] for sign in (1.0, -1.0))
+    ahead, back = (sheet_misses(STATES + sign * step, track)[0] for sign in (1.0, -1.0))
     expected = np.einsum('mvs,vs->m', slopes, step)
     assert np.linalg.norm(0.5 * (ahead - back) - expected) < 0.05 * np.linalg.norm(expected)
     assert len(off) == 3 * len(track.views)
@@ -198,10 +197,10 @@ def test_sources_that_disagree_are_named_with_their_sigmas(caplog):
         return PlaceSource(PlaceChain(STATES[:, :3], sigma**2 * np.diag([0, 0, 0, 2, 2, 1.0])))
 
     right, large = papers(5), papers(5, size=1.1)
-    agree = [s.share(STATES, LEVER) for s in (odometry(0.02), right)]
+    agree = [s.share(STATES) for s in (odometry(0.02), right)]
     assert scale_sigma(agree) < min(share.sigma for share in agree)
-    doubtful = [s.share(STATES, LEVER) for s in (odometry(0.05), large)]
+    doubtful = [s.share(STATES) for s in (odometry(0.05), large)]
     assert scale_sigma(doubtful) > 0.05
     assert 'by odom the sweeps are' in caplog.text
     with pytest.raises(LandmarkNavError, match=r'by odom .* than by papers \(\d'):
-        scale_sigma([s.share(STATES, LEVER) for s in (odometry(0.02), large)])
+        scale_sigma([s.share(STATES) for s in (odometry(0.02), large)])

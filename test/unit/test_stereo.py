@@ -16,16 +16,17 @@ from scenes import (
     smooth_texture,
     textured_room,
 )
-from wall_views import candidate_at, greys_of
+from wall_views import candidate_at
 
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.stereo import hypothesize, match_in, StereoConfig
 from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
     PatchMeasurement,
+    StereoConfig,
     wall_texture,
     WallPatch,
 )
+from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.types import Candidate, Panorama, Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
@@ -50,7 +51,12 @@ def patch_at(panorama, point):
 def match_at(panoramas, point, config=CONFIG):
     patch = patch_at(panoramas[0], point)
     assert isinstance(patch, WallPatch)
-    return patch, match_in(patch, 1, panoramas, greys_of(panoramas), ROOM, config)
+    return patch, match_in(patch, 1, panoramas, ROOM, config)
+
+
+def plane_at(point, shape):
+    normal = ROOM.normals[EAST]
+    return WallPatch(Candidate(0.0, 0.0, 32, 32, 1.0), 0, EAST, point, normal, shape, 0.014)
 
 
 def direction_to(panorama, point):
@@ -113,10 +119,7 @@ def test_a_wall_seen_along_is_refused():
 
 def test_a_wall_looks_the_same_from_both_places(panoramas, scene):
     point, normal = np.array([6.0, 2.4, 1.15]), ROOM.normals[EAST]
-    first, second = (
-        wall_texture(panorama, grey, point, normal, (40, 60), 0.014)
-        for panorama, grey in zip(panoramas, greys_of(panoramas), strict=True)
-    )
+    first, second = (wall_texture(plane_at(point, (40, 60)), view) for view in panoramas)
     points = patch_points(point, normal, (40, 60), 0.014)
     truth, _ = scene.look(points + 0.1 * normal, np.broadcast_to(-normal, points.shape))
     for texture in (first, second):
@@ -125,26 +128,24 @@ def test_a_wall_looks_the_same_from_both_places(panoramas, scene):
 
 
 def test_the_seam_of_a_panorama_does_not_show(scene):
-    point, normal = np.array([6.0, 2.4, 1.15]), ROOM.normals[EAST]
+    point = np.array([6.0, 2.4, 1.15])
     textures = []
     # The point ahead, and right behind, where the panorama is cut.
     for heading in (0.0, np.pi):
         toward = float(np.arctan2(*(point - CENTERS[0])[1::-1]))
         panorama = draw_panorama(scene, CENTERS[0], toward + heading)
-        grey = greys_of([panorama])[0]
-        textures.append(wall_texture(panorama, grey, point, normal, (40, 60), 0.014))
+        textures.append(wall_texture(plane_at(point, (40, 60)), panorama))
     assert textures[0] is not None
     assert textures[1] is not None
     assert np.abs(textures[0] - textures[1]).max() < 3.0
 
 
 def test_a_patch_out_of_the_image_has_no_texture(panoramas):
-    grey = greys_of(panoramas)[0]
     high = np.array([6.0, 2.0, 2.6])
-    assert wall_texture(panoramas[0], grey, high, ROOM.normals[EAST], (40, 40), 0.014) is None
+    assert wall_texture(plane_at(high, (40, 40)), panoramas[0]) is None
     blind = replace(panoramas[0], mask=np.zeros_like(panoramas[0].mask))
     point = np.array([6.0, 2.4, 1.15])
-    assert wall_texture(blind, grey, point, ROOM.normals[EAST], (40, 40), 0.014) is None
+    assert wall_texture(plane_at(point, (40, 40)), blind) is None
 
 
 def test_the_search_is_as_wide_as_places_are_uncertain(panoramas):
@@ -324,9 +325,8 @@ def test_a_place_close_to_a_wall_is_searched_within_reason():
         )
         for center in ([2.0, 2.0, 1.1], [3.5, 0.35, 1.1])
     )
-    greys = [np.zeros((cylinder.height, cylinder.width), np.float32)] * 2
     tracemalloc.start()
-    match_in(patch, 1, [here, there], greys, rectangle_room(6.0, 4.0), StereoConfig())
+    match_in(patch, 1, [here, there], rectangle_room(6.0, 4.0), StereoConfig())
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 50e6

@@ -9,7 +9,7 @@ from turning_camera import turn_sweep
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.calibration import check_turn, measure_turn
+from landmark_nav.learning.calibration.turn import check_turn, measure_turn
 from landmark_nav.learning.sweep import assemble_sweep
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.sweep_places import carried_on, known_places, places_by_odometry
@@ -159,9 +159,9 @@ def reported(sweep, pan=lambda pan: pan, focal=1.0):
 
 def test_images_that_turn_with_the_pan_pass(turn):
     check_turn(turn, MOUNT)
-    found = measure_turn(turn, MOUNT)
-    assert found.ratio == pytest.approx(1.0, abs=0.02)
-    assert found.full_turn == pytest.approx(1.0, abs=0.01)
+    ratio, full_turn = measure_turn(turn, MOUNT)
+    assert ratio == pytest.approx(1.0, abs=0.02)
+    assert full_turn == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.adjustment import Adjustment, AdjustmentConfig
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig
+from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.adjustment.wall_fit import (
     check_walls,
     moved_walls,

@@ -8,8 +8,9 @@ import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.capture import CaptureConfig, Shot, SweepCapture
-from landmark_nav.learning.capture.frames import Look
+from landmark_nav.learning.capture.config import CaptureConfig
+from landmark_nav.learning.capture.frames import Look, Shot
+from landmark_nav.learning.capture.sweep import SweepCapture
 from landmark_nav.types import JointSample, OdometrySample
 
 STEP_NS = 20_000_000

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import cv2
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry import se2
 from landmark_nav.types import Candidate, FloatArray, Panorama
 
-__all__ = ['candidate_at', 'greys_of']
-
-
-def greys_of(panoramas: Sequence[Panorama]) -> list[npt.NDArray[np.float32]]:
-    """Grey images."""
-    return [cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY).astype(np.float32) for p in panoramas]
+__all__ = ['candidate_at']
 
 
 def candidate_at(panorama: Panorama, point: FloatArray, size: int = 32) -> Candidate:

@@ -23,14 +23,15 @@ from landmark_nav.evaluation.figures.style import (
 )
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.image_codec import encode_image
-from landmark_nav.learning.attention import (
-    attend,
+from landmark_nav.learning.attention.maps import (
     attention_maps,
     AttentionConfig,
     AttentionMaps,
+    CENTER_SIGMA_PX,
     FEATURES,
+    SURROUND_SIGMA_PX,
 )
-from landmark_nav.learning.attention.maps import CENTER_SIGMA_PX, SURROUND_SIGMA_PX
+from landmark_nav.learning.attention.selection import attend
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import Candidate, Landmark, Panorama, Refusal, Sweep
 

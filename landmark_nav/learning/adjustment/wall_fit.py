@@ -14,9 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
+from scipy.stats import theilslopes
 
 from landmark_nav.arrays import BoolArray
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.se2 import cross, crossing
 from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_stretches
 from landmark_nav.learning.adjustment.solution import Adjustment
@@ -250,7 +252,7 @@ def _complaint(things: FloatArray, sigma_m: float, hanging_sigma_m: float, patch
     along, off = things.T
     if len(things) < _LEAST_THINGS:
         return ''
-    slope = _slope(along, off)
+    slope = theilslopes(off, along).slope
     straightened = off - slope * along
     spread = float(np.quantile(np.abs(straightened - np.median(straightened)), 0.75))
     median = float(np.median(off))
@@ -269,12 +271,6 @@ def _complaint(things: FloatArray, sigma_m: float, hanging_sigma_m: float, patch
         f'has its {patches} patches {abs(median) * 100:.1f} cm {place} it '
         f'(+-{spread * 100:.1f} cm){furniture if median > _MAX_DISTANCE_M else ""}'
     )
-
-
-def _slope(x: FloatArray, y: FloatArray) -> float:
-    """Median slope between any two points (Sen, JASA 63, 1968)."""
-    left, right = np.nonzero(x[:, None] < x)
-    return float(np.median((y[right] - y[left]) / (x[right] - x[left])))
 
 
 _STEPS = 10
@@ -422,8 +418,6 @@ def _crossing(
 ) -> FloatArray:
     """Corner (2,) of a wall and the one after it."""
     along, after = end - start, other_end - other
-    sine = along[0] * after[1] - along[1] * after[0]
-    if abs(sine) < _LEAST_CORNER_RAD * np.hypot(*along) * np.hypot(*after):
+    if abs(cross(along, after)) < _LEAST_CORNER_RAD * np.hypot(*along) * np.hypot(*after):
         return np.asarray(0.5 * (end + other))
-    off = other - start
-    return np.asarray(start + (off[0] * after[1] - off[1] * after[0]) / sine * along)
+    return crossing(start, along, other, after)

@@ -9,16 +9,18 @@ layer; the attended area is inhibited, and the competition is repeated.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import cv2
 import numpy as np
 
 from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.patches import is_upright_edge
-from landmark_nav.learning.attention.maps import AttentionConfig
-from landmark_nav.types import Candidate, FloatArray, ImageArray, Refusal
+from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig
+from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
 
 Examine = Callable[[Candidate], 'Refusal | None']
 
@@ -278,3 +280,73 @@ def _neighborhood(
     last = min(height, top + candidate.height_px + around)
     columns = np.arange(left - along, left + candidate.width_px + along) % width
     return gray[first:last].take(columns, axis=1), along, top - first
+
+
+# A patch keeps this far from uncovered pixels, whose neighbours are blurred by interpolation.
+_MARGIN_PX = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Attention:
+    """
+    Result of attention to a panorama.
+
+    Parameters
+    ----------
+    candidates : tuple of Candidate
+        Most salient first, then edges.
+    refused : tuple of (Candidate, Refusal)
+        Attended patches that are ambiguous.
+    """
+
+    candidates: tuple[Candidate, ...]
+    refused: tuple[tuple[Candidate, Refusal], ...]
+
+
+def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
+    """
+    Select candidates, and return why others were refused.
+
+    Raises `LandmarkNavError`: the panorama is smaller than a patch.
+    """
+    height, width = panorama.mask.shape
+    if min(height, width // 2) <= config.size_max_px:
+        raise LandmarkNavError(
+            f'panorama has {width} x {height} px, too small for patches of '
+            f'{config.size_max_px} px: lower size_max_px or raise its resolution'
+        )
+    gray = _fill_uncovered(_to_gray(panorama.image), panorama.mask)
+    saliency = attention_maps(gray, config).saliency
+    examine = partial(refusal, gray=gray, config=config)
+    accepted, refused = select(saliency, _inside(panorama.mask), config, examine)
+    edges, others = edges_among(refused, accepted, gray, config)
+    candidates = (*accepted, *edges)
+    first = max((c.saliency for c in candidates), default=1.0)
+    return Attention(
+        tuple(replace(c, saliency=c.saliency / first) for c in candidates),
+        tuple((replace(c, saliency=c.saliency / first), why) for c, why in others),
+    )
+
+
+def _to_gray(image: ImageArray) -> ImageArray:
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+
+
+def _fill_uncovered(gray: ImageArray, mask: BoolArray) -> ImageArray:
+    """Continue the image into uncovered areas, so that their borders are not edges."""
+    if mask.all() or not mask.any():
+        return gray
+    labels = cv2.distanceTransformWithLabels(
+        (~mask).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )[1]
+    value = np.zeros(int(labels.max()) + 1, dtype=np.uint8)
+    value[labels[mask]] = gray[mask]
+    return np.asarray(value[labels])
+
+
+def _inside(mask: BoolArray) -> BoolArray:
+    """Covered pixels surrounded by covered pixels, also across the seam."""
+    columns = np.arange(-_MARGIN_PX, mask.shape[1] + _MARGIN_PX) % mask.shape[1]
+    kernel = np.ones((2 * _MARGIN_PX + 1, 2 * _MARGIN_PX + 1), np.uint8)
+    shrunk = cv2.erode(mask.take(columns, axis=1).astype(np.uint8), kernel)
+    return np.asarray(shrunk[:, _MARGIN_PX:-_MARGIN_PX].astype(bool))

@@ -9,7 +9,7 @@ same as its start.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -44,19 +44,6 @@ PAN_REVERSED = (
 )
 
 
-@dataclass(frozen=True)
-class SweepTurn:
-    """
-    Rotation of the images of a sweep, relative to the pan.
-
-    `ratio` is None if too few frames overlap; `full_turn` is the change of the pan, in turns,
-    after which the images repeat, None if they never do.
-    """
-
-    ratio: float | None
-    full_turn: float | None
-
-
 def check_turn(sweep: Sweep, mount: PanTiltMount) -> None:
     """
     Check that a sweep turns as its pan angles say.
@@ -75,12 +62,12 @@ def check_turn(sweep: Sweep, mount: PanTiltMount) -> None:
             f'the pan does not turn: {len(pans)} frames have {values} pan angles within '
             f'{np.degrees(span):.1f} deg; check that joint_states reports the pan of this camera'
         )
-    turn = measure_turn(sweep, mount)
-    if turn.ratio is None or abs(turn.ratio - 1.0) < _MOST_OFF:
+    ratio, full_turn = measure_turn(sweep, mount)
+    if ratio is None or abs(ratio - 1.0) < _MOST_OFF:
         return
-    if abs(turn.ratio + 1.0) < _MOST_OFF:
+    if abs(ratio + 1.0) < _MOST_OFF:
         raise LandmarkNavError(PAN_REVERSED)
-    if abs(turn.ratio) < _MOST_OFF:
+    if abs(ratio) < _MOST_OFF:
         raise LandmarkNavError(
             'the images do not turn while the pan does: check that joint_states and images are '
             'of the same camera'
@@ -88,18 +75,27 @@ def check_turn(sweep: Sweep, mount: PanTiltMount) -> None:
     camera = sweep.frames[0].camera
     focal = (
         f'camera_info gives a focal length of {camera.fx:.0f} px, the images turn as with about '
-        f'{camera.fx * abs(turn.ratio):.0f} px'
+        f'{camera.fx * abs(ratio):.0f} px'
     )
-    scale = f'the camera turns by {turn.ratio:.2f} times the pan that is reported'
-    if turn.full_turn is None:
+    scale = f'the camera turns by {ratio:.2f} times the pan that is reported'
+    if full_turn is None:
         raise LandmarkNavError(f'{focal}, or else {scale}: check image size, ROI, binning, joint')
-    if abs(turn.full_turn - 1.0) < _MOST_OFF:
+    if abs(full_turn - 1.0) < _MOST_OFF:
         raise LandmarkNavError(f'{focal}: check its size, ROI and binning')
     raise LandmarkNavError(f'{scale}: fix the scale of the joint')
 
 
-def measure_turn(sweep: Sweep, mount: PanTiltMount) -> SweepTurn:
-    """Measure the rotation of the images of a sweep; its frames are in the order of time."""
+def measure_turn(sweep: Sweep, mount: PanTiltMount) -> tuple[float | None, float | None]:
+    """
+    Measure the rotation of the images of a sweep; its frames are in the order of time.
+
+    Returns
+    -------
+    ratio : float or None
+        Rotation relative to that of the pan; None if too few frames overlap.
+    full_turn : float or None
+        Change of the pan, in turns, after which the images repeat; None if they never do.
+    """
     looks = _Looks(sweep, mount)
     pans = np.array([frame.pan_rad for frame in sweep.frames])
     steps = np.diff(pans)
@@ -114,11 +110,11 @@ def measure_turn(sweep: Sweep, mount: PanTiltMount) -> SweepTurn:
         if turned is not None:
             ratios.append(mount.pan_sense * turned / steps[k])
     if len(ratios) < _LEAST_PAIRS:
-        return SweepTurn(None, None)
+        return None, None
     ratio = float(np.median(ratios))
     if float(np.median(np.abs(np.array(ratios) - ratio))) > _MOST_SCATTER * max(1.0, abs(ratio)):
-        return SweepTurn(None, None)
-    return SweepTurn(ratio, _full_turn(looks, pans, ratio))
+        return None, None
+    return ratio, _full_turn(looks, pans, ratio)
 
 
 def _full_turn(looks: _Looks, pans: FloatArray, ratio: float) -> float | None:

@@ -1,5 +1,5 @@
 """
-The room that facades enclose: its outline, and facades inside it.
+The room that facades enclose.
 
 Seen from the sweeps, the farthest facade in each direction belongs to the outline. Neighbours meet
 at the intersection of their planes; otherwise a wall without landmarks joins them.
@@ -14,9 +14,9 @@ import numpy as np
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.se2 import cross, crossing
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.facades.planes import Facade, FacadesConfig
-from landmark_nav.learning.facades.points import SeenPoints
+from landmark_nav.learning.facades.planes import Facade, FacadesConfig, SeenPoints
 from landmark_nav.types import FloatArray
 
 _RAYS = 1440
@@ -26,8 +26,10 @@ _OPEN_WALLS, _OPEN_M, _OPEN_SHARE = 12, 1.0, 0.98
 # A facade extends beyond its last point by this; a corner is at most this far from the observed
 # parts of its two walls.
 _BEYOND_M, _FARTHEST_CORNER_M = 0.1, 3.0
-# Shorter walls are left out; facades inside the room have this thickness.
-_SHORTEST_M, _THICK_M = 0.03, 0.02
+# Least sine of the angle between two walls that meet.
+_LEAST_SINE = 0.2
+# Shorter walls are left out.
+_SHORTEST_M = 0.03
 # A wider sector without facades is closed by an arc around the sweeps.
 _WIDE_RAD = 2.0
 # A facade that is less high above the viewpoint hides little; facades end this far above their
@@ -66,10 +68,6 @@ def room_of(facades: Sequence[Facade], eyes: FloatArray, config: FacadesConfig) 
             f'the {len(tall)} flat surfaces found do not surround the sweeps: take another sweep '
             'that sees more textured walls, or give room.yaml'
         )
-    used = {facade for _, facade in corners}
-    for k, inner in enumerate(tall):
-        if k not in used and room.contains(np.array([inner.start, inner.end])).all():
-            room = _with_island(room, inner, k, config)
     return room
 
 
@@ -151,7 +149,8 @@ def _corners(
     corners: list[tuple[FloatArray, int]] = []
     for first, second in zip(runs, [*runs[1:], runs[0]], strict=True):
         one, other = facades[first], facades[second]
-        corner = _crossing(one, other)
+        meet = abs(cross(one.along, other.along)) > _LEAST_SINE
+        corner = crossing(one.start, one.along, other.start, other.along) if meet else None
         if corner is not None and _fits(corner, one.end, other.start):
             corners.append((corner, second))
         else:
@@ -204,40 +203,9 @@ def _around(end: FloatArray, start: FloatArray, middle: FloatArray) -> list[Floa
     return list(middle + reach * np.stack([np.cos(angles), np.sin(angles)], 1))
 
 
-def _crossing(one: Facade, other: Facade) -> FloatArray | None:
-    sine = float(one.along[0] * other.along[1] - one.along[1] * other.along[0])
-    if abs(sine) < 0.2:
-        return None
-    off = other.start - one.start
-    t = (off[0] * other.along[1] - off[1] * other.along[0]) / sine
-    return np.asarray(one.start + t * one.along)
-
-
 def _fits(corner: FloatArray, end: FloatArray, start: FloatArray) -> bool:
     """Whether a corner is near the observed parts of both walls."""
     return bool(
         np.hypot(*(corner - end)) < _FARTHEST_CORNER_M
         and np.hypot(*(corner - start)) < _FARTHEST_CORNER_M
     )
-
-
-def _with_island(room: Room, facade: Facade, k: int, config: FacadesConfig) -> Room:
-    """The room with a thin box behind a facade, unless it crosses other walls."""
-    back = -_THICK_M * facade.normal
-    points = [facade.start, facade.end, facade.end + back, facade.start + back]
-    height = facade.high_m + _ABOVE_M
-    box = [
-        _wall(
-            k if n == 0 else -1,
-            len(room.walls) + n,
-            points[n],
-            points[(n + 1) % 4],
-            height,
-            config,
-        )
-        for n in range(4)
-    ]
-    try:
-        return Room((*room.walls, *box), room.papers, room.frame_id)
-    except LandmarkNavError:
-        return room

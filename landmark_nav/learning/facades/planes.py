@@ -1,5 +1,5 @@
 """
-Flat vertical surfaces among points: lines in plan.
+Flat vertical surfaces among matched features: lines in plan.
 
 The line with the most support is taken repeatedly (RANSAC; Fischler and Bolles, 1981). Support is
 counted in cells of the surface, so that one richly textured object is not a wall.
@@ -7,14 +7,88 @@ counted in cells of the surface, so that one richly textured object is not a wal
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from landmark_nav.arrays import BoolArray
-from landmark_nav.learning.facades.points import SeenPoints
+from landmark_nav.geometry.se2 import cross
+from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
+
+# Points with a larger sigma, m, or a smaller parallax, rad, are not used.
+_MAX_SIGMA_M, _LEAST_PARALLAX = 0.15, 0.035
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPoints:
+    """
+    Points (n, 3) in map, their covariance in plan (n, 2, 2), and one viewpoint of each (n, 3).
+
+    The covariance is without errors of the poses, which all points share.
+    """
+
+    positions: FloatArray
+    covariance: FloatArray
+    viewpoints: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.positions)
+
+    @classmethod
+    def joined(cls, parts: Sequence[SeenPoints]) -> SeenPoints:
+        """Concatenate several sets."""
+        return cls(
+            np.concatenate([p.positions for p in parts]),
+            np.concatenate([p.covariance for p in parts]),
+            np.concatenate([p.viewpoints for p in parts]),
+        )
+
+    def chosen(self, which: BoolArray) -> SeenPoints:
+        """Return the points selected by `which` (n,)."""
+        return SeenPoints(self.positions[which], self.covariance[which], self.viewpoints[which])
+
+
+def placed_matches(
+    states: FloatArray, pairs: RayPairs, sigma_rad: float
+) -> tuple[SeenPoints, RayPairs]:
+    """
+    Intersect the rays of matches between two views in plan.
+
+    Parameters
+    ----------
+    states : ndarray, shape (v, 6)
+        States of the sweeps, from `relative_poses`.
+    pairs : RayPairs
+        Inlier matches.
+    sigma_rad : float
+        Sigma of a direction.
+    """
+    here, there = (center(states[k]) for k in (pairs.one, pairs.other))
+    w = turned(states[pairs.one], pairs.rays)
+    v = turned(states[pairs.other], pairs.other_rays)
+    w, v = (r / np.hypot(r[:, 0], r[:, 1])[:, None] for r in (w, v))
+    way = there - here
+    sine = cross(w, v)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        reach, reach_there = cross(way, v) / sine, cross(way, w) / sine
+        first, second = here + reach[:, None] * w, there + reach_there[:, None] * v
+        along = (reach_there * sigma_rad / sine) ** 2, (reach * sigma_rad / sine) ** 2
+    covariance = (
+        along[1][:, None, None] * v[:, :2, None] * v[:, None, :2]
+        + along[0][:, None, None] * w[:, :2, None] * w[:, None, :2]
+    )
+    certain = (np.abs(sine) > np.sin(_LEAST_PARALLAX)) & (reach > 0.0) & (reach_there > 0.0)
+    certain &= np.sqrt(covariance[:, 0, 0] + covariance[:, 1, 1]) < _MAX_SIGMA_M
+    points = SeenPoints(
+        0.5 * (first + second)[certain],
+        covariance[certain],
+        np.broadcast_to(here, first.shape)[certain],
+    )
+    return points, pairs.chosen(certain)
 
 
 @dataclass(frozen=True)
@@ -50,9 +124,8 @@ _FLOOR_M = 0.08
 _REFITS = 4
 # Points this near to a facade belong to it and to no other, m.
 _TAKEN_M = 0.06
-# Least cosine between the normals of parts of one facade; points farther behind a facade, m, are
-# seen through it.
-_SAME_NORMAL, _BEHIND_M = 0.98, 0.2
+# Least cosine between the normals of parts of one facade.
+_SAME_NORMAL = 0.98
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +178,7 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
         if large and facade.turn_rad < _TURN_RAD:
             found.append(left.chosen(members))
         left = left.chosen(~(members | _covered(left, facade, config)))
-    facades = _joined(found, config)
-    return sorted((f for f in facades if not _seen_through(f, points)), key=lambda f: -f.cells)
+    return sorted(_joined(found, config), key=lambda f: -f.cells)
 
 
 def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
@@ -142,22 +214,6 @@ def _cells_beside(points: SeenPoints, facade: Facade, config: FacadesConfig) -> 
     variance = _variance(points, facade.normal, config)
     beside &= away > _INLIER_SIGMAS * np.sqrt(variance)
     return _cells(along[beside], height[beside])
-
-
-def _seen_through(facade: Facade, points: SeenPoints) -> bool:
-    """Whether more points are seen through a facade than on it."""
-    eye, ray = points.viewpoints, points.positions - points.viewpoints
-    ahead = (eye[:, :2] - facade.start) @ facade.normal
-    with np.errstate(divide='ignore', invalid='ignore'):
-        share = -ahead / (ray[:, :2] @ facade.normal)
-    hit = eye + share[:, None] * ray
-    along = (hit[:, :2] - facade.start) @ facade.along
-    depth = (1.0 - share) * np.hypot(ray[:, 0], ray[:, 1])
-    through = (ahead > 0.0) & (share > 0.0) & (depth > _BEHIND_M)
-    through &= (along > 0.0) & (along < facade.length_m)
-    through &= (hit[:, 2] > facade.low_m) & (hit[:, 2] < facade.high_m)
-    off = points.positions[through]
-    return _cells(off[:, :2] @ facade.along, off[:, 2]) > facade.cells
 
 
 def refit(members: SeenPoints, config: FacadesConfig) -> Facade:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.walls import paper_bgr
-from landmark_nav.learning.panorama import CylinderImage
+from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.types import FloatArray
 
 # Resolution of the search.

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.panorama import CylinderImage
+from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import hue_direction, PaperBlobs
 from landmark_nav.types import FloatArray, ImageArray
 

@@ -21,7 +21,7 @@ from scipy.special import chdtri
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper, Room, Wall
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt
-from landmark_nav.learning.panorama import CylinderImage
+from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutlines
 from landmark_nav.learning.reference_area.model import (
@@ -85,6 +85,17 @@ class PaperView:
 
     outlines: dict[str, PaperOutlines]
     eye_height_m: float
+
+    @classmethod
+    def of(cls, view: CylinderImage, room: Room, eye_height_m: float) -> PaperView:
+        """Measure the sheets in a panorama in the base frame; places of papers are not used."""
+        outlines = {}
+        for color, blobs in color_blobs(view, {paper.color for paper in room.papers}).items():
+            papers = [paper for paper in room.papers if paper.color == color]
+            if papers:
+                near = np.any([_may_be(blobs, p, room, eye_height_m) for p in papers], axis=0)
+                outlines[color] = outline_blobs(view, color, blobs.only(near))
+        return cls(outlines, eye_height_m)
 
 
 @dataclass(frozen=True)
@@ -159,9 +170,9 @@ class PaperRecord:
         return len(self._views)
 
     def add(self, view: CylinderImage, eye_height_m: float) -> None:
-        """Add a panorama in the base frame, see `view_papers`."""
+        """Add a panorama in the base frame, with the height of its optical centre."""
         if len(self._room.papers) >= LEAST_PAPERS:
-            self._views.append(view_papers(view, self._room, eye_height_m))
+            self._views.append(PaperView.of(view, self._room, eye_height_m))
             del self._views[:-_MOST_VIEWS]
 
     def clear(self) -> None:
@@ -175,30 +186,6 @@ class PaperRecord:
             return faults
         alone = paper_faults(self._views[-1:], self._room, self._config)
         return alone if alone.faults else faults
-
-
-def view_papers(view: CylinderImage, room: Room, eye_height_m: float) -> PaperView:
-    """
-    Measure the sheets of the papers' colours in the panorama of a sweep.
-
-    Parameters
-    ----------
-    view : CylinderImage
-        Cylinder image in the base frame.
-    room : Room
-        Room whose papers' colours are used, not their locations.
-    eye_height_m : float
-        Height of the optical centre, see `optical_height`.
-    """
-    colors = {paper.color for paper in room.papers}
-    found = color_blobs(view, colors)
-    outlines = {}
-    for color in colors:
-        blobs = found[color]
-        papers = [paper for paper in room.papers if paper.color == color]
-        near = np.any([_may_be(blobs, paper, room, eye_height_m) for paper in papers], axis=0)
-        outlines[color] = outline_blobs(view, color, blobs.only(near))
-    return PaperView(outlines, eye_height_m)
 
 
 def _may_be(

@@ -19,7 +19,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
-from landmark_nav.learning.panorama import CylinderImage
+from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
@@ -77,16 +77,9 @@ class SweepPlace:
     mount_information: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
 
 
-def locate_sweep(
-    sweep: Sweep,
-    view: CylinderImage,
-    room: Room,
-    mount: PanTiltMount,
-    config: ReferenceAreaConfig,
-    most_sigmas: float = WRONG_PRIOR,
-) -> SweepPlace:
+class PaperSearch:
     """
-    Measure the pose of a sweep from the reference papers.
+    Search for the pose at which all papers fit a sweep.
 
     Parameters
     ----------
@@ -96,22 +89,7 @@ def locate_sweep(
         Papers and walls in map.
     mount : PanTiltMount
         Pan axis in the base frame.
-    most_sigmas : float
-        Greatest errors of height and tilt of the camera, in sigmas.
-
-    Raises
-    ------
-    WrongMountError
-        Errors of height or tilt are larger.
-    LandmarkNavError
-        Fewer than three papers are in the room or in view, papers do not fit the room, or more
-        than one pose fits.
     """
-    return PaperSearch(sweep, view, room, mount, config).located(most_sigmas)
-
-
-class PaperSearch:
-    """Search for the pose at which all papers fit a sweep; arguments as for `locate_sweep`."""
 
     def __init__(
         self,
@@ -129,7 +107,13 @@ class PaperSearch:
         self._fitter = PaperFitter(sweep, room, mount, config)
 
     def located(self, most_sigmas: float = WRONG_PRIOR) -> SweepPlace:
-        """Pose of the sweep, see `locate_sweep`."""
+        """
+        Measure the pose of the sweep.
+
+        Raises `WrongMountError`: height or tilt of the camera are off by more than `most_sigmas`;
+        `LandmarkNavError`: fewer than three papers are in the room or in view, papers do not fit
+        the room, or more than one pose fits.
+        """
         config = self._config
         if len(self._room.papers) < LEAST_PAPERS:
             raise LandmarkNavError(

@@ -14,7 +14,7 @@ import numpy as np
 
 from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.se2 import rot_z
+from landmark_nav.geometry.se2 import cross, rot_z
 from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt, root_of
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
@@ -44,7 +44,8 @@ class RelativePoseConfig(Config):
     max_rival: float = 0.8
 
 
-# State of a sweep: x, y, heading of the base, height above the others, tilt about x and y.
+# State of a sweep: x, y of the pan axis, heading of the base, height of the viewpoint, tilt about
+# x and y.
 STATE = 6
 # Scale of the robust weight, in sigmas, in the first and the last step; number of steps.
 _TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH, _STEPS = 16.0, 2.0, 6
@@ -83,13 +84,13 @@ def turned(state: FloatArray, rays: FloatArray) -> FloatArray:
     return np.asarray(rays @ tilt.T @ rot_z(state[2]).T)
 
 
-def center(state: FloatArray, lever: FloatArray) -> FloatArray:
-    """Viewpoint (3,) of a sweep's state (6,); `lever` (3,) is the viewpoint in the base frame."""
-    return np.asarray(rot_z(state[2]) @ lever + [state[0], state[1], state[3]])
+def center(states: FloatArray) -> FloatArray:
+    """Viewpoints (..., 3) of states (..., 6) of sweeps."""
+    return np.asarray(states[..., [0, 1, 3]])
 
 
 def misses(
-    states: FloatArray, pairs: RayPairs, lever: FloatArray, sigma_rad: float
+    states: FloatArray, pairs: RayPairs, sigma_rad: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """
     Residuals of matches in sigmas (Sampson's approximation).
@@ -104,8 +105,7 @@ def misses(
     """
     state, other = states[pairs.one], states[pairs.other]
     w, v = turned(state, pairs.rays), turned(other, pairs.other_rays)
-    here, there = center(state, lever), center(other, lever)
-    way = there - here
+    way = center(other) - center(state)
     normal = np.cross(w, v)
     off = normal @ way
     by_w, by_v = np.cross(v, way), np.cross(way, w)
@@ -120,16 +120,13 @@ def misses(
     jacobian = np.empty((len(w), 2, STATE))
     for k, (at, by, ray, sign) in enumerate(((state, by_w, w, -1.0), (other, by_v, v, 1.0))):
         turn = np.cross(ray, by)
-        arm = rot_z(at[2]) @ lever
         jacobian[:, k, :2] = sign * normal[:, :2]
-        jacobian[:, k, 2] = turn[:, 2] + sign * (normal[:, 1] * arm[0] - normal[:, 0] * arm[1])
+        jacobian[:, k, 2] = turn[:, 2]
         jacobian[:, k, 3] = sign * normal[:, 2]
         jacobian[:, k, 4:] = (turn @ rot_z(at[2]))[:, :2]
     # In plan: whether the rays meet ahead of both.
-    parallax = w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]
-    ahead = way[0] * v[:, 1] - way[1] * v[:, 0]
-    ahead_there = way[0] * w[:, 1] - way[1] * w[:, 0]
-    before = (parallax * ahead > 0.0) & (parallax * ahead_there > 0.0)
+    parallax = cross(w, v)
+    before = (parallax * cross(way, v) > 0.0) & (parallax * cross(way, w) > 0.0)
     before &= np.abs(parallax) > _LEAST_PARALLAX
     return off * scale, jacobian * scale[:, None, None], before
 
@@ -141,7 +138,6 @@ def _across(rays: FloatArray) -> FloatArray:
 def fit_poses(
     start: FloatArray,
     pairs: Sequence[RayPairs],
-    lever: FloatArray,
     sigma_rad: float,
     prior: FloatArray,
     prior_covariance: FloatArray,
@@ -158,8 +154,6 @@ def fit_poses(
         Initial states.
     pairs : sequence of RayPairs
         Matches between views.
-    lever : ndarray, shape (3,)
-        Viewpoint in the base frame.
     sigma_rad : float
         Sigma of the direction of a ray.
     prior, prior_covariance : ndarray, shape (v, 6), (6 v, 6 v)
@@ -178,7 +172,7 @@ def fit_poses(
         return np.asarray(whiten @ off.ravel())
 
     for width in np.geomspace(_TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH, _STEPS):
-        found = [misses(states, p, lever, sigma_rad) for p in pairs]
+        found = [misses(states, p, sigma_rad) for p in pairs]
         weights = [
             np.where(before, 1.0, 1e-3) / (1.0 + (off / width) ** 2) for off, _, before in found
         ]
@@ -191,7 +185,7 @@ def fit_poses(
                 rows.append(off)
                 slopes.append(jacobian)
             for p, weight in zip(pairs, weights, strict=True):  # noqa: B023
-                off, jacobian, _ = misses(at, p, lever, sigma_rad)
+                off, jacobian, _ = misses(at, p, sigma_rad)
                 slope = np.zeros((len(off), views, STATE))
                 slope[:, p.one], slope[:, p.other] = jacobian[:, 0], jacobian[:, 1]
                 rows.append(weight * off)
@@ -202,6 +196,6 @@ def fit_poses(
         states = flat.reshape(views, STATE)
     agrees = []
     for p in pairs:
-        off, _, before = misses(states, p, lever, sigma_rad)
+        off, _, before = misses(states, p, sigma_rad)
         agrees.append(before & (np.abs(off) < _AGREES))
     return EpipolarFit(states, covariance_of(information), tuple(agrees))

@@ -93,12 +93,10 @@ def matches_along(
     other: int,
     states: FloatArray,
     features: Sequence[Features],
-    lever: FloatArray,
     config: RelativePoseConfig,
 ) -> RayPairs:
     """Match the features of two views near their epipolar curves."""
-    here, there = center(states[one], lever), center(states[other], lever)
-    way = there - here
+    way = center(states[other]) - center(states[one])
     w, v = (turned(states[k], features[k].rays).astype(np.float32) for k in (one, other))
     way32 = way.astype(np.float32)
     by_w, by_v = np.cross(v, way32), np.cross(way32, w)

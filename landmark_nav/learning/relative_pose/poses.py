@@ -18,7 +18,6 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.learning.relative_pose.epipolar import (
-    center,
     EpipolarFit,
     fit_poses,
     misses,
@@ -42,7 +41,7 @@ from landmark_nav.learning.relative_pose.two_views import (
     two_views_of,
     TwoViews,
 )
-from landmark_nav.learning.sheets.papers import SheetView
+from landmark_nav.learning.sheets import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
 # Number of nearest sweeps with which each is matched, if their places are known.
@@ -65,7 +64,7 @@ class RelativePoses:
     Parameters
     ----------
     states : ndarray, shape (v, 6)
-        x, y, heading of the base, height above the first (m), tilt about x and y of the base.
+        x, y of the pan axis, heading of the base, height of the viewpoint, tilt about x and y.
     covariance : ndarray, shape (3 v, 3 v)
         Covariance of x, y, heading by the sources of the scale alone, without the panoramas.
     pairs : tuple of RayPairs
@@ -105,9 +104,9 @@ def relative_poses(
     features : sequence of Features
         Features of the panorama of each sweep.
     known : sequence of PlaceChain
-        Poses of the base by each source; the first source defines the frame.
+        Poses of the pan axis by each source; the first source defines the frame.
     lever : ndarray, shape (3,)
-        Viewpoint in the base frame, m.
+        Viewpoint in the base frame, m: that of the first sweep in map, if no source gives it.
     sheets : sequence of sequence of SheetView
         Candidates for sheets of a known size, of each sweep.
     before : RelativePoses, optional
@@ -118,23 +117,23 @@ def relative_poses(
     else:
         start = before.states * np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
         pairs = [(p.one, p.other) for p in before.pairs]
-    fit, sources, pairs_along = _fitted(start, pairs, features, known, sheets, lever, config)
-    shares = tuple(source.share(fit.states, lever) for source in sources)
+    fit, sources, pairs_along = _fitted(start, pairs, features, known, sheets, config)
+    shares = tuple(source.share(fit.states) for source in sources)
     return RelativePoses(
         fit.states,
         _known_covariance(fit.states, sources, config),
         tuple(p.chosen(which) for p, which in zip(pairs_along, fit.agrees, strict=True)),
         shares,
         scale_sigma(shares),
-        _wave_sigma(fit.states, pairs_along, lever, config),
+        _wave_sigma(fit.states, pairs_along, config),
     )
 
 
 def _wave_sigma(
-    states: FloatArray, pairs: Sequence[RayPairs], lever: FloatArray, config: RelativePoseConfig
+    states: FloatArray, pairs: Sequence[RayPairs], config: RelativePoseConfig
 ) -> float:
     """Sigma of the residuals of matches beyond the noise of features."""
-    off = [misses(states, p, lever, config.direction_sigma_rad)[0] for p in pairs]
+    off = [misses(states, p, config.direction_sigma_rad)[0] for p in pairs]
     seen = _MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(off))))
     variance = (seen * config.direction_sigma_rad) ** 2 - config.feature_sigma_rad**2
     return float(np.sqrt(max(variance, 0.0)))
@@ -169,10 +168,12 @@ def _found(
                 doubtful[i, j] = ranked
     lengths = sheet_tracks(sheets, found, ROUGH)[1] if sheets else {}
     if known:
-        eyes = [_viewpoint(pose, lever) for pose in known[0].poses]
+        eyes = known[0].poses[:, :2]
         lengths = {(i, j): float(np.hypot(*(eyes[j] - eyes[i]))) for i, j in found}
-    first = known[0].poses[0] if known else np.zeros(3)
-    return _placed(count, found, doubtful, lengths, first, lever), sorted(found)
+    first = np.zeros(STATE)
+    first[:3] = known[0].poses[0] if known else [*lever[:2], 0.0]
+    first[3] = lever[2]
+    return _placed(count, found, doubtful, lengths, first), sorted(found)
 
 
 def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
@@ -190,11 +191,9 @@ def _placed(
     doubtful: Mapping[tuple[int, int], Sequence[TwoViews]],
     lengths: Mapping[tuple[int, int], float],
     first: FloatArray,
-    lever: FloatArray,
 ) -> FloatArray:
     """States (v, 6), chained along the pairs with most support; `lengths` are baselines."""
-    states = np.zeros((count, STATE))
-    states[0, :3] = first
+    states = np.tile(first, (count, 1))
     placed = {0}
     while len(placed) < count:
         ways = [e for e in found if (e[0] in placed) != (e[1] in placed)]
@@ -214,10 +213,9 @@ def _placed(
         heading = states[near, 2] + turn
         course = pose.direction_rad + (states[i, 2] if forward else heading)
         course += 0.0 if forward else np.pi
-        eye = center(states[near], lever)[:2]
-        eye = eye + lengths[i, j] * np.array([np.cos(course), np.sin(course)])
+        way = lengths[i, j] * np.array([np.cos(course), np.sin(course)])
+        states[new, :2] = states[near, :2] + way
         states[new, 2] = wrap_rad(heading)
-        states[new, :2] = eye - _viewpoint(np.array([0.0, 0.0, heading]), lever)
         rise = lengths[i, j] * pose.slope
         states[new, 3] = states[near, 3] + (rise if forward else -rise)
         lean = pose.tilt_rad if forward else -rotation(-turn) @ pose.tilt_rad
@@ -245,40 +243,35 @@ def _why_alone(
     )
 
 
-def _viewpoint(pose: FloatArray, lever: FloatArray) -> FloatArray:
-    return center(np.array([*pose, 0.0, 0.0, 0.0]), lever)[:2]
-
-
 def _fitted(
     start: FloatArray,
     matched: Sequence[tuple[int, int]],
     features: Sequence[Features],
     known: Sequence[PlaceChain],
     sheets: Sequence[Sequence[SheetView]],
-    lever: FloatArray,
     config: RelativePoseConfig,
 ) -> tuple[EpipolarFit, list[Source], list[RayPairs]]:
     """Fit to all matches and sources of the scale; return these too."""
     prior = np.zeros_like(start)
-    prior[0, :3] = start[0, :3]
+    prior[0, :3], prior[:, 3] = start[0, :3], start[0, 3]
     covariance, states = _prior_covariance(len(start), config), start
     places = [PlaceSource(chain) for chain in known]
     for number in range(_ROUNDS):
-        poses = {pair: two_views_of(states, *pair, lever) for pair in matched}
+        poses = {pair: two_views_of(states, *pair) for pair in matched}
         tracks = sheet_tracks(sheets, poses, FINE if number else ROUGH)[0] if sheets else []
-        sources: list[Source] = [*places, *SheetSource.of_kinds(tracks, lever)]
+        sources: list[Source] = [*places, *SheetSource.of_kinds(tracks)]
         if not sources:
             raise LandmarkNavError(
                 'nothing gives the scale: sheets that several sweeps show contradict their poses: '
                 'hang more sheets of the size given, or record odom'
             )
-        pairs = [matches_along(i, j, states, features, lever, config) for i, j in matched]
+        pairs = [matches_along(i, j, states, features, config) for i, j in matched]
         fit = fit_poses(
-            states, pairs, lever, config.direction_sigma_rad, prior, covariance, stacked(sources)
+            states, pairs, config.direction_sigma_rad, prior, covariance, stacked(sources)
         )
         states = fit.states
         for source in places:
-            source.inflate(states, lever)
+            source.inflate(states)
     return fit, sources, pairs
 
 

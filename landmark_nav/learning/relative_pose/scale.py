@@ -51,7 +51,7 @@ class ScaleShare:
 
 @dataclass(eq=False)
 class PlaceSource:
-    """Given poses of the base with their covariance."""
+    """Given poses of the pan axis with their covariance."""
 
     places: PlaceChain
     inflation: float = field(default=1.0, init=False)
@@ -75,12 +75,12 @@ class PlaceSource:
         jacobian[:, 1:, :3] = whiten.reshape(-1, count - 1, 3)
         return whiten @ off.ravel(), jacobian.reshape(-1, count * STATE)
 
-    def share(self, states: FloatArray, lever: FloatArray) -> ScaleShare:
+    def share(self, states: FloatArray) -> ScaleShare:
         """Scale by this source."""
-        scale, sigma = _scale_by(self.rows(states), states, lever)
+        scale, sigma = _scale_by(self.rows(states), states)
         return ScaleShare(self.name, scale, sigma, self.inflation)
 
-    def inflate(self, states: FloatArray, lever: FloatArray) -> None:
+    def inflate(self, states: FloatArray) -> None:
         """
         Inflate variances by the misfit, without that of the scale, if it is significant.
 
@@ -88,7 +88,7 @@ class PlaceSource:
         """
         self.inflation = 1.0
         rows = self.rows(states)
-        scale, sigma = _scale_by(rows, states, lever)
+        scale, sigma = _scale_by(rows, states)
         misfit = float(rows[0] @ rows[0]) - ((scale - 1.0) / sigma) ** 2
         freedom = len(rows[0]) - 1
         if misfit > chdtri(freedom, _CHANCE):
@@ -119,17 +119,16 @@ class SheetSource:
 
     name: str
     tracks: Sequence[SheetTrack]
-    lever: FloatArray
 
     @classmethod
-    def of_kinds(cls, tracks: Sequence[SheetTrack], lever: FloatArray) -> list[SheetSource]:
+    def of_kinds(cls, tracks: Sequence[SheetTrack]) -> list[SheetSource]:
         """One for each kind of sheets."""
         kinds = sorted({track.kind for track in tracks})
-        return [cls(kind, [t for t in tracks if t.kind == kind], lever) for kind in kinds]
+        return [cls(kind, [t for t in tracks if t.kind == kind]) for kind in kinds]
 
     def rows(self, states: FloatArray) -> Rows:
         """Rows as in `PlaceSource`; shared errors, each with a prior, are eliminated."""
-        found = [sheet_misses(states, track, self.lever) for track in self.tracks]
+        found = [sheet_misses(states, track) for track in self.tracks]
         off, jacobian, shared = (np.concatenate(part) for part in zip(*found, strict=True))
         count = shared.shape[1]
         basis, _ = np.linalg.qr(np.vstack([shared, np.eye(count)]))
@@ -138,21 +137,20 @@ class SheetSource:
         rows -= basis @ (basis.T @ rows)
         return rows[:, 0], rows[:, 1:]
 
-    def share(self, states: FloatArray, lever: FloatArray) -> ScaleShare:
+    def share(self, states: FloatArray) -> ScaleShare:
         """Scale by these sheets."""
-        scale, sigma = _scale_by(self.rows(states), states, lever)
+        scale, sigma = _scale_by(self.rows(states), states)
         return ScaleShare(self.name, scale, sigma, sheets=len(self.tracks))
 
 
 Source = PlaceSource | SheetSource
 
 
-def _scale_by(rows: Rows, states: FloatArray, lever: FloatArray) -> tuple[float, float]:
+def _scale_by(rows: Rows, states: FloatArray) -> tuple[float, float]:
     """Best factor on all baselines for some rows, for a fixed shape, and its sigma."""
     off, jacobian = rows
-    eyes = np.array([center(state, lever) for state in states])
     growth = np.zeros_like(states)
-    growth[:, [0, 1, 3]] = eyes - eyes[0]
+    growth[:, [0, 1, 3]] = center(states - states[0])
     slope = jacobian @ growth.ravel()
     information = float(slope @ slope)
     return 1.0 - float(slope @ off) / information, information**-0.5

@@ -17,7 +17,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.relative_pose.epipolar import center, STATE, turned
 from landmark_nav.learning.relative_pose.two_views import TwoViews
-from landmark_nav.learning.sheets.papers import SheetView
+from landmark_nav.learning.sheets import SheetView
 from landmark_nav.types import FloatArray
 
 # Sigma of relative poses before and after the fit, rad; times the range it is the residual between
@@ -201,7 +201,7 @@ def _groups(
 
 
 def sheet_misses(
-    states: FloatArray, track: SheetTrack, lever: FloatArray
+    states: FloatArray, track: SheetTrack
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
     How far the views of a sheet miss each other, in standard deviations.
@@ -212,8 +212,6 @@ def sheet_misses(
     ----------
     states : ndarray, shape (v, 6)
         Of the sweeps.
-    lever : ndarray, shape (3,)
-        Viewpoint in the base frame.
 
     Returns
     -------
@@ -233,11 +231,10 @@ def sheet_misses(
         weight[k] = np.linalg.inv(root)
         reach = turned(state, seen[None])[0]
         by_shared[k] = rotation @ track.shared[k]
-        off[k] = center(state, lever) + reach
-        arm = off[k] - [*state[:2], 0.0]
+        off[k] = center(state) + reach
         slope = jacobian[k, :, view]
         slope[0, 0] = slope[1, 1] = slope[2, 3] = 1.0
-        slope[:2, 2] = -arm[1], arm[0]
+        slope[:2, 2] = -reach[1], reach[0]
         slope[:, 4] = rotation @ [0.0, -seen[2], seen[1]]
         slope[:, 5] = rotation @ [seen[2], 0.0, -seen[0]]
     design = weight.reshape(3 * count, 3)

@@ -51,11 +51,11 @@ class TwoViews:
     support: int
 
 
-def two_views_of(states: FloatArray, one: int, other: int, lever: FloatArray) -> TwoViews:
-    """Relative pose of two of the states (v, 6) of sweeps; `lever` (3,) is as in `center`."""
+def two_views_of(states: FloatArray, one: int, other: int) -> TwoViews:
+    """Relative pose of two of the states (v, 6) of sweeps."""
     here, there = states[one], states[other]
     # In the frame of the first view, which leans: the inverse of a rotation is its transpose.
-    way = turned(here, np.eye(3)) @ (center(there, lever) - center(here, lever))
+    way = turned(here, np.eye(3)) @ (center(there) - center(here))
     heading = there[2] - here[2]
     tilt = there[4:] - rotation(-heading) @ here[4:]
     slope = float(way[2] / max(np.hypot(way[0], way[1]), _NOTHING_M))
@@ -121,12 +121,11 @@ def _refined(
     fit = fit_poses(
         prior,
         [RayPairs(0, 1, pairs.rays, pairs.other_rays)],
-        np.zeros(3),
         config.direction_sigma_rad,
         prior,
         np.diag(sigma**2),
     )
-    found = two_views_of(fit.states, 0, 1, np.zeros(3))
+    found = two_views_of(fit.states, 0, 1)
     return replace(
         found,
         heading_rad=float(wrap_rad(found.heading_rad)),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from landmark_nav.arrays import Float32Array, FloatArray
+from landmark_nav.arrays import FloatArray
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.own_plane import depths_of, is_off_wall, match_freely
 from landmark_nav.learning.stereo.wall_patch import (
@@ -49,7 +49,6 @@ class Found:
 def find_again(
     panoramas: Sequence[Panorama],
     candidates: Sequence[Sequence[Candidate]],
-    greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
     ties: Ties | None = None,
@@ -64,11 +63,11 @@ def find_again(
         features = None if ties is None else depths_of(ties.seen_by(i), panorama)
         for n, candidate in enumerate(candidates[i]):
             behind = hypothesize(candidate, i, panorama, room, config)
-            again = _on_wall(behind, panoramas, greys, room, config)
+            again = _on_wall(behind, panoramas, room, config)
             # A candidate across a corner of measured walls has no plane of its own.
             flat = ties is not None or isinstance(behind, WallPatch)
             if flat and (isinstance(again, Refusal) or is_off_wall(*again, panoramas, config)):
-                own = match_freely(candidate, i, panoramas, greys, config, features)
+                own = match_freely(candidate, i, panoramas, config, features)
                 again = again if isinstance(own, Refusal) else own
             if isinstance(again, Refusal):
                 found.outcomes[i].append(again)
@@ -88,7 +87,6 @@ def find_again(
 def _on_wall(
     patch: WallPatch | Refusal,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
 ) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
@@ -96,7 +94,7 @@ def _on_wall(
     if isinstance(patch, Refusal):
         return patch
     others = [j for j in range(len(panoramas)) if j != patch.source]
-    matches = [match_in(patch, j, panoramas, greys, room, config) for j in others]
+    matches = [match_in(patch, j, panoramas, room, config) for j in others]
     seen = [match for match in matches if isinstance(match, PatchMeasurement)]
     if not seen:
         return next(match for match in matches if isinstance(match, Refusal))

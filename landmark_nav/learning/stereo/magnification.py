@@ -8,6 +8,8 @@ in front of it differ by one factor in both directions.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -34,7 +36,6 @@ def log_nearer(
     patch: WallPatch,
     point: FloatArray,
     panoramas: tuple[Panorama, Panorama],
-    greys: tuple[Float32Array, Float32Array],
 ) -> tuple[float, float]:
     """
     Log ratio of the distances of two panoramas from the true plane of a patch.
@@ -45,8 +46,8 @@ def log_nearer(
         The patch in the first of `panoramas`.
     point : ndarray, shape (3,)
         Its match in the other, on the plane of the patch.
-    panoramas, greys : tuple
-        Both panoramas, and their grey images.
+    panoramas : tuple
+        Both panoramas.
 
     Returns
     -------
@@ -56,8 +57,8 @@ def log_nearer(
     """
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
     views = [
-        wall_texture(panorama, grey, place, patch.normal, shape, patch.texel_m)
-        for panorama, grey, place in zip(panoramas, greys, (patch.position, point), strict=True)
+        wall_texture(replace(patch, position=place, shape=shape), panorama)
+        for panorama, place in zip(panoramas, (patch.position, point), strict=True)
     ]
     if views[0] is None or views[1] is None:
         return 0.0, np.inf
@@ -69,7 +70,7 @@ def log_nearer(
     else:
         smaller, sigma = log_magnification(seen_view, own_view, coarser) or (0.0, np.inf)
         larger = -smaller
-    reach, reach_there = ((p.center_map - patch.position) @ patch.normal for p in panoramas)
+    reach, reach_there = (patch.reach_m(panorama) for panorama in panoramas)
     return larger + float(np.log(reach / reach_there)), sigma
 
 

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from landmark_nav.arrays import Float32Array
 from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
     PatchMeasurement,
@@ -58,7 +57,6 @@ def match_freely(
     candidate: Candidate,
     source: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     config: StereoConfig,
     depths: Depths | None = None,
 ) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
@@ -69,8 +67,8 @@ def match_freely(
     ----------
     source : int
         Number of the panorama that proposed it.
-    panoramas, greys : sequence
-        All panoramas, and their grey images.
+    panoramas : sequence of Panorama
+        All panoramas.
     config : StereoConfig
         What counts as the same patch.
     depths : tuple of ndarray, optional
@@ -89,12 +87,12 @@ def match_freely(
     best: tuple[float, WallPatch] | None = None
     refused = Refusal('found at no depth')
     for other in others:
-        at = known or _depth(candidate, source, other, panoramas, greys, strict)
+        at = known or _depth(candidate, source, other, panoramas, strict)
         if isinstance(at, Refusal):
             refused = at
             continue
         loose = replace(config, min_score=_TURNING_SHARE * config.min_score)
-        turned = _turned(candidate, source, other, at, panoramas, greys, loose)
+        turned = _turned(candidate, source, other, at, panoramas, loose)
         if turned is not None and (best is None or turned[0] > best[0]):
             best = turned
     if best is None:
@@ -102,7 +100,7 @@ def match_freely(
     patch = best[1]
     seen = []
     for other in others:
-        found = _near(patch, other, panoramas, greys, config)
+        found = _near(patch, other, panoramas, config)
         if isinstance(found, Refusal):
             refused = found
         else:
@@ -145,7 +143,7 @@ def is_off_wall(
             * reach
             / float(np.hypot(*(there.center_map - here.center_map)[:2]))
         )
-        off.append(abs(1.0 - distance / reach) * _normal_reach(patch, here) - slack)
+        off.append(abs(1.0 - distance / reach) * patch.reach_m(here) - slack)
     return min(off) > config.max_off_wall_m
 
 
@@ -187,15 +185,14 @@ def _depth(
     source: int,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> _Depth | Refusal:
     """Distance of a candidate, from a search along its epipolar curve in another panorama."""
     here, there = panoramas[source], panoramas[other]
     found: list[tuple[float, float]] = []
     for patch in _moved(candidate, source, here, there):
-        step = 0.5 * (1.0 / _STEP - 1.0) * _normal_reach(patch, here)
-        if _normal_reach(patch, there) < 2.0 * step:
+        step = 0.5 * (1.0 / _STEP - 1.0) * patch.reach_m(here)
+        if patch.reach_m(there) < 2.0 * step:
             continue
         wide = replace(
             config,
@@ -204,7 +201,7 @@ def _depth(
             # Its rotation is not known yet.
             max_displaced_px=100.0,
         )
-        seen = compare(patch, other, panoramas, greys, wide)
+        seen = compare(patch, other, panoramas, wide)
         if isinstance(seen, PatchMeasurement):
             distance = _distance(patch, seen, here, there, config)
             if distance is not None:
@@ -267,7 +264,6 @@ def _turned(
     other: int,
     at: _Depth,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> tuple[float, WallPatch] | None:
     """Score and patch with the distance and rotation of the best correlation."""
@@ -278,7 +274,7 @@ def _turned(
     for finer in (*_FINER, None):
         for turn in turns:
             patch = _patch(candidate, source, distance, turn, here, there)
-            found = patch and _near(patch, other, panoramas, greys, config, near_m)
+            found = patch and _near(patch, other, panoramas, config, near_m)
             if patch is None or not isinstance(found, PatchMeasurement):
                 continue
             exact = _distance(patch, found, here, there, config)
@@ -300,7 +296,6 @@ def _near(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     config: StereoConfig,
     near_m: float = _NEAR_M,
 ) -> PatchMeasurement | Refusal:
@@ -316,10 +311,10 @@ def _near(
         margin_m=_MARGIN_M,
         max_displaced_px=max(config.max_displaced_px, config.max_relief_px),
     )
-    found = compare(patch, other, panoramas, greys, close)
+    found = compare(patch, other, panoramas, close)
     if isinstance(found, Refusal):
         return found
-    ratio = _normal_reach(patch, here) / _normal_reach(patch, there)
+    ratio = patch.reach_m(here) / patch.reach_m(there)
     missed = abs(found.log_nearer - float(np.log(ratio)))
     if missed > _MAX_SIZE + _SIZE_SIGMAS * found.sigma_log_nearer:
         return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
@@ -343,9 +338,3 @@ def _distance(
         return None
     distance = float(np.hypot(*base) * np.sin(heading - toward) / parallax)
     return distance if _NEAREST_M / 2.0 < distance < 2.0 * _FARTHEST_M else None
-
-
-def _normal_reach(patch: WallPatch, panorama: Panorama) -> float:
-    """Distance of a panorama from the plane of a patch."""
-    reach: FloatArray = (panorama.center_map - patch.position) @ patch.normal
-    return float(reach)

@@ -75,6 +75,15 @@ class WallPatch:
     texel_m: float
     on_wall: bool = True
 
+    @property
+    def axes(self) -> FloatArray:
+        """Unit vectors (2, 3) to the right and down."""
+        return np.stack(patch_axes(self.normal))
+
+    def reach_m(self, panorama: Panorama) -> float:
+        """Distance of a panorama from the plane of the patch."""
+        return float((panorama.center_map - self.position) @ self.normal)
+
 
 @dataclass(frozen=True, eq=False)
 class PatchMeasurement:
@@ -121,42 +130,18 @@ def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:
     )
 
 
-def wall_texture(
-    panorama: Panorama,
-    grey: Float32Array,
-    position: FloatArray,
-    normal: FloatArray,
-    shape: tuple[int, int],
-    texel_m: float,
-) -> Float32Array | None:
-    """
-    Texture of a patch in a panorama.
-
-    Parameters
-    ----------
-    grey : ndarray, shape (height, width)
-        Grey image of the panorama, float32.
-    position, normal : ndarray, shape (3,)
-        Centre and normal of the patch in map.
-    shape : tuple of int
-        Rows and columns.
-    texel_m : float
-        Size of a texel, metres.
-
-    Returns
-    -------
-    ndarray of float32, shape `shape`, or None
-        None if the panorama does not cover the patch.
-    """
-    columns, rows = _pixels(panorama, position, normal, shape, texel_m)
-    if rows.min() < 1.0 or rows.max() > grey.shape[0] - 2.0:
+def wall_texture(patch: WallPatch, panorama: Panorama) -> Float32Array | None:
+    """Texture of a patch in a panorama; None if that does not cover it."""
+    columns, rows = _pixels(patch, panorama)
+    height, width = panorama.mask.shape
+    if rows.min() < 1.0 or rows.max() > height - 2.0:
         return None
     corners = np.rint(rows[[0, -1]][:, [0, -1]]).astype(int)
-    if not panorama.mask[corners, np.rint(columns[[0, -1]]).astype(int) % grey.shape[1]].all():
+    if not panorama.mask[corners, np.rint(columns[[0, -1]]).astype(int) % width].all():
         return None
     found = cv2.remap(
-        grey,
-        np.tile(columns.astype(np.float32), (shape[0], 1)),
+        panorama.grey,
+        np.tile(columns.astype(np.float32), (patch.shape[0], 1)),
         rows.astype(np.float32),
         cv2.INTER_CUBIC,
         borderMode=cv2.BORDER_WRAP,
@@ -164,19 +149,10 @@ def wall_texture(
     return np.asarray(found, dtype=np.float32)
 
 
-def covered_rows(
-    panorama: Panorama,
-    position: FloatArray,
-    normal: FloatArray,
-    shape: tuple[int, int],
-    texel_m: float,
-) -> slice:
-    """Rows of a patch that a panorama covers, possibly none; arguments as for `wall_texture`."""
-    some = [0, shape[1] // 2, -1]
-    columns, rows = (
-        np.rint(pixels[..., some]).astype(int)
-        for pixels in _pixels(panorama, position, normal, shape, texel_m)
-    )
+def covered_rows(patch: WallPatch, panorama: Panorama) -> slice:
+    """Rows of a patch that a panorama covers, possibly none."""
+    some = [0, patch.shape[1] // 2, -1]
+    columns, rows = (np.rint(pixels[..., some]).astype(int) for pixels in _pixels(patch, panorama))
     height, width = panorama.mask.shape
     seen = (rows >= 2) & (rows <= height - 3)
     covered = (seen & panorama.mask[np.clip(rows, 0, height - 1), columns % width]).all(1)
@@ -188,22 +164,16 @@ def covered_rows(
     return slice(int(first), int(last))
 
 
-def _pixels(
-    panorama: Panorama,
-    position: FloatArray,
-    normal: FloatArray,
-    shape: tuple[int, int],
-    texel_m: float,
-) -> tuple[FloatArray, FloatArray]:
+def _pixels(patch: WallPatch, panorama: Panorama) -> tuple[FloatArray, FloatArray]:
     """
     Pixels of a patch's texels in a panorama: columns (w,) and rows (h, w).
 
     Patch and cylinder are upright: a column of the patch lies in one column of the panorama.
     """
     cylinder = panorama.cylinder
-    right, down = patch_axes(normal)
-    offset = position - panorama.center_map
-    across, below = ((np.arange(n) - (n - 1) / 2.0) * texel_m for n in shape[::-1])
+    right, down = patch.axes
+    offset = patch.position - panorama.center_map
+    across, below = ((np.arange(n) - (n - 1) / 2.0) * patch.texel_m for n in patch.shape[::-1])
     ray = offset[:2] + across[:, None] * right[:2]
     azimuth = np.arctan2(ray[:, 1], ray[:, 0]) - panorama.heading_rad
     tangent = (offset[2] + below * down[2])[:, None] / np.hypot(ray[:, 0], ray[:, 1])

@@ -127,7 +127,6 @@ def match_in(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     room: Room,
     config: StereoConfig,
 ) -> PatchMeasurement | Refusal:
@@ -157,14 +156,13 @@ def match_in(
     approach = max(reach, reach_there) / min(reach, reach_there)
     if parallax < config.min_parallax_rad and approach < config.min_approach:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
-    return compare(patch, other, panoramas, greys, config)
+    return compare(patch, other, panoramas, config)
 
 
 def compare(
     patch: WallPatch,
     other: int,
     panoramas: Sequence[Panorama],
-    greys: Sequence[Float32Array],
     config: StereoConfig,
 ) -> PatchMeasurement | Refusal:
     """
@@ -173,25 +171,23 @@ def compare(
     The search extends in front of the plane and behind it as `config` says.
     """
     here, there = panoramas[patch.source], panoramas[other]
-    grey, grey_there = greys[patch.source], greys[other]
-    center, shape = _search_area(patch, here, there, config)
-    plane = patch.normal, patch.shape, patch.texel_m
-    template = wall_texture(here, grey, patch.position, *plane)
+    area = _search_area(patch, here, there, config)
+    template = wall_texture(patch, here)
     if template is None:
         return _UNCOVERED
     # The sharper view is blurred to the resolution of the other, which improves the correlation.
     own, seen = (texels_per_pixel(patch, p) for p in (here, there))
     template = blur_to(template, seen, own)
-    ahead = _located(patch, template, there, grey_there, center, shape, (own, seen), config)
+    ahead = _located(area, template, there, (own, seen), config)
     if isinstance(ahead, Refusal):
         return ahead
     match, point = ahead
-    found = wall_texture(there, grey_there, point, *plane)
+    found = wall_texture(replace(patch, position=point), there)
     if found is None:
         return _UNCOVERED
     found = blur_to(found, own, seen)
     loose = replace(config, min_score=_RETURN_SCORE * config.min_score)
-    back = _located(patch, found, here, grey, patch.position, shape, (seen, own), loose)
+    back = _located(replace(patch, shape=area.shape), found, here, (seen, own), loose)
     if isinstance(back, Refusal):
         return Refusal('no way back', str(back))
     # In pixels of the coarser view.
@@ -215,7 +211,7 @@ def compare(
         sigma = np.hypot(sigma, relief)
     nearer = 0.0, np.inf
     if not patch.candidate.edge:
-        nearer = log_nearer(patch, point, (here, there), (grey, grey_there))
+        nearer = log_nearer(patch, point, (here, there))
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -228,24 +224,21 @@ def compare(
 
 
 def _located(
-    patch: WallPatch,
+    area: WallPatch,
     template: Float32Array,
     panorama: Panorama,
-    grey: Float32Array,
-    center: FloatArray,
-    shape: tuple[int, int],
     blur: tuple[FloatArray, FloatArray],
     config: StereoConfig,
 ) -> tuple[Match, FloatArray] | Refusal:
-    """Match of a template in a window about `center` on the patch's plane, and its point (3,)."""
-    rows = covered_rows(panorama, center, patch.normal, shape, patch.texel_m)
+    """Match of a template in an area of the patch's plane, and its point (3,)."""
+    rows = covered_rows(area, panorama)
     count = rows.stop - rows.start
-    if count < patch.shape[0] + 4:
+    if count < template.shape[0] + 4:
         return _UNCOVERED
-    right, down = patch_axes(patch.normal)
-    center = center + (rows.start + 0.5 * (count - shape[0])) * patch.texel_m * down
-    size = (count, shape[1])
-    search = wall_texture(panorama, grey, center, patch.normal, size, patch.texel_m)
+    below = (rows.start + 0.5 * (count - area.shape[0])) * area.texel_m
+    center = area.position + below * area.axes[1]
+    area = replace(area, position=center, shape=(count, area.shape[1]))
+    search = wall_texture(area, panorama)
     if search is None:
         return _UNCOVERED
     match = match_template(
@@ -253,22 +246,21 @@ def _located(
         template,
         min_score=config.min_score,
         max_second_ratio=config.max_second_ratio,
-        edge=patch.candidate.edge,
+        edge=area.candidate.edge,
     )
     if isinstance(match, Refusal):
         return match
-    across, below = (match.xy - (np.array(size[::-1]) - 1) / 2.0) * patch.texel_m
-    return match, center + across * right + below * down
+    off = (match.xy - (np.array(area.shape[::-1]) - 1) / 2.0) * area.texel_m
+    return match, center + off @ area.axes
 
 
 def _search_area(
     patch: WallPatch, here: Panorama, there: Panorama, config: StereoConfig
-) -> tuple[FloatArray, tuple[int, int]]:
-    """Centre (3,) and rows, columns of the window on the wall where `there` may show the patch."""
+) -> WallPatch:
+    """Area of the patch's plane where `there` may show it."""
     # Depth along the source's ray moves the match along a line on the wall.
     to_here = here.center_map - patch.position
-    reach = float(to_here @ patch.normal)
-    reach_there = float((there.center_map - patch.position) @ patch.normal)
+    reach, reach_there = patch.reach_m(here), patch.reach_m(there)
     # At most half way to either camera: near a camera the line on the wall becomes infinite.
     before = min(config.before_wall_m, 0.5 * reach, 0.5 * reach_there)
     shifts = [
@@ -279,12 +271,11 @@ def _search_area(
     margin = np.clip(uncertain, config.margin_m, _LARGEST_MARGIN_M) / patch.texel_m + 3.0
     low = np.floor(np.min(shifts, 0) / patch.texel_m - margin).astype(int)
     high = np.ceil(np.max(shifts, 0) / patch.texel_m + margin).astype(int)
-    right, down = patch_axes(patch.normal)
-    across, below = (low + high) / 2.0 * patch.texel_m
     columns, rows = (high - low).tolist()
-    return (
-        patch.position + across * right + below * down,
-        (patch.shape[0] + rows, patch.shape[1] + columns),
+    return replace(
+        patch,
+        position=patch.position + (low + high) / 2.0 * patch.texel_m @ patch.axes,
+        shape=(patch.shape[0] + rows, patch.shape[1] + columns),
     )
 
 
@@ -294,7 +285,7 @@ def _sigma_on_wall(patch: WallPatch, panorama: Panorama) -> FloatArray:
     # Shift by x, y, z and heading, projected back onto the wall along the ray.
     moved = np.vstack([np.eye(3), [-ray[1], ray[0], 0.0]])
     moved -= np.outer(moved @ patch.normal / (ray @ patch.normal), ray)
-    by_place = np.stack(patch_axes(patch.normal)) @ moved.T
+    by_place = patch.axes @ moved.T
     return np.asarray(np.sqrt(np.diag(by_place @ panorama.covariance @ by_place.T)))
 
 
@@ -302,6 +293,4 @@ def _on_wall(patch: WallPatch, point: FloatArray, center: FloatArray) -> FloatAr
     """Projection of a point onto the wall from `center`, right and down, m."""
     ray = point - center
     scale = ((patch.position - center) @ patch.normal) / float(ray @ patch.normal)
-    shift = center + scale * ray - patch.position
-    right, down = patch_axes(patch.normal)
-    return np.array([shift @ right, shift @ down])
+    return np.asarray(patch.axes @ (center + scale * ray - patch.position))
