@@ -102,7 +102,6 @@ DRIVING: dict[str, dict[str, Any]] = {
         f'{_FIND}triplet.visibility:TripletConfig.min_sampling': 0.01,
         f'{_FIND}triplet.visibility:TripletConfig.max_sampling': 100.0,
     },
-    'walls that hide': {f'{_FIND}triplet.visibility:_room': lambda walls: _Open()},
     'jitter of odometry': {f'{_FIND}odometry.track:_SIGNIFICANT': BEST},
     'a given start is doubted': {f'{_FIND}fusion:_GIVEN_RIGHT': BEST},
     'unlikely mounts': {f'{_FIND}fusion:_MAY_STEP': {}},
@@ -118,13 +117,6 @@ SEARCHING: dict[str, dict[str, Any]] = {
     'roll of the camera': {f'{_FIND}relocalization.verification:_LEAST_SURE': BEST},
     'within a wide prior': {f'{_FIND}observer:is_prior_uncertain': lambda covariance: False},
 }
-
-
-class _Open:
-    """A room whose walls hide nothing."""
-
-    def visible(self, viewer: Any, points: Any) -> Any:
-        return np.ones(len(points), dtype=bool)
 
 
 def put(target: str, value: Any) -> None:

@@ -74,11 +74,13 @@ def learned():
 
 
 def test_a_room_with_nothing_but_edges_is_learned(learned):
-    assert len(learned.landmarks) > 12
     assert all(landmark.edge for landmark in learned.landmarks)
     assert not learned.distinct.landmarks
     off = learned.positions[:, None, :2] - edges_xy()
-    nearest = off[range(len(off)), np.argmin(np.hypot(*np.moveaxis(off, 2, 0)), axis=1)]
+    edge = np.argmin(np.hypot(*np.moveaxis(off, 2, 0)), axis=1)
+    nearest = off[range(len(off)), edge]
+    # Parts of one edge share their error: it is one landmark.
+    assert len(set(edge)) == len(edge) > 8
     assert np.hypot(*nearest.T).max() < 0.2
     # A patch is centred near its edge only, but it is on the wall.
     assert np.abs(np.sum(nearest * learned.normals[:, :2], axis=1)).max() < 0.02
@@ -86,7 +88,7 @@ def test_a_room_with_nothing_but_edges_is_learned(learned):
 
 def test_bearings_of_edges_are_as_good_as_stated(learned):
     scene, squares = bare_room(), []
-    for seed, pan in enumerate((0.05, 0.9, -0.8, 2.2)):
+    for seed, pan in enumerate((0.05, 0.5, 0.9, -0.4, -0.8, 1.6, 2.2, -2.2)):
         frame = draw_frame(scene, LENS, MOUNT, HERE, pan, rng=np.random.default_rng(seed))
         prior = PoseEstimate(frame.stamp_ns, HERE + np.array([0.01, -0.01, 0.004]), PRIOR)
         every = np.arange(len(learned.landmarks))

@@ -76,6 +76,7 @@ CALIBRATED = (
     'axis_roll',
     'axis_pitch',
 )
+_FORWARD, _LEFT = CALIBRATED.index('center_x'), CALIBRATED.index('center_y')
 # Share of the tilt of sweeps that all of them have in common; the rest is that of the mount.
 _COMMON_TILT = 0.1
 # Highest number of waves per turn of errors of azimuths: lenses, bearings, seams.
@@ -211,6 +212,10 @@ class Problem:
         # Patterns of the covariance: common to all walls, of each wall, of each section.
         self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
         self._mounted, known, self._calibration, self._made_with = _calibration(panoramas)
+        # Panoramas were made for an eccentric camera that sees the walls of the room, not patches.
+        views = poses[self.view]
+        wall_range, _ = room.raycast(views[:, :2], self._seen[:, 0] + views[:, 3])
+        self._per_wall_range = 1.0 / wall_range
         # Warp of each panorama: its tilt, and waves of its azimuths.
         wave = config.wave_sigma_rad / np.sqrt(_WAVES)
         sigma = np.array([config.tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
@@ -265,8 +270,12 @@ class Problem:
         if len(self._calibration):
             by_errors = self._by_errors(reach)
             by_shared[..., self.calibration_part] = by_errors
-            error = shared[self.calibration_part] - self._made_with[self.view]
-            seen -= np.einsum('kic,kc->ki', by_errors, error)
+            made = self._made_with[self.view]
+            seen -= np.einsum('kic,kc->ki', by_errors, shared[self.calibration_part] - made)
+            nearer = 1.0 / reach - self._per_wall_range
+            # The same derivatives as by an error of the offset, for what the walls left of it.
+            seen[:, 0] += made[:, _LEFT] * nearer
+            seen[:, 1] -= made[:, _FORWARD] * self._seen[:, 1] * nearer
         return Linearized(
             seen, self._hangs @ shared[self._walls] - self.off_wall(points), by_point, by_shared
         )

@@ -382,7 +382,7 @@ class JointFilter:
         if not (looser > 1.0).any():
             return state
         columns, out = update.columns[new], update.weight[new] <= OUTLIER
-        state = self._only(state, ~np.isin(state.landmarks, columns[out]))
+        state = state.only(~np.isin(state.landmarks, columns[out]))
         columns, wider = columns[~out], looser[~out] - 1.0
         slots = np.flatnonzero(columns[:, None] == state.landmarks) % max(len(state.landmarks), 1)
         places = self._fixed + 3 * slots[:, None] + np.arange(3)
@@ -390,20 +390,6 @@ class JointFilter:
         own = wider[:, None, None] * self._errors.own[columns]
         covariance[places[:, :, None], places[:, None]] += own
         return replace(state, covariance=covariance)
-
-    def _only(self, state: State, kept: npt.NDArray[np.bool_]) -> State:
-        """Return the state with own errors of some of its landmarks."""
-        if kept.all():
-            return state
-        own = self._fixed + 3 * np.flatnonzero(kept)[:, None] + [0, 1, 2]
-        rows = np.concatenate([np.arange(self._fixed), own.ravel()])
-        return replace(
-            state,
-            mean=state.mean[rows],
-            covariance=state.covariance[np.ix_(rows, rows)],
-            landmarks=state.landmarks[kept],
-            unseen_m=state.unseen_m[kept],
-        )
 
     def _corrected(
         self, state: State, seen: ImagePoints, new: npt.NDArray[np.bool_]
@@ -458,7 +444,7 @@ class JointFilter:
             # Remove those that were not seen for the longest way.
             others = np.flatnonzero(kept & ~present)
             kept[others[np.argsort(-state.unseen_m[others], kind='stable')[:excess]]] = False
-        state = self._only(replace(state, unseen_m=np.where(present, 0.0, state.unseen_m)), kept)
+        state = replace(state, unseen_m=np.where(present, 0.0, state.unseen_m)).only(kept)
         if not len(new):
             return state
         old, size = len(state.mean), len(state.mean) + 3 * len(new)

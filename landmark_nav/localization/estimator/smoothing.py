@@ -66,7 +66,9 @@ def smoothed_poses(
         moved = joint.snapshot
         joint.observe(seen)
         kept = joint.kept(moved.way_m) if joint.predicted.way_m < moved.way_m else 1.0
-        steps.append(_Step(after, joint.predicted, moved.carried, kept))
+        # What is not in the state after the image was an outlier.
+        left = np.isin(joint.predicted.landmarks, joint.snapshot.landmarks)
+        steps.append(_Step(after, joint.predicted.only(left), moved.carried, kept))
         joint.mark()
     state = joint.snapshot
     mean, covariance = state.mean, state.covariance

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints, STATES
@@ -57,6 +58,21 @@ class State:
     seconds: float = 0.0
     # Derivative of pose, lean and odometry by those after the last image.
     carried: FloatArray = field(default_factory=lambda: np.eye(CALIBRATION))
+
+    def only(self, kept: npt.NDArray[np.bool_]) -> State:
+        """Return the state with own errors of some of its landmarks, `kept` (n,)."""
+        if kept.all():
+            return self
+        fixed = len(self.mean) - 3 * len(kept)
+        own = fixed + 3 * np.flatnonzero(kept)[:, None] + [0, 1, 2]
+        rows = np.concatenate([np.arange(fixed), own.ravel()])
+        return replace(
+            self,
+            mean=self.mean[rows],
+            covariance=self.covariance[np.ix_(rows, rows)],
+            landmarks=self.landmarks[kept],
+            unseen_m=self.unseen_m[kept],
+        )
 
 
 class Update(NamedTuple):
