@@ -342,10 +342,11 @@ class JointFilter:
                     continue
                 stepped = self._stepped(prior, step)
                 freed, alternative = self._corrected(stepped, seen, new)
-                agree = int(np.sum(alternative.weight > _INLIER))
-                # A knock is no slip: many sigmas of it cost less than the prior of a knock.
-                unlike = alternative.surprising and not step.calibration
-                if agree >= _WITNESSES and not unlike:
+                agree = alternative.weight > _INLIER
+                # A knock is no slip: many sigmas of it cost less than the prior of a knock. Nor is
+                # it an object that was moved since learning, on which no landmark was seen before.
+                unlike = not (agree & ~new).any() if step.calibration else alternative.surprising
+                if agree.sum() >= _WITNESSES and not unlike:
                     evidence = max(
                         cause.log_odds
                         + self._corrected(self._stepped(prior, cause), seen, new)[1].log_evidence
