@@ -121,7 +121,9 @@ class Drive:
     @classmethod
     def of(cls, given: argparse.Namespace) -> Drive:
         """Drive of the arguments of `drive_parser`."""
-        return cls(given.drive, load_map(given.map), load_calibration(given.robot), given.start)
+        landmarks = load_map(given.map)
+        known = landmarks.calibration_from(load_calibration(given.robot))
+        return cls(given.drive, landmarks, known, given.start)
 
     def events(self) -> list[SensorEvent]:
         """Return what was sensed."""
