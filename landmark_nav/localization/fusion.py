@@ -60,7 +60,7 @@ _MAY_STEP = {
     'focal_scale': 0.1,
     'joint_delay': DELAY_BOUND_S,
 }
-# Log odds above which a pose is certainly right.
+# Log odds above which an OK pose is certainly right: what was estimated by then is kept.
 _TRUSTED = 4.0
 # Prior log odds that a given start is right: one in a hundred is another place.
 _GIVEN_RIGHT = log(99.0)
@@ -205,7 +205,7 @@ class Fusion:
         if self._update is not None:
             self._weigh_start(line, seen, self._update)
         self._unlikely = self.calibration.contradictions(self._may_be)
-        sure = self._integrity.log_ratio >= _TRUSTED and not self._unlikely
+        sure = self._integrity.log_ratio >= _TRUSTED and self.status_at()[0] is Status.OK
         if sure and self._anywhere is None:
             self._trusted = line.filter.snapshot
         if self._update is not None and self._update.stepped:
