@@ -157,6 +157,24 @@ def test_a_robot_that_stands_does_not_learn_its_pan_zero():
     assert run.nees.max() < 16.0
 
 
+@pytest.mark.parametrize('seed', [0, 2, 3])
+def test_noise_is_learned_where_a_robot_stands_and_a_landmark_moves(seed):
+    drive, rng = simulated(seed, TAPE, seconds=8.0), np.random.default_rng(seed)
+    drive.start = replace(drive.start, pose=drive.poses[0])
+    seen = next(event for event in drive.events if isinstance(event, ImagePoints) and len(event))
+    still, drive.events, drive.poses = Motion(np.zeros(3), 0.1), [], drive.poses[:1] * 400
+    for k in range(400):
+        off = 0.01 * rng.normal(size=(len(seen), 2)) * (k % 60 >= 40)
+        drive.events += [still, replace(seen, points=seen.points + off)]
+    run = driven(drive)
+    snapshot = run.filter.snapshot
+    # Noise causes no more of the covariance than there is.
+    left = snapshot.covariance[:STATES, :STATES] - snapshot.by_noise.sum(axis=0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(snapshot.covariance)[:STATES], 1e-20))
+    assert np.linalg.eigvalsh(scale[:, None] * left * scale)[0] > -1e-6
+    assert np.linalg.eigvalsh(snapshot.scales.covariance)[0] > 0.0
+
+
 @pytest.mark.parametrize('share', [0.15, 0.3])
 def test_outliers_cost_little(share):
     clean, degraded = (

@@ -25,7 +25,13 @@ from landmark_nav.localization.estimator.factors import (
 )
 from landmark_nav.localization.estimator.noise import DETECTION, learned
 from landmark_nav.localization.estimator.recognition import found_log_ratios
-from landmark_nav.localization.estimator.state import MapErrors, OUTLIER, State, Update
+from landmark_nav.localization.estimator.state import (
+    information_of,
+    MapErrors,
+    OUTLIER,
+    State,
+    Update,
+)
 from landmark_nav.types import FloatArray
 
 # Iterations of an update, and the change of the pose, m and rad, that ends them: its nonlinearity
@@ -156,8 +162,10 @@ def corrected(
     np.subtract(state.covariance, corrected, out=corrected)
     symmetric = corrected + corrected.T
     symmetric *= 0.5
-    # Parts of the covariance by each noise.
-    acted, by_acted = jacobian[:, :STATES], gain[:STATES]
+    # Parts of the covariance by each noise. Errors of landmarks and map are taken as their
+    # regression on the state and a rest, so that no more is by noise than there is.
+    by_acted = gain[:STATES]
+    acted = with_state[:STATES].T @ information_of(state.covariance[:STATES, :STATES])
     of_noise = acted @ state.by_noise @ acted.T
     detected = _with_blocks(np.zeros_like(spread), noise * looser[:, None, None])
     of_noise[DETECTION] += detected

@@ -14,18 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import pinvh
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter
-from landmark_nav.localization.estimator.state import State
+from landmark_nav.localization.estimator.state import information_of, State
 from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, PoseEstimate
-
-# Eigenvalues of a correlation matrix below this are rounding.
-_ROUNDING = 1e-12
 
 
 class _Step(NamedTuple):
@@ -94,11 +90,7 @@ def _backward(
     here, there = np.nonzero(after.landmarks[:, None] == predicted.landmarks)
     for k in range(3):
         together[:, fixed + 3 * there + k] = step.kept * before[:, fixed + 3 * here + k]
-    # In units of sigmas; exact states do not change.
-    sigmas = np.sqrt(np.diag(predicted.covariance))
-    scale = np.where(sigmas > 0.0, 1.0 / np.maximum(sigmas, 1e-300), 0.0)
-    alike = pinvh(scale[:, None] * predicted.covariance * scale, rtol=_ROUNDING)
-    gain = (together * scale) @ (alike * scale)
+    gain = together @ information_of(predicted.covariance)
     off = mean - predicted.mean
     off[2] = wrap_rad(off[2])
     smoothed = after.mean + gain @ off

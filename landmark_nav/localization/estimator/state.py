@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import pinvh
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints, STATES
@@ -15,6 +16,17 @@ from landmark_nav.types import FloatArray, LandmarkMap
 
 # Detections of less weight are outliers.
 OUTLIER = 0.1
+# Eigenvalues of a correlation matrix below this are rounding.
+_ROUNDING = 1e-12
+
+
+def information_of(covariance: FloatArray) -> FloatArray:
+    """Inverse (n, n) of a covariance; 0 for what is exact."""
+    # In units of sigmas.
+    sigmas = np.sqrt(np.diag(covariance))
+    scale = np.where(sigmas > 0.0, 1.0 / np.maximum(sigmas, 1e-300), 0.0)
+    alike = pinvh(scale[:, None] * covariance * scale, rtol=_ROUNDING)
+    return np.asarray(scale[:, None] * alike * scale)
 
 
 class MapErrors(NamedTuple):
