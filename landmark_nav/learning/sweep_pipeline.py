@@ -32,6 +32,7 @@ from landmark_nav.learning.calibration.combined import (
 )
 from landmark_nav.learning.calibration.sweep_calibration import (
     calibrate_sweep,
+    FAR_M,
     moved_px,
     SweepCalibration,
 )
@@ -108,8 +109,6 @@ def _turned(angle_rad: float) -> str:
 
 _LOG = logging.getLogger(__name__)
 
-# Greatest distance of a wall; parallax is negligible beyond it.
-_FAR_M = 50.0
 # Greatest sigmas of a given pose: x, y (m) and heading (rad).
 _MOST_SIGMA = np.array([1.0, 1.0, 0.3])
 # Least relative error of the focal length that is reported.
@@ -404,7 +403,7 @@ def _range_of_azimuth(
 ) -> Callable[[FloatArray], FloatArray]:
     """Return a function for the distance of walls at azimuths in the base frame."""
     axis, heading = _axis(place, found.mount), place.pose_map_base[2]
-    return lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], _FAR_M)
+    return lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], FAR_M)
 
 
 def _range_of_ray(
@@ -419,7 +418,7 @@ def _range_of_ray(
         above = heights[hit] - axis[2]
         with np.errstate(divide='ignore'):
             level = np.where(tangent > 0.0, above, -axis[2]) / tangent
-        return np.asarray(np.clip(np.minimum(walls, level), 0.2, _FAR_M))
+        return np.asarray(np.clip(np.minimum(walls, level), 0.2, FAR_M))
 
     return range_m
 

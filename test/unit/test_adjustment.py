@@ -27,6 +27,7 @@ from scipy.optimize import least_squares
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.adjustment.problem import (
@@ -141,6 +142,51 @@ def test_the_solution_is_that_of_least_squares():
     best = least_squares(residuals, start, method='lm', xtol=1e-12, ftol=1e-12, x_scale='jac')
     position = best.x[: 3 * count].reshape(-1, 3)
     np.testing.assert_allclose(position, found.positions, atol=3e-6)
+
+
+def test_an_eccentric_camera_is_modelled_as_its_panorama_was_made():
+    rng, offset = np.random.default_rng(3), np.array([0.02, 0.04])
+    # As far from the walls as furniture is.
+    world = world_of(rng, 24)
+    world = replace(world, points=world.points + 0.8 * ROOM.normals[world.walls])
+    measurements = []
+    for point, group in zip(world.points, measurements_of(world, None), strict=True):
+        measurements.append([])
+        for s in group:
+            pose = world.poses[s.panorama]
+            turn = se2.rotation(s.azimuth_rad + pose[3])
+            ahead, up = turn.T @ (point - pose[:3])[:2], point[2] - pose[2]
+            # The ray from the camera, panned to the point, to where the panorama has the wall.
+            wall_m = ROOM.raycast(pose[:2], s.azimuth_rad + pose[3])[0]
+            share = (wall_m - offset[0]) / (ahead[0] - offset[0])
+            x, y = offset + share * (ahead - offset)
+            azimuth = s.azimuth_rad + np.arctan2(y, x)
+            measurements[-1].append(
+                replace(s, azimuth_rad=azimuth, tangent=share * up / np.hypot(x, y))
+            )
+    mount = Calibration.of_mount(PanTiltMount(optical_center_offset=(*offset, 0.0)))
+    views = [
+        replace(p, calibration=mount, made_with=mount.values) for p in panoramas_at(world.poses)
+    ]
+    stretch = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    normals = np.zeros((24, 3))
+    problem = Problem(
+        measurements, world.walls, stretch, views, places_of(views), ROOM, normals,
+        world.points, CONFIG,
+    )  # fmt: skip
+    at = problem.linearize(world.points, problem.prior)
+    assert np.abs(at.seen).max() < 1e-3
+    step = 1e-6
+    for k, change in enumerate(step * np.eye(3)):
+        up, down = (
+            problem.linearize(world.points + s * change, problem.prior).seen for s in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(at.by_point[..., k], (down - up) / (2.0 * step), atol=1e-8)
+    for k, change in enumerate(step * np.eye(len(problem.prior))):
+        up, down = (
+            problem.linearize(world.points, problem.prior + s * change).seen for s in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(at.by_shared[..., k], (down - up) / (2.0 * step), atol=1e-8)
 
 
 def test_a_calibration_that_is_off_is_found_and_errs_as_it_states():

@@ -21,6 +21,7 @@ from landmark_nav.calibration import NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration.combined import lean_axes
+from landmark_nav.learning.calibration.sweep_calibration import FAR_M
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.parameters import Config
@@ -76,7 +77,7 @@ CALIBRATED = (
     'axis_roll',
     'axis_pitch',
 )
-_FORWARD, _LEFT = CALIBRATED.index('center_x'), CALIBRATED.index('center_y')
+_OFFSET = slice(CALIBRATED.index('center_x'), CALIBRATED.index('center_y') + 1)
 # Share of the tilt of sweeps that all of them have in common; the rest is that of the mount.
 _COMMON_TILT = 0.1
 # Highest number of waves per turn of errors of azimuths: lenses, bearings, seams.
@@ -211,11 +212,13 @@ class Problem:
         alone = plane * (given == 0.0)
         # Patterns of the covariance: common to all walls, of each wall, of each section.
         self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
-        self._mounted, known, self._calibration, self._made_with = _calibration(panoramas)
-        # Panoramas were made for an eccentric camera that sees the walls of the room, not patches.
-        views = poses[self.view]
-        wall_range, _ = room.raycast(views[:, :2], self._seen[:, 0] + views[:, 3])
-        self._per_wall_range = 1.0 / wall_range
+        self._mounted, known, self._calibration, made_with = _calibration(panoramas)
+        if len(known):
+            # Corrections of panoramas are for an eccentric camera that sees the walls of the room.
+            views = poses[self.view]
+            walls, _ = room.raycast(views[:, :2], self._seen[:, 0] + views[:, 3])
+            by_errors = self._by_errors(np.minimum(walls, FAR_M))
+            self._corrected = np.einsum('kic,kc->ki', by_errors, made_with[self.view])
         # Warp of each panorama: its tilt, and waves of its azimuths.
         wave = config.wave_sigma_rad / np.sqrt(_WAVES)
         sigma = np.array([config.tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
@@ -257,6 +260,12 @@ class Problem:
         by_point[:, 1, :2] = -(d[:, 2] / reach**3)[:, None] * d[:, :2]
         by_point[:, 1, 2] = 1.0 / reach
         by_shared = np.zeros((len(d), 2, len(shared)))
+        if len(self._calibration):
+            errors, by_errors = shared[self.calibration_part], self._by_errors(reach)
+            by_shared[..., self.calibration_part] = by_errors
+            seen += self._corrected - by_errors @ errors
+            by_offset = by_errors[..., _OFFSET] @ errors[_OFFSET]
+            by_point[..., :2] -= by_offset[..., None] * (d[:, :2] / reach[:, None] ** 2)[:, None]
         by_pose = np.zeros((len(d), 2, self.views, _POSE))
         rows = np.arange(len(d))
         by_pose[rows, :, self.view, :3] = -by_point
@@ -267,15 +276,6 @@ class Problem:
             by_warp[rows, :, self.view] = self._by_warps()[..., self._warps]
             by_shared[..., self._warped] = by_warp.reshape(len(d), 2, -1)
             seen -= by_shared[..., self._warped] @ shared[self._warped]
-        if len(self._calibration):
-            by_errors = self._by_errors(reach)
-            by_shared[..., self.calibration_part] = by_errors
-            made = self._made_with[self.view]
-            seen -= np.einsum('kic,kc->ki', by_errors, shared[self.calibration_part] - made)
-            nearer = 1.0 / reach - self._per_wall_range
-            # The same derivatives as by an error of the offset, for what the walls left of it.
-            seen[:, 0] += made[:, _LEFT] * nearer
-            seen[:, 1] -= made[:, _FORWARD] * self._seen[:, 1] * nearer
         return Linearized(
             seen, self._hangs @ shared[self._walls] - self.off_wall(points), by_point, by_shared
         )

@@ -42,8 +42,8 @@ _LEAST_PER_LINK = 8
 # Correlation above which two terms may replace each other.
 _ALIKE = 0.3
 
-# Usual range of walls in a room.
-USUAL_RANGE_M = 3.0
+# Usual and greatest range of walls in a room; parallax is negligible beyond it.
+USUAL_RANGE_M, FAR_M = 3.0, 50.0
 
 # Least significance of a term, in sigmas.
 SIGNIFICANT = 4.0
