@@ -166,13 +166,26 @@ def test_noise_is_learned_where_a_robot_stands_and_a_landmark_moves(seed):
     for k in range(400):
         off = 0.01 * rng.normal(size=(len(seen), 2)) * (k % 60 >= 40)
         drive.events += [still, replace(seen, points=seen.points + off)]
-    run = driven(drive)
-    snapshot = run.filter.snapshot
-    # Noise causes no more of the covariance than there is.
+    joint = driven(drive).filter
+    assert np.linalg.eigvalsh(joint.snapshot.scales.covariance)[0] > 0.0
+    assert least_by_no_noise(joint) > -1e-6
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_noise_of_a_filter_that_goes_on_elsewhere_is_part_of_its_covariance(seed):
+    joint = driven(simulated(seed, TAPE, seconds=8.0)).filter
+    assert least_by_no_noise(joint) > -1e-6
+    place = PoseEstimate(joint.estimate.stamp_ns, np.ones(3), 1e-6 * np.eye(3))
+    for rate in (None, 0.0, 1.0):
+        assert least_by_no_noise(joint.placed(place, rate)) > -1e-6
+
+
+def least_by_no_noise(joint):
+    """Least part of a covariance, in sigmas, that noise does not cause."""
+    snapshot = joint.snapshot
     left = snapshot.covariance[:STATES, :STATES] - snapshot.by_noise.sum(axis=0)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(snapshot.covariance)[:STATES], 1e-20))
-    assert np.linalg.eigvalsh(scale[:, None] * left * scale)[0] > -1e-6
-    assert np.linalg.eigvalsh(snapshot.scales.covariance)[0] > 0.0
+    return np.linalg.eigvalsh(scale[:, None] * left * scale)[0]
 
 
 @pytest.mark.parametrize('share', [0.15, 0.3])

@@ -216,8 +216,8 @@ class Problem:
         if len(known):
             # Corrections of panoramas are for an eccentric camera that sees the walls of the room.
             views = poses[self.view]
-            walls, _ = room.raycast(views[:, :2], self._seen[:, 0] + views[:, 3])
-            by_errors = self._by_errors(np.minimum(walls, FAR_M))
+            reach, _ = room.raycast(views[:, :2], self._seen[:, 0] + views[:, 3])
+            by_errors = self._by_errors(np.minimum(reach, FAR_M))
             self._corrected = np.einsum('kic,kc->ki', by_errors, made_with[self.view])
         # Warp of each panorama: its tilt, and waves of its azimuths.
         wave = config.wave_sigma_rad / np.sqrt(_WAVES)

@@ -191,10 +191,10 @@ class JointFilter:
         kept = slice(SCALE, self._fixed)
         mean[kept] = mine.mean[kept]
         covariance[kept, kept] = mine.covariance[kept, kept]
+        by_mount = np.zeros((3, self._fixed - SCALE))
         if pan_rate_rad_s is not None:
             x, y = mean[CALIBRATION : CALIBRATION + 2].tolist()
             c, s = np.cos(mean[2]), np.sin(mean[2])
-            by_mount = np.zeros((3, self._fixed - SCALE))
             by_mount[:2, CALIBRATION - SCALE : CALIBRATION - SCALE + 2] = [[-c, s], [-s, -c]]
             by_mount[:, YAW - SCALE] = -s * x - c * y, c * x - s * y, -1.0
             by_mount[:, DELAY - SCALE] = pan_rate_rad_s * by_mount[:, YAW - SCALE]
@@ -203,7 +203,13 @@ class JointFilter:
             covariance[:3, :3] += with_mount @ by_mount.T
             # The offset of the optical centre had several directions during the search.
             covariance[[0, 1], [0, 1]] += np.diag(covariance)[CENTER : CENTER + 2].max()
-        other._state = replace(new, mean=mean, covariance=covariance, scales=mine.scales)
+        by_kept = np.eye(STATES)[:, SCALE:]
+        by_kept[:3] = by_mount[:, : STATES - SCALE]
+        by_noise = by_kept @ mine.by_noise[:, SCALE:, SCALE:] @ by_kept.T
+        by_noise[FLOOR] += new.by_noise[FLOOR]
+        other._state = replace(
+            new, mean=mean, covariance=covariance, by_noise=by_noise, scales=mine.scales
+        )
         return other
 
     def on_map(self, landmark_map: LandmarkMap) -> JointFilter:
