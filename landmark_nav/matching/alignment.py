@@ -181,6 +181,9 @@ def align(
             break
     seen -= seen.sum() / seen.size
     total = max(float(seen @ seen), _TINY)
+    products = (rows @ seen).tolist()
+    if not products[2] > 0.0:
+        return None  # what correlated was the rounding of a uniform image
     # The last step explains a part of the residuals.
     explained = power - step_x * right - step_y * down
     variance = max(total / gain**2 - explained, 0.0) / max(seen.size - 4, 1)
@@ -202,8 +205,8 @@ def align(
     return Match(
         np.array([x, y]),
         by_noise * inflation[:, None] * inflation + _FLOOR_PX2 + along,
-        gain * math.sqrt(power / total),
-        _relative_blur(normal, (rows @ seen).tolist()),
+        products[2] / math.sqrt(power * total),
+        _relative_blur(normal, products),
     )
 
 

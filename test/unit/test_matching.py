@@ -112,6 +112,16 @@ def test_the_negative_of_a_patch_aligns_with_nothing():
 SIZE = 28 + 2 * MARGIN
 
 
+def test_a_uniform_image_shows_no_template():
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        steps = rng.normal(0.0, 10.0, rng.integers(8, 30, 2))
+        template = (100.0 + np.cumsum(np.cumsum(steps, 0), 1)).astype(np.float32)
+        search = np.full((50, 50), rng.uniform(0.1, 255.0), np.float32)
+        found = align(search, template, (8.3, 8.6), (0.7, 0.7))
+        assert found is None or found.score < 0.5
+
+
 def two_views(rng, larger, *, blur=0.0):
     """A pattern, and the same a little beside and `larger`, darker and blurred."""
     texture = smooth_texture(rng, 1.0, 1.0, 0.04)
