@@ -161,7 +161,7 @@ def page(
 
     by_name = {run.name: run for run in runs}
     good = [row for row in rows if not row['failure']]
-    columns = [name for name in _columns(rows) if name not in ('run', 'failure')]
+    columns = [name for name in _columns(rows) if name not in ('run', 'failure', 'result_hash')]
     shown = [(row, _pictures(by_name[row['run']], results)) for row in good]
     template = Environment(autoescape=True).from_string(_PAGE)
     return template.render(
@@ -206,7 +206,7 @@ th:first-child,.left{text-align:left}.left{white-space:normal}img{background:#ff
 .worse{font-weight:bold}
 </style>
 <h1>{{ title }}</h1>
-<p>{{ shown | length }} runs done, {{ failures | length }} failed.</p>
+<p>Runs done: {{ shown | length }}, failed: {{ failures | length }}.</p>
 {% if changes %}<h2>Against the earlier batch</h2>
 <table><tr><th>figure<th>runs<th>before<th>after<th>change<th>95 % interval<th class=left>verdict
 {% for c in changes %}<tr><td>{{ c.name }}<td>{{ c.runs }}<td>{{ cell(c.before) }}

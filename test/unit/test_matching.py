@@ -62,6 +62,10 @@ def test_noise_moves_matches_as_far_as_their_covariance_states(noise, shortest_p
     ]
     # The mean of 300 squares is within 0.25 of 1 in 99.8 of 100 cases.
     assert 0.75 < np.mean(nees) / 2.0 < 1.25
+    for _, found in trials:
+        # Another node refuses a covariance that is not.
+        assert isinstance(found, Match)
+        np.testing.assert_allclose(found.covariance, found.covariance.T, rtol=1e-9)
 
 
 def test_gain_and_offset_change_neither_place_nor_score():

@@ -67,7 +67,7 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     if drawn:
         handles.append(style.key('#888888', 's', 'paper, in its colour'))
     style.legend_beside(axes, 'below', (len(handles) + 1) // 2, handles)
-    number_landmarks(figure, axes, landmarks)
+    number_landmarks(figure, axes, landmarks, _MAGNIFIED)
     style.save(figure, path)
 
 
@@ -77,25 +77,42 @@ def draw_landmarks(axes: Axes, landmarks: LandmarkMap) -> None:
 
 
 def number_landmarks(
-    figure: Figure, axes: Axes, landmarks: LandmarkMap, shown: npt.ArrayLike = True
-) -> None:
+    figure: Figure, axes: Axes, landmarks: LandmarkMap, enlarged: float,
+    shown: npt.ArrayLike = True,
+) -> None:  # fmt: skip
     """
-    Write numbers outside the walls if they do not overlap, and widen the axes for them.
+    Write numbers behind the landmarks, where they meet no line, ellipse or other number.
 
-    Call it last, as it depends on the final layout of the figure. `shown` (n,) selects landmarks.
+    Call it last, as it depends on the final layout of the figure. Ellipses are `enlarged`;
+    `shown` (n,) selects landmarks.
     """
     which = np.flatnonzero(np.broadcast_to(shown, len(landmarks.landmarks)))
     if not len(which):
         return
+    feet, normals = landmarks.positions[which, :2], landmarks.normals[which, :2]
     figure.draw_without_rendering()
     # Metres per inch in the final layout.
     scale = float(np.ptp(axes.get_xlim()) * figure.dpi / axes.get_window_extent().width)
-    ids, normals = landmarks.ids[which], landmarks.normals[which, :2]
-    places = landmarks.positions[which, :2] - scale * _WALL_IN * normals
+    style.keep_in_view(axes, feet, 3.0 * _WALL_IN * scale)
+    ids, covariances = landmarks.ids[which], landmarks.covariances[which, :2, :2]
+    variances = np.einsum('ni,nij,nj->n', normals, covariances, normals)
+    behind = 3.0 * enlarged * np.sqrt(variances) + scale * _WALL_IN
+    places = feet - behind[:, None] * normals
     sizes = scale * np.stack([_DIGIT_IN * np.char.str_len(ids.astype(str)), 0 * ids + _ROW_IN], 1)
-    free = style.free_labels(places - 0.5 * sizes, sizes)
+    around = 3.0 * enlarged * np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    tips = feet + _NORMAL_M * normals
+    taken = [np.minimum(feet - around, tips)]
+    taken_sizes = [np.maximum(feet + around, tips) - taken[0]]
+    for wall in landmarks.walls:
+        count = 2 + round(2.0 * wall.length / (_ROW_IN * scale))
+        taken.append(np.linspace(wall.start, wall.end, count))
+        taken_sizes.append(np.zeros((count, 2)))
+    low, high = np.transpose([axes.get_xlim(), axes.get_ylim()])
+    inside = np.all((places - 0.5 * sizes > low) & (places + 0.5 * sizes < high), axis=1)
+    places, ids, sizes = places[inside], ids[inside], sizes[inside]
+    obstacles = np.concatenate(taken), np.concatenate(taken_sizes)
+    free = style.free_labels(places - 0.5 * sizes, sizes, *obstacles)
     places, ids = places[free], ids[free]
-    style.keep_in_view(axes, places, 0.15 * scale)
     for number, (x, y) in zip(ids, places, strict=True):
         text = axes.text(
             x, y, str(number), fontsize=7, ha='center', va='center', color='#333333', zorder=8
@@ -229,7 +246,7 @@ def draw_learned(result: LearningResult, room: Room, path: Path) -> str:
         f'the trace) are {1e3 * np.median(sigma[shown]):.1f} mm in the median.'
     )
     caption(figure, text)
-    number_landmarks(figure, axes, result.map, shown)
+    number_landmarks(figure, axes, result.map, _ENLARGED, shown)
     style.save(figure, path)
     return text
 

@@ -81,12 +81,11 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
         if beyond:
             axes.annotate(
                 f'{beyond} triangulated beyond',
-                (0.995, 0.97),
+                (0.995, 1.0),
                 xycoords='axes fraction',
                 ha='right',
-                va='top',
+                va='bottom',
                 fontsize=8,
-                bbox={'facecolor': 'white', 'alpha': 0.8, 'linewidth': 0, 'pad': 1},
             )
         axes.set_ylabel(one.label)
         style.plain(axes)

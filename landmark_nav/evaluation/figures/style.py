@@ -163,19 +163,24 @@ def add_ellipse(
     axes.add_patch(ellipse)
 
 
-def free_labels(corners: npt.ArrayLike, sizes: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+def free_labels(
+    corners: npt.ArrayLike, sizes: npt.ArrayLike,
+    taken: npt.ArrayLike = (), taken_sizes: npt.ArrayLike = (),
+) -> npt.NDArray[np.bool_]:  # fmt: skip
     """
-    Mask (n,) of labels that overlap none of the previously kept ones.
+    Mask (n,) of labels that overlap none of the previously kept ones, and nothing `taken`.
 
-    `corners` and `sizes` (n, 2) are least x and y, and width and height, in one unit.
+    `corners` and `sizes` (n, 2) are least x and y, and width and height, in one unit; those of
+    what is taken (m, 2) likewise.
     """
-    low = np.asarray(corners, float).reshape(-1, 2)
-    high = low + np.asarray(sizes, float).reshape(-1, 2)
-    kept = np.zeros(len(low), dtype=np.bool_)
-    for k in range(len(low)):
+    taken_low = np.reshape(taken, (-1, 2))
+    low = np.concatenate([taken_low, np.reshape(corners, (-1, 2))])
+    high = low + np.concatenate([np.reshape(one, (-1, 2)) for one in (taken_sizes, sizes)])
+    kept = np.arange(len(low)) < len(taken_low)
+    for k in range(len(taken_low), len(low)):
         meets = np.all((low[k] < high[kept]) & (low[kept] < high[k]), axis=1)
         kept[k] = not meets.any()
-    return kept
+    return kept[len(taken_low) :]
 
 
 def keep_in_view(axes: Axes, points: FloatArray, margin_m: float) -> None:

@@ -129,14 +129,14 @@ function zoomable(svg, bar, whole, cover, changed) {
   return {around};
 }
 
-/** Show of the labels [element, x, y, length] those that lie on no other. */
-function thin(labels, px) {
-  const placed = [];
+/** Show of the labels [element, x, y, length] those that lie on no other, and on none of the dots [x, y]. */
+function thin(labels, px, dots = []) {
+  const placed = dots.map(([x, y]) => [x, y, 8 * px, 8 * px]);
   for (const {element, x, y, length} of labels) {
     const width = px * (7 * length + 4), height = 12 * px;
-    const free = placed.every(([u, v, w]) => Math.abs(u - x) > (w + width) / 2 || Math.abs(v - y) > height);
+    const free = placed.every(([u, v, w, h]) => Math.abs(u - x) > (w + width) / 2 || Math.abs(v - y) > (h + height) / 2);
     element.style.display = free ? '' : 'none';
-    if (free) placed.push([x, y, width]);
+    if (free) placed.push([x, y, width, height]);
   }
 }
 
@@ -216,10 +216,11 @@ function drawPlan() {
   }
   const label = (px) => {
     for (const one of labels) {
-      one.x = one.x0 - 13 * px * one.nx; one.y = one.y0 - 13 * px * one.ny;
+      const away = px * (8 + 3.5 * one.length * Math.abs(one.nx) + 6 * Math.abs(one.ny));
+      one.x = one.x0 - away * one.nx; one.y = one.y0 - away * one.ny;
       one.element.setAttribute('x', one.x); one.element.setAttribute('y', one.y);
     }
-    thin(labels, px);
+    thin(labels, px, labels.map(({x0, y0}) => [x0, y0]));
   };
   zoomable(svg, byId('plan').firstElementChild, [...low, ...size], false, label);
   const grow = () => {

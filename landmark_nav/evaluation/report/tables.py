@@ -17,7 +17,11 @@ STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}
 Table = dict[str, Any]
 Row = dict[str, Any]
 
-_SCALE = ('source', 'sheets', 'lengths [%]', 'sigma [%]', 'variance grew to fit, times')
+_SCALE = ('scale from', 'sheets', 'map larger by [%]', 'sigma [%]', 'variance inflated by')
+_NOT_LANDMARKS = (
+    ('Candidates not elected', 'candidates', 'refused'),
+    ('Never candidates', 'patches', 'ambiguous'),
+)
 _WHOSE = {
     'fused': 'Of odometry and all images so far: what odometry_fusion publishes.',
     'triangulation': 'Each image for itself, from three bearings or more.',
@@ -196,17 +200,19 @@ def _merits(report: Mapping[str, Any]) -> Iterable[Row]:
 def learning_verdict(report: Mapping[str, Any], warning: str) -> dict[str, str]:
     """Summarise the number of landmarks, their walls, and the sigmas of the sweeps' poses."""
     walls = report['landmarks_per_wall']
+    found = report.get('unmeasured')
     worst_m = max(float(np.hypot(*sweep['sigma'][:2])) for sweep in report['sweeps'])
     errors = [sweep['error_position_m'] for sweep in report['sweeps'] if 'error' in sweep]
     parts = (
         f'{report["elected"]} landmarks on {len(walls.keys() - {NO_WALL})} walls ('
         + ', '.join(f'{wall} {count}' for wall, count in walls.items())
         + f') of {report["candidates"]} candidates learned from {len(report["sweeps"])} sweeps',
-        f'poses of the sweeps known to {1e3 * worst_m:.1f} mm (sigma)'
+        f'poses of the sweeps known to {1e3 * worst_m:.1f} mm (sigma'
+        + (', apart from the scale)' if found else ')')
         + (f', off by at most {1e3 * max(errors):.1f} mm' if errors else ''),
         f'no room.yaml: scale from {found["scale"]}, good to '
         f'{100 * float(found["scale_sigma"]):.2g} %'
-        if (found := report.get('unmeasured'))
+        if found
         else '',
         warning,
     )
@@ -226,7 +232,6 @@ def learning_tables(report: Mapping[str, Any]) -> list[Table]:
         for number, sweep in enumerate(report['sweeps'], 1)
     )  # fmt: skip
     head = ('sweep', 'frames', 'x [m]', 'y [m]', 'heading [deg]', 'sigma [mm]', 'error [mm]')
-    refused = [*report['refused'].items(), *report['ambiguous'].items()]
     found = report.get('unmeasured', {}).get('sources', {})
     sources = (
         _row(
@@ -241,8 +246,15 @@ def learning_tables(report: Mapping[str, Any]) -> list[Table]:
     )
     return [
         _table('Sweeps', (*head, 'candidates', 'elected'), sweeps),
-        *([_table('Scale', _SCALE, sources, 'By each source alone.')] if found else []),
-        _table('Not landmarks', ('reason', 'candidates'), (_row(k, n) for k, n in refused)),
+        *(
+            [_table('Scale', _SCALE, sources, 'Beside the map as it is, by each source alone.')]
+            if found
+            else []
+        ),
+        *(
+            _table(name, (name.lower(), what), (_row(k, n) for k, n in report[key].items()))
+            for name, what, key in _NOT_LANDMARKS
+        ),
         _table('Stages', ('stage', 'seconds', 'peak memory [MB]'), stages),
     ]
 
