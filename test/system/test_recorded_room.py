@@ -6,6 +6,7 @@ from drive_faults import displaced_drive, late_drive, starved_drive
 from harness import BAGS, evaluate, start_of
 import numpy as np
 import pytest
+from small import recorded_figures, worse
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main
@@ -43,6 +44,10 @@ def test_as_expected(figures):
     for name, bounds in expected.items():
         low, high = bounds.get('least', -np.inf), bounds.get('most', np.inf)
         assert low <= measured[name] <= high, name
+
+
+def test_no_kept_figure_is_worse(recorded):
+    assert not worse('recorded', recorded_figures(recorded))
 
 
 def test_the_images_show_the_map(recorded, capsys):
