@@ -205,8 +205,8 @@ class Fusion:
         if self._update is not None:
             self._weigh_start(line, seen, self._update)
         self._unlikely = self.calibration.contradictions(self._may_be)
-        sure = self._integrity.log_ratio >= _TRUSTED and self.status_at()[0] is Status.OK
-        if sure and self._anywhere is None:
+        sure = self._integrity.log_ratio >= _TRUSTED and self._anywhere is None
+        if sure and self.status_at()[0] is Status.OK:
             self._trusted = line.filter.snapshot
         if self._update is not None and self._update.stepped:
             _LOG.warning('camera or base was turned, and the wheels did not measure it')

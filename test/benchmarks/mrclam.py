@@ -11,7 +11,6 @@ is wider.
 from __future__ import annotations
 
 import argparse
-from itertools import takewhile
 from pathlib import Path
 import tempfile
 from typing import Any
@@ -30,18 +29,14 @@ from landmark_nav.storage.robot_files import load_calibration
 LIMITS = {1: (0.13, 0.08, 2.5), 2: (0.09, 0.06, 1.5), 3: (0.07, 0.04, 1.0)}
 
 
-def driven(robot: int, data: Path, folder: Path, seconds: float = np.inf) -> dict[str, Any]:
-    """Return the report of a robot's drive, of its first seconds."""
+def driven(robot: int, data: Path, folder: Path) -> dict[str, Any]:
+    """Return the report of a robot's drive."""
     log = folder / 'log'
     command('convert', 'mrclam', data, '--robot', robot, '--out', log)
     calibration = load_calibration(folder / 'log_robot.yaml')
     bag, posts = Bag(log), load_map(folder / 'log_map')
-    first = next(iter(sensor_events(bag, calibration.mount))).stamp_ns
-    events = takewhile(
-        lambda event: event.stamp_ns - first < 1e9 * seconds, sensor_events(bag, calibration.mount)
-    )
     run = replay(
-        events,
+        sensor_events(bag, calibration.mount),
         posts,
         calibration,
         load_configuration(folder / 'log_config.yaml', folder / 'log_robot.yaml', *READS),

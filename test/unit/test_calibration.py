@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import draw_sweep, rectangle_room, textured_room
+from scipy.special import chdtri
 from turning_camera import turn_sweep
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.learning.calibration.combined import with_overlaps
 from landmark_nav.learning.calibration.sweep_calibration import align_sweep, calibrate_sweep
 from landmark_nav.types import CameraFrame, Sweep
 
@@ -136,6 +139,14 @@ def test_a_camera_off_its_axis_is_found_by_the_walls_distance():
     found = calibrate_sweep(sweep, centred, range_m)
     assert used(found) == {'forward', 'left'}
     assert found.mount.optical_center_offset == pytest.approx((0.03, -0.02, 0.0), abs=4e-3)
+    # What resembles the offset is as uncertain as the offset makes it.
+    prior, true_values = Calibration.of_mount(centred), Calibration.of_mount(true)
+    known = with_overlaps(prior, prior, found.whole)
+    shown = known.sigmas < 0.5 * prior.sigmas
+    off = (known.values - true_values.values)[shown]
+    assert {'focal_scale', 'center_x', 'center_y'} <= {*np.array(NAMES)[shown]}
+    nees = off @ np.linalg.solve(known.covariance[np.ix_(shown, shown)], off)
+    assert nees < chdtri(len(off), 1e-3)
     assert used(calibrate_sweep(sweep, true, range_m)) == set()
 
 

@@ -237,6 +237,40 @@ def test_a_knock_of_the_camera_is_noticed_at_once():
     assert np.hypot(*run.errors[60:, :2].T).max() < 0.05
 
 
+@pytest.mark.parametrize('seed', range(6))
+def test_a_misplaced_landmark_is_no_knock(seed):
+    drive = simulated(seed, seconds=24.0)
+    seen_most = np.bincount(
+        np.concatenate([e.columns for e in drive.events if isinstance(e, ImagePoints)])
+    ).argmax()
+
+    def change(_, seen):
+        off = 0.03 * (seen.columns == seen_most)
+        return replace(seen, points=seen.points + off[:, None])
+
+    run = driven(drive, changed=change)
+    assert not any(update.stepped for update in run.updates)
+    assert np.hypot(*run.errors[20:, :2].T).max() < 0.03
+
+
+@pytest.mark.parametrize('seed', [0, 3, 4, 5])
+def test_an_object_moved_since_learning_alone_in_an_image_is_no_knock(seed):
+    known, alone = set(), []
+
+    def change(k, seen):
+        new = np.array([c not in known for c in seen.columns.tolist()])
+        known.update(seen.columns.tolist())
+        if alone or k <= 10 or new.sum() < 3:
+            return seen
+        alone.append(seen.stamp_ns)
+        return replace(seen, points=seen.points + np.array([0.05, 0.0])).chosen(new)
+
+    run = driven(simulated(seed, seconds=24.0), changed=change)
+    (update,) = [each for each in run.updates if each.stamp_ns in alone]
+    assert not update.stepped
+    assert np.hypot(*run.errors[20:, :2].T).max() < 0.03
+
+
 def test_another_focal_length_is_noticed_at_once_and_found():
     mount, rng = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 1e-4)), np.random.default_rng(0)
 

@@ -188,6 +188,13 @@ def fit_significant(
         Initial terms, indices in `COMMON`.
     frame_sigma : sequence of float, shape (3,)
         Sigmas of pan, tilt and roll of a single frame, rad.
+
+    Returns
+    -------
+    whole, fit : Fit
+        With all terms, and with those that remain.
+    terms : tuple of CalibrationTerm
+        Each by the last fit in which it was free.
     """
     free = sorted(free)
     shift_px = _shift_px(camera)
@@ -216,11 +223,8 @@ def fit_significant(
         fit = problem.fit(free, frame_sigma)
     if _FOCAL in free and _DISTORTION in free:
         found[_FOCAL] = _effective_focal(fit)
-    return (
-        whole,
-        fit,
-        tuple(CalibrationTerm(COMMON[k], *found[k], k in free) for k in sorted(found)),
-    )
+    terms = tuple(CalibrationTerm(COMMON[k], *found[k], k in free) for k in sorted(found))
+    return whole, fit, terms
 
 
 def _usual_range(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:

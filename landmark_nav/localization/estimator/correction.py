@@ -122,15 +122,14 @@ def corrected(
         by_point = model.by_point[:, :rows]
         tailed = noise + by_point @ unseen_own @ by_point.swapaxes(1, 2)
         for _ in range(_WEIGHINGS):
-            covariance = _with_blocks(
-                spread, noise + tailed * (looser - 1.0 + behind)[:, None, None]
-            )
+            excess = tailed * (looser - 1.0 + behind)[:, None, None]
+            covariance = _with_blocks(spread, noise + excess)
             precision = np.linalg.inv(covariance)
             pull = precision @ innovation
             blocks = precision.reshape(count, rows, count, rows)[each, :, each]
             others = np.linalg.inv(blocks)
             alone: FloatArray = (others @ pull.reshape(count, rows, 1))[..., 0]
-            nominal = others - tailed * (looser - 1.0 + behind)[:, None, None]
+            nominal = others - excess
             squares = np.einsum(
                 'mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0]
             )
@@ -145,9 +144,8 @@ def corrected(
             # What is found elsewhere than the landmark has no information: in a wide window
             # even its widened tail would.
             behind = np.where(out, _NO_INFORMATION, behind)
-            covariance = _with_blocks(
-                spread, noise + tailed * (looser - 1.0 + behind)[:, None, None]
-            )
+            excess = tailed * (looser - 1.0 + behind)[:, None, None]
+            covariance = _with_blocks(spread, noise + excess)
             precision = np.linalg.inv(covariance)
             pull = precision @ innovation
         after = prior + with_state @ pull

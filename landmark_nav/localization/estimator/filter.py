@@ -391,7 +391,7 @@ class JointFilter:
         columns, out = update.columns[new], update.weight[new] <= OUTLIER
         state = state.only(~np.isin(state.landmarks, columns[out]))
         columns, wider = columns[~out], looser[~out] - 1.0
-        slots = np.flatnonzero(columns[:, None] == state.landmarks) % max(len(state.landmarks), 1)
+        slots = np.nonzero(columns[:, None] == state.landmarks)[1]
         places = self._fixed + 3 * slots[:, None] + np.arange(3)
         covariance = state.covariance.copy()
         own = wider[:, None, None] * self._errors.own[columns]
