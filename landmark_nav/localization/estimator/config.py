@@ -25,7 +25,11 @@ class Step(NamedTuple):
     @property
     def log_odds(self) -> float:
         """Logarithm of the odds."""
-        return log(self.probability / (1.0 - self.probability))
+        return _log_odds(self.probability)
+
+
+def _log_odds(probability: float) -> float:
+    return log(probability / (1.0 - probability))
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,10 @@ class EstimatorConfig(Config):
     slip_probability: float = 1e-3
     slip_sigma_m: float = 0.02
     slip_sigma_rad: float = 0.003
+    # Share of the images whose new landmarks are on an object that was moved since learning, and
+    # the sigma of its motion, m.
+    moved_probability: float = 0.01
+    moved_sigma_m: float = 0.1
     # Greatest delay of a measurement, s.
     history_s: float = 2.0
     learning_sigma: float = parameter(
@@ -86,6 +94,11 @@ class EstimatorConfig(Config):
         minimum=0.0,
         maximum=5.0,
     )
+
+    @property
+    def moved_log_odds(self) -> float:
+        """Log odds that the new landmarks of an image are on an object that was moved."""
+        return _log_odds(self.moved_probability)
 
     @property
     def knock(self) -> Step:

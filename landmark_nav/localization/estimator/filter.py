@@ -72,11 +72,20 @@ _DRIFTING = slice(SCALE, SLIP)
 
 
 class _Hypothesis(NamedTuple):
-    """What may have happened before an image: the prediction, the estimate, and its evidence."""
+    """
+    What may have happened before an image: the prediction, the estimate, and its evidence.
+
+    `moved` says whether new landmarks are on an object that was moved since learning.
+    """
 
     prior: State
     after: State
     update: Update
+    moved: bool = False
+
+    def log_evidence(self) -> float:
+        """Log evidence and prior odds."""
+        return self.update.log_evidence
 
 
 class JointFilter:
@@ -338,44 +347,61 @@ class JointFilter:
             return Update.of_nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         new = ~(seen.columns[:, None] == self._state.landmarks).any(axis=1)
-        after, update = self._corrected(prior, seen, new)
-        if update.surprising and not seen.lost:
-            # After a knock the pose is open, and many slips in a row would close it wrongly.
-            known = prior.covariance[2, 2] < _OPEN_RAD**2
-            hypotheses = [_Hypothesis(prior, after, update)]
-            for causes, step in self._config.steps:
-                if not (known or step.calibration):
-                    continue
-                stepped = self._stepped(prior, step)
-                freed, alternative = self._corrected(stepped, seen, new)
-                agree = alternative.weight > _INLIER
-                # A knock is no slip: many sigmas of it cost less than the prior of a knock. Nor is
-                # it an object that was moved since learning, on which no landmark was seen before.
-                unlike = not (agree & ~new).any() if step.calibration else alternative.surprising
-                if agree.sum() >= _WITNESSES and not unlike:
-                    evidence = max(
-                        cause.log_odds
-                        + self._corrected(self._stepped(prior, cause), seen, new)[1].log_evidence
-                        for cause in causes
-                    )
-                    alternative = alternative._replace(
-                        log_evidence=evidence, stepped=bool(step.calibration)
-                    )
-                    hypotheses.append(_Hypothesis(stepped, freed, alternative))
-            # A knock that cannot be excluded leaves all open; else the likeliest counts.
-            best = max(each.update.log_evidence for each in hypotheses)
-            prior, after, update = next(
-                each
-                for each in reversed(hypotheses)
-                if each.update.log_evidence >= best + _EXCLUDED * each.update.stepped
-            )
-            update = update._replace(log_evidence=best)
+        hypothesis = _Hypothesis(prior, *self._corrected(prior, seen, new))
+        if hypothesis.update.surprising and not seen.lost:
+            hypothesis = self._likeliest(hypothesis, seen, new)
+        prior, after, update, moved = hypothesis
         after = self._doubting(after, update, new)
-        if update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0:
+        unused = update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0
+        if unused:
             # Chance would find as much in such large windows: the image must not move the pose.
             after, update = replace(prior, stamp_ns=after.stamp_ns), update.unused
+        if unused or moved:
+            # The image says nothing of its new landmarks, which stay new.
+            after = after.only(~np.isin(after.landmarks, seen.columns[new]))
         self._state, self.predicted = after, prior
         return update
+
+    def _likeliest(
+        self, expected: _Hypothesis, seen: ImagePoints, new: npt.NDArray[np.bool_]
+    ) -> _Hypothesis:
+        """Return what most likely happened before a surprising image, or cannot be excluded."""
+        prior = expected.prior
+        # After a knock the pose is open, and many slips in a row would close it wrongly.
+        known = prior.covariance[2, 2] < _OPEN_RAD**2
+        hypotheses = [expected]
+        for causes, step in self._config.steps:
+            if not (known or step.calibration):
+                continue
+            stepped = self._stepped(prior, step)
+            freed, update = self._corrected(stepped, seen, new)
+            # A knock is no slip: many sigmas of it cost less than the prior of a knock.
+            unlike = not step.calibration and update.surprising
+            if (update.weight > _INLIER).sum() >= _WITNESSES and not unlike:
+                evidence = max(
+                    cause.log_odds
+                    + self._corrected(self._stepped(prior, cause), seen, new)[1].log_evidence
+                    for cause in causes
+                )
+                update = update._replace(log_evidence=evidence, stepped=bool(step.calibration))
+                hypotheses.append(_Hypothesis(stepped, freed, update))
+        if np.count_nonzero(new) >= _WITNESSES:
+            _, update = self._corrected(self._displaced(prior, seen.columns[new]), seen, new)
+            if np.count_nonzero(update.weight[new] > _INLIER) >= _WITNESSES:
+                evidence = self._config.moved_log_odds + update.log_evidence
+                update = update._replace(log_evidence=evidence)
+                others, after = seen.chosen(~new), replace(prior, stamp_ns=expected.after.stamp_ns)
+                if len(others):
+                    after, _ = self._corrected(prior, others, new[~new])
+                hypotheses.append(_Hypothesis(prior, after, update, moved=True))
+        # What asks for caution counts unless it can be excluded: a knock leaves all open, and an
+        # object that was moved says nothing.
+        hypotheses.sort(key=_Hypothesis.log_evidence)
+        best = hypotheses[-1].log_evidence()
+        possible = [each for each in hypotheses if each.log_evidence() >= best + _EXCLUDED]
+        cautious = [each for each in possible if each.moved or each.update.stepped]
+        chosen = (cautious or possible)[-1]
+        return chosen._replace(update=chosen.update._replace(log_evidence=best))
 
     def _doubting(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
         """
@@ -414,6 +440,14 @@ class JointFilter:
             # What is given as exact stays.
             if covariance[k, k] > 0.0:
                 covariance[k, k] += sigma**2
+        return replace(state, covariance=covariance)
+
+    def _displaced(self, state: State, columns: IndexArray) -> State:
+        """Return the state where these landmarks may have been moved together."""
+        slots = np.flatnonzero(np.isin(state.landmarks, columns))
+        covariance = state.covariance.copy()
+        for axis in self._fixed + np.arange(3):
+            covariance[np.ix_(axis + 3 * slots, axis + 3 * slots)] += self._config.moved_sigma_m**2
         return replace(state, covariance=covariance)
 
     def _elapsed(self, state: State) -> State:
