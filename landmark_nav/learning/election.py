@@ -17,7 +17,12 @@ from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import PatchView, relative_sampling
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.solution import Adjustment
-from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, wall_texture, WallPatch
+from landmark_nav.learning.stereo.wall_patch import (
+    PatchMeasurement,
+    shown_at,
+    wall_texture,
+    WallPatch,
+)
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, ImageArray, Landmark, Panorama, Refusal
 
@@ -101,10 +106,11 @@ def elect(
     taken: list[Landmark] = []
     for k in np.argsort([-patch.candidate.saliency for patch in patches], kind='stable'):
         patch = patches[k]
-        others = [s.panorama for s in measurements[k] if s.panorama != patch.source]
+        own = next(s for s in measurements[k] if s.panorama == patch.source)
+        others = [s for s in measurements[k] if s is not own]
         refusal = _refuse(
             patch, k, adjustment, depth_sigma[k], panoramas[patch.source],
-            [panoramas[other] for other in others], config,
+            [panoramas[other.panorama] for other in others], config,
         )  # fmt: skip
         if refusal is None and any(
             _overlap(patch, adjustment.positions[k], other) > config.max_overlap for other in taken
@@ -117,7 +123,7 @@ def elect(
             continue
         score = min(s.score for s in measurements[k])
         landmark = _landmark(
-            len(taken) + 1, patch, adjustment.positions[k], panoramas[patch.source],
+            len(taken) + 1, patch, adjustment.positions[k], panoramas[patch.source], own,
             room.walls[patch.wall].id if patch.on_wall else '',
             covariance=covariance[k],
             shared_loading=adjustment.shared_loading[k],
@@ -126,7 +132,7 @@ def elect(
         if landmark is None:
             outcomes[k] = Refusal('runs out of its panorama')
             continue
-        views = [_view(patch, landmark, panoramas[other]) for other in others]
+        views = [_view(patch, landmark, panoramas[s.panorama], s) for s in others]
         landmark = replace(landmark, views=tuple(view for view in views if view is not None))
         outcomes[k] = landmark
         taken.append(landmark)
@@ -207,13 +213,15 @@ def _landmark(
     patch: WallPatch,
     position: FloatArray,
     panorama: Panorama,
+    measured: PatchMeasurement,
     wall_id: str,
     *,
     covariance: FloatArray,
     shared_loading: FloatArray,
     threshold: float,
 ) -> Landmark | None:
-    texture = wall_texture(replace(patch, position=position), panorama)
+    shown = shown_at(position, patch.normal, panorama, measured)
+    texture = wall_texture(replace(patch, position=shown), panorama)
     if texture is None:
         return None
     return Landmark(
@@ -232,13 +240,16 @@ def _landmark(
     )
 
 
-def _view(patch: WallPatch, landmark: Landmark, panorama: Panorama) -> PatchView | None:
+def _view(
+    patch: WallPatch, landmark: Landmark, panorama: Panorama, measured: PatchMeasurement
+) -> PatchView | None:
     """Image of a landmark in another panorama, at the resolution of that panorama."""
     reach = float(np.hypot(*(panorama.center_map - landmark.position)[:2]))
     columns = max(8, round(landmark.width_m * panorama.cylinder.fy / reach))
     texel = landmark.width_m / columns
     shape = (max(8, round(landmark.height_m / texel)), columns)
-    seen = replace(patch, position=landmark.position, shape=shape, texel_m=texel)
+    shown = shown_at(landmark.position, landmark.normal, panorama, measured)
+    seen = replace(patch, position=shown, shape=shape, texel_m=texel)
     texture = wall_texture(seen, panorama)
     return None if texture is None else PatchView(panorama.center_map, _levels(texture))
 

@@ -180,6 +180,20 @@ def _pixels(patch: WallPatch, panorama: Panorama) -> tuple[FloatArray, FloatArra
     return cylinder.column_of(azimuth), cylinder.row_of(tangent)
 
 
+def shown_at(
+    position: FloatArray, normal: FloatArray, panorama: Panorama, measured: PatchMeasurement
+) -> FloatArray:
+    """
+    Point (3,) on the plane of a patch that a panorama shows in the measured direction.
+
+    It is off the adjusted position by what the upright panorama leaves out, as its tilt.
+    """
+    azimuth = panorama.heading_rad + measured.azimuth_rad
+    ray = np.array([np.cos(azimuth), np.sin(azimuth), measured.tangent])
+    reach = (position - panorama.center_map) @ normal / (ray @ normal)
+    return np.asarray(panorama.center_map + reach * ray)
+
+
 def texels_per_pixel(patch: WallPatch, panorama: Panorama) -> FloatArray:
     """Texels per pixel of a panorama, across and down the patch."""
     ray = patch.position - panorama.center_map
