@@ -49,14 +49,19 @@ def perfect(patches, **changes):
     return replace(found, **changes)
 
 
+def direction_of(patch, k):
+    away = patch.position - CENTERS[k]
+    return np.arctan2(away[1], away[0]) - HEADINGS[k], away[2] / np.hypot(*away[:2])
+
+
 def elect_from(panoramas, patches, adjustment=None, config=None, scores=None, free=None):
     scores = scores or [0.9] * len(patches)
     measurements = [
         [
-            PatchMeasurement(0, 0.0, 0.0, 0.0, 0.0, 1.0),
-            PatchMeasurement(1, 0.0, 0.0, 1e-4, 1e-4, score),
+            PatchMeasurement(0, *direction_of(patch, 0), 0.0, 0.0, 1.0),
+            PatchMeasurement(1, *direction_of(patch, 1), 1e-4, 1e-4, score),
         ]
-        for score in scores
+        for patch, score in zip(patches, scores, strict=True)
     ]
     return elect(
         patches,
@@ -85,17 +90,20 @@ def test_a_good_patch_becomes_a_landmark(panoramas):
     assert np.abs(landmark.patch - truth).mean() < 3.0
 
 
-def test_a_landmark_keeps_what_the_other_panoramas_show_of_it(panoramas):
+@pytest.mark.parametrize('off_m', [(0.0, 0.0, 0.0), (0.02, -0.01, 0.02)])
+def test_a_landmark_keeps_what_the_other_panoramas_show_of_it(panoramas, off_m):
     patch = patch_at((6.0, 2.4, 1.2), saliency=0.8)
-    (landmark,) = elect_from(panoramas, [patch])
+    # The measurements say where a panorama shows it that leans, or whose place is a little off.
+    off = replace(panoramas[1], center_map=panoramas[1].center_map + off_m)
+    (landmark,) = elect_from([panoramas[0], off], [patch])
     assert isinstance(landmark, Landmark)
     (view,) = landmark.views
-    np.testing.assert_array_equal(view.viewpoint, CENTERS[1])
+    np.testing.assert_array_equal(view.viewpoint, off.center_map)
     rows, columns = view.patch.shape
     # As fine as that panorama shows it, and of the same piece of wall.
-    reach = np.hypot(*(CENTERS[1] - patch.position)[:2])
+    reach = np.hypot(*(off.center_map - patch.position)[:2])
     texel = landmark.width_m / columns
-    assert texel == pytest.approx(reach / panoramas[1].cylinder.fy, rel=0.05)
+    assert texel == pytest.approx(reach / off.cylinder.fy, rel=0.05)
     assert rows * texel == pytest.approx(landmark.height_m, abs=texel)
     points = patch_points(patch.position, patch.normal, view.patch.shape, texel)
     inwards = np.broadcast_to(-patch.normal, points.shape)
