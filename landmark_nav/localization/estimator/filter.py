@@ -394,13 +394,15 @@ class JointFilter:
                 if len(others):
                     after, _ = self._corrected(prior, others, new[~new])
                 hypotheses.append(_Hypothesis(prior, after, update, moved=True))
-        # What asks for caution counts unless it can be excluded: a knock leaves all open, and an
-        # object that was moved says nothing.
-        hypotheses.sort(key=_Hypothesis.log_evidence)
-        best = hypotheses[-1].log_evidence()
+        # What asks for caution counts unless it can be excluded: an object that was moved says
+        # nothing, and a knock leaves all open, the focal length too unless that can be excluded.
+        best = max(each.log_evidence() for each in hypotheses)
         possible = [each for each in hypotheses if each.log_evidence() >= best + _EXCLUDED]
-        cautious = [each for each in possible if each.moved or each.update.stepped]
-        chosen = (cautious or possible)[-1]
+        stepped = [each for each in possible if each.update.stepped]
+        cautious = [*stepped, *(each for each in possible if each.moved)]
+        chosen = max(cautious or possible, key=_Hypothesis.log_evidence)
+        if chosen.update.stepped:
+            chosen = stepped[-1]
         return chosen._replace(update=chosen.update._replace(log_evidence=best))
 
     def _doubting(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
