@@ -373,8 +373,8 @@ class JointFilter:
         for causes, step in self._config.steps:
             if not (known or step.calibration):
                 continue
-            stepped = self._stepped(prior, step)
-            freed, update = self._corrected(stepped, seen, new)
+            opened = self._stepped(prior, step)
+            after, update = self._corrected(opened, seen, new)
             # A knock is no slip: many sigmas of it cost less than the prior of a knock.
             unlike = not step.calibration and update.surprising
             if (update.weight > _INLIER).sum() >= _WITNESSES and not unlike:
@@ -384,7 +384,7 @@ class JointFilter:
                     for cause in causes
                 )
                 update = update._replace(log_evidence=evidence, stepped=bool(step.calibration))
-                hypotheses.append(_Hypothesis(stepped, freed, update))
+                hypotheses.append(_Hypothesis(opened, after, update))
         if np.count_nonzero(new) >= _WITNESSES:
             _, update = self._corrected(self._displaced(prior, seen.columns[new]), seen, new)
             if np.count_nonzero(update.weight[new] > _INLIER) >= _WITNESSES:
