@@ -42,7 +42,7 @@ from landmark_nav.localization.estimator.noise import (
     NoiseScales,
     SLIP_NOISE,
 )
-from landmark_nav.localization.estimator.recognition import MISSED
+from landmark_nav.localization.estimator.recognition import chance_log_evidence, MISSED
 from landmark_nav.localization.estimator.state import MapErrors, OUTLIER, State, Update
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
@@ -347,15 +347,20 @@ class JointFilter:
             return Update.of_nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         new = ~(seen.columns[:, None] == self._state.landmarks).any(axis=1)
-        hypothesis = _Hypothesis(prior, *self._corrected(prior, seen, new))
-        if hypothesis.update.surprising and not seen.lost:
-            hypothesis = self._likeliest(hypothesis, seen, new)
+        expected = hypothesis = _Hypothesis(prior, *self._corrected(prior, seen, new))
+        if expected.update.surprising and not seen.lost:
+            hypothesis = self._likeliest(expected, seen, new)
         prior, after, update, moved = hypothesis
-        after = self._doubting(after, update, new)
-        unused = update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0
+        # What chance explains as well, in windows that large, must not move the pose.
+        unused = update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0 or (
+            expected.update.surprising
+            and update.log_evidence
+            < chance_log_evidence(expected.update.residual, expected.update.covariance)
+        )
         if unused:
-            # Chance would find as much in such large windows: the image must not move the pose.
             after, update = replace(prior, stamp_ns=after.stamp_ns), update.unused
+        elif not moved:
+            after = self._doubting(after, update, new)
         if unused or moved:
             # The image says nothing of its new landmarks, which stay new.
             after = after.only(~np.isin(after.landmarks, seen.columns[new]))

@@ -29,12 +29,28 @@ def found_log_ratios(residual: FloatArray, covariance: FloatArray) -> FloatArray
     squares = np.einsum(
         'mi,mi->m', residual, np.linalg.solve(covariance, residual[..., None])[..., 0]
     )
-    half = np.maximum(
-        _WINDOW_SIGMAS * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), _LEAST_WINDOW
-    )
+    half = _windows(covariance)
     area = np.prod(2.0 * half, axis=1)
     density = np.exp(-0.5 * np.minimum(squares, 1e3))
     density /= np.sqrt(np.linalg.det(2.0 * np.pi * covariance))
     return np.asarray(
         np.log((1.0 - _WRONG) * density * area + _WRONG) + np.log(_FOUND / _BY_CHANCE)
     )
+
+
+def chance_log_evidence(residual: FloatArray, covariance: FloatArray) -> float:
+    """
+    Log evidence of an image whose landmarks were all found by chance, in the widest window of all.
+
+    As in `Update.log_evidence`, the powers of 2 pi of normal densities are left out. Arguments as
+    in `found_log_ratios`.
+    """
+    half = np.maximum(_windows(covariance), np.abs(residual)).max(axis=0)
+    each = np.log(_WRONG) - np.sum(np.log(2.0 * half)) + 0.5 * len(half) * np.log(2.0 * np.pi)
+    return float(len(residual) * each)
+
+
+def _windows(covariance: FloatArray) -> FloatArray:
+    """Half sizes (m, d) of the windows for covariances (m, d, d)."""
+    sigmas = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return np.maximum(_WINDOW_SIGMAS * sigmas, _LEAST_WINDOW)
