@@ -29,7 +29,7 @@ from landmark_nav.learning.calibration.sweep_calibration import calibrate_sweep
 from landmark_nav.learning.capture.frames import look_at, relative_sharpness
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
-from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.panorama.synthesis import synthesize_cylinder
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
 from landmark_nav.learning.reference_area.location import PaperSearch
@@ -191,7 +191,7 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
     )
     yield from _of_sweep(sweeps[0])
     room = scene.room
-    config, view = ReferenceAreaConfig(), synthesize_cylinder(sweeps[0], _MOUNT, PanoramaConfig())
+    config, view = ReferenceAreaConfig(), synthesize_cylinder(sweeps[0], _MOUNT)
     unplaced = replace(sweeps[0], pose_map_base=None)
     yield _Comparison(
         'place of a sweep by its papers',
@@ -258,7 +258,7 @@ def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
 
     reference = 'bare cv2.remap of the same frames'
     for stage, work in (
-        ('panorama of 72 frames', lambda: synthesize_cylinder(sweep, _MOUNT, PanoramaConfig())),
+        ('panorama of 72 frames', lambda: synthesize_cylinder(sweep, _MOUNT)),
         ('exposures evened out', lambda: even_out(sweep, measure_photometry(sweep, _MOUNT))),
         ('calibration out of a sweep', lambda: calibrate_sweep(sweep, _MOUNT)),
     ):

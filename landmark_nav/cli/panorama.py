@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from itertools import islice
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +11,17 @@ import numpy as np
 from landmark_nav.cli.options import add, open_bag, within, wrapped
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.cylinder import unseen_arcs
 from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.calibration.sweep_calibration import align_sweep, calibrate_sweep
 from landmark_nav.learning.calibration.turn import check_turn
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
-from landmark_nav.learning.panorama.synthesis import BLENDS, PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.panorama.synthesis import synthesize_cylinder
 from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.bags import read_sweep_folder, read_sweeps
 from landmark_nav.storage.setup_files import load_robot
 from landmark_nav.types import Sweep
-
-_LOG = logging.getLogger(__name__)
-
-# Greatest share of the turn that a crop omits without a warning: the borders of a partial sweep.
-_LOST_BY_CROP = 0.02
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,15 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--out', required=True, metavar='F.png', help='PNG to write')
     add(parser, '--robot', help='robot.yaml: how the camera is mounted (default: level, centred)')
     parser.add_argument(
-        '--blend',
-        choices=BLENDS,
-        default=PanoramaConfig.blend,
-        help='how frames are joined (default %(default)s)',
-    )
-    text = 'use the central PX x PX square of each frame alone; 0: all of it'
-    crop = {'type': within(int, 0, 8192), 'default': PanoramaConfig.crop_px, 'metavar': 'PX'}
-    add(parser, '--crop', **crop, help=text)
-    parser.add_argument(
         '--even-out',
         action=argparse.BooleanOptionalAction,
         default=True,
@@ -85,7 +69,6 @@ def run(args: argparse.Namespace) -> int:
     check_new(args.overwrite, args.out)
     check_writable(args.out)
     mount = load_robot(args.robot) if args.robot else PanTiltMount()
-    config = PanoramaConfig(blend=args.blend, crop_px=args.crop)
     is_image_folder = (args.sweep / 'frames.csv').is_file()
     if not is_image_folder and any(args.sweep.glob('*.[jpJP][pnPN]*[gG]')):
         raise LandmarkNavError(
@@ -113,9 +96,8 @@ def run(args: argparse.Namespace) -> int:
     photometry = Photometry.none(len(sweep.frames))
     if args.even_out:
         photometry = measure_photometry(sweep, mount)
-    view = synthesize_cylinder(even_out(sweep, photometry), mount, config)
+    view = synthesize_cylinder(even_out(sweep, photometry), mount)
     covered = view.mask.any(axis=0)
-    _warn_of_crop(config.crop_px, float(covered.mean()), sweep)
     rows = np.flatnonzero(view.mask[:, covered].all(axis=1))
     whole = slice(rows[0], rows[-1] + 1) if len(rows) else slice(None)
     alpha = np.where(view.mask, np.uint8(255), np.uint8(0))
@@ -145,16 +127,3 @@ def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
     if sweep is None:
         raise LandmarkNavError(f'{bag.path}: holds no sweep {number or 1}: take another')
     return sweep
-
-
-def _warn_of_crop(crop_px: int, covered: float, sweep: Sweep) -> None:
-    """Warn if the cropped frames leave gaps that the full frames do not."""
-    pans = [frame.pan_rad for frame in sweep.frames]
-    unseen = sum(b - a for a, b in unseen_arcs(pans, sweep.frames[0].camera.half_fov_rad))
-    if crop_px and covered < 1.0 - unseen / (2.0 * np.pi) - _LOST_BY_CROP:
-        _LOG.warning(
-            '--crop %d: so narrow parts of the frames do not meet, %.1f %% of the turn is '
-            'covered: take more pixels',
-            crop_px,
-            100.0 * covered,
-        )

@@ -39,11 +39,7 @@ from landmark_nav.learning.calibration.sweep_calibration import (
 from landmark_nav.learning.calibration.turn import check_turn
 from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
-from landmark_nav.learning.panorama.synthesis import (
-    CylinderImage,
-    PanoramaConfig,
-    synthesize_cylinder,
-)
+from landmark_nav.learning.panorama.synthesis import CylinderImage, synthesize_cylinder
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.reference_area.location import (
     optical_height,
@@ -66,7 +62,7 @@ def why_seen_otherwise(
 ) -> str | None:
     """Advice for an error of the setup without which the papers fit; None if there is none."""
     for why, seen, mounted in _otherwise(sweep, mount):
-        view = synthesize_cylinder(seen, mounted, PanoramaConfig(blend='feather'))
+        view = synthesize_cylinder(seen, mounted, feathered=True)
         if PaperSearch(seen, view, room, mounted, config).fits_somewhere():
             return f'{why}, as the papers show'
     return None
@@ -375,7 +371,7 @@ def _wrong_focal(quality: PanoramaQuality) -> str:
 def record_papers(sweep: Sweep, given: Calibration, papers: PaperRecord) -> None:
     """Add the papers in a sweep to a record, without a search for its pose."""
     sweep, mount = as_calibrated(sweep, given), given.mount
-    view = synthesize_cylinder(sweep, mount, PanoramaConfig(blend='feather'))
+    view = synthesize_cylinder(sweep, mount, feathered=True)
     papers.add(view, optical_height(sweep, mount))
 
 
@@ -395,7 +391,7 @@ def _view(
     range_m: Callable[[FloatArray], FloatArray] | None = None,
 ) -> CylinderImage:
     even = even_out(found.sweep, photometry)
-    return synthesize_cylinder(even, found.mount, PanoramaConfig(), range_m)
+    return synthesize_cylinder(even, found.mount, range_m)
 
 
 def _range_of_azimuth(

@@ -21,7 +21,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.panorama.synthesis import synthesize_cylinder
 from landmark_nav.learning.reference_area.location import PaperSearch
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.simulation.furnishing import generate_room, generate_scene
@@ -155,7 +155,7 @@ def main() -> int:
             room, sweep, mount = reported(scene.room, take_sweep(world, pose, gamma), rng)
             head = f'{seed}: {len(room.papers)} papers, gamma {gamma}: '
             try:
-                view = synthesize_cylinder(sweep, mount, PanoramaConfig())
+                view = synthesize_cylinder(sweep, mount)
                 place = PaperSearch(sweep, view, room, mount, CONFIG).located()
             except LandmarkNavError as error:
                 refused += 1

@@ -13,7 +13,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
-from landmark_nav.learning.panorama.synthesis import PanoramaConfig, synthesize_cylinder
+from landmark_nav.learning.panorama.synthesis import synthesize_cylinder
 from landmark_nav.learning.reference_area.location import PaperSearch, SweepPlace
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.types import FloatArray, Sweep
@@ -82,7 +82,7 @@ def sweep_at(
 def locate(
     sweep: Sweep, room: Room, mount: PanTiltMount = MOUNT, config: ReferenceAreaConfig = CONFIG
 ) -> SweepPlace:
-    view = synthesize_cylinder(sweep, mount, PanoramaConfig())
+    view = synthesize_cylinder(sweep, mount)
     return PaperSearch(sweep, view, room, mount, config).located()
 
 

@@ -123,7 +123,7 @@ def test_help_loads_nothing_heavy():
         (['plan', '--room', 'r', '--robot', 'r', '--out', 'p.png', '--positions', '2'], '--out'),
         (['evaluate', 'b', '--map', 'm', '--robot', 'r', '--report', 'page.txt'], '--report'),
         (['panorama', 'b', '--out', 'p.jpg'], '--out'),
-        (['panorama', 'b', '--out', 'p.png', '--crop', '-1'], 'argument --crop'),
+        (['panorama', 'b', '--out', 'p.png', '--sweep', '0'], 'argument --sweep'),
         (['figures', '--out', 'f', '--bag', 'b'], '--bag needs'),
         (['figures', '--out', 'f', '--seed', '-1'], '--seed'),
         ([*EVALUATE, '--start', 'nan', '1.0', '0.0'], 'argument --start: '),

@@ -1,8 +1,7 @@
 """
 Projection of frames on a cylinder, and the cylinder for a sweep.
 
-Inverse mapping by Livatino and Madsen, section 2.2, but with the lens model and whole frames; the
-central part of frames, as in the paper, is an option.
+Inverse mapping by Livatino and Madsen, section 2.2, but with the lens model and whole frames.
 """
 
 from __future__ import annotations
@@ -51,9 +50,7 @@ class FrameSlab:
         return int(self.inside.shape[1])
 
 
-def sweep_cylinder(
-    sweep: Sweep, mount: PanTiltMount, crop_px: int = 0, px_per_rad: float = 0.0
-) -> Cylinder:
+def sweep_cylinder(sweep: Sweep, mount: PanTiltMount, px_per_rad: float = 0.0) -> Cylinder:
     """
     Cylinder with the vertical field of view of the middle columns of the frames.
 
@@ -64,14 +61,11 @@ def sweep_cylinder(
     ----------
     sweep : Sweep
         Frames with their joint angles.
-    crop_px : int
-        Side of the central square used of each frame; 0 uses all.
     px_per_rad : float
         Columns per radian; 0 means the camera's focal length.
     """
     camera = sweep.frames[0].camera
-    _, top, _, bottom = frame_window(sweep.frames[0], crop_px)
-    ends = camera.unproject([[camera.cx, top], [camera.cx, bottom]])
+    ends = camera.unproject([[camera.cx, 0.0], [camera.cx, camera.height - 1.0]])
     pan, tilt, roll = (
         np.array([getattr(frame, name) for frame in sweep.frames])
         for name in ('pan_rad', 'tilt_rad', 'roll_rad')
@@ -98,18 +92,6 @@ def _check_level(rise: FloatArray, pan_rad: FloatArray) -> None:
         )
 
 
-def frame_window(frame: CameraFrame, crop_px: int) -> tuple[float, float, float, float]:
-    """Left, top, right and bottom of the part of a frame that is used, pixels."""
-    camera = frame.camera
-    half = crop_px / 2.0 if crop_px else float(camera.width + camera.height)
-    return (
-        max(camera.cx - half, 0.0),
-        max(camera.cy - half, 0.0),
-        min(camera.cx + half, camera.width - 1.0),
-        min(camera.cy + half, camera.height - 1.0),
-    )
-
-
 def grey_frame(frame: CameraFrame) -> CameraFrame:
     """Return a frame without its colours."""
     if frame.image.ndim == 2:
@@ -122,7 +104,6 @@ def frame_slab(
     frame: CameraFrame,
     mount: PanTiltMount,
     cylinder: Cylinder,
-    crop_px: int = 0,
     range_m: RangeOfAzimuth | None = None,
     reach_rad: float = np.inf,
 ) -> FrameSlab:
@@ -133,8 +114,6 @@ def frame_slab(
     ----------
     frame : CameraFrame
         BGR or grey; the slab has the same channels.
-    crop_px : int
-        Side of the central square that is used; 0 uses all.
     range_m : callable, optional
         Horizontal distance of the scene at azimuths (n,) in the base frame.
     reach_rad : float
@@ -142,12 +121,11 @@ def frame_slab(
     """
     camera = frame.camera
     rotation, center = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
-    left, top, right, bottom = frame_window(frame, crop_px)
     ahead = rotation[:, 2]
     middle = cylinder.cx - cylinder.fx * np.arctan2(ahead[1], ahead[0])
 
     # Azimuths of the border of the frame, relative to its central ray.
-    rays = _border_rays(camera, (left, top, right, bottom)) @ rotation.T
+    rays = _border_rays(camera) @ rotation.T
     side = np.arctan2(
         ahead[0] * rays[:, 1] - ahead[1] * rays[:, 0],
         ahead[0] * rays[:, 0] + ahead[1] * rays[:, 1],
@@ -168,7 +146,7 @@ def frame_slab(
     size = (cells[1] * _GRID_PX, cells[0] * _GRID_PX)
     window = (slice(_GRID_PX, _GRID_PX + cylinder.height), slice(_GRID_PX, _GRID_PX + count))
     pixels = cv2.resize(grid, size, interpolation=cv2.INTER_LINEAR)[window]
-    inside = cv2.inRange(pixels, (left, top), (right, bottom))
+    inside = cv2.inRange(pixels, (0.0, 0.0), (camera.width - 1.0, camera.height - 1.0))
     # Cells that touch the part that the lens cannot see are NaN, which `inRange` excludes.
     cv2.patchNaNs(pixels, -1.0)
     # One map of both coordinates: splitting it would take as long as the remapping.
@@ -184,13 +162,13 @@ def frame_slab(
 
 
 @lru_cache(maxsize=4)
-def _border_rays(camera: CameraModel, window: tuple[float, float, float, float]) -> FloatArray:
-    """Rays (36, 3) along the border of a window of the image; the same for a whole sweep."""
-    left, top, right, bottom = window
-    u, v = np.linspace(left, right, 9), np.linspace(top, bottom, 9)
+def _border_rays(camera: CameraModel) -> FloatArray:
+    """Rays (36, 3) along the border of the image; the same for a whole sweep."""
+    right, bottom = camera.width - 1.0, camera.height - 1.0
+    u, v = np.linspace(0.0, right, 9), np.linspace(0.0, bottom, 9)
     return camera.unproject(
         np.concatenate(
-            [np.stack([u, u * 0 + top], -1), np.stack([u, u * 0 + bottom], -1),
-             np.stack([v * 0 + left, v], -1), np.stack([v * 0 + right, v], -1)]
+            [np.stack([u, u * 0], -1), np.stack([u, u * 0 + bottom], -1),
+             np.stack([v * 0, v], -1), np.stack([v * 0 + right, v], -1)]
         )
     )  # fmt: skip

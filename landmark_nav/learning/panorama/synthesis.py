@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,31 +17,14 @@ from landmark_nav.learning.panorama.projection import (
     RangeOfAzimuth,
     sweep_cylinder,
 )
-from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray, ImageArray, Sweep
 
-# Kinds of blending, and the neighbour to both sides up to which a frame is used: each pixel is
-# then covered by eight frames (seven in the paper), or four.
-_NEIGHBOURS = {'mean': 4, 'median': 4, 'feather': 2}
-BLENDS = tuple(_NEIGHBOURS)
+# Neighbour to both sides up to which a frame is used: each pixel is then covered by eight frames
+# (seven in the paper), or four, if they are feathered.
+_OF_MEDIAN, _OF_FEATHER = 4, 2
 
 # Smallest number of frames for a median; pixels covered by fewer are feathered.
 _MIN_FOR_MEDIAN = 3
-
-
-@dataclass(frozen=True)
-class PanoramaConfig(Config):
-    """
-    Configuration of panorama synthesis.
-
-    Kinds of `blend` were compared (docs/decisions.md, sweeps and panoramas).
-    """
-
-    # `mean` weighs frames equally (the paper), `feather` prefers frames near their optical axis
-    # (sharp), `median` is the median of all, feathered where fewer than three frames cover.
-    blend: str = 'median'
-    # Side of the central square used of each frame (350 of 512 in the paper); 0 uses all.
-    crop_px: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +39,13 @@ class CylinderImage:
 def synthesize_cylinder(
     sweep: Sweep,
     mount: PanTiltMount,
-    config: PanoramaConfig,
     range_m: RangeOfAzimuth | None = None,
+    feathered: bool = False,
 ) -> CylinderImage:
     """
     Project the frames of a sweep on one cylinder around the pan axis.
+
+    A pixel is the median of the frames that cover it, feathered where they are fewer than three.
 
     Parameters
     ----------
@@ -72,27 +56,27 @@ def synthesize_cylinder(
     range_m : callable, optional
         Horizontal distance of the scene at azimuths (n,) in the base frame. It corrects the
         parallax between frames if the optical centre does not lie on the axis.
+    feathered : bool
+        Whether all pixels are feathered, which is faster.
     """
-    cylinder = sweep_cylinder(sweep, mount, config.crop_px)
-    reach = _reach_rad(sweep, _NEIGHBOURS[config.blend])
+    cylinder = sweep_cylinder(sweep, mount)
+    reach = _reach_rad(sweep, _OF_FEATHER if feathered else _OF_MEDIAN)
     slabs = [
-        frame_slab(frame, mount, cylinder, config.crop_px, range_m, float(far))
+        frame_slab(frame, mount, cylinder, range_m, float(far))
         for frame, far in zip(sweep.frames, reach, strict=True)
     ]
     count = np.zeros((cylinder.height, cylinder.width), np.uint16)
     for slab in slabs:
         for columns, part in _wrapped(slab.start, slab.width, cylinder.width):
             count[:, columns] += slab.inside[:, part] & 1
-    if config.blend == 'median':
+    if feathered:
+        image = _feather(slabs, reach, cylinder, np.arange(cylinder.height))
+    else:
         image = _median(slabs, count)
         few = (count > 0) & (count < _MIN_FOR_MEDIAN)
         rows = np.flatnonzero(few.any(axis=1))
         if len(rows):
             image[few] = _feather(slabs, reach, cylinder, rows)[few[rows]]
-    elif config.blend == 'feather':
-        image = _feather(slabs, reach, cylinder, np.arange(cylinder.height))
-    else:
-        image = _mean(slabs, count)
     if image.shape[2] == 1:
         image = np.repeat(image, 3, axis=2)
     return CylinderImage(image, count > 0, cylinder)
@@ -129,16 +113,6 @@ def _wrapped(start: int, count: int, width: int) -> list[tuple[slice, slice]]:
     return pieces
 
 
-def _mean(slabs: list[FrameSlab], count: npt.NDArray[np.uint16]) -> ImageArray:
-    """Mean over the frames that cover a pixel."""
-    total = np.zeros((*count.shape, *slabs[0].image.shape[2:]), np.float32)
-    for slab in slabs:
-        for columns, part in _wrapped(slab.start, slab.width, count.shape[1]):
-            cv2.accumulate(slab.image[:, part], total[:, columns], mask=slab.inside[:, part])
-    total = np.atleast_3d(total)
-    return _rounded(total, np.maximum(count, 1)[..., None])
-
-
 def _feather(
     slabs: list[FrameSlab],
     reach_rad: FloatArray,
@@ -159,11 +133,8 @@ def _feather(
         for columns, part in _wrapped(slab.start, slab.width, cylinder.width):
             total[:, columns] += weighted[:, part]
             weights[:, columns] += weight[:, part]
-    return _rounded(np.atleast_3d(total), np.maximum(weights, 1e-6)[..., None])
-
-
-def _rounded(total: npt.NDArray[np.float32], weight: npt.NDArray[Any]) -> ImageArray:
-    return np.asarray(total / weight + np.float32(0.5)).astype(np.uint8)
+    mean = np.atleast_3d(total) / np.maximum(weights, 1e-6)[..., None]
+    return np.asarray(mean + np.float32(0.5)).astype(np.uint8)
 
 
 def _median(slabs: list[FrameSlab], count: npt.NDArray[np.uint16]) -> ImageArray:
