@@ -16,7 +16,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.diagnosis.advice import motion_findings
 from landmark_nav.diagnosis.causes import verdict
-from landmark_nav.diagnosis.looks import Looks, StripView
+from landmark_nav.diagnosis.looks import Looks
 from landmark_nav.diagnosis.motion import (
     Clock,
     driven_again,
@@ -40,6 +40,7 @@ from landmark_nav.diagnosis.stamps import check_stamps
 from landmark_nav.diagnosis.streams import Stream, two_sources
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.matching.strips import StripView
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import OdometrySample

@@ -50,19 +50,12 @@ class FrameSlab:
         return int(self.inside.shape[1])
 
 
-def sweep_cylinder(sweep: Sweep, mount: PanTiltMount, px_per_rad: float = 0.0) -> Cylinder:
+def sweep_cylinder(sweep: Sweep, mount: PanTiltMount) -> Cylinder:
     """
     Cylinder with the vertical field of view of the middle columns of the frames.
 
     Raises `LandmarkNavError`: the camera looks so far up or down that it sees no walls, or the
     cylinder has too many pixels.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        Frames with their joint angles.
-    px_per_rad : float
-        Columns per radian; 0 means the camera's focal length.
     """
     camera = sweep.frames[0].camera
     ends = camera.unproject([[camera.cx, 0.0], [camera.cx, camera.height - 1.0]])
@@ -74,9 +67,7 @@ def sweep_cylinder(sweep: Sweep, mount: PanTiltMount, px_per_rad: float = 0.0) -
     _check_level(turned[:, 2, 2], pan)
     rays = np.einsum('kij,nj->kni', turned, ends)
     tangent = rays[..., 2] / np.hypot(rays[..., 0], rays[..., 1])
-    return Cylinder.with_resolution(
-        px_per_rad or camera.fx, float(tangent.min()), float(tangent.max())
-    )
+    return Cylinder.with_resolution(camera.fx, float(tangent.min()), float(tangent.max()))
 
 
 def _check_level(rise: FloatArray, pan_rad: FloatArray) -> None:
