@@ -23,6 +23,7 @@ from harness import BAGS, command, SHARED, start_of, STUDY
 import numpy as np
 
 from landmark_nav.learning.panorama.photometry import Photometry
+from landmark_nav.localization.detection.appearance import Texture
 from landmark_nav.types import Refusal
 
 SEEDS = (8301, 8302, 8303)
@@ -83,7 +84,11 @@ LEARNING: dict[str, dict[str, Any]] = {
     'corners of papers': {f'{_LEARN}reference_area.fit:_CORNER_PX': 0.0},
 }
 DRIVING: dict[str, dict[str, Any]] = {
-    'virtual views': {f'{_FIND}detection.config:DetectionConfig.appearance': 'patch'},
+    'virtual views': {
+        f'{_FIND}detection.appearance:textures': lambda landmark, _: [
+            Texture(landmark.patch.astype(np.float32), 1.0)
+        ]
+    },
     'one peak (detection)': {f'{_FIND}detection.config:DetectionConfig.max_second_ratio': 1.0},
     'wrong heights': {f'{_FIND}detection.rows:_WRONG': BEST},
     'blur of the image': {f'{_FIND}detection.correlation:_LOOKS': 1},

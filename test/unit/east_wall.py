@@ -16,8 +16,6 @@ LENS = CameraModel(
 )
 MOUNT = PanTiltMount(axis_xyz=(0.12, 0.02, 1.15), optical_center_offset=(0.03, 0.0, 0.0))
 CONFIG = DetectionConfig()
-PATCH = DetectionConfig(appearance='patch')
-VIRTUAL = DetectionConfig(appearance='virtual_view')
 ROOM = rectangle_room(6.0, 5.0)
 SCENE = textured_room(ROOM, seed=6, feature_m=0.04)
 EAST = SCENE.boards[1]

@@ -1,5 +1,5 @@
 """
-The expected appearance of a landmark from the robot's pose: its patch, or a virtual view.
+The expected appearance of a landmark from the robot's pose: a virtual view.
 
 A virtual view is rendered from the panoramas that saw the landmark: the ray of each pixel is
 intersected with the plane of the landmark, and the panoramas give the intensity of that point
@@ -22,8 +22,6 @@ from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.matching import blur_to
 from landmark_nav.types import FloatArray, Landmark
-
-APPEARANCES = ('patch', 'virtual_view')
 
 # Sigmas of a view's weight: in the angle, and in the log of the ratio of distances.
 _ASIDE_RAD = 0.5
@@ -56,7 +54,6 @@ def draw(
     viewer: FloatArray,
     rays: Sequence[Float32Array],
     rays_to_patch: FloatArray,
-    appearance: str,
 ) -> list[Drawing]:
     """
     Render the expected appearance of landmarks in rectangles of the image.
@@ -71,14 +68,12 @@ def draw(
         Rays of the pixels of each rectangle: x/z and y/z in the optical frame.
     rays_to_patch : ndarray, shape (n, 3, 3)
         Homographies from rays (x, y, 1) to metres on each patch.
-    appearance : str
-        One of `APPEARANCES`.
     """
     # Each step is done for all landmarks at once, which is faster than landmark by landmark.
     shown = [
         (k, *texture)
         for k, landmark in enumerate(landmarks)
-        for texture in textures(landmark, viewer, appearance)
+        for texture in textures(landmark, viewer)
     ]
     owner = [k for k, *_ in shown]
     to_texels = np.array([_to_texels(image, landmarks[k].width_m) for k, image, _ in shown])
@@ -122,7 +117,7 @@ def _texels_a_pixel(texels: Float32Array) -> tuple[float, float]:
     return max(across, 1e-2), max(down, 1e-2)
 
 
-def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Texture]:
+def textures(landmark: Landmark, viewer: FloatArray) -> list[Texture]:
     """
     Images to blend, with weights that sum to one.
 
@@ -132,10 +127,8 @@ def textures(landmark: Landmark, viewer: FloatArray, appearance: str) -> list[Te
         The landmark; without `views` its patch is the only image.
     viewer : ndarray, shape (3,)
         Position of the camera in map.
-    appearance : str
-        One of `APPEARANCES`.
     """
-    if appearance == 'patch' or not landmark.views:
+    if not landmark.views:
         return [Texture(landmark.patch.astype(np.float32), 1.0)]
     angle, reach = _seen_from(landmark, viewer)
     views = _views(landmark)

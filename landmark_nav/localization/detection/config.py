@@ -12,8 +12,8 @@ class DetectionConfig(Config):
     """
     How landmarks are searched and what counts as found.
 
-    docs/decisions.md (detection) compares values of `target_count` and `appearance`; the others
-    are chosen by hand.
+    docs/decisions.md (detection) compares values of `target_count`; the others are chosen by
+    hand.
     """
 
     # Least width and height of a template, pixels.
@@ -31,7 +31,5 @@ class DetectionConfig(Config):
     max_window_px: int = 80
     # Vertical sigma of matches by tilt and floor, pixels.
     vertical_sigma_px: float = 1.0
-    # The template: the patch as it was learned, or a view rendered from all panoramas that saw it.
-    appearance: str = 'virtual_view'
     # Sigma of the residual error of the lens model, pixels.
     lens_sigma_px: float = 0.03

@@ -169,7 +169,6 @@ def _detect(
         view.center,
         [grid[place.top : place.bottom + 1, place.left : place.right + 1] for place in expected],
         np.array([place.ray_to_patch for place in expected]),
-        config.appearance,
     )
     # Of image and template, the sharper one is blurred to match the other.
     blurs = [_blurs(drawing.finer, blur_px2) for drawing in drawings]
