@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from landmark_nav.arrays import Float32Array
-from landmark_nav.geometry.patches import PatchView, relative_sampling
+from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.stereo.wall_patch import (
@@ -41,8 +41,6 @@ class ElectionConfig(Config):
 
     # Greatest angle between the reference view and the normal.
     max_incidence_rad: float = 1.05
-    # Greatest ratio of resolutions between the reference view and the best other view.
-    max_stretch: float = 4.0
     # Least width and height in the reference view, pixels.
     min_size_px: int = 20
     max_off_wall_m: float = parameter(
@@ -110,7 +108,7 @@ def elect(
         others = [s for s in measurements[k] if s is not own]
         refusal = _refuse(
             patch, k, adjustment, depth_sigma[k], panoramas[patch.source],
-            [panoramas[other.panorama] for other in others], config,
+            len(others), config,
         )  # fmt: skip
         if refusal is None and any(
             _overlap(patch, adjustment.positions[k], other) > config.max_overlap for other in taken
@@ -145,12 +143,12 @@ def _refuse(
     adjustment: Adjustment,
     depth_sigma: float,
     panorama: Panorama,
-    others: Sequence[Panorama],
+    others: int,
     config: ElectionConfig,
 ) -> Refusal | None:
     # Two views and a wall give two degrees of freedom; each further view adds two.
     likelihood = chdtrc(2, _MAX_CHI_SQUARE)
-    most = float(chdtri(2 * len(others), likelihood))
+    most = float(chdtri(2 * others, likelihood))
     off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
     # What all landmarks of the map share tells none of them from the others.
     own = adjustment.own_covariance[k]
@@ -177,16 +175,6 @@ def _refuse(
     incidence = float(np.arccos(np.clip(ray @ patch.normal[:2] / np.hypot(*ray), -1.0, 1.0)))
     if incidence > config.max_incidence_rad:
         return Refusal('seen too obliquely', f'{np.degrees(incidence):.0f} deg')
-    across, down = relative_sampling(
-        adjustment.positions[k, None], patch.normal[None], panorama.center_map[None],
-        np.array([other.center_map for other in others]),
-    )  # fmt: skip
-    stretch, compression = np.maximum(across, down), np.minimum(across, down)
-    best = int(np.argmin(np.maximum(stretch, 1.0 / compression)))
-    if stretch[best, 0] > config.max_stretch:
-        return Refusal('too stretched in the other view', f'x {stretch[best, 0]:.2f}')
-    if compression[best, 0] < 1.0 / config.max_stretch:
-        return Refusal('too compressed in the other view', f'x {compression[best, 0]:.2f}')
     if min(patch.candidate.width_px, patch.candidate.height_px) < config.min_size_px:
         return Refusal('too small')
     return None

@@ -29,6 +29,8 @@ from landmark_nav.types import FloatArray
 # Number of states of each panorama: x, y, heading. The offsets of walls follow after all of them.
 _POSE = 3
 
+# Greatest ratio of resolutions at which two panoramas show a patch alike.
+_MOST_STRETCH = 4.0
 # Landmarks that a fix needs.
 _MIN_SEEN = 3.0
 
@@ -214,14 +216,15 @@ class Predictor:
         share *= config.half_arc_rad / np.pi
         self._observed = np.zeros((len(views), *reach.shape), np.float32)
         self._alike = np.zeros((len(views), *views.range_m.shape), np.bool_)
-        stretch = config.election.max_stretch
         for p in range(len(views)):
             seen_before = (
                 samples.xy,
                 samples.normal,
                 np.broadcast_to(views.eye[p], (len(samples.xy), 3)),
             )
-            self._alike[p] = observed_well(*seen_before, views.eye, 1.0 / stretch, stretch)
+            self._alike[p] = observed_well(
+                *seen_before, views.eye, 1.0 / _MOST_STRETCH, _MOST_STRETCH
+            )
             well = observed_well(*seen_before, cells, triplet.min_sampling, triplet.max_sampling)
             # Share of the heights in the panorama that are also in the image here.
             common = np.minimum(share / np.maximum(views.share[p], 1e-6), 1.0)

@@ -62,7 +62,6 @@ LEARNING: dict[str, dict[str, Any]] = {
     'depth (election)': {f'{_ELECT}ElectionConfig.max_depth_sigma_m': 1.0},
     'sigma (election)': {f'{_ELECT}ElectionConfig.max_sigma_m': 1.0},
     'incidence (election)': {f'{_ELECT}ElectionConfig.max_incidence_rad': 1.5},
-    'stretch (election)': {f'{_ELECT}ElectionConfig.max_stretch': 100.0},
     'overlap (election)': {f'{_ELECT}ElectionConfig.max_overlap': 1.0},
     'views of other panoramas': {f'{_ELECT}_view': _nothing},
     'thresholds by score': {f'{_ELECT}_THRESHOLD_SHARE': 0.0},
