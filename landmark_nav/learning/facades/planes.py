@@ -179,10 +179,12 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
         if members is None:
             break
         facade = _fit(left.chosen(members), config, common)
+        if facade.length_m < config.min_length_m:
+            left = left.chosen(~members)
+            continue
         cells = facade.cells - _cells_beside(above, facade, config)
         prior = _prior(np.arctan2(facade.along[1], facade.along[0]), common)
-        large = prior * cells >= fewest and facade.length_m >= config.min_length_m
-        if large and facade.turn_rad < _TURN_RAD:
+        if prior * cells >= fewest and facade.turn_rad < _TURN_RAD:
             found.append(left.chosen(members))
             common = _common(found, config)
             # What is seen through a wall is a reflection, or falsely matched.
