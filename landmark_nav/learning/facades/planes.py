@@ -122,7 +122,7 @@ _BESIDE_M, _SUPPORT_M = 0.15, 0.2
 # Least accuracy of the direction of a facade by the groups of its points, rad.
 _TURN_RAD, _NOTHING = 0.15, 1e-9
 # Prior of a line at no right angle to the others, relative to one that is within this angle, rad.
-_OBLIQUE, _RIGHT_RAD = 0.5, 0.03
+_OBLIQUE, _RIGHT_RAD = 0.5, 0.02
 # Length of a section of a wall, in which all points are equally far from it, m.
 _SECTION_M = 0.6
 # Lower points belong to the floor.
@@ -158,6 +158,11 @@ class Facade:
         return np.asarray(side / np.hypot(*side))
 
     @property
+    def angle_rad(self) -> float:
+        """Direction from start to end, rad."""
+        return float(np.arctan2(self.along[1], self.along[0]))
+
+    @property
     def normal(self) -> FloatArray:
         """Unit normal into the room, (2,)."""
         return np.array([-self.along[1], self.along[0]])
@@ -183,8 +188,8 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
             left = left.chosen(~members)
             continue
         cells = facade.cells - _cells_beside(above, facade, config)
-        prior = _prior(np.arctan2(facade.along[1], facade.along[0]), common)
-        if prior * cells >= fewest and facade.turn_rad < _TURN_RAD:
+        likely = _prior(facade.angle_rad, common) * cells >= fewest
+        if likely and facade.turn_rad < _TURN_RAD:
             found.append(left.chosen(members))
             common = _common(found, config)
             # What is seen through a wall is a reflection, or falsely matched.
@@ -221,7 +226,9 @@ def _joined(found: list[SeenPoints], config: FacadesConfig, common: float | None
             ends = np.array([(f.start, f.end) for f in (facades[k], facades[j])])
             off = (ends - whole.start) @ whole.normal
             # The front of a cupboard and the wall next to it also fit a line, but a rotated one.
-            if max(np.abs(off).max(), np.abs(np.diff(off)).max()) < bound:
+            near = max(np.abs(off).max(), np.abs(np.diff(off)).max()) < bound
+            right, was = (_prior(f.angle_rad, common) for f in (whole, facades[k]))
+            if near and right >= was:
                 found[k], facades[k] = both, whole
                 del found[j], facades[j]
                 break
