@@ -145,7 +145,7 @@ def locate(
         joined = SeenPoints.joined([points for points, _ in matched])
         facades = find_facades(joined, config.facades)
         try:
-            room = room_of(facades, eyes, config.facades)
+            room = room_of(facades, joined, eyes, config.facades)
         except LandmarkNavError as error:
             _LOG.warning('%s: only what stands for itself is learned', error)
             room = open_room(joined, eyes, config.facades)

@@ -40,7 +40,7 @@ def test_outline_of_a_room_is_found(corners, seed):
     eyes = EYES.copy()
     eyes[:, :2] = np.array([[1.5, 1.5], [2.5, 1.8]]) @ rotation.T
     points = SeenPoints(xyz, seen(xyz).covariance, np.broadcast_to(eyes[0], xyz.shape))
-    room = room_of(find_facades(points, CONFIG), eyes, CONFIG)
+    room = room_of(find_facades(points, CONFIG), points, eyes, CONFIG)
     found = np.array([wall.start for wall in room.walls]) @ rotation
     away = np.linalg.norm(found[:, None] - corners, axis=-1)
     assert len(found) == len(corners)
@@ -77,20 +77,60 @@ def test_a_line_through_what_lies_on_both_its_sides_is_no_facade():
     assert find_facades(seen(blob, 0.01), CONFIG) == []
 
 
+@pytest.mark.parametrize('depth_m', [0.14, 0.3])
 @pytest.mark.parametrize('seed', [11, 12, 13])
-def test_a_wall_and_the_cupboard_beside_it_are_not_one_facade(seed):
+def test_a_wall_and_the_cupboard_beside_it_are_not_one_facade(seed, depth_m):
     rng = np.random.default_rng(seed)
     walls = on_walls(RECTANGLE, rng)[60:]
     stretch, front = (
         np.column_stack([rng.uniform(*x, 80), rng.normal(y, 0.01, 80), rng.uniform(0.4, 1.7, 80)])
-        for x, y in (((0.7, 1.3), 0.0), ((4.6, 5.8), 0.3))
+        for x, y in (((0.7, 1.3), 0.0), ((4.6, 5.8), depth_m))
     )
     facades = find_facades(seen(np.vstack([stretch, walls, front])), CONFIG)
     along_x = [f for f in facades if f.normal[1] > 0.9]
     assert len(along_x) == 2
     for facade in along_x:
         ends = np.array([facade.start[1], facade.end[1]])
-        assert np.abs(ends - 0.3).max() < 0.02 or np.abs(ends).max() < 0.02
+        assert np.abs(ends - depth_m).max() < 0.02 or np.abs(ends).max() < 0.02
+
+
+def face(start, end, count, height, rng):
+    """Points of what hangs or stands between two places."""
+    xy = np.array(start) + rng.uniform(0, 1, (count, 1)) * np.subtract(end, start)
+    return np.column_stack([xy + rng.normal(0, 0.01, (count, 2)), rng.uniform(*height, count)])
+
+
+@pytest.mark.parametrize('seed', [21, 22, 23])
+@pytest.mark.parametrize(
+    'things',
+    [
+        # The front of a cupboard beside a picture, at the same wall.
+        [((3.4, 0.0), (5.4, 0.0), 80), ((1.7, 0.5), (2.7, 0.5), 90), ((0.3, 0.0), (0.9, 0.0), 4)],
+        # As much of a cupboard as of the wall: the line through both is neither.
+        [
+            ((4.0, 0.0), (5.6, 0.0), 40),
+            ((1.5, 0.35), (1.9, 0.35), 12),
+            ((2.0, 0.0), (2.5, 0.0), 12),
+        ],
+        # A frame, and pictures on either side of a stretch without anything.
+        [
+            ((0.4, 0.04), (1.0, 0.04), 30),
+            ((1.1, 0.0), (1.6, 0.0), 30),
+            ((4.4, 0.0), (5.2, 0.0), 30),
+        ],
+        # Few points on all of a wall.
+        [((0.5, 0.0), (5.5, 0.0), 10)],
+    ],
+    ids=['cupboard', 'edge', 'frame', 'few'],
+)
+def test_a_wall_is_found_with_what_stands_and_hangs_before_it(things, seed):
+    rng = np.random.default_rng(seed)
+    parts = [face(start, end, count, (1.0, 1.7), rng) for start, end, count in things]
+    points = seen(np.vstack([on_walls(RECTANGLE, rng)[60:], *parts]))
+    room = room_of(find_facades(points, CONFIG), points, EYES, CONFIG)
+    found = np.array([wall.start for wall in room.walls])
+    assert len(found) == len(RECTANGLE)
+    assert np.linalg.norm(found[:, None] - RECTANGLE, axis=-1).min(0).max() < 0.04
 
 
 def test_too_few_walls_are_no_room():
@@ -98,7 +138,7 @@ def test_too_few_walls_are_no_room():
     one = on_walls(RECTANGLE[:2], rng)[:60]
     facades = find_facades(seen(one), CONFIG)
     with pytest.raises(LandmarkNavError, match='make no'):
-        room_of(facades, EYES, CONFIG)
+        room_of(facades, seen(one), EYES, CONFIG)
 
 
 @pytest.mark.parametrize('count', [0, 1, 200])

@@ -23,6 +23,7 @@ from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_stretches
 from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.least_squares import covariance_of
+from landmark_nav.learning.right_angles import common_direction, pull
 from landmark_nav.types import FloatArray
 
 # Greatest median distance of patches in front of a wall and behind it, m, and greatest angle
@@ -278,8 +279,6 @@ _STEPS = 10
 _TAIL_WIDTH = 2.0
 # Least angle between neighbours whose intersection is their corner, rad.
 _LEAST_CORNER_RAD = 0.2
-# Sigma of the angles of walls about multiples of a right angle, rad.
-_RIGHT_RAD = 0.003
 
 
 def moved_walls(
@@ -374,8 +373,7 @@ def _squared(walls: Sequence[Wall], ends_m: FloatArray, covariance: FloatArray) 
     """
     Shifts (n, 2) of the ends of walls, with the prior that most walls are at right angles.
 
-    What hangs on a short wall at various depths hardly shows its direction. Walls at other angles
-    are outliers of this prior (Coughlan and Yuille, Manhattan World, ICCV 1999).
+    What hangs on a short wall at various depths hardly shows its direction.
 
     Parameters
     ----------
@@ -386,25 +384,9 @@ def _squared(walls: Sequence[Wall], ends_m: FloatArray, covariance: FloatArray) 
     given = np.array([np.arctan2(*wall.along[1::-1]) for wall in walls])
     turned = given + np.sum(across * ends_m, 1)
     spread = np.einsum('ni,nij->nj', across, covariance)
-    variance = np.sum(spread * across, 1) + _RIGHT_RAD**2
-    length = np.array([wall.length for wall in walls])
-    common = max(turned, key=lambda a: float(length @ _weights(_from_right(turned - a), variance)))
-    for _ in range(_STEPS):
-        off = _from_right(turned - common)
-        weight = _weights(off, variance) / variance
-        common += float(np.sum(weight * off) / np.sum(weight))
-    off = _from_right(turned - common)
-    return np.asarray(ends_m - spread * (_weights(off, variance) * off / variance)[:, None])
-
-
-def _from_right(angle_rad: FloatArray) -> FloatArray:
-    """Difference of angles from the nearest multiple of a right angle."""
-    return np.asarray((angle_rad + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi)
-
-
-def _weights(off_rad: FloatArray, variance: FloatArray) -> FloatArray:
-    """Weights (n,) of Geman and McClure for angles that are off by so much."""
-    return np.asarray((1.0 + off_rad**2 / (_TAIL_WIDTH**2 * variance)) ** -2.0)
+    variance = np.sum(spread * across, 1)
+    common = common_direction(turned, variance, np.array([wall.length for wall in walls]))
+    return np.asarray(ends_m - spread * pull(turned, variance, common)[:, None])
 
 
 def _next(room: Room, k: int) -> int:

@@ -1,8 +1,9 @@
 """
 The room that facades enclose.
 
-Seen from the sweeps, the farthest facade in each direction belongs to the outline. Neighbours meet
-at the intersection of their planes; otherwise a wall without landmarks joins them.
+Each direction from the sweeps shows one facade, or the extension of its plane: the likeliest
+sequence around them is the outline. Neighbours meet at the intersection of their planes; otherwise
+a wall without landmarks joins them.
 """
 
 from __future__ import annotations
@@ -16,18 +17,29 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.se2 import cross, crossing
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.facades.planes import Facade, FacadesConfig, SeenPoints
+from landmark_nav.learning.facades.planes import (
+    bare,
+    Facade,
+    FacadesConfig,
+    FLOOR_M,
+    on_and_through,
+    SeenPoints,
+)
 from landmark_nav.types import FloatArray
 
 _RAYS = 1440
-# A room without facades: number of its walls, their least distance beyond the viewpoints, and the
-# share of points inside it.
-_OPEN_WALLS, _OPEN_M, _OPEN_SHARE = 12, 1.0, 0.98
-# A facade extends beyond its last point by this; a corner is at most this far from the observed
-# parts of its two walls.
-_BEYOND_M, _FARTHEST_CORNER_M = 0.1, 3.0
-# Least sine of the angle between two walls that meet.
-_LEAST_SINE = 0.2
+# A room without facades: number of its walls, their least distance beyond the viewpoints, its
+# distance beyond its points, and the share of points inside it.
+_OPEN_WALLS, _OPEN_M, _BEYOND_M, _OPEN_SHARE = 12, 1.0, 0.1, 0.98
+# Negative log-likelihoods: of a metre of wall without points, of one hidden by another facade, of
+# a metre of unknown wall, of a step from one facade to another, and of a cell of points behind.
+_BARE, _HIDDEN, _UNKNOWN, _STEP, _BEHIND = 1.0, 0.3, 2.0, 2.5, 1.0
+# Greatest depth of furniture, m; size of a cell, m.
+_FURNITURE_M, _CELL_M = 0.8, 0.1
+# Facades of a smaller difference in distance meet, m; a larger one is a whole step.
+_MEET_M = 0.3
+# Least sine of the angle between two walls that meet, and between a wall and a ray.
+_LEAST_SINE, _LEAST_FACING = 0.2, 0.02
 # Shorter walls are left out.
 _SHORTEST_M = 0.03
 # A wider sector without facades is closed by an arc around the sweeps.
@@ -35,9 +47,13 @@ _WIDE_RAD = 2.0
 # A facade that is less high above the viewpoint hides little; facades end this far above their
 # highest point.
 _OVER_EYE_M, _ABOVE_M = 0.2, 0.3
+# More than the cost of any outline.
+_NEVER = 1e9
 
 
-def room_of(facades: Sequence[Facade], eyes: FloatArray, config: FacadesConfig) -> Room:
+def room_of(
+    facades: Sequence[Facade], points: SeenPoints, eyes: FloatArray, config: FacadesConfig
+) -> Room:
     """
     Build a room from facades.
 
@@ -47,22 +63,19 @@ def room_of(facades: Sequence[Facade], eyes: FloatArray, config: FacadesConfig) 
     ----------
     facades : sequence of Facade
         Facades found.
+    points : SeenPoints
+        Points that panoramas share.
     eyes : ndarray, shape (v, 3)
         Viewpoints of the sweeps, in map.
     config : FacadesConfig
         Height and sigma of walls.
     """
     tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
-    middle = eyes[:, :2].mean(0)
-    which, points = _seen(tall, middle)
     height = max([config.wall_height_m, *(f.high_m + _ABOVE_M for f in facades)])
-    corners = _corners(tall, which, middle)
-    try:
-        room = _closed(corners, height, config)
-    except LandmarkNavError:
-        # Intersections of uncertain planes may cross; observed parts in their order do not.
-        corners = _seen_corners(which, points, middle)
-        room = _closed(corners, height, config)
+    corners = []
+    if len(tall) > 1:
+        corners = _corners(tall, *_outline(tall, points, eyes, config), eyes[:, :2].mean(0))
+    room = _closed(corners, height, config)
     if not room.contains(eyes[:, :2]).all():
         raise LandmarkNavError(
             f'the {len(tall)} flat surfaces found do not surround the sweeps: take another sweep '
@@ -119,63 +132,101 @@ def _wall(
     return Wall(f'{name}_{number + 1}', first, last, height, sigma)
 
 
-def _seen(facades: Sequence[Facade], middle: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """The farthest facade along rays (n,), counter-clockwise, -1 for none; the point (n, 2)."""
-    azimuth = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
+def _outline(
+    facades: Sequence[Facade], points: SeenPoints, eyes: FloatArray, config: FacadesConfig
+) -> tuple[IndexArray, FloatArray]:
+    """
+    Likeliest facade along each ray from the middle of the sweeps, and how far away each facade is.
+
+    Viterbi's algorithm along the rays (as Flint, Murray and Reid, ICCV 2011): facades extend as
+    planes at a cost; points that are seen through them contradict them.
+
+    Returns
+    -------
+    which : ndarray of int, shape (_RAYS,)
+        Counter-clockwise, -1 for none.
+    reach : ndarray, shape (k + 1, _RAYS)
+        Distance of each facade along each ray, m.
+    """
+    middle, step = eyes[:, :2].mean(0), 2.0 * np.pi / _RAYS
+    azimuth = step * np.arange(_RAYS)
     ray = np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
-    which, farthest = np.full(_RAYS, -1), np.zeros(_RAYS)
-    # Beyond its last point a facade counts only if there is no other.
-    for beyond_m in (0.0, _BEYOND_M):
-        unseen = which < 0
-        for k, facade in enumerate(facades):
-            facing = ray @ facade.normal
-            with np.errstate(divide='ignore', invalid='ignore'):
-                reach = (facade.start - middle) @ facade.normal / facing
-                along = (middle + reach[:, None] * ray - facade.start) @ facade.along
-            hit = unseen & (facing < 0.0) & (reach > farthest)
-            hit &= (along > -beyond_m) & (along < facade.length_m + beyond_m)
-            farthest[hit], which[hit] = reach[hit], k
-    return which, middle + farthest[:, None] * ray
+    points = points.chosen(points.positions[:, 2] > FLOOR_M)
+    # One point of each cell.
+    cells = np.floor(points.positions / _CELL_M)
+    points = points.chosen(np.unique(cells, axis=0, return_index=True)[1])
+    far = np.hypot(*(points.positions[:, :2] - middle).T)
+    reach = np.full((len(facades) + 1, _RAYS), _NEVER)
+    facing = np.ones_like(reach)
+    cost = np.full_like(reach, _UNKNOWN * step * np.median(far))
+    empty = np.zeros(reach.shape, dtype=bool)
+    for k, facade in enumerate(facades):
+        facing[k] = np.maximum(-(ray @ facade.normal), _LEAST_FACING)
+        reach[k] = ((middle - facade.start) @ facade.normal) / facing[k]
+        along = (middle + reach[k, :, None] * ray - facade.start) @ facade.along
+        on, through, crossed = on_and_through(points, facade, config)
+        empty[k] = bare(along, on)
+        cost[k] = np.where((facing[k] > _LEAST_FACING) & (reach[k] > 0.0), 0.0, _NEVER)
+        # Where points support it, others behind it are outliers, or are reflected.
+        at = crossed[through & bare(crossed, on)]
+        hit = _ray_of(facade.start + at[:, None] * facade.along - middle)
+        np.add.at(cost[k], hit, _BEHIND)
+    seen = _ray_of(eyes[:, :2] - middle)
+    cost[:, seen] += _NEVER * (reach[:, seen] < np.hypot(*(eyes[:, :2] - middle).T))
+    # What is far behind the nearest facade that was observed is hidden by more than furniture.
+    observed = np.where(empty | (cost >= _NEVER), _NEVER, reach)[:-1]
+    front = observed.argmin(0)
+    behind = (reach - observed.min(0)) * facing[front, np.arange(_RAYS)]
+    rate = np.select([behind <= 0.0, behind < _FURNITURE_M], [_BARE, _HIDDEN], _UNKNOWN)
+    cost[:-1] += (empty * step * reach / facing * rate)[:-1]
+    # Two turns, as the first and the last ray are neighbours.
+    total, back = cost[:, 0], [np.arange(len(cost))]
+    for r in range(1, 2 * _RAYS):
+        there = reach[:, r % _RAYS]
+        change = _STEP * np.minimum(np.abs(there[:, None] - there) / _MEET_M, 1.0)
+        change[-1, :-1] = change[:-1, -1] = 0.5 * _STEP
+        tried = total[:, None] + change
+        back.append(tried.argmin(0))
+        total = tried.min(0) + cost[:, r % _RAYS]
+    which = [int(total.argmin())]
+    for origin in back[:0:-1]:
+        which.append(int(origin[which[-1]]))
+    turn = np.roll(which[::-1][_RAYS // 2 : _RAYS // 2 + _RAYS], _RAYS // 2)
+    return np.where(turn == len(facades), -1, turn), reach
+
+
+def _ray_of(off: FloatArray) -> IndexArray:
+    """Rays (n,) in the directions (n, 2)."""
+    return np.rint(np.arctan2(off[:, 1], off[:, 0]) * _RAYS / (2.0 * np.pi)).astype(int) % _RAYS
 
 
 def _corners(
-    facades: Sequence[Facade], which: IndexArray, middle: FloatArray
+    facades: Sequence[Facade], which: IndexArray, reach: FloatArray, middle: FloatArray
 ) -> list[tuple[FloatArray, int]]:
     """Corners of the outline, each with the facade that starts there; -1 for a joining wall."""
-    seen = which[which >= 0]
-    runs = seen[np.flatnonzero(seen != np.roll(seen, 1))].tolist()
-    if len(runs) < 2:
-        return []
-    corners: list[tuple[FloatArray, int]] = []
-    for first, second in zip(runs, [*runs[1:], runs[0]], strict=True):
-        one, other = facades[first], facades[second]
-        meet = abs(cross(one.along, other.along)) > _LEAST_SINE
-        corner = crossing(one.start, one.along, other.start, other.along) if meet else None
-        if corner is not None and _fits(corner, one.end, other.start):
-            corners.append((corner, second))
-        else:
-            around = [(point, -1) for point in _around(one.end, other.start, middle)]
-            corners += [(one.end, -1), *around, (other.start, second)]
-    return _without_short(corners)
 
+    def point(k: int, r: int) -> FloatArray:
+        azimuth = 2.0 * np.pi * r / _RAYS
+        ray = np.array([np.cos(azimuth), np.sin(azimuth)])
+        return np.asarray(middle + reach[k, r % _RAYS] * ray)
 
-def _seen_corners(
-    which: IndexArray, points: FloatArray, middle: FloatArray
-) -> list[tuple[FloatArray, int]]:
-    """Corners as `_corners` gives, where each facade ends at the last ray that hits it."""
-    starts = np.flatnonzero(which != np.roll(which, 1))
-    runs = [
-        (points[begin], points[end - 1], int(which[begin]))
-        for begin, end in zip(starts, np.roll(starts, -1), strict=True)
-        if which[begin] >= 0
-    ]
-    if len(runs) < 2:
-        return []
+    steps = np.flatnonzero(which != np.roll(which, 1)).tolist()
     corners: list[tuple[FloatArray, int]] = []
-    for k, (start, end, facade) in enumerate(runs):
-        corners += [(start, facade), (end, -1)]
-        around = _around(end, runs[(k + 1) % len(runs)][0], middle)
-        corners += [(point, -1) for point in around]
+    for r, following in zip(steps, [*steps[1:], *steps[:1]], strict=True):
+        before, after = int(which[r - 1]), int(which[r])
+        end, start = point(before, r - 1), point(after, r)
+        if after < 0:
+            around = _around(end, point(int(which[following]), following), middle)
+            corners += [(end, -1), *[(p, -1) for p in around]]
+            continue
+        if before >= 0:
+            one, other = facades[before], facades[after]
+            if abs(cross(one.along, other.along)) > _LEAST_SINE:
+                corner = crossing(one.start, one.along, other.start, other.along)
+                start = corner if np.hypot(*(corner - start)) < _MEET_M else start
+            if np.hypot(*(end - start)) > _MEET_M:
+                corners.append((end, -1))
+        corners.append((start, after))
     return _without_short(corners)
 
 
@@ -201,11 +252,3 @@ def _around(end: FloatArray, start: FloatArray, middle: FloatArray) -> list[Floa
     angles = azimuth + np.linspace(0.0, turn, 2 + int(turn / _WIDE_RAD * 2.0))[1:-1]
     reach = max(float(np.hypot(*first)), float(np.hypot(*last)))
     return list(middle + reach * np.stack([np.cos(angles), np.sin(angles)], 1))
-
-
-def _fits(corner: FloatArray, end: FloatArray, start: FloatArray) -> bool:
-    """Whether a corner is near the observed parts of both walls."""
-    return bool(
-        np.hypot(*(corner - end)) < _FARTHEST_CORNER_M
-        and np.hypot(*(corner - start)) < _FARTHEST_CORNER_M
-    )

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from landmark_nav.arrays import BoolArray
+from landmark_nav.arrays import BoolArray, IndexArray
 from landmark_nav.geometry.se2 import cross
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
+from landmark_nav.learning.right_angles import common_direction, from_right, pull
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
 
@@ -47,8 +48,8 @@ class SeenPoints:
             np.concatenate([p.viewpoints for p in parts]),
         )
 
-    def chosen(self, which: BoolArray) -> SeenPoints:
-        """Return the points selected by `which` (n,)."""
+    def chosen(self, which: BoolArray | IndexArray) -> SeenPoints:
+        """Return the points selected by `which`, a mask or indices."""
         return SeenPoints(self.positions[which], self.covariance[which], self.viewpoints[which])
 
 
@@ -97,7 +98,7 @@ class FacadesConfig(Config):
 
     # Sigma of points of a facade about its plane, m.
     relief_m: float = 0.015
-    # Fewest cells of 10 cm x 10 cm of a facade that contain points.
+    # Fewest cells of 10 cm x 10 cm that contain points; half at a right angle to other facades.
     min_cells: int = 12
     # Least length, m.
     min_length_m: float = 0.4
@@ -115,12 +116,17 @@ _TRIALS, _SEED = 600, 5
 # Greatest distance of the two points of a trial, m; bound of inliers, in sigmas.
 _REACH_M, _INLIER_SIGMAS = 3.0, 2.5
 _CELL_M = 0.1
-# Points nearer than this to a facade and not on it contradict it, m.
-_BESIDE_M = 0.15
+# Points nearer than this to a facade and not on it contradict it, m; those on it support as much
+# of it to either side, m.
+_BESIDE_M, _SUPPORT_M = 0.15, 0.2
 # Least accuracy of the direction of a facade by the groups of its points, rad.
 _TURN_RAD, _NOTHING = 0.15, 1e-9
+# Prior of a line at no right angle to the others, relative to one that is within this angle, rad.
+_OBLIQUE, _RIGHT_RAD = 0.5, 0.02
+# Length of a section of a wall, in which all points are equally far from it, m.
+_SECTION_M = 0.6
 # Lower points belong to the floor.
-_FLOOR_M = 0.08
+FLOOR_M = 0.08
 _REFITS = 4
 # Points this near to a facade belong to it and to no other, m.
 _TAKEN_M = 0.06
@@ -133,9 +139,9 @@ class Facade:
     """
     A vertical rectangle from `start` to `end` (2,) in map, with the room on its left.
 
-    It was observed between the heights `low_m` and `high_m`; `cells` of it contain points, and
-    `sigma_m` is the sigma of its plane. Any two groups of points lie on a common line: `turn_rad`
-    is the sigma of its direction by the points on one side of its widest gap.
+    It was observed between the heights `low_m` and `high_m`; `cells` of it contain points. Any two
+    groups of points lie on a common line: `turn_rad` is the sigma of its direction by the points
+    on one side of its widest gap.
     """
 
     start: FloatArray
@@ -143,7 +149,6 @@ class Facade:
     low_m: float
     high_m: float
     cells: int
-    sigma_m: float
     turn_rad: float
 
     @property
@@ -151,6 +156,11 @@ class Facade:
         """Unit vector from start to end, (2,)."""
         side = self.end - self.start
         return np.asarray(side / np.hypot(*side))
+
+    @property
+    def angle_rad(self) -> float:
+        """Direction from start to end, rad."""
+        return float(np.arctan2(self.along[1], self.along[0]))
 
     @property
     def normal(self) -> FloatArray:
@@ -165,25 +175,46 @@ class Facade:
 
 def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
     """Find facades among points, in the order of their support."""
-    left = above = points.chosen(points.positions[:, 2] > _FLOOR_M)
+    left = above = points.chosen(points.positions[:, 2] > FLOOR_M)
     rng = np.random.default_rng(_SEED)
     found: list[SeenPoints] = []
-    while len(found) < config.max_facades and len(left) >= config.min_cells:
-        members = _best_line(left, config, rng)
+    common, fewest = None, _OBLIQUE * config.min_cells
+    while len(found) < config.max_facades and len(left) >= fewest:
+        members = _best_line(left, config, rng, common)
         if members is None:
             break
-        facade = refit(left.chosen(members), config)
+        facade = _fit(left.chosen(members), config, common)
+        if facade.length_m < config.min_length_m:
+            left = left.chosen(~members)
+            continue
         cells = facade.cells - _cells_beside(above, facade, config)
-        large = cells >= config.min_cells and facade.length_m >= config.min_length_m
-        if large and facade.turn_rad < _TURN_RAD:
+        likely = _prior(facade.angle_rad, common) * cells >= fewest
+        if likely and facade.turn_rad < _TURN_RAD:
             found.append(left.chosen(members))
+            common = _common(found, config)
+            # What is seen through a wall is a reflection, or falsely matched.
+            on, through, crossed = on_and_through(left, facade, config)
+            members = members | (through & ~bare(crossed, on))
         left = left.chosen(~(members | _covered(left, facade, config)))
-    return sorted(_joined(found, config), key=lambda f: -f.cells)
+    return sorted(_joined(found, config, common), key=lambda f: -f.cells)
 
 
-def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
+def _common(found: list[SeenPoints], config: FacadesConfig) -> float:
+    """Direction to which most facades are at right angles."""
+    lines = [_line(members, config) for members in found]
+    along = np.array([along for _, along, _ in lines])
+    return common_direction(
+        np.arctan2(along[:, 1], along[:, 0]),
+        np.array([variance for *_, variance in lines]),
+        np.array(
+            [np.ptp(m.positions[:, :2] @ a) for m, (_, a, _) in zip(found, lines, strict=True)]
+        ),
+    )
+
+
+def _joined(found: list[SeenPoints], config: FacadesConfig, common: float | None) -> list[Facade]:
     """Facades, with parts of one facade joined."""
-    facades = [refit(members, config) for members in found]
+    facades = [_fit(members, config, common) for members in found]
     bound = _INLIER_SIGMAS * config.relief_m
     k = 0
     while k < len(facades):
@@ -191,11 +222,13 @@ def _joined(found: list[SeenPoints], config: FacadesConfig) -> list[Facade]:
             if facades[k].normal @ facades[j].normal < _SAME_NORMAL:
                 continue
             both = SeenPoints.joined([found[k], found[j]])
-            whole = refit(both, config)
+            whole = _fit(both, config, common)
             ends = np.array([(f.start, f.end) for f in (facades[k], facades[j])])
             off = (ends - whole.start) @ whole.normal
             # The front of a cupboard and the wall next to it also fit a line, but a rotated one.
-            if max(np.abs(off).max(), np.abs(np.diff(off)).max()) < bound:
+            near = max(np.abs(off).max(), np.abs(np.diff(off)).max()) < bound
+            right, was = (_prior(f.angle_rad, common) for f in (whole, facades[k]))
+            if near and right >= was:
                 found[k], facades[k] = both, whole
                 del found[j], facades[j]
                 break
@@ -216,24 +249,82 @@ def _cells_beside(points: SeenPoints, facade: Facade, config: FacadesConfig) -> 
     return _cells(along[beside], height[beside])
 
 
-def refit(members: SeenPoints, config: FacadesConfig) -> Facade:
-    """Robust fit of a facade to points."""
-    weight = np.ones(len(members))
-    xy = members.positions[:, :2]
+def on_and_through(
+    points: SeenPoints, facade: Facade, config: FacadesConfig
+) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """
+    What points say about the plane of a facade.
+
+    Returns
+    -------
+    on : ndarray, shape (m,)
+        Where along it points lie, m.
+    through : ndarray of bool, shape (n,)
+        Which points are seen through it, below its top.
+    crossed : ndarray, shape (n,)
+        Where along it their lines of sight cross it, m.
+    """
+    off = points.positions[:, :2] - facade.start
+    ahead = (points.viewpoints[:, :2] - facade.start) @ facade.normal
+    away = off @ facade.normal
+    bound = _INLIER_SIGMAS * np.sqrt(_variance(points, facade.normal, config))
+    on = (np.abs(away) < bound) & (ahead > 0.0)
+    through = (away < -np.maximum(bound, _BESIDE_M)) & (ahead > 0.0)
+    share = np.where(through, ahead, 0.0) / np.where(through, ahead - away, 1.0)
+    crossing = points.viewpoints + share[:, None] * (points.positions - points.viewpoints)
+    through &= crossing[:, 2] < facade.high_m
+    crossed = (crossing[:, :2] - facade.start) @ facade.along
+    return off[on] @ facade.along, through, crossed
+
+
+def bare(along: FloatArray, on: FloatArray) -> BoolArray:
+    """Which positions (..., n) along a facade have no points (m,) near them."""
+    return np.asarray(np.abs(along[..., None] - on).min(-1, initial=np.inf) > _SUPPORT_M)
+
+
+def _line(
+    members: SeenPoints, config: FacadesConfig, common: float | None = None
+) -> tuple[FloatArray, FloatArray, float]:
+    """
+    Robust fit of a line to points, with the prior of a right angle to a `common` direction.
+
+    Returns
+    -------
+    middle, along : ndarray, shape (2,)
+    variance : float
+        Of its direction by the points. What hangs in one section of a wall is equally far from it.
+    """
+    xy, weight = members.positions[:, :2], np.ones(len(members))
     for _ in range(_REFITS):
         middle = np.average(xy, axis=0, weights=weight)
         off = xy - middle
-        _, vectors = np.linalg.eigh((weight[:, None] * off).T @ off)
-        normal = vectors[:, 0]
-        variance = _variance(members, normal, config)
+        along = np.linalg.eigh((weight[:, None] * off).T @ off)[1][:, 1]
+        turn = 1.0 / float(np.sum(weight * (off @ along) ** 2) + _NOTHING)
+        if common is not None:
+            angle = np.arctan2(along[1], along[0])
+            angle -= turn * float(pull(angle, np.array(turn), common))
+            along = np.array([np.cos(angle), np.sin(angle)])
+        normal = np.array([-along[1], along[0]])
         miss = off @ normal
-        weight = 1.0 / variance / (1.0 + miss**2 / variance / 4.0) ** 2
+        variance = _variance(members, normal, config)
+        section = np.unique(np.floor(off @ along / _SECTION_M), return_inverse=True)[1]
+        alike = np.bincount(section)[section] * config.relief_m**2
+        weight = (1.0 + miss**2 / variance / 4.0) ** -2.0 / (variance + alike)
+    return middle, along, turn
+
+
+def _fit(members: SeenPoints, config: FacadesConfig, common: float | None) -> Facade:
+    """Facade through points, as `_line`."""
+    middle, along, _ = _line(members, config, common)
+    xy = members.positions[:, :2]
+    normal = np.array([-along[1], along[0]])
+    variance, miss = _variance(members, normal, config), (xy - middle) @ normal
     eye = members.viewpoints[:, :2].mean(0)
     normal = normal if (eye - middle) @ normal > 0.0 else -normal
     along = np.array([normal[1], -normal[0]])
     kept = miss**2 < _INLIER_SIGMAS**2 * variance
     kept = kept if kept.any() else np.ones(len(xy), dtype=bool)
-    t = off[kept] @ along
+    t = (xy - middle)[kept] @ along
     z = members.positions[kept, 2]
     return Facade(
         middle + t.min() * along,
@@ -241,7 +332,6 @@ def refit(members: SeenPoints, config: FacadesConfig) -> Facade:
         float(z.min()),
         float(z.max()),
         _cells(t, z),
-        float(np.sqrt(1.0 / np.sum(weight))),
         _turn(t, miss[kept], variance[kept]),
     )
 
@@ -273,19 +363,26 @@ def _cells(along: FloatArray, height: FloatArray) -> int:
 
 
 def _best_line(
-    points: SeenPoints, config: FacadesConfig, rng: np.random.Generator
+    points: SeenPoints, config: FacadesConfig, rng: np.random.Generator, common: float | None
 ) -> BoolArray | None:
-    """Points (n,) on the part of a line with the most support; None if there is too little."""
+    """
+    Points (n,) on the part of a line with the most support; None if there is too little.
+
+    Every other line is turned to a right angle to the `common` direction.
+    """
     xy = points.positions[:, :2]
     best, most = None, 0.0
     apart = np.linalg.norm(xy[:, None] - xy, axis=-1)
     partners = (apart > _CELL_M) & (apart < _REACH_M)
-    for first in rng.integers(len(xy), size=_TRIALS):
+    for trial, first in enumerate(rng.integers(len(xy), size=_TRIALS)):
         near = np.flatnonzero(partners[first])
         if not len(near):
             continue
         side = xy[rng.choice(near)] - xy[first]
-        along = side / np.hypot(*side)
+        angle = np.arctan2(side[1], side[0])
+        if common is not None and trial % 2:
+            angle -= from_right(angle - common)
+        along = np.array([np.cos(angle), np.sin(angle)])
         normal = np.array([-along[1], along[0]])
         off = xy - xy[first]
         ahead = (points.viewpoints[:, :2] - xy[first]) @ normal
@@ -295,10 +392,18 @@ def _best_line(
             continue  # no more cells than points
         on = _stretch(off @ along, on, config.max_gap_m)
         cells = _cells((off @ along)[on], points.positions[on, 2])
-        support = cells * float(np.mean(1.0 - miss[on] / _INLIER_SIGMAS**2))
+        support = (
+            _prior(angle, common) * cells * float(np.mean(1.0 - miss[on] / _INLIER_SIGMAS**2))
+        )
         if support > most:
             best, most = on, support
-    return best if most >= 0.4 * config.min_cells else None
+    return best if most >= 0.4 * _OBLIQUE * config.min_cells else None
+
+
+def _prior(angle_rad: float, common: float | None) -> float:
+    """Likelihood of a line, relative to one at a right angle to the `common` direction."""
+    right = common is not None and abs(from_right(np.asarray(angle_rad - common))) < _RIGHT_RAD
+    return 1.0 if right else _OBLIQUE
 
 
 def _stretch(along: FloatArray, on: BoolArray, max_gap_m: float) -> BoolArray:
