@@ -20,6 +20,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.least_squares import covariance_of, Damping, solve_positive
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
 from landmark_nav.learning.panorama.projection import (
     frame_slab,
     FrameSlab,
@@ -76,7 +77,12 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
     """
     chain, closed = _chain(sweep, every_frame)
     cylinder = sweep_cylinder(sweep, mount)
-    grey = {k: frame_slab(grey_frame(sweep.frames[k]), mount, cylinder) for k in set(chain)}
+    used = sorted(set(chain))
+    # A change of brightness across a point looks like a shift of it.
+    shown = replace(sweep, frames=tuple(grey_frame(sweep.frames[k]) for k in used))
+    shown = even_out(shown, measure_photometry(shown, mount))
+    slabs = (frame_slab(frame, mount, cylinder) for frame in shown.frames)
+    grey = dict(zip(used, slabs, strict=True))
     frames, pixels, pairs, gaps = [], [], [], []
     for link, (a, b) in enumerate(pairwise(chain)):
         columns = _track(grey[a], grey[b], cylinder)
