@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import draw_sweep, rectangle_room, textured_room
+from scenes import Board, draw_sweep, rectangle_room, smooth_texture, textured_room
 from scipy.special import chdtri
 from turning_camera import turn_sweep
 
@@ -155,13 +155,29 @@ def test_a_camera_off_its_axis_is_found_by_the_walls_distance():
     assert used(calibrate_sweep(sweep, true, range_m)) == set()
 
 
+def cupboard(center, normal, width):
+    """What stands before a wall and is lower than the camera."""
+    texture = smooth_texture(np.random.default_rng(3), width, 1.1, 0.05)
+    return Board(np.array([*center, 0.55]), np.array([*normal, 0.0]), width, 1.1, texture)
+
+
+CUPBOARDS = (
+    cupboard((2.0, 0.6), (0.0, 1.0), 2.4),
+    cupboard((3.2, 1.5), (-1.0, 0.0), 1.6),
+    cupboard((2.0, 2.4), (0.0, -1.0), 2.4),
+    cupboard((0.5, 1.5), (1.0, 0.0), 1.6),
+)
+
+
 @pytest.mark.parametrize(
     ('offset', 'lean_rad', 'conditions'),
     [
         ((0.05, -0.03), 0.0, {}),
+        ((0.05, -0.03), 0.1, {}),
         ((0.05, -0.03), 0.0, {'vignetting': 0.5, 'gain_sigma': 0.15}),
+        ((0.08, -0.05), 0.0, {'boards': CUPBOARDS}),
     ],
-    ids=['plain', 'uneven brightness'],
+    ids=['plain', 'leaning axis', 'uneven brightness', 'furniture'],
 )
 def test_the_covariance_contains_all_errors(offset, lean_rad, conditions):
     true = PanTiltMount((0.0, 0.0, 1.2), (0.0, lean_rad, 0.0), (*offset, 0.0))

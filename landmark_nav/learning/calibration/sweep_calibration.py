@@ -43,7 +43,7 @@ _LEAST_PER_LINK = 8
 _ALIKE = 0.3
 
 # Usual and greatest range of walls in a room; parallax is negligible beyond it.
-USUAL_RANGE_M, FAR_M = 3.0, 50.0
+_USUAL_RANGE_M, FAR_M = 3.0, 50.0
 
 # Least significance of a term, in sigmas.
 SIGNIFICANT = 4.0
@@ -226,7 +226,7 @@ def fit_significant(
 
 
 def _usual_range(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
-    return np.full(np.broadcast_shapes(azimuth.shape, tangent.shape), USUAL_RANGE_M)
+    return np.full(np.broadcast_shapes(azimuth.shape, tangent.shape), _USUAL_RANGE_M)
 
 
 def _one_camera(sweep: Sweep) -> bool:
