@@ -222,6 +222,8 @@ class OverlapProblem:
         The given sweep; all frames have one camera.
     range_m : callable, optional
         Horizontal range from the axis at azimuths and tangents (n,).
+    objects : bool
+        Whether objects may be nearer than that, each by itself; a guess is wrong for all alike.
     """
 
     def __init__(
@@ -230,6 +232,7 @@ class OverlapProblem:
         sweep: Sweep,
         mount: PanTiltMount,
         range_m: RangeOfRay | None = None,
+        objects: bool = False,
     ) -> None:
         self._overlaps, self._mount = overlaps, mount
         self._camera = sweep.frames[0].camera
@@ -242,11 +245,13 @@ class OverlapProblem:
         self._last = np.zeros(len(COMMON) + 3 * len(chosen))
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
+        self._object: npt.NDArray[np.intp] | None = None
         if range_m is not None:
             azimuth, tangent = (rays[:, 0] for rays in self._seen(self._last))
             self._range = range_m(azimuth, tangent)
-            place = np.floor(np.stack([azimuth, tangent], 1) / _OBJECT_RAD)
-            self._object = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+            if objects:
+                place = np.floor(np.stack([azimuth, tangent], 1) / _OBJECT_RAD)
+                self._object = np.unique(place, axis=0, return_inverse=True)[1].ravel()
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
@@ -329,7 +334,7 @@ class OverlapProblem:
         covariance of their residuals is ``1 + v j j^T``. Most objects hang on the walls, so the
         variance v of each is estimated by its own parallax (one step of expectation maximization).
         """
-        if self._range is None:
+        if self._range is None or self._object is None:
             return lambda rows: rows
         given, self._range = self._range, self._range * (1.0 + _RANGE_STEP)
         by_range = (self._misfit(x) - here) * scale[:, None] / _RANGE_STEP

@@ -103,7 +103,8 @@ def calibrate_sweep(
     if not links or len(overlaps) < _LEAST_PER_LINK * links or not _one_camera(sweep):
         return SweepCalibration(sweep, mount, np.zeros(len(COMMON)), PanoramaQuality())
     camera = sweep.frames[0].camera
-    problem = OverlapProblem(overlaps, sweep, mount, range_m or _usual_range)
+    given = range_m is not None
+    problem = OverlapProblem(overlaps, sweep, mount, range_m or _usual_range, objects=given)
     free = [_FOCAL, _TILT, _ROLL]
     if overlaps.closed:
         free.append(_SCALE)
