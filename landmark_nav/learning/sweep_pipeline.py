@@ -236,7 +236,7 @@ class _Maker:
         mount, axis_tilt = levelled(mount, place.mount_score, information)
         with log.measure('calibration'):
             range_m = _range_of_ray(place, found, self._room)
-            refined = calibrate_sweep(sweep, mount, range_m, found.overlaps)
+            refined = calibrate_sweep(sweep, mount, range_m, found)
         mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
         off_axis = any(refined.mount.optical_center_offset[:2])
         if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import draw_sweep, rectangle_room, textured_room
+from scenes import Board, draw_sweep, rectangle_room, smooth_texture, textured_room
 from scipy.special import chdtri
 from turning_camera import turn_sweep
 
@@ -124,30 +124,76 @@ def test_frames_without_overlap_give_nothing(turn):
         assert found.sweep is sweep
 
 
-def test_a_camera_off_its_axis_is_found_by_the_walls_distance():
+def off_axis_sweep(true, pose, boards=(), vignetting=0.0, gain_sigma=0.0):
+    """A sweep with a camera off its axis, and the distance of the walls of its room."""
     room = rectangle_room(4.0, 3.0)
     scene = textured_room(room, seed=1, feature_m=0.05)
-    true = PanTiltMount((0.0, 0.0, 1.2), optical_center_offset=(0.03, -0.02, 0.0))
+    scene = replace(scene, boards=(*scene.boards, *boards))
     camera = CameraModel(200, 160, 180.0, 180.0, 99.5, 79.5)
-    pose = np.array([1.4, 1.2, 0.5])
     sweep = draw_sweep(scene, camera, true, pose, np.radians(np.arange(0.0, 360.0, 12.0)))
+    square = np.sum(camera.ray_grid[..., :2].astype(np.float64) ** 2, -1)
+    lens = 1.0 - vignetting * square / square.max()
+    gains = np.exp(gain_sigma * np.random.default_rng(2).standard_normal(len(sweep.frames)))
+    frames = [
+        replace(frame, image=np.rint(frame.image * (gain * lens)[..., None]).astype(np.uint8))
+        for frame, gain in zip(sweep.frames, gains / gains.max(), strict=True)
+    ]
 
     def range_m(azimuth, tangent):
         return room.raycast(pose[:2], azimuth + pose[2])[0]
 
+    return replace(sweep, frames=tuple(frames)), range_m
+
+
+def test_a_camera_off_its_axis_is_found_by_the_walls_distance():
+    true = PanTiltMount((0.0, 0.0, 1.2), optical_center_offset=(0.03, -0.02, 0.0))
+    sweep, range_m = off_axis_sweep(true, np.array([1.4, 1.2, 0.5]))
     centred = replace(true, optical_center_offset=(0.0, 0.0, 0.0))
     found = calibrate_sweep(sweep, centred, range_m)
     assert used(found) == {'forward', 'left'}
     assert found.mount.optical_center_offset == pytest.approx((0.03, -0.02, 0.0), abs=4e-3)
-    # What resembles the offset is as uncertain as the offset makes it.
-    prior, true_values = Calibration.of_mount(centred), Calibration.of_mount(true)
-    known = with_overlaps(prior, prior, found.whole)
-    shown = known.sigmas < 0.5 * prior.sigmas
-    off = (known.values - true_values.values)[shown]
-    assert {'focal_scale', 'center_x', 'center_y'} <= {*np.array(NAMES)[shown]}
-    nees = off @ np.linalg.solve(known.covariance[np.ix_(shown, shown)], off)
-    assert nees < chdtri(len(off), 1e-3)
     assert used(calibrate_sweep(sweep, true, range_m)) == set()
+
+
+def cupboard(center, normal, width):
+    """What stands before a wall and is lower than the camera."""
+    texture = smooth_texture(np.random.default_rng(3), width, 1.1, 0.05)
+    return Board(np.array([*center, 0.55]), np.array([*normal, 0.0]), width, 1.1, texture)
+
+
+CUPBOARDS = (
+    cupboard((2.0, 0.6), (0.0, 1.0), 2.4),
+    cupboard((3.2, 1.5), (-1.0, 0.0), 1.6),
+    cupboard((2.0, 2.4), (0.0, -1.0), 2.4),
+    cupboard((0.5, 1.5), (1.0, 0.0), 1.6),
+)
+
+
+@pytest.mark.parametrize(
+    ('offset', 'lean_rad', 'conditions'),
+    [
+        ((0.05, -0.03), 0.0, {}),
+        ((0.05, -0.03), 0.1, {}),
+        ((0.05, -0.03), 0.0, {'vignetting': 0.5, 'gain_sigma': 0.15}),
+        ((0.08, -0.05), 0.0, {'boards': CUPBOARDS}),
+    ],
+    ids=['plain', 'leaning axis', 'uneven brightness', 'furniture'],
+)
+def test_the_covariance_contains_all_errors(offset, lean_rad, conditions):
+    true = PanTiltMount((0.0, 0.0, 1.2), (0.0, lean_rad, 0.0), (*offset, 0.0))
+    given = replace(true, optical_center_offset=(0.0, 0.0, 0.0))
+    prior, nees, count = Calibration.of_mount(given), 0.0, 0
+    for pose in ([1.4, 1.2, 0.5], [2.2, 1.7, -2.0]):
+        sweep, range_m = off_axis_sweep(true, np.array(pose), **conditions)
+        found = calibrate_sweep(sweep, given, range_m)
+        found = calibrate_sweep(sweep, given, range_m, found)
+        known = with_overlaps(prior, prior, found.whole)
+        shown = known.sigmas < 0.5 * prior.sigmas
+        off = (known.values - Calibration.of_mount(true).values)[shown]
+        assert {'focal_scale', 'center_x', 'center_y'} <= {*np.array(NAMES)[shown]}
+        nees += off @ np.linalg.solve(known.covariance[np.ix_(shown, shown)], off)
+        count += len(off)
+    assert nees < chdtri(count, 1e-3)
 
 
 FOLDER = CameraModel(200, 240, 300.0, 300.0, 99.5, 119.5, 'plumb_bob', (-0.06, 0.0, 0.0, 0.0, 0.0))

@@ -11,7 +11,7 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.learning.calibration.overlap_fit import COMMON, Fit
-from landmark_nav.learning.calibration.sweep_calibration import SIGNIFICANT, USUAL_RANGE_M
+from landmark_nav.learning.calibration.sweep_calibration import SIGNIFICANT
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray, Sweep
@@ -27,10 +27,6 @@ _QUANTITIES = {
     'forward': 'center_x',
     'left': 'center_y',
 }
-_OFFSET = ('center_x', 'center_y')
-# Relative error of the ranges by which the offset of the optical centre is measured: furniture is
-# nearer than the walls.
-_RANGE_SHARE = 0.1
 # Smaller information, relative to the largest, is rounding.
 _ROUNDING = 1e-9
 
@@ -96,12 +92,6 @@ def with_overlaps(known: Calibration, before: Calibration, fit: Fit | None) -> C
     names, values = _corrected_values(before, fit.common)
     covariance = fit.covariance + np.diag(fit.sigma**2 - np.diag(fit.covariance))
     covariance = covariance[np.ix_(terms, terms)]
-    # What is left of a wrong range looks like another offset, or another focal length with it.
-    by_range = np.zeros((2, len(names)))
-    by_range[[0, 1], [names.index(name) for name in _OFFSET]] = 1.0
-    by_range[0, names.index('focal_scale')] = -1.0 / USUAL_RANGE_M
-    offset_m = _RANGE_SHARE * np.linalg.norm([values[names.index(name)] for name in _OFFSET])
-    covariance += offset_m**2 * by_range.T @ by_range
     rows = np.array(names)[:, None] == np.array(NAMES)
     return known.observed(
         rows[shown].astype(np.float64), values[shown], covariance[np.ix_(shown, shown)]

@@ -15,11 +15,13 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.least_squares import covariance_of, Damping, solve_positive
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
 from landmark_nav.learning.panorama.projection import (
     frame_slab,
     FrameSlab,
@@ -76,7 +78,12 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
     """
     chain, closed = _chain(sweep, every_frame)
     cylinder = sweep_cylinder(sweep, mount)
-    grey = {k: frame_slab(grey_frame(sweep.frames[k]), mount, cylinder) for k in set(chain)}
+    used = sorted(set(chain))
+    # A change of brightness across a point looks like a shift of it.
+    shown = replace(sweep, frames=tuple(grey_frame(sweep.frames[k]) for k in used))
+    shown = even_out(shown, measure_photometry(shown, mount))
+    slabs = (frame_slab(frame, mount, cylinder) for frame in shown.frames)
+    grey = dict(zip(used, slabs, strict=True))
     frames, pixels, pairs, gaps = [], [], [], []
     for link, (a, b) in enumerate(pairwise(chain)):
         columns = _track(grey[a], grey[b], cylinder)
@@ -179,7 +186,12 @@ _NEAR_PX = 0.3
 # Bias of tracking, which does not decrease with the number of points.
 _BIAS_PX = 0.01
 
+# Relative sigma of the range of an object that may stand anywhere between the camera and the wall
+# (uniform), and its size as seen, 0.6 m at 3 m; step of numerical differentiation.
+_RANGE_SHARE, _OBJECT_RAD, _RANGE_STEP = 12.0**-0.5, 0.2, 1e-3
+
 RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
+Whitening = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +222,8 @@ class OverlapProblem:
         The given sweep; all frames have one camera.
     range_m : callable, optional
         Horizontal range from the axis at azimuths and tangents (n,).
+    objects : bool
+        Whether objects may be nearer than that, each by itself; a guess is wrong for all alike.
     """
 
     def __init__(
@@ -218,6 +232,7 @@ class OverlapProblem:
         sweep: Sweep,
         mount: PanTiltMount,
         range_m: RangeOfRay | None = None,
+        objects: bool = False,
     ) -> None:
         self._overlaps, self._mount = overlaps, mount
         self._camera = sweep.frames[0].camera
@@ -230,9 +245,13 @@ class OverlapProblem:
         self._last = np.zeros(len(COMMON) + 3 * len(chosen))
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
+        self._object: npt.NDArray[np.intp] | None = None
         if range_m is not None:
-            azimuth, tangent = self._seen(self._last)
-            self._range = range_m(azimuth[:, 0], tangent[:, 0])
+            azimuth, tangent = (rays[:, 0] for rays in self._seen(self._last))
+            self._range = range_m(azimuth, tangent)
+            if objects:
+                place = np.floor(np.stack([azimuth, tangent], 1) / _OBJECT_RAD)
+                self._object = np.unique(place, axis=0, return_inverse=True)[1].ravel()
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
@@ -259,11 +278,19 @@ class OverlapProblem:
             weight = 1.0 / (1.0 + (distance / (2.0 * sigma_px)) ** 2)
             slopes = self._slopes_at(x, off)[..., index]
             scale = np.sqrt(weight) * focal / sigma_px
-            flat = (slopes * scale[:, None, None]).reshape(-1, len(index))
+            whiten = self._whitening(x, off, scale)
+            flat = whiten((slopes * scale[:, None, None]).reshape(-1, len(index)))
             normal = flat.T @ flat + np.diag(precision[index])
-            right = flat.T @ (off * scale[:, None]).ravel() + precision[index] * x[index]
+            right = flat.T @ whiten((off * scale[:, None]).ravel()) + precision[index] * x[index]
             before = x
-            x = self._stepped(before, index, normal, right, scale, precision, damping)
+
+            def cost(
+                at: FloatArray, whiten: Whitening = whiten, scale: FloatArray = scale
+            ) -> float:
+                left = whiten((self._misfit(at) * scale[:, None]).ravel())
+                return float(left @ left + precision @ at**2)
+
+            x = self._stepped(before, index, normal, right, cost, damping)
             if focal * np.abs(x - before).max() < _CONVERGED_PX:
                 break
         self._last = x
@@ -285,16 +312,11 @@ class OverlapProblem:
         index: npt.NDArray[np.intp],
         normal: FloatArray,
         right: FloatArray,
-        scale: FloatArray,
-        precision: FloatArray,
+        cost: Callable[[FloatArray], float],
         damping: Damping,
     ) -> FloatArray:
         """Unknowns after one damped step; those at `index` are free."""
         there = x
-
-        def cost(at: FloatArray) -> float:
-            off = self._misfit(at)
-            return float(np.sum((off * scale[:, None]) ** 2) + precision @ at**2)
 
         def cost_with(by: float) -> float:
             nonlocal there
@@ -303,6 +325,27 @@ class OverlapProblem:
             return cost(there)
 
         return there if damping.lowers(cost_with, cost(x)) else x
+
+    def _whitening(self, x: FloatArray, here: FloatArray, scale: FloatArray) -> Whitening:
+        """
+        Return a function that whitens residuals and slopes (2 m, ...) for errors of the ranges.
+
+        One relative error is common to all matches of an object: with derivatives j by it, the
+        covariance of their residuals is ``1 + v j j^T``. Most objects hang on the walls, so the
+        variance v of each is estimated by its own parallax (one step of expectation maximization).
+        """
+        if self._range is None or self._object is None:
+            return lambda rows: rows
+        given, self._range = self._range, self._range * (1.0 + _RANGE_STEP)
+        by_range = (self._misfit(x) - here) * scale[:, None] / _RANGE_STEP
+        self._range = given
+        square = np.bincount(self._object, np.sum(by_range**2, 1))
+        place = np.repeat(self._object, 2), np.arange(by_range.size)
+        along = csr_array((by_range.ravel(), place))
+        unknown = 1.0 / (square + _RANGE_SHARE**-2)
+        variance = (unknown * (along @ (here * scale[:, None]).ravel())) ** 2 + unknown
+        share = (1.0 - 1.0 / np.sqrt(1.0 + variance * square)) / np.maximum(square, 1e-12)
+        return lambda rows: rows - along.T @ ((share * (along @ rows).T).T)
 
     def misfit_px(self, common: FloatArray, frames: FloatArray | None = None) -> float:
         """Median distance of the two rays of a match, pixels."""
@@ -341,14 +384,15 @@ class OverlapProblem:
         if self._range is None:
             azimuth = np.arctan2(ray[..., 1], ray[..., 0])
             return azimuth, ray[..., 2] / np.hypot(ray[..., 0], ray[..., 1])
-        start = center[..., :2] - np.asarray(mount.axis_xyz[:2])
-        square = np.sum(ray[..., :2] ** 2, -1)
-        along = np.sum(start * ray[..., :2], -1) / square
-        reach = self._range[:, None] ** 2 - np.sum(start**2, -1)
+        start = center - np.asarray(mount.axis_xyz)
+        flat, aside = ray[..., :2], start[..., :2]
+        square = np.sum(flat**2, -1)
+        along = np.sum(aside * flat, -1) / square
+        reach = self._range[:, None] ** 2 - np.sum(aside**2, -1)
         length = np.sqrt(np.maximum(along**2 + reach / square, 1e-9)) - along
-        point = start + length[..., None] * ray[..., :2]
+        point = start + length[..., None] * ray
         azimuth = np.arctan2(point[..., 1], point[..., 0])
-        return azimuth, length * ray[..., 2] / self._range[:, None]
+        return azimuth, point[..., 2] / self._range[:, None]
 
     def _slopes_at(self, x: FloatArray, here: FloatArray) -> FloatArray:
         """Jacobian at `x`, or at a nearby point, where it is as good."""

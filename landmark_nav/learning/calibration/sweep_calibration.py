@@ -43,7 +43,7 @@ _LEAST_PER_LINK = 8
 _ALIKE = 0.3
 
 # Usual and greatest range of walls in a room; parallax is negligible beyond it.
-USUAL_RANGE_M, FAR_M = 3.0, 50.0
+_USUAL_RANGE_M, FAR_M = 3.0, 50.0
 
 # Least significance of a term, in sigmas.
 SIGNIFICANT = 4.0
@@ -62,15 +62,13 @@ class SweepCalibration:
     """
     A sweep and its mount, corrected by `common` (7,) in the order of `COMMON`.
 
-    `overlaps` can be used for a further calibration. `whole` is the fit of all terms, used in the
-    panorama or not.
+    `whole` is the fit of all terms, used in the panorama or not.
     """
 
     sweep: Sweep
     mount: PanTiltMount
     common: FloatArray
     quality: PanoramaQuality
-    overlaps: Overlaps
     whole: Fit | None = None
 
 
@@ -78,7 +76,7 @@ def calibrate_sweep(
     sweep: Sweep,
     mount: PanTiltMount,
     range_m: RangeOfRay | None = None,
-    overlaps: Overlaps | None = None,
+    found: SweepCalibration | None = None,
 ) -> SweepCalibration:
     """
     Calibrate camera and mount from a sweep of a pan-tilt unit.
@@ -90,22 +88,23 @@ def calibrate_sweep(
     range_m : callable, optional
         Horizontal range from the axis at azimuths and tangents (n,). With it the offset of the
         optical centre is calibrated; without it a usual range is assumed.
-    overlaps : Overlaps, optional
-        Overlaps that were tracked before.
+    found : SweepCalibration, optional
+        A former calibration, with which the overlaps are tracked: patches that are scaled or
+        sheared against each other are tracked with a bias.
 
     Returns
     -------
     SweepCalibration
         The unchanged sweep if frames share too little.
     """
-    if overlaps is None:
-        overlaps = track_overlaps(sweep, mount) if len(sweep.frames) > 2 else Overlaps.none()
+    seen = (found.sweep, found.mount) if found else (sweep, mount)
+    overlaps = track_overlaps(*seen) if len(sweep.frames) > 2 else Overlaps.none()
     links = len(np.unique(overlaps.pair))
     if not links or len(overlaps) < _LEAST_PER_LINK * links or not _one_camera(sweep):
-        nothing = np.zeros(len(COMMON)), PanoramaQuality(), Overlaps.none()
-        return SweepCalibration(sweep, mount, *nothing)
+        return SweepCalibration(sweep, mount, np.zeros(len(COMMON)), PanoramaQuality())
     camera = sweep.frames[0].camera
-    problem = OverlapProblem(overlaps, sweep, mount, range_m or _usual_range)
+    given = range_m is not None
+    problem = OverlapProblem(overlaps, sweep, mount, range_m or _usual_range, objects=given)
     free = [_FOCAL, _TILT, _ROLL]
     if overlaps.closed:
         free.append(_SCALE)
@@ -116,7 +115,7 @@ def calibrate_sweep(
     whole, fit, terms = fit_significant(problem, free, _UNIT_SIGMA_RAD, camera)
     quality = _quality(problem, overlaps, fit, problem.misfit_px(fit.common), terms)
     used = corrected(sweep, mount, fit.common)
-    return SweepCalibration(*used, fit.common, quality, overlaps, whole)
+    return SweepCalibration(*used, fit.common, quality, whole)
 
 
 def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepCalibration:
@@ -148,7 +147,7 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepCalibration:
         aligned, _ = corrected(given, mount, fit.common, fit.frames)
     residual_px = problem.misfit_px(fit.common, fit.frames)
     quality = _quality(problem, overlaps, fit, residual_px, terms)
-    return SweepCalibration(aligned, mount, fit.common, quality, overlaps)
+    return SweepCalibration(aligned, mount, fit.common, quality)
 
 
 def _quality(
@@ -228,7 +227,7 @@ def fit_significant(
 
 
 def _usual_range(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
-    return np.full(np.broadcast_shapes(azimuth.shape, tangent.shape), USUAL_RANGE_M)
+    return np.full(np.broadcast_shapes(azimuth.shape, tangent.shape), _USUAL_RANGE_M)
 
 
 def _one_camera(sweep: Sweep) -> bool:
