@@ -324,6 +324,7 @@ def test_no_step_is_seen_where_there_is_none():
     'change',
     [
         lambda seen: replace(seen, points=np.full_like(seen.points, np.nan)),
+        lambda seen: replace(seen, points=seen.points + 1e6),
         lambda seen: replace(seen, covariance=-seen.covariance),
         lambda seen: replace(seen, columns=seen.columns + 1000),
         lambda seen: replace(seen, columns=-1 - seen.columns),

@@ -134,7 +134,7 @@ def wall_texture(patch: WallPatch, panorama: Panorama) -> Float32Array | None:
     """Texture of a patch in a panorama; None if that does not cover it."""
     columns, rows = _pixels(patch, panorama)
     height, width = panorama.mask.shape
-    if rows.min() < 1.0 or rows.max() > height - 2.0:
+    if not (rows.min() >= 1.0 and rows.max() <= height - 2.0):
         return None
     corners = np.rint(rows[[0, -1]][:, [0, -1]]).astype(int)
     if not panorama.mask[corners, np.rint(columns[[0, -1]]).astype(int) % width].all():
@@ -186,11 +186,13 @@ def shown_at(
     """
     Point (3,) on the plane of a patch that a panorama shows in the measured direction.
 
-    It is off the adjusted position by what the upright panorama leaves out, as its tilt.
+    It is off the adjusted position by what the upright panorama leaves out, as its tilt. It is NaN
+    if that direction or the panorama does not face the plane.
     """
     azimuth = panorama.heading_rad + measured.azimuth_rad
     ray = np.array([np.cos(azimuth), np.sin(azimuth), measured.tangent])
-    reach = (position - panorama.center_map) @ normal / (ray @ normal)
+    depth, slope = (position - panorama.center_map) @ normal, ray @ normal
+    reach = depth / slope if max(depth, slope) < 0.0 else np.nan
     return np.asarray(panorama.center_map + reach * ray)
 
 

@@ -44,13 +44,16 @@ _NO_INFORMATION = 1e6
 # Significance at which an image is surprising.
 _SURPRISE = 1e-3
 
+# Tangents from here on, at 0.01 deg from 90, leave no digits for the covariance.
+_MOST_TANGENT = 5e3
+
 
 def usable(seen: ImagePoints, landmarks: int) -> ImagePoints:
     """Return the valid detections."""
     with np.errstate(invalid='ignore'):
         variance = np.diagonal(seen.covariance, axis1=1, axis2=2)
         good = (seen.columns >= 0) & (seen.columns < landmarks) & np.isfinite(seen.pan_rad)
-        good &= np.isfinite(seen.points).all(axis=1)
+        good &= (np.abs(seen.points) < _MOST_TANGENT).all(axis=1)
         good &= np.isfinite(seen.covariance).all(axis=(1, 2)) & (variance > 0.0).all(axis=1)
     columns = seen.columns.tolist()
     good &= np.array([k not in columns[:i] for i, k in enumerate(columns)], dtype=np.bool_)
