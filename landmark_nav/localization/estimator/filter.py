@@ -83,10 +83,6 @@ class _Hypothesis(NamedTuple):
     update: Update
     moved: bool = False
 
-    def log_evidence(self) -> float:
-        """Log evidence and prior odds."""
-        return self.update.log_evidence
-
 
 class JointFilter:
     """
@@ -401,11 +397,11 @@ class JointFilter:
                 hypotheses.append(_Hypothesis(prior, after, update, moved=True))
         # What asks for caution counts unless it can be excluded: an object that was moved says
         # nothing, and a knock leaves all open, the focal length too unless that can be excluded.
-        best = max(each.log_evidence() for each in hypotheses)
-        possible = [each for each in hypotheses if each.log_evidence() >= best + _EXCLUDED]
+        best = max(each.update.log_evidence for each in hypotheses)
+        possible = [each for each in hypotheses if each.update.log_evidence >= best + _EXCLUDED]
         stepped = [each for each in possible if each.update.stepped]
         cautious = [*stepped, *(each for each in possible if each.moved)]
-        chosen = max(cautious or possible, key=_Hypothesis.log_evidence)
+        chosen = max(cautious or possible, key=lambda each: each.update.log_evidence)
         if chosen.update.stepped:
             chosen = stepped[-1]
         return chosen._replace(update=chosen.update._replace(log_evidence=best))
