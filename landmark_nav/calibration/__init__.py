@@ -4,7 +4,6 @@ from landmark_nav.calibration.calibration import (
     Calibration,
     MEANINGS,
     NAMES,
-    scaled,
     shown,
     SHOWN_IN,
     UNITS,

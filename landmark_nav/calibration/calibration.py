@@ -138,12 +138,17 @@ class Calibration:
         """
         Return the camera with the calibrated focal length and principal point.
 
-        The distortion at each pixel is kept, see `scaled`.
+        The coefficients of the distortion are kept: an image that is magnified keeps them.
         """
         scale, shift = 1.0 + self['focal_scale'][0], self['principal_point'][0]
         if scale == 1.0 and shift == 0.0:
             return camera
-        return scaled(replace(camera, cx=camera.cx + shift * camera.fx), scale)
+        return replace(
+            camera,
+            fx=camera.fx * scale,
+            fy=camera.fy * scale,
+            cx=camera.cx + shift * camera.fx,
+        )
 
     def measured(self, name: str, value: float, sigma: float) -> Calibration:
         """Return the calibration after a measurement of one quantity; raises as `observed`."""
@@ -251,21 +256,6 @@ class Calibration:
         """Sigmas (2,) of the quantity `first` and the next one."""
         k = NAMES.index(first)
         return self.sigmas[k : k + 2]
-
-
-def scaled(camera: CameraModel, scale: float) -> CameraModel:
-    """
-    Return a camera with scaled focal length.
-
-    The tangents at each pixel are divided by `scale`, unless the model is equidistant: that one
-    keeps its distortion coefficients.
-    """
-    distortion = camera.distortion
-    if camera.model != 'equidistant':
-        # Powers of the radius for k1, k2, p1, p2, k3 to k6 and s1 to s4.
-        powers = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
-        distortion = tuple(k * scale**n for k, n in zip(distortion, powers, strict=False))
-    return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, distortion=distortion)
 
 
 # Unit -> factor and unit for texts.

@@ -29,7 +29,7 @@ import tempfile
 from harness import command, Drive, start_of, STUDY, summary
 import numpy as np
 
-from landmark_nav.calibration import Calibration, NAMES, scaled, shown, UNITS
+from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.calibration_run import calibrate_by_drive
 from landmark_nav.evaluation.metrics import consistency, pose_errors, undetected_failures
@@ -154,8 +154,8 @@ class DrawnRoom:
 
     def _as_given(self, frame: CameraFrame) -> CameraFrame:
         """Return a frame with the focal length that camera_info of this robot gives."""
-        lens = scaled(frame.camera, 1.0 / (1.0 + self.true['focal_scale'][0]))
-        return replace(frame, camera=lens)
+        true, scale = frame.camera, 1.0 + self.true['focal_scale'][0]
+        return replace(frame, camera=replace(true, fx=true.fx / scale, fy=true.fy / scale))
 
     def learned(self, given: Calibration) -> Drive:
         """Drive with the map of the room, and what is known of the robot then."""
