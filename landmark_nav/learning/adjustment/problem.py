@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from landmark_nav.calibration import NAMES
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration.combined import lean_axes
 from landmark_nav.learning.calibration.sweep_calibration import FAR_M
@@ -212,7 +213,7 @@ class Problem:
         alone = plane * (given == 0.0)
         # Patterns of the covariance: common to all walls, of each wall, of each section.
         self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
-        self._mounted, known, self._calibration, made_with = _calibration(panoramas)
+        self._mounted, self._lifted, known, self._calibration, made_with = _calibration(panoramas)
         if len(known):
             # Corrections of panoramas are for an eccentric camera that sees the walls of the room.
             views = poses[self.view]
@@ -285,8 +286,12 @@ class Problem:
         tangent = self._seen[:, 1]
         square = 1.0 + tangent**2
         out = np.zeros((len(reach), 2, len(CALIBRATED)))
-        # A camera in front of the axis is nearer; one to its left sees objects more to the right.
-        out[:, 1, 0], out[:, 0, 1] = tangent / reach, -1.0 / reach
+        cos, sin = np.cos(self._seen[:, 0]), np.sin(self._seen[:, 0])
+        # A camera in front of the axis is nearer; one to its left sees objects more to the right;
+        # a leaning axis lifts it.
+        ahead, left = self._lifted @ [cos, sin], self._lifted @ [-sin, cos]
+        out[:, 1, 0], out[:, 0, 1] = (tangent - ahead) / reach, -1.0 / reach
+        out[:, 1, 1] = -left / reach
         out[:, 1, 2], out[:, 1, 3] = -square, tangent
         out[:, :, 4:] = self._by_turns() @ self._mounted
         return out
@@ -423,18 +428,21 @@ def _sum_by(index: npt.NDArray[np.intp], values: FloatArray, count: int) -> Floa
 
 def _calibration(
     panoramas: Sequence[Panorama],
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """
     Prior of the calibration of all panoramas, and the values that each was made with.
 
-    Axes (2, 2) of roll and pitch of the pan axis in the base; values (c,) and covariance (c, c) of
+    Axes (2, 2) of roll and pitch of the pan axis in the base; rises (2,) of the camera, if it is
+    moved along x and y of the base about this axis; values (c,) and covariance (c, c) of
     `CALIBRATED`; values (views, c) that the panoramas were made with. c is 0 if one of them has
     no calibration.
     """
     known, made_with = panoramas[-1].calibration, [p.made_with for p in panoramas]
     made = np.array([values for values in made_with if values is not None])
     if known is None or len(made) < len(panoramas):
-        return np.eye(2), np.zeros(0), np.zeros((0, 0)), np.zeros((len(panoramas), 0))
+        return np.eye(2), np.zeros(2), np.zeros(0), np.zeros((0, 0)), np.zeros((len(panoramas), 0))
     which = [NAMES.index(name) for name in CALIBRATED]
     covariance = known.covariance[np.ix_(which, which)] + _LEAST_ERROR**2 * np.eye(len(which))
-    return lean_axes(known), known.values[which], covariance, made[:, which]
+    normal = rotation_rpy(known.mount.axis_rpy)[:, 2]
+    lifted = -normal[:2] / normal[2]
+    return lean_axes(known), lifted, known.values[which], covariance, made[:, which]

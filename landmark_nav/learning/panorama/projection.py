@@ -131,7 +131,9 @@ def frame_slab(
     columns = start + (np.arange(cells[1]) - 0.5) * _GRID_PX - 0.5
     points = cylinder.rays(np.stack(np.meshgrid(columns, rows), -1))
     if range_m is not None:
-        axis = np.array([mount.axis_xyz[0], mount.axis_xyz[1], center[2]])
+        # A leaning axis moves the optical centre up and down.
+        opposite = mount.camera_pose_base(frame.pan_rad + np.pi, frame.tilt_rad)[1]
+        axis = np.array([*mount.axis_xyz[:2], 0.5 * (center[2] + opposite[2])])
         points = points * range_m(cylinder.azimuth_rad(columns))[:, None] - (center - axis)
     grid = camera.project(points @ rotation).astype(np.float32)
     size = (cells[1] * _GRID_PX, cells[0] * _GRID_PX)
