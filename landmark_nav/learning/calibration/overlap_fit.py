@@ -189,6 +189,8 @@ _BIAS_PX = 0.01
 # Relative sigma of the range of an object that may stand anywhere between the camera and the wall
 # (uniform), and its size as seen, 0.6 m at 3 m; step of numerical differentiation.
 _RANGE_SHARE, _OBJECT_RAD, _RANGE_STEP = 12.0**-0.5, 0.2, 1e-3
+# Relative sigma of all ranges: 10 cm in front of the walls, at 3 m.
+_ROOM_SHARE = 0.03
 
 RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
 Whitening = Callable[[FloatArray], FloatArray]
@@ -330,7 +332,8 @@ class OverlapProblem:
         """
         Return a function that whitens residuals and slopes (2 m, ...) for errors of the ranges.
 
-        One relative error is common to all matches of an object: with derivatives j by it, the
+        One relative error is common to all matches of an object, another to all of the room, as
+        most things stand in front of walls: with derivatives j by the error of an object, the
         covariance of their residuals is ``1 + v j j^T``. Most objects hang on the walls, so the
         variance v of each is estimated by its own parallax (one step of expectation maximization).
         """
@@ -344,8 +347,20 @@ class OverlapProblem:
         along = csr_array((by_range.ravel(), place))
         unknown = 1.0 / (square + _RANGE_SHARE**-2)
         variance = (unknown * (along @ (here * scale[:, None]).ravel())) ** 2 + unknown
-        share = (1.0 - 1.0 / np.sqrt(1.0 + variance * square)) / np.maximum(square, 1e-12)
-        return lambda rows: rows - along.T @ ((share * (along @ rows).T).T)
+        share = _whitening_share(variance, square)
+
+        def by_object(rows: FloatArray) -> FloatArray:
+            return np.asarray(rows - along.T @ ((share * (along @ rows).T).T))
+
+        # The same for one error of all ranges.
+        every = by_object(by_range.ravel())
+        common = _whitening_share(_ROOM_SHARE**2, every @ every) * every
+
+        def whiten(rows: FloatArray) -> FloatArray:
+            own = by_object(rows)
+            return own - np.multiply.outer(common, every @ own)
+
+        return whiten
 
     def misfit_px(self, common: FloatArray, frames: FloatArray | None = None) -> float:
         """Median distance of the two rays of a match, pixels."""
@@ -419,6 +434,12 @@ class OverlapProblem:
                 column = len(COMMON) + 3 * self._links[:, side] + axis
                 out[row, :, column] += sign * change[..., side]
         return out
+
+
+def _whitening_share(variance: npt.ArrayLike, square: npt.ArrayLike) -> FloatArray:
+    """Factor a of ``1 - a j j^T``, which whitens ``1 + v j j^T`` for j of this squared length."""
+    size = np.maximum(square, 1e-12)
+    return np.asarray((1.0 - 1.0 / np.sqrt(1.0 + np.asarray(variance) * size)) / size)
 
 
 def corrected(
