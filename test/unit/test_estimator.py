@@ -8,7 +8,7 @@ import pytest
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import (
     EstimatorConfig,
@@ -43,6 +43,16 @@ def image(pan_rad=0.4, track=None):
         0, np.arange(count), np.zeros((count, 2)), np.tile(1e-8 * np.eye(2), (count, 1, 1)),
         np.full(count, pan_rad), 0.05, 1.0, pan_track=track,
     )  # fmt: skip
+
+
+def test_an_error_of_the_principal_point_is_a_shift_beside_the_right_lens():
+    right = CameraModel(512, 512, 555.0, 555.0, 256.0, 254.0, (-0.19, 0.06, 0.0, 0.0))
+    wrong = replace(right, cx=right.cx + 8.0)
+    pixels = np.array([[20.0, 30.0], [256.0, 254.0], [490.0, 400.0]])
+    shape = 0, np.arange(3), pixels, np.tile(np.eye(2), (3, 1, 1))
+    true = ImagePoints.of_pixels(*shape, right, 0.0)
+    seen = ImagePoints.of_pixels(*shape, wrong, 0.0, known=right)
+    assert seen.points - true.points == pytest.approx(np.tile([-8.0 / 555.0, 0.0], (3, 1)))
 
 
 @pytest.mark.parametrize('seed', range(4))
