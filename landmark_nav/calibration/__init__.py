@@ -2,6 +2,7 @@
 
 from landmark_nav.calibration.calibration import (
     Calibration,
+    DEFAULT_SIGMAS,
     MEANINGS,
     NAMES,
     shown,

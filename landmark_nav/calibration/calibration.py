@@ -40,7 +40,7 @@ _QUANTITIES: dict[str, tuple[str, float, str]] = {
 NAMES: tuple[str, ...] = tuple(_QUANTITIES)
 UNITS: dict[str, str] = {name: unit for name, (unit, *_) in _QUANTITIES.items()}
 MEANINGS: dict[str, str] = {name: words for name, (*_, words) in _QUANTITIES.items()}
-_DEFAULTS = np.array([sigma for _, sigma, _ in _QUANTITIES.values()])
+DEFAULT_SIGMAS = np.array([sigma for _, sigma, _ in _QUANTITIES.values()])
 
 # Sigma of the values of a calibrated mount, by unit.
 _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
@@ -100,7 +100,7 @@ class Calibration:
         of_mount = (*mount.axis_xyz, *mount.axis_rpy, *mount.optical_center_offset)
         known = dict(zip(NAMES, (*of_mount, mount.camera_roll_rad), strict=False))
         all_values = {**known, **(values or {})}
-        every = {**dict(zip(NAMES, _DEFAULTS.tolist(), strict=True)), **(sigmas or {})}
+        every = {**dict(zip(NAMES, DEFAULT_SIGMAS.tolist(), strict=True)), **(sigmas or {})}
         return cls(
             np.array([all_values.get(name, 0.0) for name in NAMES]),
             np.diag(np.array([every[name] for name in NAMES]) ** 2),

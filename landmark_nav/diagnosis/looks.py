@@ -22,7 +22,7 @@ from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.streams import Row, Stream, stream_of
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.matching.strips import Strip, StripView
+from landmark_nav.matching.strips import Strip, StripView, without_cover
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagMessage
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
@@ -126,6 +126,7 @@ def look(
                 before = now
         except LandmarkNavError as error:
             failed.append(str(error).removeprefix(f'{bag.path}: '))
+    strips = dict(zip(strips, without_cover(list(strips.values())), strict=True))
     pairs = np.array([(k, k + 1) for k in strips if k + 1 in strips], np.intp).reshape(-1, 2)
     findings = (*refused, *_encoding(failed, kinds, len(chosen)), *_lens(camera))
     stream = stream_of(bag, 'images', topic, rows)

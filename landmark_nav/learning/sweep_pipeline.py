@@ -50,7 +50,7 @@ from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.refusals import MountError, WRONG_PRIOR, WrongMountError
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
-from landmark_nav.quality import CalibrationTerm, PanoramaQuality
+from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Panorama, PoseEstimate, Sweep
 
 # Angles below this are written as 0.
@@ -109,6 +109,8 @@ _LOG = logging.getLogger(__name__)
 _MOST_SIGMA = np.array([1.0, 1.0, 0.3])
 # Least relative error of the focal length that is reported.
 _WORTH_REPORTING = 0.02
+# Least error of the distortion that is reported: shift at the border of the image, pixels.
+_BENT_PX = 1.0
 # Least variance of a pose (m2, rad2).
 _LEAST_VARIANCE = 1e-10
 # Greatest error of height and tilt of the camera, in sigmas of the configuration; beyond it the
@@ -246,7 +248,7 @@ class _Maker:
                 reach_m = _range_of_azimuth(place, refined, self._room)
                 view = _view(refined, photometry, reach_m)
         found = refined
-        for warning in filter(None, [place.warning, _wrong_focal(found.quality)]):
+        for warning in filter(None, [place.warning, _wrong_lens(found)]):
             _LOG.warning('%s', warning)
         by_calibration = _by_calibration(place, found)
         made = as_corrected(used, found.common, found.mount)
@@ -356,16 +358,24 @@ def _panorama(
     )
 
 
-def _wrong_focal(quality: PanoramaQuality) -> str:
-    """Warning if the full turn shows a large error of the given focal length; else empty."""
-    for term in quality.calibration:
-        if term.name == 'focal_length' and term.used and abs(term.value) > _WORTH_REPORTING:
-            return (
-                f'the focal length in camera_info is {100.0 * abs(term.value):.1f} % too '
-                f'{"small" if term.value > 0.0 else "large"}, as the turn shows it: the sweep is '
-                'corrected, but navigation goes by camera_info: calibrate the camera'
-            )
-    return ''
+def _wrong_lens(found: SweepCalibration) -> str:
+    """Warning if the sweep shows a large error of the lens in camera_info; else empty."""
+    camera = found.sweep.frames[0].camera
+    border_px = camera.fx * np.tan(camera.half_fov_rad) ** 3
+    words = []
+    for term in found.quality.calibration:
+        value = abs(term.value)
+        if term.name == 'focal_length' and term.used and value > _WORTH_REPORTING:
+            size = 'small' if term.value > 0.0 else 'large'
+            words.append(f'the focal length is {100.0 * value:.1f} % too {size}')
+        elif term.name == 'distortion' and term.used and value * border_px > _BENT_PX:
+            words.append(f'k1 is off by {-term.value:+.3f}')
+    if not words:
+        return ''
+    return (
+        f'camera_info: {", ".join(words)}, as the sweep shows, which is corrected; '
+        'navigation goes by camera_info: calibrate the camera'
+    )
 
 
 def record_papers(sweep: Sweep, given: Calibration, papers: PaperRecord) -> None:

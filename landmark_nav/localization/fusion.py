@@ -60,6 +60,8 @@ _MAY_STEP = {
     'focal_scale': 0.1,
     'joint_delay': DELAY_BOUND_S,
 }
+# Sigmas by which images contradict a value of the prior, so that poses are wrong with it.
+_CONTRADICTION = 5.0
 # Log odds above which an OK pose is certainly right: what was estimated by then is kept.
 _TRUSTED = 4.0
 # Prior log odds that a given start is right: one in a hundred is another place.
@@ -333,6 +335,10 @@ class Fusion:
             reason = f'{names} would be far from robot.yaml: the robot is probably elsewhere'
         if self._start_odds < 0.0:
             status, reason = Status.LOST, str(_WRONG_START)
+        name, sigmas = line.filter.contradiction
+        if status is Status.OK and sigmas > _CONTRADICTION:
+            status = Status.DEGRADED
+            reason = f'images contradict {name} of robot.yaml by {sigmas:.0f} sigma: calibrate'
         silent_s = 1e-9 * ((stamp_ns or 0) - (ends[1] if ends else 0))
         if stamp_ns is None or silent_s <= _SILENT_S:
             return status, reason

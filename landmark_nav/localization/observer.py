@@ -184,20 +184,18 @@ class Observation:
 def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
     """Return an image with camera and joints corrected by a calibration."""
     frame = in_time(frame, calibration['joint_delay'][0])
-    shift = _STEP * round(calibration['principal_point'][0] / _STEP)
     return replace(
         frame,
-        camera=_zoomed(frame.camera, calibration, shift),
+        camera=_calibrated(frame.camera, *_lens_steps(calibration)),
         pan_rad=frame.pan_rad * (1.0 + calibration['pan_scale'][0]),
         tilt_rad=frame.tilt_rad + calibration['camera_tilt'][0],
     )
 
 
-def _zoomed(camera: CameraModel, calibration: Calibration, shift: float = 0.0) -> CameraModel:
-    """Return a camera with the focal length of a calibration."""
-    # In steps of a tenth of a pixel, as each camera needs a grid of rays of its own.
-    focal = _STEP * round(calibration['focal_scale'][0] / _STEP)
-    return _calibrated(camera, focal, shift)
+def _lens_steps(calibration: Calibration) -> tuple[float, float]:
+    """Relative errors of focal length and principal point, to a tenth of a pixel."""
+    focal, shift = (calibration[name][0] for name in ('focal_scale', 'principal_point'))
+    return _STEP * round(focal / _STEP), _STEP * round(shift / _STEP)
 
 
 @lru_cache(maxsize=8)
@@ -308,7 +306,7 @@ class Observer:
             seen.covariance_px2,
             frame.camera,
             frame.pan_rad,
-            known=_zoomed(frame.camera, expected.calibration),
+            known=upright.camera,
         )
         seen = replace(
             seen,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +22,36 @@ _CONTRAST, _LEAST_CONTRAST = (41, 41), 6.0
 _LEAST_OVERLAP = 0.25
 # Energy per pixel of the fixed pattern of a camera; that of texture is 1.
 _BLANK = 0.1
+# Least number of images that show what stays in place.
+_LEAST_SEQUENCE = 12
 # Least peak of the correlation; lower ones are by chance.
 _LEAST_SCORE = 0.4
 
 # Spectrum of each row, and cumulative energy of the columns.
 Strip = tuple[npt.NDArray[np.complexfloating], FloatArray]
+
+
+def _strip_of(seen: npt.NDArray[np.float32]) -> Strip:
+    energy = np.concatenate([[0.0], np.cumsum((seen * seen).sum(0))])
+    return fft.rfft(seen, 2 * _COLUMNS, axis=1), energy
+
+
+def without_cover(strips: Sequence[Strip]) -> list[Strip]:
+    """
+    Return the strips of a sequence without what stays in place while the camera turns.
+
+    Bars, text or a part of the robot in the image would correlate best without a turn. Where most
+    of the image stays, the camera did not turn, and all is kept.
+    """
+    if len(strips) < _LEAST_SEQUENCE:
+        return list(strips)
+    seen = np.stack([fft.irfft(spectrum, 2 * _COLUMNS, axis=1) for spectrum, _ in strips])
+    seen = seen[..., :_COLUMNS].astype(np.float32)
+    stays = np.abs(seen.mean(0)) > seen.std(0)
+    if not stays.any() or stays.mean() > 0.5:
+        return list(strips)
+    seen[:, stays] = 0.0
+    return [_strip_of(each) for each in seen]
 
 
 class StripView:
@@ -76,8 +103,7 @@ class StripView:
         # Structures along the azimuth carry no information about turns.
         seen = np.asarray(cv2.Sobel(seen, cv2.CV_32F, 1, 0, ksize=3, scale=0.125))
         seen /= np.maximum(np.sqrt(cv2.blur(seen * seen, _CONTRAST)), _LEAST_CONTRAST)
-        energy = np.concatenate([[0.0], np.cumsum((seen * seen).sum(0))])
-        return fft.rfft(seen, 2 * _COLUMNS, axis=1), energy
+        return _strip_of(seen)
 
     def turn(self, first: Strip, second: Strip) -> tuple[float, float]:
         """

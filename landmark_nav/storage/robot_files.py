@@ -107,7 +107,7 @@ _LARGEST = {'m': 1.0, 'rad': 3.2, '1': 1.0, 's': 10.0}
 # Least absolute correlation that is written.
 _LEAST_CORRELATION = 1e-6
 # Greatest absolute value of a quantity by unit; a larger one is given in another unit.
-_LARGEST_SCALAR = {'rad': 1.0, '1': 0.5, 's': 10.0}
+_LARGEST_SCALAR = {'rad': 1.0, '1': 0.5, 's': 1.0}
 
 
 def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) -> Calibration:

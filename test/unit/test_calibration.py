@@ -155,6 +155,17 @@ def test_a_camera_off_its_axis_is_found_by_the_walls_distance():
     assert used(calibrate_sweep(sweep, true, range_m)) == set()
 
 
+def test_a_wrong_principal_point_is_not_taken_for_a_camera_off_its_axis():
+    true = PanTiltMount((0.0, 0.0, 1.2), optical_center_offset=(0.03, -0.02, 0.0))
+    sweep, range_m = off_axis_sweep(true, np.array([1.4, 1.2, 0.5]))
+    given = replace(sweep.frames[0].camera, cx=sweep.frames[0].camera.cx + 4.0)
+    wrong = replace(sweep, frames=tuple(replace(f, camera=given) for f in sweep.frames))
+    found = calibrate_sweep(wrong, replace(true, optical_center_offset=(0.0, 0.0, 0.0)), range_m)
+    assert used(found) == {'forward', 'left', 'principal_point'}
+    assert found.mount.optical_center_offset == pytest.approx((0.03, -0.02, 0.0), abs=6e-3)
+    assert found.sweep.frames[0].camera.cx == pytest.approx(99.5, abs=0.5)
+
+
 def cupboard(center, normal, width):
     """What stands before a wall and is lower than the camera."""
     texture = smooth_texture(np.random.default_rng(3), width, 1.1, 0.05)

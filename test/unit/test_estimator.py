@@ -8,7 +8,7 @@ import pytest
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import (
     EstimatorConfig,
@@ -43,6 +43,16 @@ def image(pan_rad=0.4, track=None):
         0, np.arange(count), np.zeros((count, 2)), np.tile(1e-8 * np.eye(2), (count, 1, 1)),
         np.full(count, pan_rad), 0.05, 1.0, pan_track=track,
     )  # fmt: skip
+
+
+def test_an_error_of_the_principal_point_is_a_shift_beside_the_right_lens():
+    right = CameraModel(512, 512, 555.0, 555.0, 256.0, 254.0, distortion=(-0.19, 0.06, 0.0, 0.0))
+    wrong = replace(right, cx=right.cx + 8.0)
+    pixels = np.array([[20.0, 30.0], [256.0, 254.0], [490.0, 400.0]])
+    shape = 0, np.arange(3), pixels, np.tile(np.eye(2), (3, 1, 1))
+    true = ImagePoints.of_pixels(*shape, right, 0.0)
+    seen = ImagePoints.of_pixels(*shape, wrong, 0.0, known=right)
+    assert seen.points - true.points == pytest.approx(np.tile([-8.0 / 555.0, 0.0], (3, 1)))
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -93,6 +103,22 @@ def test_what_is_exact_never_changes():
     run = driven(simulated(2, seconds=8.0), prior=exactly)
     assert (run.filter.calibration.values == exactly.values).all()
     assert not run.filter.calibration.covariance.any()
+    assert run.filter.contradiction[1] < 4.0
+
+
+@pytest.mark.parametrize(
+    ('name', 'error'),
+    [('axis_x', 0.08), ('center_y', 0.01), ('camera_roll', 0.01), ('focal_scale', 0.01)],
+)
+def test_a_wrong_value_is_named_though_it_is_given_as_exact(name, error):
+    exactly = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 0.0))
+    drive = simulated(2, exactly, seconds=24.0)
+    wrong = exactly.with_values(**{name: exactly[name][0] + error})
+    run = driven(drive, prior=wrong)
+    assert (run.filter.calibration.values == wrong.values).all()
+    named, sigmas = run.filter.contradiction
+    assert named == name
+    assert sigmas > 5.0
 
 
 @pytest.mark.parametrize('prior', [Calibration.exact(MOUNT), TAPE], ids=['exact', 'tape'])

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from turning_camera import turn_sweep
@@ -191,6 +192,19 @@ def test_a_camera_that_stands_still_while_the_pan_turns_is_refused(turn):
     frozen = replace(turn, frames=tuple(replace(f, image=still) for f in turn.frames))
     with pytest.raises(LandmarkNavError, match='do not turn'):
         check_turn(frozen, MOUNT)
+
+
+def test_bars_at_both_sides_of_images_that_turn_pass(turn):
+    width = LENS.width // 8
+
+    def framed(image):
+        return cv2.copyMakeBorder(
+            image[:, width:-width], 0, 0, width, width, cv2.BORDER_CONSTANT, value=(0, 0, 0)
+        )
+
+    frames = tuple(replace(f, image=framed(f.image)) for f in turn.frames)
+    ratio, _ = measure_turn(replace(turn, frames=frames), MOUNT)
+    assert ratio == pytest.approx(1.0, abs=0.02)
 
 
 def test_a_unit_that_hangs_upside_down_and_reports_it_passes():

@@ -26,6 +26,7 @@ _QUANTITIES = {
     'roll': 'camera_roll',
     'forward': 'center_x',
     'left': 'center_y',
+    'principal_point': 'principal_point',
 }
 # Smaller information, relative to the largest, is rounding.
 _ROUNDING = 1e-9
@@ -53,7 +54,7 @@ def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
 
 
 def as_corrected(before: Calibration, common: FloatArray, mount: PanTiltMount) -> Calibration:
-    """Calibration of a panorama: the one before, corrected by `common` (7,), and its axis."""
+    """Calibration of a panorama: the one before, corrected by `common` (8,), and its axis."""
     axis = dict(zip(('axis_roll', 'axis_pitch', 'axis_yaw'), mount.axis_rpy, strict=True))
     names, values = _corrected_values(before, common)
     return before.with_values(**axis, **dict(zip(names, values.tolist(), strict=True)))

@@ -175,9 +175,13 @@ def _follow(
 
 
 # Terms that all frames share: relative focal length, first radial distortion, relative pan, angles
-# of the camera, and the offset of the optical centre from the axis, forward and left.
-COMMON = ('focal_length', 'distortion', 'pan_scale', 'tilt', 'roll', 'forward', 'left')
-_STEPS = np.array([1e-5, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
+# of the camera, offset of the optical centre from the axis, forward and left, and of the principal
+# point, to the right over the focal length.
+COMMON = (
+    *('focal_length', 'distortion', 'pan_scale', 'tilt', 'roll', 'forward', 'left'),
+    'principal_point',
+)
+_STEPS = np.array([1e-5, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-5])
 
 _ITERATIONS = 12
 _CONVERGED_PX = 5e-3
@@ -201,8 +205,8 @@ class Fit:
     """
     The best fit.
 
-    `common` (7,) are the values of `COMMON`, with the covariance (7, 7) from the scatter of the
-    matches, zero for fixed terms, and `sigma` (7,), which includes the bias of tracking; `frames`
+    `common` (8,) are the values of `COMMON`, with the covariance (8, 8) from the scatter of the
+    matches, zero for fixed terms, and `sigma` (8,), which includes the bias of tracking; `frames`
     (n, 3) are pan, tilt and roll of each frame, zero without matches; `weight` (m,) are those of
     the matches.
     """
@@ -243,7 +247,7 @@ class OverlapProblem:
         self._count = len(sweep.frames)
         chosen = [sweep.frames[k] for k in self._used]
         self._angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in chosen])
-        self._rays: dict[tuple[float, float], FloatArray] = {}
+        self._rays: dict[tuple[float, float, float], FloatArray] = {}
         self._last = np.zeros(len(COMMON) + 3 * len(chosen))
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
@@ -377,7 +381,7 @@ class OverlapProblem:
         return float(np.sum(total / np.maximum(np.bincount(pair, fit.weight), 1e-9)))
 
     def _unknowns(self, common: FloatArray, frames: FloatArray | None) -> FloatArray:
-        """Common terms (7,), then pan, tilt and roll of each frame with matches."""
+        """Common terms (8,), then pan, tilt and roll of each frame with matches."""
         turns = np.zeros_like(self._angles) if frames is None else frames[self._used]
         return np.append(common, turns)
 
@@ -392,7 +396,7 @@ class OverlapProblem:
         camera, mount = _camera(self._camera, common), _mount(self._mount, common)
         pan, tilt, roll = (_angles(self._angles, common) + turns)[self._links].T
         rotation, center = mount.camera_pose_base(pan.T, tilt.T, roll.T)
-        lens = (float(common[0]), float(common[1]))
+        lens = (float(common[0]), float(common[1]), float(common[7]))
         if lens not in self._rays:
             self._rays[lens] = camera.unproject(self._overlaps.pixels)
         ray = np.einsum('mkij,mkj->mki', rotation, self._rays[lens])
@@ -416,7 +420,7 @@ class OverlapProblem:
         return self._slopes[1]
 
     def _jacobian(self, x: FloatArray, here: FloatArray) -> FloatArray:
-        """Jacobian (m, 2, 7 + 3n): a match depends on the common terms and its two frames."""
+        """Jacobian (m, 2, 8 + 3n): a match depends on the common terms and its two frames."""
         out = np.zeros((*here.shape, len(x)))
         for k, step in enumerate(_STEPS):
             moved = x.copy()
@@ -445,7 +449,7 @@ def _whitening_share(variance: npt.ArrayLike, square: npt.ArrayLike) -> FloatArr
 def corrected(
     sweep: Sweep, mount: PanTiltMount, common: FloatArray, frames: FloatArray | None = None
 ) -> tuple[Sweep, PanTiltMount]:
-    """Sweep and mount with corrections of the common terms (7,) and of each frame (n, 3)."""
+    """Sweep and mount with corrections of the common terms (8,) and of each frame (n, 3)."""
     angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in sweep.frames])
     turned = _angles(angles, common) + (0.0 if frames is None else frames)
     camera = _camera(sweep.frames[0].camera, common)
@@ -462,12 +466,18 @@ def corrected(
 
 
 def _camera(camera: CameraModel, common: FloatArray) -> CameraModel:
-    scale, k1 = float(np.exp(common[0])), float(common[1])
-    if scale == 1.0 and k1 == 0.0:
+    scale, k1, shift = float(np.exp(common[0])), float(common[1]), float(common[7])
+    if scale == 1.0 and k1 == 0.0 and shift == 0.0:
         return camera
     first, *others = camera.distortion or (0.0,)
     distortion = (first + k1, *others) if k1 else camera.distortion
-    return replace(camera, fx=camera.fx * scale, fy=camera.fy * scale, distortion=distortion)
+    return replace(
+        camera,
+        fx=camera.fx * scale,
+        fy=camera.fy * scale,
+        cx=camera.cx + shift * camera.fx,
+        distortion=distortion,
+    )
 
 
 def _mount(mount: PanTiltMount, common: FloatArray) -> PanTiltMount:

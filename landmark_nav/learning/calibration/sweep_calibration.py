@@ -6,7 +6,8 @@ Observability:
 * focal length and pan scale: both in a full turn, whose links must add up to one; in a part of a
   turn only their product, and the encoder is assumed correct;
 * tilt and roll of the camera on its axis, and the first radial distortion: in any overlap;
-* the offset of the optical centre from the axis: by the variation of ranges, once these are known;
+* the offset of the optical centre from the axis: by the variation of ranges, once these are known,
+  and with it that of the principal point, which looks like it at a single range;
 * the zero of the joint: not at all, it is equivalent to the heading of the base; nor a tilt of the
   axis itself, which rotates the whole panorama.
 
@@ -34,7 +35,7 @@ from landmark_nav.learning.calibration.overlap_fit import (
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import FloatArray, Sweep
 
-_FOCAL, _DISTORTION, _SCALE, _TILT, _ROLL, _FORWARD, _LEFT = range(len(COMMON))
+_FOCAL, _DISTORTION, _SCALE, _TILT, _ROLL, _FORWARD, _LEFT, _PRINCIPAL = range(len(COMMON))
 
 # Fewest matches per link of the chain.
 _LEAST_PER_LINK = 8
@@ -60,7 +61,7 @@ _ROUNDS, _LEAST_PER_FRAME = 2, 6
 @dataclass(frozen=True, eq=False)
 class SweepCalibration:
     """
-    A sweep and its mount, corrected by `common` (7,) in the order of `COMMON`.
+    A sweep and its mount, corrected by `common` (8,) in the order of `COMMON`.
 
     `whole` is the fit of all terms, used in the panorama or not.
     """
@@ -111,7 +112,7 @@ def calibrate_sweep(
     if camera.model != 'equidistant':
         free.append(_DISTORTION)
     if range_m is not None:
-        free += [_FORWARD, _LEFT]
+        free += [_FORWARD, _LEFT, _PRINCIPAL]
     whole, fit, terms = fit_significant(problem, free, _UNIT_SIGMA_RAD, camera)
     quality = _quality(problem, overlaps, fit, problem.misfit_px(fit.common), terms)
     used = corrected(sweep, mount, fit.common)
@@ -235,9 +236,10 @@ def _one_camera(sweep: Sweep) -> bool:
 
 
 def _shift_px(camera: CameraModel) -> FloatArray:
-    """Greatest shift in the panorama by a unit of each term (7,), pixels."""
+    """Greatest shift in the panorama by a unit of each term (8,), pixels."""
     half, near = np.tan(camera.half_fov_rad), 2.0
-    return camera.fx * np.array([half, half**3, np.pi, 1.0, half, half / near, 1.0 / near])
+    lens, angles, offset = (half, half**3), (np.pi, 1.0, half), (half / near, 1.0 / near)
+    return camera.fx * np.array([*lens, *angles, *offset, half**2])
 
 
 def _effective_focal(fit: Fit) -> tuple[float, float]:

@@ -9,15 +9,13 @@ same as its start.
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.panorama.projection import grey_frame, sweep_cylinder
-from landmark_nav.matching.strips import Strip, StripView
+from landmark_nav.matching.strips import StripView, without_cover
 from landmark_nav.types import Sweep
 
 # Pairs of frames that are compared, and fewest that must correlate.
@@ -93,12 +91,10 @@ def measure_turn(sweep: Sweep, mount: PanTiltMount) -> tuple[float | None, float
     camera = sweep.frames[0].camera
     view, field_rad = StripView(camera, mount, sweep.frames[0].tilt_rad), 2.0 * camera.half_fov_rad
 
-    @cache
-    def strip(k: int) -> Strip:
-        return view.strip(grey_frame(sweep.frames[k]).image)
+    strips = without_cover([view.strip(grey_frame(frame).image) for frame in sweep.frames])
 
     def turned(first: int, second: int) -> float:
-        return view.turn(strip(first), strip(second))[0]
+        return view.turn(strips[first], strips[second])[0]
 
     pans = np.array([frame.pan_rad for frame in sweep.frames])
     steps = np.diff(pans)

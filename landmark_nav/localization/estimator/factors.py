@@ -114,11 +114,13 @@ class ImagePoints:
         Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera.
 
         The lens bends rays by how far they are off the axis: it takes the camera with the focal
-        length that is `known` by now to take that out. Points keep the focal length of `camera`.
+        length and principal point that are `known` by now to take that out. Points keep those of
+        `camera`.
         """
         known = known or camera
         rays = known.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
         rays = rays * [known.fx / camera.fx, known.fy / camera.fy]
+        rays += np.subtract((known.cx, known.cy), (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         by_uv = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2)
         return cls(
             stamp_ns,

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.config import EstimatorConfig, Step
 from landmark_nav.localization.estimator.correction import corrected, usable
@@ -69,6 +69,11 @@ _EXCLUDED = float(np.log(0.01))
 # Sigmas of an unknown pose, m and rad.
 _ANYWHERE = (3.0, 3.0, 2.0)
 _DRIFTING = slice(SCALE, SLIP)
+_CALIBRATED = np.arange(CALIBRATION, STATES)
+# Sigma of what is given as exact, in m, rad, 1 or s: so that images show what they would change.
+_EXACT = 1e-6
+# Default sigmas with which images alone hardly show a quantity.
+_HARDLY_SHOWN = 3.0
 
 
 class _Hypothesis(NamedTuple):
@@ -131,6 +136,7 @@ class JointFilter:
         mean[:3], covariance[:3, :3] = start.pose, start.covariance
         mean[CALIBRATION:STATES] = calibration.values
         covariance[CALIBRATION:STATES, CALIBRATION:STATES] = calibration.covariance
+        covariance[_CALIBRATED, _CALIBRATED] += _EXACT**2 * (calibration.sigmas == 0.0)
         shared = calibration.by_map
         if shared is not None and shared.shape[1] == self._fixed - STATES:
             # The map was learned with this calibration: their errors are correlated.
@@ -213,8 +219,9 @@ class JointFilter:
         by_noise = by_kept @ mine.by_noise[:, SCALE:, SCALE:] @ by_kept.T
         by_noise[FLOOR] += new.by_noise[FLOOR]
         other._state = replace(
-            new, mean=mean, covariance=covariance, by_noise=by_noise, scales=mine.scales
-        )
+            new, mean=mean, covariance=covariance, by_noise=by_noise, scales=mine.scales,
+            corrections=mine.corrections,
+        )  # fmt: skip
         return other
 
     def on_map(self, landmark_map: LandmarkMap) -> JointFilter:
@@ -227,19 +234,37 @@ class JointFilter:
         mean[:STATES] = mine.mean[:STATES]
         covariance[:STATES, :STATES] = mine.covariance[:STATES, :STATES]
         other._state = replace(
-            new, mean=mean, covariance=covariance, by_noise=mine.by_noise, scales=mine.scales
-        )
+            new, mean=mean, covariance=covariance, by_noise=mine.by_noise, scales=mine.scales,
+            corrections=mine.corrections,
+        )  # fmt: skip
         return other
 
     @property
     def calibration(self) -> Calibration:
-        """The current estimate of the calibration."""
-        mine = slice(CALIBRATION, STATES)
+        """The current estimate of the calibration; exact values are those of the prior."""
+        prior, mine = self._prior, slice(CALIBRATION, STATES)
+        free = prior.sigmas > 0.0
         return Calibration(
-            self._state.mean[mine].copy(),
-            self._state.covariance[mine, mine].copy(),
-            self._prior.base,
+            np.where(free, self._state.mean[mine], prior.values),
+            np.where(np.outer(free, free), self._state.covariance[mine, mine], 0.0),
+            prior.base,
         )
+
+    @property
+    def contradiction(self) -> tuple[str, float]:
+        """
+        Quantity of the prior that images contradict most, and by how many sigmas.
+
+        Corrections by images are independent, and each has the variance by which it decreased
+        that of the quantity: their sum tests the prior, however small its sigma is. What images
+        hardly show is left out.
+        """
+        shift, variance = self._state.corrections
+        prior = np.maximum(np.diag(self._prior.covariance), _EXACT**2)
+        shown = variance > prior**2 / (prior + np.square(_HARDLY_SHOWN * DEFAULT_SIGMAS))
+        sigmas = np.where(shown, np.abs(shift), 0.0) / np.sqrt(np.where(shown, variance, 1.0))
+        k = int(np.argmax(sigmas))
+        return NAMES[k], float(sigmas[k])
 
     @property
     def landmarks(self) -> FloatArray:
@@ -360,7 +385,7 @@ class JointFilter:
         if unused or moved:
             # The image says nothing of its new landmarks, which stay new.
             after = after.only(~np.isin(after.landmarks, seen.columns[new]))
-        self._state, self.predicted = after, prior
+        self._state, self.predicted = after if unused else after.corrected_from(prior), prior
         return update
 
     def _likeliest(
@@ -441,7 +466,7 @@ class JointFilter:
         for name, sigma in step.calibration.items():
             k = CALIBRATION + NAMES.index(name)
             # What is given as exact stays.
-            if covariance[k, k] > 0.0:
+            if covariance[k, k] > _EXACT**2:
                 covariance[k, k] += sigma**2
         return replace(state, covariance=covariance)
 
@@ -469,7 +494,7 @@ class JointFilter:
         walk = self._config.mount_walk_rad_per_sqrt_s**2 * state.seconds
         for k in (YAW, ROLL, TILT):
             # Exact values do not change.
-            if covariance[k, k] > 0.0:
+            if covariance[k, k] > _EXACT**2:
                 covariance[k, k] += walk
         return replace(
             state, mean=mean, covariance=covariance, unseen_m=unseen, way_m=0.0, seconds=0.0

@@ -70,6 +70,15 @@ class State:
     seconds: float = 0.0
     # Derivative of pose, lean and odometry by those after the last image.
     carried: FloatArray = field(default_factory=lambda: np.eye(CALIBRATION))
+    # Sum (2, 15) of the corrections of the calibration by images, and of their variances.
+    corrections: FloatArray = field(default_factory=lambda: np.zeros((2, STATES - CALIBRATION)))
+
+    def corrected_from(self, prior: State) -> State:
+        """Return the state after an image, with its correction of the calibration added."""
+        which = np.arange(CALIBRATION, STATES)
+        shift = self.mean[which] - prior.mean[which]
+        variance = prior.covariance[which, which] - self.covariance[which, which]
+        return replace(self, corrections=prior.corrections + np.stack([shift, variance]))
 
     def only(self, kept: npt.NDArray[np.bool_]) -> State:
         """Return the state with own errors of some of its landmarks, `kept` (n,)."""
