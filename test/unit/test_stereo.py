@@ -8,6 +8,7 @@ from patch_texels import patch_points
 import pytest
 from scenes import (
     Board,
+    candidate_at,
     draw_panorama,
     flat_texture,
     GREY,
@@ -16,7 +17,6 @@ from scenes import (
     smooth_texture,
     textured_room,
 )
-from wall_views import candidate_at
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.cylinder import Cylinder
