@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
-from landmark_nav.cli.options import add, evaluate_line, progress, within, wrapped
+from landmark_nav.cli.options import add, evaluate_line, progress, wrapped
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.geometry.camera import PanTiltMount
@@ -61,6 +61,9 @@ _CONFIG = """\
       learning_sigma: 0.0
       step_probability: 0.0
 """
+# Sigma of each bearing, which the data set does not give: the scatter about the truth. Sigma of
+# the constant error of a post, which has a width, and of the lens, which is not known well.
+_BEARING_RAD, _LANDMARK_M = np.radians(0.5), 0.02
 # Sigma of the error that all bearings of an image share, modelled as an error of the pan. Bearings
 # come at 4 Hz with errors that are constant for seconds (in turns, stamps are off by some tens of
 # milliseconds). As the filter regards them as independent, the sigma is larger than the error.
@@ -93,31 +96,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(mrclam, '--out', required=True, metavar='BAG', help='bag to write')
     add(mrclam, '--overwrite')
-    add(
-        mrclam,
-        '--bearing-sigma',
-        type=within(float, 1e-6, 90.0),
-        default=0.5,
-        metavar='DEG',
-        help='of every bearing in degrees, which the data do not give: their scatter about the '
-        'truth',
-    )
-    add(
-        mrclam,
-        '--landmark-sigma',
-        type=within(float, 1e-6, 10.0),
-        default=0.02,
-        metavar='M',
-        help='how many metres a post may be from where it seems, again and again: it has a width, '
-        'the lens is not known well',
-    )
-    mrclam.add_argument(
-        '--command-delay',
-        type=within(float, -10.0, 10.0),
-        metavar='S',
-        help='seconds from a command to its effect (default: what makes commanded turns fit best '
-        'with how bearings change, without the truth)',
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -130,10 +108,8 @@ def run(args: argparse.Namespace) -> int:
     )
     check_new(args.overwrite, args.out, landmarks, robot, beginning, config)
     check_writable(robot, beginning, config)
-    log = read_mrclam(args.folder, args.robot, np.radians(args.bearing_sigma), args.landmark_sigma)
-    delay = args.command_delay
-    if delay is None:
-        delay = command_delay_s(log.command_ns, log.commands, log.detections)
+    log = read_mrclam(args.folder, args.robot, _BEARING_RAD, _LANDMARK_M)
+    delay = command_delay_s(log.command_ns, log.commands, log.detections)
     odometry = integrate_commands(log.command_ns, log.commands, delay)
     begin = min(odometry[0].stamp_ns, log.detections[0].stamp_ns)
     start = PoseTrack.of((pose.stamp_ns, pose.pose) for pose in log.truth).at([begin])[0]

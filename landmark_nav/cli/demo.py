@@ -8,7 +8,7 @@ from pathlib import Path
 import shutil
 
 from landmark_nav.cli.learn import located_sweeps
-from landmark_nav.cli.options import add, table_lines, within
+from landmark_nav.cli.options import add, table_lines
 from landmark_nav.configuration import load_configuration
 from landmark_nav.demo.scenario import (
     Check,
@@ -47,7 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         'Start the nodes on a ROS graph with a simulated robot, let it take two '
         'sweeps, learn its landmarks by a service call and drive; record, measure and draw '
-        'that. Exit status 0 only if the map and the error are as they should be.'
+        'that. Exit status 0 only if the map and the error are as they should be. The nodes are '
+        'in the ROS domain of ROS_DOMAIN_ID, or else in one for themselves.'
     )
     add(parser, '--out', required=True)
     add(parser, '--overwrite')
@@ -58,19 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='give it no plan and no measured papers: walls and poses are found, the scale is '
         'that of odom; the sweeps are recorded too',
     )
-    parser.add_argument(
-        '--domain-id',
-        type=within(int, 0, 232),
-        metavar='N',
-        help='ROS domain of the nodes, to look at them meanwhile (default: that of '
-        'ROS_DOMAIN_ID, or else one for itself)',
-    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo, then evaluate its recording."""
     require_ros('it')
-    domain_id = chosen_domain() if args.domain_id is None else args.domain_id
+    domain_id = chosen_domain()
     domain_id = 10 + os.getpid() % 90 if domain_id is None else domain_id
     folder = _emptied(args.out, args.overwrite)
     narrator = Narrator()

@@ -14,7 +14,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.calibration.sweep_calibration import align_sweep, calibrate_sweep
 from landmark_nav.learning.calibration.turn import check_turn
-from landmark_nav.learning.panorama.photometry import even_out, measure_photometry, Photometry
+from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
 from landmark_nav.learning.panorama.synthesis import synthesize_cylinder
 from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
@@ -47,12 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, '--out', required=True, metavar='F.png', help='PNG to write')
     add(parser, '--robot', help='robot.yaml: how the camera is mounted (default: level, centred)')
-    parser.add_argument(
-        '--even-out',
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help='make up for exposures and vignetting (the default)',
-    )
     parser.add_argument(
         '--align',
         action=argparse.BooleanOptionalAction,
@@ -93,9 +87,7 @@ def run(args: argparse.Namespace) -> int:
         found = calibrate_sweep(sweep, mount)
         sweep, mount = found.sweep, found.mount
         quality = found.quality
-    photometry = Photometry.none(len(sweep.frames))
-    if args.even_out:
-        photometry = measure_photometry(sweep, mount)
+    photometry = measure_photometry(sweep, mount)
     view = synthesize_cylinder(even_out(sweep, photometry), mount)
     covered = view.mask.any(axis=0)
     rows = np.flatnonzero(view.mask[:, covered].all(axis=1))

@@ -47,11 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=('W', 'H'),
         help=f'of its images in pixels (default {default.width_px} {default.height_px})',
     )  # fmt: skip
-    parser.add_argument(
-        '--pan', type=within(float, -6.2832, 6.2832), nargs=2,
-        metavar=('MIN', 'MAX'),
-        help='range of the pan joint in rad (default: pan_min and pan_max of robot.yaml)',
-    )  # fmt: skip
     clearance = {'type': within(float, 0.05, 5), 'default': default.clearance_m, 'metavar': 'M'}
     add(parser, '--clearance', **clearance, help='least metres of the robot from walls')
 
@@ -65,12 +60,10 @@ def run(args: argparse.Namespace) -> int:
             f'--out {args.out}: the plan is YAML, and its image gets this name: take '
             f'{args.out.with_suffix(".yaml").name}'
         )
-    if args.pan and args.pan[0] > args.pan[1]:
-        raise UsageError(f'--pan {args.pan[0]:g} {args.pan[1]:g}: give the lesser one first')
     check_new(args.overwrite, args.out, figure_path)
     check_writable(figure_path)
     room, mount = load_room(args.room), load_robot(args.robot)
-    low, high = args.pan or mount.pan_limits_rad
+    low, high = mount.pan_limits_rad
     config = PlanConfig(
         focal_px=args.focal,
         width_px=args.size[0],

@@ -67,7 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ('--drive-seconds', within(float, 0.5, 1e5), 40.0, 'S', 'length of the drive in seconds'),
         ('--camera-rate', _camera_rate, 5.0, 'HZ', 'images a second, a whole part of 20'),
         ('--speed', within(float, 0.05, 10), 0.35, 'M/S', 'of the robot in the drive'),
-        ('--jpeg-quality', within(int, 1, 100), 90, 'Q', 'of the images, 1 to 100'),
         ('--people', within(int, 0, 50), 0, 'N', 'who walk about'),
         ('--exchange', within(float, 0, 1), 0.0, 'SHARE', 'share of the posters on the walls, 0 '
          'to 1, that are replaced by others between sweeps and drive'),
@@ -133,7 +132,6 @@ def run(args: argparse.Namespace) -> int:
                 seconds=args.drive_seconds,
                 speed_m_s=args.speed,
                 camera_rate_hz=args.camera_rate,
-                jpeg_quality=args.jpeg_quality,
             )
             _write(bag, messages, 'drive', frames)
         for name, text in (
@@ -193,9 +191,7 @@ def _learn(world: RobotWorld, poses: list[Any], args: argparse.Namespace) -> Ite
     factory = rosbag_factory()
     for pose in poses:
         world.place(pose, -np.pi)
-        yield from sweep_messages(
-            world, factory, frames=args.frames, jpeg_quality=args.jpeg_quality
-        )
+        yield from sweep_messages(world, factory, frames=args.frames)
         world.advance(_MOVE_S)
 
 

@@ -41,11 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, '--seed', help='draws the simulated room')
     parser.add_argument(
-        '--image-transport',
-        choices=('auto', 'raw', 'compressed'),
-        help='form of camera/image_raw (default: that of the parameters, auto)',
-    )
-    parser.add_argument(
         '--composed',
         action='store_true',
         help='run all nodes in one process: less memory, but learning holds up localization',
@@ -80,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
             args.map.resolve(),
             simulator=simulator,
             load_on_start=(args.map / 'map.yaml').is_file(),
-            image_transport='compressed' if args.sim else args.image_transport or '',
+            image_transport='compressed' if args.sim else '',
             parameter_file=args.config and Path(args.config).resolve(),
             namespace=args.namespace,
             composed=args.composed,

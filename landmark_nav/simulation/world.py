@@ -367,7 +367,7 @@ class Recorded(NamedTuple):
 
 
 def sweep_messages(
-    world: RobotWorld, factory: MessageFactory, *, frames: int = 72, jpeg_quality: int = 90
+    world: RobotWorld, factory: MessageFactory, *, frames: int = 72
 ) -> Iterator[Recorded]:
     """
     Capture a sweep of evenly spaced images from -180 degrees on, at the pose of the robot.
@@ -384,7 +384,7 @@ def sweep_messages(
             world.advance(1.0 / STATE_RATE_HZ)
         frame = world.camera_frame()
         samples.append(JointSample(frame.stamp_ns, frame.pan_rad, frame.tilt_rad))
-        yield from _image_messages(frame, factory, 'sweep', 'sweep/image/compressed', jpeg_quality)
+        yield from _image_messages(frame, factory, 'sweep', 'sweep/image/compressed')
         yield _joints(world, factory)
         yield _truth(world, factory)
     world.advance(0.1)
@@ -401,7 +401,6 @@ def drive_messages(
     seconds: float,
     speed_m_s: float = 0.35,
     camera_rate_hz: float = 5.0,
-    jpeg_quality: int = 90,
 ) -> Iterator[Recorded]:
     """
     Drive along a path (n, 2) while the camera looks at the walls; the robot stops at its end.
@@ -418,9 +417,7 @@ def drive_messages(
         world.command_pan(pan_control.pan(time_s, world.true_pose))
         if k % every == 0:
             frame = world.camera_frame()
-            yield from _image_messages(
-                frame, factory, 'camera', 'camera/image_raw/compressed', jpeg_quality
-            )
+            yield from _image_messages(frame, factory, 'camera', 'camera/image_raw/compressed')
         yield _joints(world, factory)
         odometry = encode.odometry(factory, world.odometry_sample(), _ODOMETRY_COVARIANCE)
         yield Recorded('odom', odometry, world.stamp_ns)
@@ -429,10 +426,10 @@ def drive_messages(
 
 
 def _image_messages(
-    frame: CameraFrame, factory: MessageFactory, camera: str, topic: str, jpeg_quality: int
+    frame: CameraFrame, factory: MessageFactory, camera: str, topic: str
 ) -> Sequence[Recorded]:
     stamp = frame.stamp_ns
-    image = encode.compressed_image(factory, frame.image, stamp, _FRAME, jpeg_quality)
+    image = encode.compressed_image(factory, frame.image, stamp, _FRAME)
     info = encode.camera_info(factory, frame.camera, stamp, _FRAME)
     return [Recorded(topic, image, stamp), Recorded(f'{camera}/camera_info', info, stamp)]
 

@@ -93,9 +93,7 @@ def measure(arguments: argparse.Namespace) -> tuple[Stopwatch, dict[str, float],
         has_map = lambda: client.status_of('odometry_fusion').values.get('landmarks', '0') != '0'  # noqa: E731
         client.wait(has_map, 60.0, 'the map')
         bag_file = str(arguments.drive.resolve())
-        playing = player.start(
-            'bag_player', node_command('bag_player', bag=bag_file, rate=rate, clock=False)
-        )
+        playing = player.start('bag_player', node_command('bag_player', bag=bag_file, rate=rate))
         client.wait(lambda: client.odometry is not None, 30.0, 'the bag')
         assert client.odometry is not None
         covariance = np.diag(np.square(START_SIGMA))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+from bare_landmarks import bare_landmark
 import numpy as np
 
 from landmark_nav.calibration import Calibration
@@ -17,7 +18,6 @@ from landmark_nav.types import (
     Detections,
     Expectation,
     JointSample,
-    Landmark,
     LandmarkMap,
     OdometrySample,
     Panorama,
@@ -59,18 +59,15 @@ def landmark_map(count: int = 6) -> LandmarkMap:
     """Landmarks on the south wall of the room."""
     rng = np.random.default_rng(0)
     landmarks = tuple(
-        Landmark(
+        bare_landmark(
             k,
             np.array([0.5 + 0.6 * k, 0.0, 1.1]),
             np.diag([1e-4, 1e-5, 1e-4]),
-            np.zeros((3, 0)),
-            np.array([0.0, 1.0, 0.0]),
-            0.2,
-            0.15,
-            rng.integers(0, 255, (15, 20), dtype=np.uint8),
-            np.array([2.0, 1.5, 1.1]),
-            0.7,
-            'south',
+            normal=np.array([0.0, 1.0, 0.0]),
+            height_m=0.15,
+            patch=rng.integers(0, 255, (15, 20), dtype=np.uint8),
+            viewpoint=np.array([2.0, 1.5, 1.1]),
+            wall_id='south',
         )
         for k in range(count)
     )

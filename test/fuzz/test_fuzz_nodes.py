@@ -73,14 +73,6 @@ def context():
     made.try_shutdown()
 
 
-@pytest.fixture(autouse=True, scope='module')
-def _no_late_frames():
-    """No sweep waits for frames that never come."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('landmark_nav.nodes.recorded_sweeps._LATE_FRAMES_S', 0.0)
-        yield
-
-
 @pytest.fixture(scope='module')
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp('files')

@@ -88,8 +88,8 @@ def test_learns_drives_and_stays_exact(tmp_path, domain_id):
     folder, parameters = tmp_path / 'demo', tmp_path / 'short.yaml'
     parameters.write_text(SHORT_SWEEP)
     command = [sys.executable, '-c', SHORT_DEMO, str(parameters), 'demo', '--out', str(folder)]
-    command += ['--domain-id', str(domain_id)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=540)
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=540, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(load_map(folder / 'map').landmarks) >= 20
     bag = Bag(folder / 'recording')

@@ -9,6 +9,7 @@ import subprocess
 import time
 from typing import Any
 
+from bare_landmarks import bare_landmark
 import numpy as np
 import pytest
 from std_srvs.srv import Trigger
@@ -21,27 +22,13 @@ from landmark_nav.ros.robot_client import ServiceDiscovery
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import JointSample, Landmark, LandmarkMap
+from landmark_nav.types import JointSample, LandmarkMap
 
 
 def small_map():
-    rng = np.random.default_rng(5)
+    places = [np.array([1.0 + k, 0.0, 1.5]) for k in range(4)]
     return LandmarkMap(
-        tuple(
-            Landmark(
-                id=k,
-                position=np.array([1.0 + k, 0.0, 1.5]),
-                covariance=1e-4 * np.eye(3),
-                shared_loading=np.zeros((3, 2)),
-                normal=np.array([0.0, 1.0, 0.0]),
-                width_m=0.2,
-                height_m=0.2,
-                patch=rng.integers(0, 255, (24, 24), dtype=np.uint8),
-                viewpoint=np.array([2.0, 2.0, 1.1]),
-                threshold=0.7,
-            )
-            for k in range(4)
-        )
+        tuple(bare_landmark(k, place, 1e-4 * np.eye(3)) for k, place in enumerate(places))
     )
 
 

@@ -87,7 +87,6 @@ def test_another_camera_and_a_room_without_papers_give_other_plans(folder):
         ((), 'room.yaml/plan.yaml', 1, 'room.yaml: is a file'),
         ((), 'plan.png', 2, 'take plan.yaml'),
         (('--focal', '-3'), 'new/plan.yaml', 2, '--focal'),
-        (('--pan', '1', '-1'), 'new/plan.yaml', 2, 'give the lesser one first'),
     ],
 )
 def test_what_can_not_be_planned_is_reported_in_a_line(

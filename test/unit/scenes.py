@@ -14,11 +14,20 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Landmark, Panorama, Sweep
+from landmark_nav.types import (
+    CameraFrame,
+    Candidate,
+    FloatArray,
+    ImageArray,
+    Landmark,
+    Panorama,
+    Sweep,
+)
 
 Color = tuple[float, float, float]
 
@@ -330,3 +339,10 @@ def true_landmark(
         viewpoint=viewpoint,
         threshold=threshold,
     )
+
+
+def candidate_at(panorama: Panorama, point: FloatArray, size: int = 32) -> Candidate:
+    """Candidate at the pixel nearest to where a panorama shows a point."""
+    turned = (point - panorama.center_map)[:2] @ se2.rotation(panorama.heading_rad)
+    column, row = panorama.cylinder.project([*turned, point[2] - panorama.center_map[2]])
+    return Candidate(float(np.rint(column)), float(np.rint(row)), size, size, 1.0)

@@ -1,7 +1,11 @@
 """The import rules of docs/architecture.md."""
 
 import ast
+from importlib import import_module
 from pathlib import Path
+
+from ablation import DRIVING, LEARNING, SEARCHING
+import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / 'landmark_nav'
 MODULES = sorted(PACKAGE.rglob('*.py'))
@@ -122,3 +126,14 @@ def test_every_part_has_its_place():
 def test_no_two_parts_lie_below_each_other():
     circles = [(a, b) for a in BELOW for b in BELOW[a] if a in BELOW[b] and a != b]
     assert not circles
+
+
+@pytest.mark.parametrize(
+    'target',
+    [name for part in (LEARNING, DRIVING, SEARCHING) for row in part.values() for name in row],
+)
+def test_the_target_of_a_row_exists(target):
+    module, name = target.split(':')
+    kind, _, field = name.partition('.')
+    owner = getattr(import_module(module), kind)
+    assert not field or hasattr(owner(), field)

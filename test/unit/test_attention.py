@@ -1,4 +1,4 @@
-"""Attention as a whole: what is selected in synthetic panoramas, and what is not."""
+"""Attention: feature maps, what is selected in synthetic panoramas, and what is refused."""
 
 import cv2
 import numpy as np
@@ -6,9 +6,18 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig, FEATURES
-from landmark_nav.learning.attention.selection import attend
-from landmark_nav.types import Panorama
+from landmark_nav.learning.attention.maps import (
+    attention_maps,
+    AttentionConfig,
+    conspicuity_map,
+    corner_map,
+    edge_gradients,
+    edge_map,
+    FEATURES,
+    point_symmetry_map,
+)
+from landmark_nav.learning.attention.selection import attend, refusal
+from landmark_nav.types import Candidate, Panorama
 
 WIDTH, HEIGHT = 1601, 300
 
@@ -104,19 +113,24 @@ def test_bare_wall_yields_nothing(noise):
     assert attend(panorama(gray), AttentionConfig()).candidates == ()
 
 
-def repeated(kind):
-    row, column = np.mgrid[:150, :500]
-    if kind == 'horizontal bars':
-        return np.where(row // 6 % 2 == 0, 60.0, 200.0)
-    if kind == 'vertical bars':
-        return np.where(column // 6 % 2 == 0, 60.0, 200.0)
-    return np.where((row // 9 + column // 9) % 2 == 0, 60.0, 200.0)
+def pattern(kind):
+    row, column = np.mgrid[:200, :600].astype(np.float64)
+    if kind == 'slanted edge':
+        return cv2.GaussianBlur(np.where(row + column < 399, 60.0, 200.0), (0, 0), 1.0)
+    bright = {
+        'horizontal edge': row >= 100,
+        'horizontal bars': row // 8 % 2,
+        'vertical edge': column >= 300,
+        'vertical bars': column // 8 % 2,
+        'checkerboard': (row // 8 + column // 8) % 2,
+    }
+    return np.where(bright[kind], 200.0, 60.0)
 
 
 @pytest.mark.parametrize('kind', ['horizontal bars', 'vertical bars', 'checkerboard'])
 def test_repeated_patterns_are_refused_with_their_reason(kind):
     gray = plaster(np.random.default_rng(2))
-    paste(gray, repeated(kind), 300, 80)
+    paste(gray, pattern(kind)[:150, :500], 300, 80)
     paste(gray, poster(np.random.default_rng(5), 120, 120), 1200, 80)
     found = attend(panorama(gray), AttentionConfig())
 
@@ -214,3 +228,143 @@ def test_unknown_feature_and_too_small_a_panorama_are_refused():
         AttentionConfig().alone('colour')
     with pytest.raises(LandmarkNavError, match='too small'):
         attend(panorama(np.zeros((20, 400))), AttentionConfig())
+
+
+AMBIGUOUS = 'looks like a place near by'
+
+
+def judge(gray, column=299.5, row=99.5, *, edge=False, **values):
+    noisy = gray + np.random.default_rng(0).normal(0.0, 1.0, gray.shape)
+    gray = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    return refusal(Candidate(column, row, 32, 32, 1.0, edge), gray, AttentionConfig(**values))
+
+
+def texture():
+    return poster(np.random.default_rng(1), 600, 200)
+
+
+def test_unique_texture_is_accepted_anywhere():
+    for column, row in ((299.5, 99.5), (0.5, 99.5), (599.5, 15.5), (10.5, 183.5)):
+        assert judge(texture(), column, row) is None
+
+
+@pytest.mark.parametrize(
+    'kind',
+    [
+        'horizontal edge',
+        'horizontal bars',
+        'slanted edge',
+        'vertical edge',
+        'vertical bars',
+        'checkerboard',
+    ],
+)
+def test_what_could_be_mistaken_is_refused(kind):
+    found = judge(pattern(kind))
+    assert found is not None
+    assert found.reason == AMBIGUOUS
+
+
+def test_an_upright_edge_is_distinct_across_unless_another_is_near():
+    gray = pattern('vertical edge')
+    assert judge(gray, edge=True) is None
+    gray[:, 330:] = 60.0
+    gray[:, 345:] = 200.0
+    found = judge(gray, edge=True)
+    assert found is not None
+    assert found.reason == AMBIGUOUS
+
+
+def test_a_blank_patch_is_refused():
+    found = judge(np.full((200, 600), 150.0))
+    assert found is not None
+    assert found.reason == 'too little contrast'
+
+
+def test_a_copy_is_found_near_by_round_the_seam_but_not_far_away():
+    gray = texture()
+    patch = gray[84:116, 0:32].copy()
+    gray[84:116, 560:592] = patch
+    found = judge(gray, 15.5, 99.5)
+    assert found is not None
+    assert '-40 columns' in found.detail
+    assert judge(gray, 15.5, 99.5, neighborhood_columns_px=30) is None
+
+    gray = texture()
+    gray[84:116, 300:332] = patch
+    assert judge(gray, 15.5, 99.5) is None
+
+
+SIZE = 200
+
+
+def rectangle():
+    gray = np.full((SIZE, SIZE), 60, np.uint8)
+    gray[60:140, 50:150] = 200
+    return gray
+
+
+def slanted_rings(slant_deg, dark):
+    y, x = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2.0
+    distance = np.hypot(x / np.cos(np.radians(slant_deg)), y)
+    inside = (distance < 40.0) & (np.floor(distance / 8.0) % 2 == int(dark))
+    return cv2.GaussianBlur(np.where(inside, 220, 40).astype(np.uint8), (0, 0), 0.7)
+
+
+def horizontal_bars():
+    return pattern('horizontal bars')[:, :SIZE].astype(np.uint8)
+
+
+def gradients(gray):
+    return edge_gradients(gray, 4.0, 10.0)
+
+
+def test_edges_lie_on_the_outline_only():
+    edges = edge_map(gradients(rectangle()))
+    assert edges.dtype == np.float32
+    assert edges.max() == 1.0
+    assert edges[100, 48:53].max() > 0.8
+    assert edges[58:63, 100].max() > 0.8
+    assert edges[80:120, 70:130].max() == 0.0
+    assert edges[:40].max() == 0.0
+
+
+def test_corners_are_at_corners_and_not_between_parallel_lines():
+    corners = corner_map(gradients(rectangle()))
+    assert corners[55:66, 45:56].max() > 0.3
+    assert corners[90:110, 45:56].max() < 0.05
+    assert corner_map(gradients(horizontal_bars())).max() < 0.05
+
+
+def test_noise_has_no_edges():
+    rng = np.random.default_rng(0)
+    gray = np.clip(150 + rng.normal(0, 6, (SIZE, SIZE)), 0, 255).astype(np.uint8)
+    edges = gradients(gray)
+    assert edge_map(edges).max() == 0.0
+    assert point_symmetry_map(edges).max() == 0.0
+
+
+@pytest.mark.parametrize('slant_deg', [0.0, 30.0, 50.0])
+@pytest.mark.parametrize('dark', [False, True])
+def test_point_symmetry_peaks_at_the_centre_of_rings(slant_deg, dark):
+    symmetry = point_symmetry_map(gradients(slanted_rings(slant_deg, dark=dark)))
+    row, column = np.unravel_index(symmetry.argmax(), symmetry.shape)
+    assert symmetry.max() > 0.4
+    assert abs(2 * row - SIZE / 2) <= 4
+    assert abs(2 * column - SIZE / 2) <= 4
+
+
+def test_point_symmetry_ignores_horizontal_edges():
+    inside = point_symmetry_map(gradients(horizontal_bars()))[20:-20, 20:-20]
+    assert inside.max() < 0.05
+
+
+def test_conspicuity_prefers_one_peak_to_many():
+    one = np.zeros((SIZE, SIZE), np.float32)
+    one[100, 100] = 1.0
+    many = np.zeros((SIZE, SIZE), np.float32)
+    many[20::40, 20::40] = 1.0
+    many[100, 100] = 1.2
+    assert conspicuity_map(one, 2.0, 8.0).max() == pytest.approx(1.0)
+    assert conspicuity_map(many, 2.0, 8.0).max() < 0.15
+    assert conspicuity_map(np.full_like(one, 0.7), 2.0, 8.0).max() == 0.0

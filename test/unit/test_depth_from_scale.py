@@ -3,8 +3,7 @@
 from hung_rooms import CONFIG, ROOM
 import numpy as np
 import pytest
-from scenes import Board, draw_panorama, Scene, smooth_texture
-from wall_views import candidate_at
+from scenes import Board, candidate_at, draw_panorama, Scene, smooth_texture
 
 from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
 from landmark_nav.learning.adjustment.solution import Adjustment

@@ -39,7 +39,6 @@ from landmark_nav.types import (
     CameraFrame,
     Candidate,
     Detections,
-    Landmark,
     LandmarkMap,
     Panorama,
     PoseEstimate,
@@ -164,10 +163,9 @@ def view(x=2.0, y=2.0, sigma_m=1e-3, sigma_rad=1e-4):
 
 def typical_map():
     def landmark(number, position, normal, wall, saliency):
-        return Landmark(
-            number, np.array([*position, 1.3]), 1e-5 * np.eye(3), np.zeros((3, 1)),
-            np.array([*normal, 0.0]), 0.2, 0.2, np.full((30, 30), 90, np.uint8),
-            np.array([2.0, 2.0, 1.1]), 0.7, wall, saliency,
+        return bare_landmark(
+            number, np.array([*position, 1.3]), 1e-5 * np.eye(3), normal=np.array([*normal, 0.0]),
+            patch=np.full((30, 30), 90, np.uint8), wall_id=wall, saliency=saliency,
         )  # fmt: skip
 
     return LandmarkMap(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Iterable, Mapping
 import dataclasses
 from dataclasses import dataclass, field
@@ -127,67 +126,30 @@ def test_every_include_hands_on_all_arguments(path):
 
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
-def test_nodes_are_executables_of_the_package(path):
+def test_nodes_are_executables_of_the_package_with_parameters_that_they_have(path):
     executables = {file.name for file in (REPOSITORY / 'resource' / 'executables').iterdir()}
-    nodes = [item for item in described(path) if item.kind == 'Node']
-    nodes = [node for node in nodes if node.named['package'] == 'landmark_nav']
+    types = {field.name: field.type for field in dataclasses.fields(Configuration)}
+    nodes = [item.named for item in described(path) if item.kind == 'Node']
+    nodes = [node for node in nodes if node['package'] == 'landmark_nav']
     assert nodes
-    assert {node.named['executable'] for node in nodes} <= executables
-
-
-LAUNCH = Path(__file__).resolve().parents[2] / 'landmark_nav' / 'launch'
-
-
-def tree(name):
-    return ast.parse((LAUNCH / name).read_text(encoding='utf-8'))
-
-
-def assigned(module, name):
-    """Value of a literal that is assigned to `name`, type names as words."""
-    for node in ast.walk(module):
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], 'id', '') == name:
-            return ast.literal_eval(
-                ast.unparse(node.value).replace(': int', ": 'int'").replace(': str', ": 'str'")
-            )
-    raise AssertionError(name)
-
-
-def named_in(module):
-    return {
-        ast.literal_eval(row.elts[0])
-        for node in ast.walk(module)
-        if isinstance(node, ast.comprehension) and isinstance(node.iter, ast.Tuple)
-        for row in node.iter.elts
-        if isinstance(row, ast.Tuple) and len(row.elts) == 3
-    }
-
-
-def test_bringup_gives_nodes_parameters_that_they_have():
-    bringup = tree('bringup.launch.py')
-    arguments = named_in(bringup)
-    nodes = assigned(bringup, 'NODES')
-    assert len(nodes) == 6
-    for name, taken in nodes.items():
-        assert set(taken) <= set(READS[name]) & arguments
-
-
-def test_simulation_gives_the_simulator_parameters_that_it_has():
-    simulation = tree('simulation.launch.py')
-    types = assigned(simulation, 'types')
-    fields = {f.name: f.type for f in dataclasses.fields(Configuration)}
-    assert types == {name: fields[name] for name in types}
-    assert set(types) <= set(READS['room_simulator'])
-    assert set(types) <= named_in(simulation) | named_in(tree('bringup.launch.py'))
+    for node in nodes:
+        assert node['executable'] in executables
+        _, given = node['parameters']
+        read = READS.get(node['executable'], {name for names in READS.values() for name in names})
+        assert set(given) <= {*read, 'autostart', 'use_sim_time'}
+        for name, value in given.items():
+            assert value.named['value_type'].__name__ == types.get(name, 'bool')
 
 
 def test_the_analyzers_of_diagnostics_name_nodes_and_their_work():
-    file = LAUNCH.parents[1] / 'config' / 'diagnostic_aggregator.yaml'
+    file = REPOSITORY / 'config' / 'diagnostic_aggregator.yaml'
     text = file.read_text(encoding='utf-8')
     parameters = yaml.safe_load(text)['/**']['ros__parameters']
     groups = [group for group in parameters.values() if isinstance(group, dict)]
     names = {name for group in groups for name in group['startswith']}
-    assert names == set(assigned(tree('bringup.launch.py'), 'NODES'))
-    nodes = LAUNCH.parent / 'nodes'
+    (bringup,) = (path for path in LAUNCH_FILES if 'bringup' in path.name)
+    assert names == set(runpy.run_path(str(bringup))['NODES'])
+    nodes = REPOSITORY / 'landmark_nav' / 'nodes'
     for expected in (name for group in groups for name in group.get('expected', ())):
         node, _, work = expected.partition(': ')
         assert f"super().__init__('{node}', '{work}'" in (nodes / f'{node}.py').read_text()

@@ -1,8 +1,14 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 import json
+from pathlib import Path
 import re
+import shutil
+from typing import Any
 
-from chromium import browser
 import cv2
 import numpy as np
 import pytest
@@ -21,6 +27,33 @@ from landmark_nav.evaluation.run_report import pose_report, run_errors, spells
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.types import CameraFrame, Candidate, Refusal
+
+_FLAGS = (
+    *('headless', 'no-sandbox', 'disable-gpu', 'disable-quic', 'no-first-run', 'disable-sync'),
+    *('disable-background-networking', 'disable-component-update'),
+)
+
+
+@contextmanager
+def browser(profile: Path) -> Iterator[Any]:
+    """Return a Selenium driver; skip the test where Chromium or its driver is absent."""
+    webdriver = pytest.importorskip('selenium.webdriver')
+    binary = shutil.which('chromium') or shutil.which('google-chrome')
+    driver = shutil.which('chromedriver')
+    if binary is None or driver is None:
+        pytest.skip('no chromium with chromedriver: apt-get install chromium chromium-driver')
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for flag in (*_FLAGS, f'user-data-dir={profile}'):
+        options.add_argument(f'--{flag}')
+    options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
+    chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    try:
+        chrome.set_script_timeout(20)
+        yield chrome
+    finally:
+        chrome.quit()
+
 
 CAMERA = CameraModel(160, 120, 150.0, 150.0, 79.5, 59.5)
 MOUNT = PanTiltMount(axis_xyz=(0.1, 0.0, 1.2))

@@ -197,19 +197,29 @@ def test_messages_without_stamps_have_the_time_of_recording(tmp_path, topic):
     assert stamps == [START + k * SECOND // 20 for k in range(40)]
 
 
-def test_a_lone_message_without_stamp_is_left_out(tmp_path):
+def without_stamp(message):
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+
+def without_number(message):
+    message.pose.pose.position.x = np.nan
+
+
+@pytest.mark.parametrize('spoil', [without_stamp, without_number])
+def test_a_lone_message_that_cannot_be_used_is_left_out(tmp_path, spoil):
     seen = iter(range(1000))
 
-    def unstamped(topic, message):
+    def changed(topic, message):
         if topic == '/odom' and next(seen) == 7:
-            message.header.stamp.sec = message.header.stamp.nanosec = 0
+            spoil(message)
         yield topic, message
 
     warnings = []
-    bag = Bag(rewritten(tmp_path, unstamped), warnings.append)
+    bag = Bag(rewritten(tmp_path, changed), warnings.append)
     events = list(sensor_events(bag, MOUNT))
     assert sum(isinstance(e, OdometrySample) for e in events) == 39
     assert '1 of 40 messages left out' in warnings[0]
+    assert '/odom' in warnings[0]
 
 
 def test_topics_of_other_names_are_given(tmp_path):

@@ -1,4 +1,4 @@
-"""A patch of a wall is found again from another position, or refused."""
+"""A patch is found again from another position, on its wall or before it, or refused."""
 
 from dataclasses import replace
 import tracemalloc
@@ -8,6 +8,7 @@ from patch_texels import patch_points
 import pytest
 from scenes import (
     Board,
+    candidate_at,
     draw_panorama,
     flat_texture,
     GREY,
@@ -16,9 +17,11 @@ from scenes import (
     smooth_texture,
     textured_room,
 )
-from wall_views import candidate_at
 
+from landmark_nav.geometry import se2
 from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.learning.stereo.found_again import find_again
+from landmark_nav.learning.stereo.own_plane import match_freely
 from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
     PatchMeasurement,
@@ -36,11 +39,12 @@ HEADINGS = (0.4, -2.0)
 EAST = 1
 
 
-def views_of(scene, seed=0):
-    rng = None if seed is None else np.random.default_rng(seed)
+def views_of(scene, then=None, centers=CENTERS):
+    """Panoramas of a scene, the second perhaps of another one."""
+    rng = np.random.default_rng(0)
     return [
-        draw_panorama(scene, center, heading, rng=rng)
-        for center, heading in zip(CENTERS, HEADINGS, strict=True)
+        draw_panorama(seen, center, heading, rng=rng)
+        for seen, center, heading in zip((scene, then or scene), centers, HEADINGS, strict=True)
     ]
 
 
@@ -241,7 +245,7 @@ def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(scene, bef
 
 def test_what_only_one_place_sees_is_refused(scene):
     changed, center = hanging(scene, 0.8)
-    panoramas = [views_of(changed)[0], views_of(scene)[1]]
+    panoramas = views_of(changed, scene)
     _, seen = match_at(panoramas, center)
     assert isinstance(seen, Refusal)
     assert seen.reason in (
@@ -330,3 +334,55 @@ def test_a_place_close_to_a_wall_is_searched_within_reason():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 50e6
+
+
+# Not equally high: epipolar curves run up and down as well.
+UNEVEN = (CENTERS[0], np.array([3.0, 3.1, 1.2]))
+TO_WEST = ROOM.normals[EAST]
+
+
+def board(center, normal):
+    texture = smooth_texture(np.random.default_rng(8), 0.7, 0.7, 0.04)
+    return Board(np.array(center), normal, 0.7, 0.7, texture)
+
+
+@pytest.mark.parametrize(
+    ('center', 'angle'), [((4.6, 2.6, 1.1), 0.0), ((4.1, 2.3, 1.3), 0.0), ((4.4, 2.9, 1.1), 0.4)]
+)
+def test_what_stands_before_a_wall_is_found_at_its_depth(scene, center, angle):
+    center = np.array(center)
+    normal = np.append(se2.rotation(angle) @ TO_WEST[:2], 0.0)
+    furnished = replace(scene, boards=(*scene.boards, board(center, normal)))
+    panoramas = views_of(furnished, centers=UNEVEN)
+    _, match = match_at(panoramas, center)
+    assert isinstance(match, Refusal)
+    candidates = [[candidate_at(panoramas[0], center, 30)], []]
+    found = find_again(panoramas, candidates, ROOM, CONFIG)
+    assert found.walls == [-1]
+    (patch,) = found.patches
+    assert patch.position == pytest.approx(center, abs=0.03)
+    assert patch.normal @ normal > np.cos(0.25)
+    assert [s.panorama for s in found.measurements[0]] == [0, 1]
+
+
+@pytest.mark.parametrize('east_m', [5.3, 6.9])
+def test_a_wall_that_is_reported_too_near_or_too_far_is_found_where_it_is(scene, east_m):
+    given = rectangle_room(east_m, 5.0)
+    panoramas = views_of(scene, centers=UNEVEN)
+    points = [np.array([6.0, y, z]) for y in (1.6, 2.2, 2.8) for z in (1.0, 1.3)]
+    candidates = [[candidate_at(panoramas[0], point, 30) for point in points], []]
+    found = find_again(panoramas, candidates, given, CONFIG)
+    own = [patch for patch in found.patches if not patch.on_wall]
+    assert len(own) >= 4
+    for patch in own:
+        assert patch.position[0] == pytest.approx(6.0, abs=0.04)
+        assert patch.wall == 1
+
+
+def test_what_is_gone_is_found_at_no_depth(scene):
+    # A person who stood there at the first sweep alone.
+    at = np.array([4.3, 2.5, 1.1])
+    furnished = replace(scene, boards=(*scene.boards, board(at, TO_WEST)))
+    panoramas = views_of(furnished, scene, UNEVEN)
+    candidate = candidate_at(panoramas[0], at, 30)
+    assert isinstance(match_freely(candidate, 0, panoramas, CONFIG, None), Refusal)
