@@ -45,6 +45,8 @@ from landmark_nav.learning.relative_pose.two_views import (
 from landmark_nav.learning.sheets import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
+# Support by chance is a number of Poisson: so many of its sigmas are no difference.
+_CHANCE_SIGMAS = 3.0
 # Number of nearest sweeps with which each is matched, if their places are known.
 _NEIGHBOURS = 4
 # There is no baseline if a rotation alone explains this share of the inliers.
@@ -182,8 +184,13 @@ def _found(
 
 
 def _rivals(ranked: Sequence[TwoViews], config: RelativePoseConfig) -> list[TwoViews]:
-    """Relative poses with almost as much support as the first."""
-    return [pose for pose in ranked if pose.support > config.max_rival * ranked[0].support]
+    """Relative poses with almost as much support as the first, which may be by chance."""
+    best = ranked[0].support
+    return [
+        pose
+        for pose in ranked
+        if pose.support > min(config.max_rival * best, best - _CHANCE_SIGMAS * pose.support**0.5)
+    ]
 
 
 def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
