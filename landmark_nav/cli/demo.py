@@ -31,7 +31,7 @@ from landmark_nav.storage.atomic_io import check_new, write_json
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, shipped_config
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import CameraFrame, Panorama
 
 # Files of a demo, including those of older versions; a folder with other files is refused.
@@ -134,8 +134,7 @@ def _report(
     room = None if landmarks.has_own_frame else load_room(folder / 'room.yaml')
     if room is None:
         stages = load_configuration(None, folder / 'robot.yaml')
-        mount = load_robot(folder / 'robot.yaml')
-        located, _ = located_sweeps(Bag(folder / 'sweeps'), mount, stages, StageLog())
+        located, _ = located_sweeps(Bag(folder / 'sweeps'), calibration, stages, StageLog())
         learned = learn_located(located, stages, stages.unmeasured)
     else:
         learned = learn_from_panoramas(swept, room, LearningConfig())

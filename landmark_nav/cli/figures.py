@@ -34,6 +34,7 @@ from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.atomic_io import check_writable
 from landmark_nav.storage.bags import read_sweeps
 from landmark_nav.storage.maps import load_map
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import FloatArray, LandmarkMap, Panorama, Sweep
 
@@ -137,7 +138,7 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
     config = replace(Configuration(), attention=attention)
     learned = None
     if room is None:
-        located, _ = located_sweeps(bag, mount, config, StageLog())
+        located, _ = located_sweeps(bag, load_calibration(args.robot), config, StageLog())
         room, panoramas = located.room, located.panoramas
         if wanted & _LEARNED:
             learned = learn_located(located, config, config.unmeasured)

@@ -20,7 +20,6 @@ from landmark_nav.evaluation import learning_report
 from landmark_nav.evaluation.figures import draw_map, draw_panorama
 from landmark_nav.evaluation.report import check_report, learning_page, write_report
 from landmark_nav.evaluation.report.tables import learning_tables, learning_verdict
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning import unmeasured
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
@@ -138,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
     with atomic_io.atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
-            located, frames = located_sweeps(bag, mount, config, log)
+            located, frames = located_sweeps(bag, given, config, log)
             panoramas, room, found = list(located.panoramas), located.room, located.provenance
         else:
             panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
@@ -199,7 +198,7 @@ class _ShownStages(StageLog):
 
 
 def located_sweeps(
-    bag: Bag, mount: PanTiltMount, config: Configuration, log: StageLog
+    bag: Bag, given: Calibration, config: Configuration, log: StageLog
 ) -> tuple[unmeasured.Located, list[int]]:
     """Panoramas of a bag with their poses and walls, and the number of frames of each."""
     check_scale(bag, config.unmeasured.sheets)
@@ -207,14 +206,14 @@ def located_sweeps(
 
     def sweeps() -> Iterator[Sweep]:
         frames.clear()
-        for sweep in progress(read_sweeps(bag, mount), 'panoramas'):
+        for sweep in progress(read_sweeps(bag, given.mount), 'panoramas'):
             frames.append(len(sweep.frames))
             yield sweep
 
     def known(stamped: Sequence[Sweep]) -> list[PlaceChain]:
         return known_places(bag, stamped, config.odometry)
 
-    return unmeasured.locate_sweeps(sweeps, known, mount, config, config.unmeasured, log), frames
+    return unmeasured.locate_sweeps(sweeps, known, given, config, config.unmeasured, log), frames
 
 
 def _config(args: argparse.Namespace) -> Configuration:

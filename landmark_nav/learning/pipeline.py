@@ -251,9 +251,11 @@ def _calibration(
     values[which] = adjustment.calibration
     covariance[which] = covariance[:, which] = 0.0
     covariance[np.ix_(which, which)] = adjustment.calibration_covariance
-    # The tilt of the floor at the panoramas is not part of the mount: its variance is added.
-    axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
-    covariance[axis_tilt, axis_tilt] += config.reference_area.horizon_sigma_rad**2 / len(panoramas)
+    if not config.adjustment.tilt_sigma_rad:
+        # The tilt of the floor at the panoramas is not part of the mount: its variance is added.
+        axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
+        floor = config.reference_area.horizon_sigma_rad**2 / len(panoramas)
+        covariance[axis_tilt, axis_tilt] += floor
     by_map = np.zeros((len(NAMES), adjustment.shared_loading.shape[2]))
     by_map[which] = adjustment.calibration_loading
     return replace(known, values=values, covariance=covariance, by_map=by_map)

@@ -134,6 +134,7 @@ def panorama_from_sweep(
     config: PanoramaStages,
     log: StageLog | None = None,
     papers: PaperRecord | None = None,
+    tilt_rad: FloatArray | None = None,
 ) -> Panorama:
     """
     Make the panorama of a sweep and find its pose.
@@ -155,6 +156,8 @@ def panorama_from_sweep(
         Log of the times of the stages.
     papers : PaperRecord, optional
         Papers in other sweeps of the room, for the diagnosis of faults; this sweep is added.
+    tilt_rad : ndarray, shape (2,), optional
+        Known tilt of the base at this sweep about x and y, which is no error of the mount.
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
@@ -163,7 +166,8 @@ def panorama_from_sweep(
     papers = PaperRecord(room, area) if papers is None else papers
     maker = _Maker(sweep, room, prior, area, log or StageLog(), papers)
     try:
-        return maker.made(prior, area, _WIDER_SIGMAS)
+        used = prior if tilt_rad is None else corrected(prior, MountError(0.0, tilt_rad))
+        return maker.made(used, area, _WIDER_SIGMAS)
     except WrongMountError as error:
         if not error.found.reasonable:
             raise
@@ -310,7 +314,7 @@ class _Maker:
         return WrongMountError(cause, wrong) if wrong else LandmarkNavError(cause)
 
 
-def unplaced_panorama(sweep: Sweep, mount: PanTiltMount, log: StageLog) -> Panorama:
+def unplaced_panorama(sweep: Sweep, given: Calibration, log: StageLog) -> Panorama:
     """
     Make the panorama of a sweep with unknown pose: it gets the pose of the axis in the base frame.
 
@@ -318,8 +322,9 @@ def unplaced_panorama(sweep: Sweep, mount: PanTiltMount, log: StageLog) -> Panor
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
-    check_turn(sweep, mount)
-    found, photometry, view = _first_view(sweep, mount, log)
+    sweep = as_calibrated(sweep, given)
+    check_turn(sweep, given.mount)
+    found, photometry, view = _first_view(sweep, given.mount, log)
     place = SweepPlace(np.zeros(3), optical_height(found.sweep, found.mount), np.eye(4))
     panorama = _panorama(sweep, view, found, place, photometry)
     return replace(panorama, covariance=place.covariance)

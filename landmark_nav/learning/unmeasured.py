@@ -14,12 +14,11 @@ import logging
 import numpy as np
 from scipy.linalg import block_diag
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.calibration.combined import leant
 from landmark_nav.learning.facades.outline import open_room, room_of
 from landmark_nav.learning.facades.planes import (
     FacadesConfig,
@@ -166,7 +165,7 @@ def locate(
 def locate_sweeps(
     sweeps: Callable[[], Iterator[Sweep]],
     known: Callable[[Sequence[Sweep]], Sequence[PlaceChain]],
-    mount: PanTiltMount,
+    given: Calibration,
     stages: PanoramaStages,
     config: UnmeasuredConfig,
     log: StageLog,
@@ -186,27 +185,27 @@ def locate_sweeps(
     known : callable
         Given poses of sweeps, which are passed without most of their frames; empty if sheets of a
         known size alone give the scale.
-    mount : PanTiltMount
-        Extrinsics of the camera.
+    given : Calibration
+        Prior of the calibration.
     """
     panoramas, stamped = [], []
     for sweep in sweeps():
-        panoramas.append(unplaced_panorama(sweep, mount, log))
+        panoramas.append(unplaced_panorama(sweep, given, log))
         stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
     places = known(stamped)
-    lever = np.array([*mount.axis_xyz[:2], panoramas[0].center_map[2]])
+    lever = np.array([*given.mount.axis_xyz[:2], panoramas[0].center_map[2]])
     located = locate(panoramas, places, lever, config, log)
     tilts = located.poses.states[:, 4:]
-    if np.abs(tilts).max() < _UPRIGHT_RAD:
-        tilts = np.zeros(tilts.shape)
+    upright = np.abs(tilts).max() < _UPRIGHT_RAD
     bases = se2.compose(located.poses.states[:, :3], [*-lever[:2], 0.0])
     again = [
         panorama_from_sweep(
             replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, base, _KNOWN)),
             located.room,
-            leant(mount, tilt) if tilt.any() else mount,
+            given,
             stages,
             log,
+            tilt_rad=None if upright else tilt,
         )
         for sweep, base, tilt in zip(sweeps(), bases, tilts, strict=True)
     ]

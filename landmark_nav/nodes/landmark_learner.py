@@ -92,8 +92,7 @@ class UnmeasuredLearner:
             return known_places(given, spans, odometry, self.config.odometry)
 
         unmeasured = self.config.unmeasured
-        mount = self._given.mount
-        located = locate_sweeps(sweeps, known, mount, self.config, unmeasured, StageLog())
+        located = locate_sweeps(sweeps, known, self._given, self.config, unmeasured, StageLog())
         result = learn_located(located, self.config, unmeasured)
         learned = replace(result.map, prior=self._given, provenance=located.provenance)
         return replace(result, map=learned)

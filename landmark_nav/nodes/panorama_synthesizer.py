@@ -86,7 +86,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
     def _panorama(self, sweep: Sweep) -> tuple[Panorama, str, str]:
         """Panorama, description of its pose, and frame of the pose."""
         if self._room is None:
-            view = sweep_pipeline.unplaced_panorama(sweep, self._known.mount, StageLog())
+            view = sweep_pipeline.unplaced_panorama(sweep, self._known, StageLog())
             return view, 'panorama; its pose comes with learning', self._known.mount.base_frame
         view = sweep_pipeline.panorama_from_sweep(
             sweep, self._room, self._known, self._config, papers=self._papers

@@ -22,6 +22,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper
+from landmark_nav.learning.calibration.combined import leant
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
@@ -156,6 +157,25 @@ def test_a_place_known_from_elsewhere_needs_no_papers():
     lever = se2.rotation(POSES[0][2]) @ MOUNT.axis_xyz[:2]
     cross = [-lever[1] * 0.004**2, lever[0] * 0.004**2]
     np.testing.assert_allclose(panorama.covariance[:2, 3], cross, rtol=1e-3)
+
+
+def test_the_tilt_of_the_base_at_a_sweep_is_no_error_of_an_exact_mount():
+    tilt, bare, exact = np.radians([0.8, -0.5]), replace(ROOM, papers=()), Calibration.exact(MOUNT)
+    views = [
+        panorama_from_sweep(
+            sweep_at(POSES[0], leant(MOUNT, lean), known=True), bare, exact, PanoramaStages(),
+            tilt_rad=lean,
+        )
+        for lean in (np.zeros(2), tilt)
+    ]  # fmt: skip
+    for view in views:
+        assert view.calibration is not None
+        assert not view.calibration.contradictions(exact)
+    upright, levelled = (
+        view.image[round(view.cylinder.cy) - 60 : round(view.cylinder.cy) + 60].astype(float)
+        for view in views
+    )
+    assert np.abs(upright - levelled).mean() < 4.0
 
 
 def test_a_place_that_papers_contradict_is_refused():

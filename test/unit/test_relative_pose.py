@@ -14,6 +14,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
 )
 from landmark_nav.learning.relative_pose.features import Features
 from landmark_nav.learning.relative_pose.poses import relative_poses
+from landmark_nav.learning.relative_pose.two_views import along_curves, TwoViews
 from landmark_nav.types import PlaceChain
 
 CONFIG = RelativePoseConfig()
@@ -93,10 +94,29 @@ def test_heading_that_slipped_is_recovered_with_less_certain_scale():
     assert result.scales[0].inflation > 1.0
 
 
-def test_odometry_that_contradicts_the_panoramas_is_refused():
-    wrong = np.array([[0.0, 0.0, 0.0], [-0.5, 1.8, 0.5]])
+@pytest.mark.parametrize(
+    ('wrong', 'count', 'sigma'),
+    [([-0.5, 1.8, 0.5], 250, (0.06, 0.03)), ([0.6, 1.8, 1.4], 60, (0.01, 0.005))],
+)
+def test_odometry_that_contradicts_the_panoramas_is_refused(wrong, count, sigma):
+    rng = np.random.default_rng(6)
+    seen = features(POSES[:2], room_points(rng, count), rng)
+    known = odometry(np.array([[0.0, 0.0, 0.0], wrong]), *sigma)
     with pytest.raises(LandmarkNavError, match='odom and panoramas disagree'):
-        found(POSES[:2], wrong, seed=6)
+        relative_poses(seen, [known], LEVER, CONFIG)
+
+
+def test_poses_that_differ_little_become_one_along_epipolar_curves():
+    rng = np.random.default_rng(9)
+    seen = features(POSES[:2], room_points(rng, 250), rng)
+    heading, direction = POSES[1, 2], np.arctan2(POSES[1, 1], POSES[1, 0])
+    around = [
+        TwoViews(heading, direction + off, np.zeros(2), 0.0, 20) for off in (0.05, -0.05, 1.5)
+    ]
+    best, *others = along_curves(around, seen, CONFIG)
+    assert [best.heading_rad, best.direction_rad] == pytest.approx([heading, direction], abs=4e-3)
+    assert best.support > 200
+    assert all(other.support < 0.5 * best.support for other in others)
 
 
 def test_panoramas_of_different_rooms_are_refused():

@@ -79,8 +79,6 @@ CALIBRATED = (
     'axis_pitch',
 )
 _OFFSET = slice(CALIBRATED.index('center_x'), CALIBRATED.index('center_y') + 1)
-# Share of the tilt of sweeps that all of them have in common; the rest is that of the mount.
-_COMMON_TILT = 0.1
 # Highest number of waves per turn of errors of azimuths: lenses, bearings, seams.
 _WAVES = 4
 # Least sigma of the calibration, m, rad or relative.
@@ -224,11 +222,7 @@ class Problem:
         wave = config.wave_sigma_rad / np.sqrt(_WAVES)
         sigma = np.array([config.tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
         self._warps = np.flatnonzero(sigma)
-        apart = np.diag(sigma[self._warps] ** 2)
-        # A tilt common to all sweeps is one of the mount, which the calibration has.
-        alike = np.where(self._warps < 2, 1.0 - _COMMON_TILT**2, 0.0) / self.views
-        self._warp_variance = np.kron(np.eye(self.views), apart)
-        self._warp_variance -= np.kron(np.ones((self.views, self.views)), alike * apart)
+        self._warp_variance = np.kron(np.eye(self.views), np.diag(sigma[self._warps] ** 2))
         warps = np.zeros(len(self._warp_variance))
         self.prior = np.concatenate([poses.ravel(), np.zeros(len(plane)), known, warps])
         self.pose_part = slice(0, poses.size)

@@ -36,6 +36,7 @@ from landmark_nav.learning.relative_pose.scale import (
 )
 from landmark_nav.learning.relative_pose.sheet_tracks import FINE, ROUGH, sheet_tracks
 from landmark_nav.learning.relative_pose.two_views import (
+    along_curves,
     hypotheses,
     turn_support,
     two_views_of,
@@ -44,6 +45,8 @@ from landmark_nav.learning.relative_pose.two_views import (
 from landmark_nav.learning.sheets import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
+# Support by chance is a number of Poisson: so many of its sigmas are no difference.
+_CHANCE_SIGMAS = 3.0
 # Number of nearest sweeps with which each is matched, if their places are known.
 _NEIGHBOURS = 4
 # There is no baseline if a rotation alone explains this share of the inliers.
@@ -146,7 +149,7 @@ def _found(
     config: RelativePoseConfig,
     sheets: Sequence[Sequence[SheetView]],
 ) -> tuple[FloatArray, list[tuple[int, int]]]:
-    """Initial states (v, 6) by matches of pairs of panoramas, and the pairs with a pose."""
+    """Initial states (v, 6) by matches of pairs of panoramas, and the pairs that share enough."""
     count = len(features)
     found: dict[tuple[int, int], TwoViews] = {}
     doubtful = {}
@@ -161,11 +164,15 @@ def _found(
                 f'the panoramas of sweeps {i + 1} and {j + 1} are from one place: take another '
                 'sweep 1 to 3 m away'
             )
-        if agreed >= config.min_matches:
-            if len(ranked) == 1 or ranked[1].support <= config.max_rival * agreed:
-                found[i, j] = ranked[0]
-            else:
-                doubtful[i, j] = ranked
+        if agreed < config.min_matches:
+            continue
+        rivals = _rivals(ranked, config)
+        if len(rivals) > 1:
+            rivals = _rivals(along_curves(rivals, (features[i], features[j]), config), config)
+        if len(rivals) == 1:
+            found[i, j] = rivals[0]
+        else:
+            doubtful[i, j] = rivals
     lengths = sheet_tracks(sheets, found, ROUGH)[1] if sheets else {}
     if known:
         eyes = known[0].poses[:, :2]
@@ -173,7 +180,17 @@ def _found(
     first = np.zeros(STATE)
     first[:3] = known[0].poses[0] if known else [*lever[:2], 0.0]
     first[3] = lever[2]
-    return _placed(count, found, doubtful, lengths, first), sorted(found)
+    return _placed(count, found, doubtful, lengths, first), sorted([*found, *doubtful])
+
+
+def _rivals(ranked: Sequence[TwoViews], config: RelativePoseConfig) -> list[TwoViews]:
+    """Relative poses with almost as much support as the first, which may be by chance."""
+    best = ranked[0].support
+    return [
+        pose
+        for pose in ranked
+        if pose.support > min(config.max_rival * best, best - _CHANCE_SIGMAS * pose.support**0.5)
+    ]
 
 
 def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
@@ -230,11 +247,14 @@ def _why_alone(
     """Say what keeps a sweep from being placed."""
     for (i, j), (best, second, *_) in doubtful.items():
         if (i in placed) != (j in placed):
-            turns = ' or '.join(f'{np.degrees(p.heading_rad):.0f}' for p in (best, second))
+            ways = ' or '.join(
+                f'{np.degrees(p.heading_rad):.0f} deg (way at {np.degrees(p.direction_rad):.0f})'
+                for p in (best, second)
+            )
             return (
-                f'sweeps {i + 1} and {j + 1} may be turned by {turns} deg to each other: '
-                f'{best.support} and {second.support} matches agree; take a sweep between them '
-                'that sees more sides of the room'
+                f'sweeps {i + 1} and {j + 1} may be turned by {ways}: {best.support} and '
+                f'{second.support} matches agree; take a sweep between them that sees more sides '
+                'of the room'
             )
     alone = next(k for k in range(count) if k not in placed)
     return (
@@ -256,6 +276,9 @@ def _fitted(
     prior[0, :3], prior[:, 3] = start[0, :3], start[0, 3]
     covariance, states = _prior_covariance(len(start), config), start
     places = [PlaceSource(chain) for chain in known]
+    # Before the first fit, too: wrong poses would move the panoramas to matches that fit them.
+    for source in places:
+        source.inflate(states)
     for number in range(_ROUNDS):
         poses = {pair: two_views_of(states, *pair) for pair in matched}
         tracks = sheet_tracks(sheets, poses, FINE if number else ROUGH)[0] if sheets else []

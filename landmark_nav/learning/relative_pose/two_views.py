@@ -7,6 +7,7 @@ at once, and all pairs of both can be tried.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     STATE,
     turned,
 )
+from landmark_nav.learning.relative_pose.features import Features, matches_along
 from landmark_nav.types import FloatArray
 
 # Grid of headings and directions that is tried, and how far off a match then may be.
@@ -79,6 +81,25 @@ def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
         if not any(_same(refined, other) for other in found):
             found.append(refined)
     return sorted(found, key=lambda pose: -pose.support)
+
+
+def along_curves(
+    poses: Sequence[TwoViews], features: Sequence[Features], config: RelativePoseConfig
+) -> list[TwoViews]:
+    """
+    Relative poses refined with all matches near their epipolar curves; the best pose first.
+
+    These are many more than the distinct ones, and poses that differ little may become one.
+    """
+    refined = []
+    for pose in poses:
+        states = np.zeros((2, STATE))
+        way = np.cos(pose.direction_rad), np.sin(pose.direction_rad)
+        states[1] = *way, pose.heading_rad, pose.slope, *pose.tilt_rad
+        pairs = matches_along(0, 1, states, features, config)
+        refined.append(_refined(pairs, pose.heading_rad, pose.direction_rad, config))
+    refined.sort(key=lambda pose: -pose.support)
+    return [p for k, p in enumerate(refined) if not any(_same(p, o) for o in refined[:k])]
 
 
 def turn_support(pairs: RayPairs, sigma_rad: float) -> int:
