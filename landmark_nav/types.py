@@ -414,7 +414,8 @@ class Detections:
     for bearings of another source. `points` (n, 2) are normalised image coordinates by
     camera_info, x/z to the right, y/z down, with a covariance without that by an error of the
     focal length; empty where only bearings are known. `sizes` (n, 2) are width and height of the
-    templates in these coordinates; empty if unknown.
+    templates in these coordinates; empty if unknown. `by_lens` (n, 2, 2) are derivatives of the
+    points of these pixels by focal scale and principal point.
 
     `missed` (m,) are landmarks that should be in view, were searched and were not found. `pan_rad`
     is the pan of the `JointSample` at `joint_delay_s` (assumed) after the stamp, as azimuth in
@@ -436,6 +437,7 @@ class Detections:
     points: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     point_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     sizes: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    by_lens: FloatArray | None = None
     near: FloatArray | None = None
 
     def __len__(self) -> int:
@@ -450,4 +452,5 @@ class Detections:
         names += ['covariance_px2'] if len(self.covariance_px2) else []
         names += ['points', 'point_covariance'] if len(self.points) else []
         names += ['sizes'] if len(self.sizes) else []
+        names += [] if self.by_lens is None else ['by_lens']
         return replace(self, **{name: getattr(self, name)[which] for name in names})

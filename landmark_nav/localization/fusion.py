@@ -251,6 +251,7 @@ class Fusion:
                 found.stamp_ns, columns, found.points, found.point_covariance,
                 np.full(len(columns), pan), missed=missed, near=found.near,
                 sizes=found.sizes if len(found.sizes) else None,
+                by_lens=found.by_lens,
             )  # fmt: skip
             if joints is None:
                 return points

@@ -315,6 +315,7 @@ class Observer:
             pan_rad=float(expected.calibration.mount.azimuth_base_rad(frame.pan_rad)),
             points=points.points,
             point_covariance=points.covariance,
+            by_lens=points.by_lens,
             sizes=sizes / [frame.camera.fx, frame.camera.fy],
             near=None if place is None else place.pose,
         )

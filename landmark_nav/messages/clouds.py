@@ -57,7 +57,8 @@ def _fields(text: str) -> np.dtype[np.void]:
     )
 
 
-# `point` and the `size` of the template are in normalised image coordinates by camera_info; a
+# `point` and the `size` of the template are in normalised image coordinates by camera_info,
+# `by_lens` its derivatives by focal scale and principal point, row by row; a
 # covariance of zero means that there is none. All rows repeat the joint delay that the node
 # assumes, and `near`: the pose of the base found in this image by a search within an uncertain
 # prior, zero without a search.
@@ -65,9 +66,9 @@ DETECTIONS = Layout(
     'detections',
     _fields(
         'id:u4 bearing:f8 bearing_variance:f8 score:f4 u:f4 v:f4 joint_delay:f8 point:f8*2 '
-        'point_covariance:f8*4 size:f8*2 near:f8*3'
+        'point_covariance:f8*4 size:f8*2 by_lens:f8*4 near:f8*3'
     ),
-    optional=('joint_delay', 'point', 'point_covariance', 'size', 'near'),
+    optional=('joint_delay', 'point', 'point_covariance', 'size', 'by_lens', 'near'),
 )
 
 # One point: pose of the base with its covariance, speeds of the base, values and sigmas of the

@@ -42,17 +42,29 @@ def image(pan_rad=0.4, track=None):
     return ImagePoints(
         0, np.arange(count), np.zeros((count, 2)), np.tile(1e-8 * np.eye(2), (count, 1, 1)),
         np.full(count, pan_rad), 0.05, 1.0, pan_track=track,
+        by_lens=np.random.default_rng(5).normal(0.0, 0.2, (count, 2, 2)),
     )  # fmt: skip
 
 
-def test_an_error_of_the_principal_point_is_a_shift_beside_the_right_lens():
-    right = CameraModel(512, 512, 555.0, 555.0, 256.0, 254.0, distortion=(-0.19, 0.06, 0.0, 0.0))
-    wrong = replace(right, cx=right.cx + 8.0)
+@pytest.mark.parametrize('share', [0.0, 0.5, 1.0])
+def test_points_of_a_wrong_lens_are_those_of_the_model(share):
+    """Whatever part of the error of the lens is known when an image is used."""
+    focal, shift = 0.01, 8.0 / 555.0
+    given = CameraModel(512, 512, 555.0, 555.0, 256.0, 254.0, distortion=(-0.19, 0.06, 0.0, 0.0))
+    known, true = (
+        replace(
+            given,
+            fx=555.0 * (1.0 + part * focal),
+            fy=555.0 * (1.0 + part * focal),
+            cx=256.0 + part * shift * 555.0,
+        )
+        for part in (share, 1.0)
+    )
     pixels = np.array([[20.0, 30.0], [256.0, 254.0], [490.0, 400.0]])
-    shape = 0, np.arange(3), pixels, np.tile(np.eye(2), (3, 1, 1))
-    true = ImagePoints.of_pixels(*shape, right, 0.0)
-    seen = ImagePoints.of_pixels(*shape, wrong, 0.0, known=right)
-    assert seen.points - true.points == pytest.approx(np.tile([-8.0 / 555.0, 0.0], (3, 1)))
+    covariance = np.tile(np.eye(2), (3, 1, 1))
+    seen = ImagePoints.of_pixels(0, np.arange(3), pixels, covariance, given, 0.0, known)
+    rays = (1.0 + focal) * true.unproject(pixels)[:, :2] + [shift, 0.0]
+    assert seen.points == pytest.approx(rays - seen.by_lens @ [focal, shift], abs=3e-4)
 
 
 @pytest.mark.parametrize('seed', range(4))

@@ -75,6 +75,9 @@ class ImagePoints:
         point, not a measurement.
     sizes : ndarray, shape (m, 2), optional
         Width and height of the templates: one of a wrong scale fits at any of its points.
+    by_lens : ndarray, shape (m, 2, 2), optional
+        Derivatives of the undistorted points of given pixels by focal scale and principal point;
+        `points` are linearly extrapolated to the lens of camera_info.
     lost : bool
         Whether the pose was lost before: then no step is assumed, as another place is likelier.
     """
@@ -93,6 +96,7 @@ class ImagePoints:
     delay_step_s: float = LEAST_STEP_S
     near: FloatArray | None = None
     sizes: FloatArray | None = None
+    by_lens: FloatArray | None = None
     lost: bool = False
 
     def __len__(self) -> int:
@@ -113,21 +117,26 @@ class ImagePoints:
         """
         Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera.
 
-        The lens bends rays by how far they are off the axis: it takes the camera with the focal
-        length and principal point that are `known` by now to take that out. Points keep those of
-        `camera`.
+        The lens bends rays by how far they are off the axis. That is removed with the focal length
+        and principal point that are `known` by now, and a linear model of other ones, so that
+        points do not depend on what is known.
         """
         known = known or camera
         rays = known.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
-        rays = rays * [known.fx / camera.fx, known.fy / camera.fy]
-        rays += np.subtract((known.cx, known.cy), (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-        by_uv = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2)
+        scale, shift = known.fx / camera.fx - 1.0, (known.cx - camera.cx) / camera.fx
+        bent = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2) * [known.fx, known.fy]
+        seen = (uv_px - [known.cx, known.cy]) / [known.fx, known.fy]
+        by_focal = rays[:, 0] - (bent @ seen[..., None])[..., 0]
+        by_lens = np.stack([by_focal, [1.0, 0.0] - bent[..., 0]], -1)
+        points = (1.0 + scale) * rays[:, 0] + [shift, 0.0] - by_lens @ [scale, shift]
+        by_uv = bent / [camera.fx, camera.fy]
         return cls(
             stamp_ns,
             columns,
-            rays[:, 0],
+            points,
             by_uv @ covariance_px2 @ by_uv.swapaxes(1, 2),
             np.full(len(columns), pan_rad),
+            by_lens=by_lens,
         )
 
     @classmethod
@@ -181,6 +190,7 @@ class ImagePoints:
             covariance=self.covariance[which],
             pan_rad=self.pan_rad[which],
             sizes=None if self.sizes is None else self.sizes[which],
+            by_lens=None if self.by_lens is None else self.by_lens[which],
         )
 
     def pans(self, delay_s: float) -> tuple[FloatArray, float]:
@@ -278,6 +288,10 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     by_state[:, :, FOCAL] = turned
     by_state[:, 0, PRINCIPAL] = 1.0
     by_state[:, :, DELAY] = by_pan * by_delay
+    if seen.by_lens is not None:
+        lens = [FOCAL, PRINCIPAL]
+        points -= seen.by_lens @ state[lens]
+        by_state[:, :, lens] -= seen.by_lens
     return Projection(points, by_state, flat_by[:, :, 16:19], by_pan, ahead)
 
 

@@ -154,6 +154,7 @@ def detections(msg: Any) -> Detections:
     has_points = bool((np.diagonal(point_covariance, axis1=1, axis2=2) > 0.0).all())
     image_points = finite(found['point'], 'detections point', stamp, _MAX_COORDINATE)
     sizes = finite(found['size'], 'detections size', stamp, _MAX_COORDINATE, least=0.0)
+    by_lens = finite(found['by_lens'], 'detections by_lens', stamp, _MAX_COORDINATE)
     near = finite(points['near'][0] if len(points) else np.zeros(3), 'near', stamp, FARTHEST_M)
     return Detections(
         stamp,
@@ -167,6 +168,7 @@ def detections(msg: Any) -> Detections:
         points=image_points if has_points else image_points[:0],
         point_covariance=point_covariance if has_points else point_covariance[:0],
         sizes=sizes if has_points else sizes[:0],
+        by_lens=by_lens.reshape(-1, 2, 2) if has_points and by_lens.any() else None,
         near=near if near.any() else None,
     )
 

@@ -134,6 +134,8 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
         seen['point_covariance'] = found.point_covariance.reshape(-1, 4)
     if len(found.sizes):
         seen['size'] = found.sizes
+    if found.by_lens is not None:
+        seen['by_lens'] = found.by_lens.reshape(-1, 4)
     if found.near is not None:
         points['near'] = found.near
     points['joint_delay'] = found.joint_delay_s
