@@ -135,20 +135,8 @@ class Calibration:
         return float(self.values[k]), float(self.sigmas[k])
 
     def camera(self, camera: CameraModel) -> CameraModel:
-        """
-        Return the camera with the calibrated focal length and principal point.
-
-        The coefficients of the distortion are kept: an image that is magnified keeps them.
-        """
-        scale, shift = 1.0 + self['focal_scale'][0], self['principal_point'][0]
-        if scale == 1.0 and shift == 0.0:
-            return camera
-        return replace(
-            camera,
-            fx=camera.fx * scale,
-            fy=camera.fy * scale,
-            cx=camera.cx + shift * camera.fx,
-        )
+        """Return the camera with the calibrated focal length and principal point."""
+        return camera.magnified(1.0 + self['focal_scale'][0], self['principal_point'][0])
 
     def measured(self, name: str, value: float, sigma: float) -> Calibration:
         """Return the calibration after a measurement of one quantity; raises as `observed`."""

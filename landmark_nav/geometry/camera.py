@@ -230,6 +230,17 @@ class CameraModel:
             full_size=self.full_size or (self.width, self.height),
         )
 
+    def magnified(self, scale: float, shift: float = 0.0) -> CameraModel:
+        """
+        Camera whose image is magnified by `scale`; the distortion keeps its coefficients.
+
+        `shift` moves the principal point to the right, in given focal lengths.
+        """
+        if scale == 1.0 and shift == 0.0:
+            return self
+        fx, fy = scale * self.fx, scale * self.fy
+        return replace(self, fx=fx, fy=fy, cx=self.cx + shift * self.fx)
+
     @property
     def reduced_size(self) -> tuple[int, int]:
         """Width and height at `MAX_PX_PER_RAD` at most; 0 if the field of view is tiny."""

@@ -201,12 +201,7 @@ def _lens_steps(calibration: Calibration) -> tuple[float, float]:
 @lru_cache(maxsize=8)
 def _calibrated(camera: CameraModel, focal: float, shift: float) -> CameraModel:
     """Return one object for equal values: it caches tables of its lens."""
-    return replace(
-        camera,
-        fx=camera.fx * (1.0 + focal),
-        fy=camera.fy * (1.0 + focal),
-        cx=camera.cx + shift * camera.fx,
-    )
+    return camera.magnified(1.0 + focal, shift)
 
 
 class Observer:

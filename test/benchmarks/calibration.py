@@ -154,8 +154,8 @@ class DrawnRoom:
 
     def _as_given(self, frame: CameraFrame) -> CameraFrame:
         """Return a frame with the focal length that camera_info of this robot gives."""
-        true, scale = frame.camera, 1.0 + self.true['focal_scale'][0]
-        return replace(frame, camera=replace(true, fx=true.fx / scale, fy=true.fy / scale))
+        scale = 1.0 + self.true['focal_scale'][0]
+        return replace(frame, camera=frame.camera.magnified(1.0 / scale))
 
     def learned(self, given: Calibration) -> Drive:
         """Drive with the map of the room, and what is known of the robot then."""

@@ -466,18 +466,11 @@ def corrected(
 
 
 def _camera(camera: CameraModel, common: FloatArray) -> CameraModel:
-    scale, k1, shift = float(np.exp(common[0])), float(common[1]), float(common[7])
-    if scale == 1.0 and k1 == 0.0 and shift == 0.0:
-        return camera
-    first, *others = camera.distortion or (0.0,)
-    distortion = (first + k1, *others) if k1 else camera.distortion
-    return replace(
-        camera,
-        fx=camera.fx * scale,
-        fy=camera.fy * scale,
-        cx=camera.cx + shift * camera.fx,
-        distortion=distortion,
-    )
+    k1 = float(common[1])
+    if k1:
+        first, *others = camera.distortion or (0.0,)
+        camera = replace(camera, distortion=(first + k1, *others))
+    return camera.magnified(float(np.exp(common[0])), float(common[7]))
 
 
 def _mount(mount: PanTiltMount, common: FloatArray) -> PanTiltMount:
