@@ -414,8 +414,8 @@ class Detections:
     for bearings of another source. `points` (n, 2) are normalised image coordinates by
     camera_info, x/z to the right, y/z down, with a covariance without that by an error of the
     focal length; empty where only bearings are known. `sizes` (n, 2) are width and height of the
-    templates in these coordinates; empty if unknown. `by_lens` (n, 2, 2) are derivatives of the
-    points of these pixels by focal scale and principal point.
+    templates in these coordinates; empty if unknown. `by_lens` (n, 2, 3) are derivatives of the
+    points of these pixels by focal scale, principal point and distortion.
 
     `missed` (m,) are landmarks that should be in view, were searched and were not found. `pan_rad`
     is the pan of the `JointSample` at `joint_delay_s` (assumed) after the stamp, as azimuth in

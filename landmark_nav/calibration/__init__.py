@@ -3,6 +3,7 @@
 from landmark_nav.calibration.calibration import (
     Calibration,
     DEFAULT_SIGMAS,
+    LENS,
     MEANINGS,
     NAMES,
     shown,

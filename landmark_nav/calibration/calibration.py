@@ -35,9 +35,12 @@ _QUANTITIES: dict[str, tuple[str, float, str]] = {
     'pan_scale': ('1', 0.001, 'relative error of the pan angle'),
     'focal_scale': ('1', 0.01, 'relative error of the focal length'),
     'principal_point': ('1', 0.001, 'principal point to the right, over the focal length'),
+    'distortion': ('1', 0.005, 'error of the first radial distortion coefficient, k1'),
     'joint_delay': ('s', 0.03, 'time by which joint_states lag the images'),
 }
 NAMES: tuple[str, ...] = tuple(_QUANTITIES)
+# Those of the lens, which follow each other.
+LENS = ('focal_scale', 'principal_point', 'distortion')
 UNITS: dict[str, str] = {name: unit for name, (unit, *_) in _QUANTITIES.items()}
 MEANINGS: dict[str, str] = {name: words for name, (*_, words) in _QUANTITIES.items()}
 DEFAULT_SIGMAS = np.array([sigma for _, sigma, _ in _QUANTITIES.values()])
@@ -55,15 +58,15 @@ _OBSERVED = 0.3
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """
-    Values (15,) of `NAMES` with their joint covariance, and the mount that they belong to.
+    Values (16,) of `NAMES` with their joint covariance, and the mount that they belong to.
 
     They are the position [m] of the pan axis in ``base_link`` and its roll, pitch and yaw [rad] at
     pan 0; the position [m] of the optical centre in the frame that turns; roll and tilt [rad] of
     the camera in that frame; relative errors of the pan and of the focal length; the shift of the
-    principal point to the right over the focal length; the time [s] by which the stamps of
-    ``joint_states`` lag those of the images. `by_map` (15, m) is their covariance with the m
-    factors of unit variance that all landmarks of a map share, if the map was learned with this
-    calibration.
+    principal point to the right over the focal length; the error of k1; the time [s] by which the
+    stamps of ``joint_states`` lag those of the images. `by_map` (16, m) is their covariance with
+    the m factors of unit variance that all landmarks of a map share, if the map was learned with
+    this calibration.
 
     Raises `LandmarkNavError`: a value is not finite, or the matrix is not a covariance.
     """
@@ -95,7 +98,7 @@ class Calibration:
         Return the calibration of a mount, with independent errors.
 
         `sigmas` replaces default sigmas, by name; `values` gives the quantities that a mount does
-        not hold (camera_tilt, pan_scale, focal_scale, principal_point, joint_delay).
+        not hold (camera_tilt and those after it).
         """
         of_mount = (*mount.axis_xyz, *mount.axis_rpy, *mount.optical_center_offset)
         known = dict(zip(NAMES, (*of_mount, mount.camera_roll_rad), strict=False))
@@ -114,7 +117,7 @@ class Calibration:
 
     @cached_property
     def sigmas(self) -> FloatArray:
-        """Sigmas of the values, (15,)."""
+        """Sigmas of the values, (16,)."""
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
 
     @cached_property
@@ -135,8 +138,9 @@ class Calibration:
         return float(self.values[k]), float(self.sigmas[k])
 
     def camera(self, camera: CameraModel) -> CameraModel:
-        """Return the camera with the calibrated focal length and principal point."""
-        return camera.magnified(1.0 + self['focal_scale'][0], self['principal_point'][0])
+        """Return the camera with the calibrated lens."""
+        focal, shift, distortion = (self[name][0] for name in LENS)
+        return camera.adjusted(1.0 + focal, shift, distortion)
 
     def measured(self, name: str, value: float, sigma: float) -> Calibration:
         """Return the calibration after a measurement of one quantity; raises as `observed`."""

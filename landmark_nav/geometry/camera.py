@@ -215,6 +215,17 @@ class CameraModel:
             radial /= 1.0 + square * (k4 + square * (k5 + square * k6))
         return np.asarray(radial)
 
+    def by_distortion(self, tangents: FloatArray) -> FloatArray:
+        """Derivatives (n, 2) of ``(u - cx) / fx, (v - cy) / fy`` at tangents (n, 2) by k1."""
+        square = np.sum(tangents**2, axis=1)
+        if self._is_fisheye:
+            radius = np.sqrt(square)
+            share = np.arctan(radius) ** 3 / np.maximum(radius, 1e-12)
+        else:
+            k4, k5, k6 = self._polynomial[5:8]
+            share = square / (1.0 + square * (k4 + square * (k5 + square * k6)))
+        return np.asarray(tangents * share[:, None])
+
     def resized(self, width: int, height: int) -> CameraModel:
         """Camera of the same image, resampled to another size."""
         across, down = width / self.width, height / self.height
@@ -230,16 +241,23 @@ class CameraModel:
             full_size=self.full_size or (self.width, self.height),
         )
 
-    def magnified(self, scale: float, shift: float = 0.0) -> CameraModel:
+    def adjusted(self, scale: float, shift: float = 0.0, distortion: float = 0.0) -> CameraModel:
         """
-        Camera whose image is magnified by `scale`; the distortion keeps its coefficients.
+        Camera with an image magnified by `scale`, which keeps the distortion coefficients.
 
-        `shift` moves the principal point to the right, in given focal lengths.
+        `shift` moves the principal point to the right, in given focal lengths; `distortion` is
+        added to the first coefficient.
         """
-        if scale == 1.0 and shift == 0.0:
+        if scale == 1.0 and shift == 0.0 and distortion == 0.0:
             return self
-        fx, fy = scale * self.fx, scale * self.fy
-        return replace(self, fx=fx, fy=fy, cx=self.cx + shift * self.fx)
+        first, *others = self.distortion or (0.0,)
+        return replace(
+            self,
+            fx=scale * self.fx,
+            fy=scale * self.fy,
+            cx=self.cx + shift * self.fx,
+            distortion=(first + distortion, *others),
+        )
 
     @property
     def reduced_size(self) -> tuple[int, int]:

@@ -367,7 +367,7 @@ def _wrong_lens(found: SweepCalibration) -> str:
     """Warning if the sweep shows a large error of the lens in camera_info; else empty."""
     camera = found.sweep.frames[0].camera
     border_px = camera.fx * np.tan(camera.half_fov_rad) ** 3
-    words, bent = [], False
+    words = []
     for term in found.quality.calibration:
         value = abs(term.value)
         if term.name == 'focal_length' and term.used and value > _WORTH_REPORTING:
@@ -375,12 +375,10 @@ def _wrong_lens(found: SweepCalibration) -> str:
             words.append(f'the focal length is {100.0 * value:.1f} % too {size}')
         elif term.name == 'distortion' and term.used and value * border_px > _BENT_PX:
             words.append(f'k1 is off by {-term.value:+.3f}')
-            bent = True
     if not words:
         return ''
-    limit = ', but not while driving' if bent else ''
     return (
-        f'camera_info: {", ".join(words)}, as the sweep shows; it is corrected{limit}: '
+        f'camera_info: {", ".join(words)}, as the sweep shows; it is corrected: '
         'calibrate the camera'
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.calibration import Calibration
+from landmark_nav.calibration import Calibration, LENS
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.se2 import relative
@@ -192,16 +192,15 @@ def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
     )
 
 
-def _lens_steps(calibration: Calibration) -> tuple[float, float]:
-    """Relative errors of focal length and principal point, to a tenth of a pixel."""
-    focal, shift = (calibration[name][0] for name in ('focal_scale', 'principal_point'))
-    return _STEP * round(focal / _STEP), _STEP * round(shift / _STEP)
+def _lens_steps(calibration: Calibration) -> tuple[float, ...]:
+    """Errors of the lens, to a tenth of a pixel."""
+    return tuple(_STEP * round(calibration[name][0] / _STEP) for name in LENS)
 
 
 @lru_cache(maxsize=8)
-def _calibrated(camera: CameraModel, focal: float, shift: float) -> CameraModel:
+def _calibrated(camera: CameraModel, focal: float, shift: float, distortion: float) -> CameraModel:
     """Return one object for equal values: it caches tables of its lens."""
-    return camera.magnified(1.0 + focal, shift)
+    return camera.adjusted(1.0 + focal, shift, distortion)
 
 
 class Observer:

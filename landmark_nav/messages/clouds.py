@@ -58,7 +58,7 @@ def _fields(text: str) -> np.dtype[np.void]:
 
 
 # `point` and the `size` of the template are in normalised image coordinates by camera_info,
-# `by_lens` its derivatives by focal scale and principal point, row by row; a
+# `by_lens` its derivatives by focal scale, principal point and distortion, row by row; a
 # covariance of zero means that there is none. All rows repeat the joint delay that the node
 # assumes, and `near`: the pose of the base found in this image by a search within an uncertain
 # prior, zero without a search.
@@ -66,7 +66,7 @@ DETECTIONS = Layout(
     'detections',
     _fields(
         'id:u4 bearing:f8 bearing_variance:f8 score:f4 u:f4 v:f4 joint_delay:f8 point:f8*2 '
-        'point_covariance:f8*4 size:f8*2 by_lens:f8*4 near:f8*3'
+        'point_covariance:f8*4 size:f8*2 by_lens:f8*6 near:f8*3'
     ),
     optional=('joint_delay', 'point', 'point_covariance', 'size', 'by_lens', 'near'),
 )
@@ -75,7 +75,7 @@ DETECTIONS = Layout(
 # calibration.
 EXPECTATION = Layout(
     'expectation',
-    _fields('pose:f8*3 covariance:f8*9 speeds:f8*2 tilt_sigma:f8 values:f8*15 sigmas:f8*15'),
+    _fields('pose:f8*3 covariance:f8*9 speeds:f8*2 tilt_sigma:f8 values:f8*16 sigmas:f8*16'),
 )
 
 # All three rows repeat the covariance of the predicted fix and the pan to turn to.

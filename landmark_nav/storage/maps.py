@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import yaml
 
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.image_codec import encode_image
@@ -55,17 +55,24 @@ def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibratio
     if document.get(key) is None:
         return None
     entry, where = document[key], f'{where}: {key}'
-    if reading.list_field(entry, 'names', where) != list(NAMES):
+    names = reading.list_field(entry, 'names', where)
+    if [name for name in NAMES if name in names] != names:
         raise LandmarkNavError(f'{where}: names must be {", ".join(NAMES)}')
-    covariance = reading.covariance_field(entry, len(NAMES), where)
-    shared = None
-    if 'shared_loading' in entry:
-        shared = reading.array_field(entry, 'shared_loading', (len(NAMES), None), where)
-        own = np.linalg.eigvalsh(covariance - shared @ shared.T)
-        if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
-            raise LandmarkNavError(f'{where}: covariance is less than shared_loading makes of it')
-    values = reading.array_field(entry, 'values', (len(NAMES),), where)
-    return Calibration(values, covariance, by_map=shared)
+    covariance = reading.covariance_field(entry, len(names), where)
+    values = reading.array_field(entry, 'values', (len(names),), where)
+    # An older map lacks quantities that were added since.
+    rows = np.array([NAMES.index(name) for name in names], dtype=np.intp)
+    every, spread = np.zeros(len(NAMES)), np.diag(DEFAULT_SIGMAS**2)
+    every[rows], spread[np.ix_(rows, rows)] = values, covariance
+    if 'shared_loading' not in entry:
+        return Calibration(every, spread)
+    given = reading.array_field(entry, 'shared_loading', (len(names), None), where)
+    own = np.linalg.eigvalsh(covariance - given @ given.T)
+    if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
+        raise LandmarkNavError(f'{where}: covariance is less than shared_loading makes of it')
+    shared = np.zeros((len(NAMES), given.shape[1]))
+    shared[rows] = given
+    return Calibration(every, spread, by_map=shared)
 
 
 def patch_name(identity: int) -> str:

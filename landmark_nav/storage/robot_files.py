@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
-from landmark_nav.calibration import Calibration, NAMES, UNITS
+from landmark_nav.calibration import Calibration, LENS, NAMES, UNITS
 from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
@@ -99,7 +99,7 @@ _SIGMAS = {
     'camera_roll_sigma': ('camera_roll',),
 }
 # Quantities that a mount does not hold. Their fields have their names; sigmas end in `_sigma`.
-_SCALARS = ('camera_tilt', 'pan_scale', 'focal_scale', 'principal_point', 'joint_delay')
+_SCALARS = ('camera_tilt', 'pan_scale', *LENS, 'joint_delay')
 _SIGMAS |= {f'{name}_sigma': (name,) for name in _SCALARS}
 _OF_AXIS = ('xyz_sigma', 'rpy_sigma')
 # Greatest sigma by unit; a larger one is given in another unit.
@@ -160,7 +160,7 @@ def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None
 
 
 def _correlations(entries: Any) -> FloatArray:
-    """Return the correlation matrix (15, 15) of entries [name, name, number]."""
+    """Return the correlation matrix (16, 16) of entries [name, name, number]."""
     together = np.eye(len(NAMES))
     wrong = (
         f'correlations: give entries [name, name, -1 to 1] of two of {", ".join(NAMES[:2])}, ...'

@@ -85,7 +85,7 @@ def simulated(
     rng = np.random.default_rng(seed)
     config, wheels = EstimatorConfig(), OdometryNoiseConfig()
     prior = prior or Calibration.exact(MOUNT)
-    true = true or (drawn_calibration(rng, prior) if noise else prior)
+    true = true or (drawn_calibration(rng.spawn(1)[0], prior) if noise else prior)
     learned = point_map(rng, sigma_m=map_sigma_m)
     shape = learned.positions.shape
     shared = noise * learned.shared_loadings @ rng.normal(size=2)

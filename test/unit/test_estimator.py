@@ -42,14 +42,14 @@ def image(pan_rad=0.4, track=None):
     return ImagePoints(
         0, np.arange(count), np.zeros((count, 2)), np.tile(1e-8 * np.eye(2), (count, 1, 1)),
         np.full(count, pan_rad), 0.05, 1.0, pan_track=track,
-        by_lens=np.random.default_rng(5).normal(0.0, 0.2, (count, 2, 2)),
+        by_lens=np.random.default_rng(5).normal(0.0, 0.2, (count, 2, 3)),
     )  # fmt: skip
 
 
 @pytest.mark.parametrize('share', [0.0, 0.5, 1.0])
 def test_points_of_a_wrong_lens_are_those_of_the_model(share):
     """Whatever part of the error of the lens is known when an image is used."""
-    focal, shift = 0.01, 8.0 / 555.0
+    focal, shift, bend = 0.01, 8.0 / 555.0, 0.01
     given = CameraModel(512, 512, 555.0, 555.0, 256.0, 254.0, distortion=(-0.19, 0.06, 0.0, 0.0))
     known, true = (
         replace(
@@ -57,6 +57,7 @@ def test_points_of_a_wrong_lens_are_those_of_the_model(share):
             fx=555.0 * (1.0 + part * focal),
             fy=555.0 * (1.0 + part * focal),
             cx=256.0 + part * shift * 555.0,
+            distortion=(-0.19 + part * bend, *given.distortion[1:]),
         )
         for part in (share, 1.0)
     )
@@ -64,7 +65,7 @@ def test_points_of_a_wrong_lens_are_those_of_the_model(share):
     covariance = np.tile(np.eye(2), (3, 1, 1))
     seen = ImagePoints.of_pixels(0, np.arange(3), pixels, covariance, given, 0.0, known)
     rays = (1.0 + focal) * true.unproject(pixels)[:, :2] + [shift, 0.0]
-    assert seen.points == pytest.approx(rays - seen.by_lens @ [focal, shift], abs=3e-4)
+    assert seen.points == pytest.approx(rays - seen.by_lens @ [focal, shift, bend], abs=3e-4)
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -288,15 +289,13 @@ def test_a_misplaced_landmark_is_no_knock(seed):
 
     run = driven(drive, changed=change)
     assert not any(update.stepped for update in run.updates)
-    assert np.hypot(*run.errors[20:, :2].T).max() < 0.03
+    assert (run.nees < 31.8).all()
 
 
-@pytest.mark.parametrize('way_m', [0.1, 0.2])
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('way_m', [0.2, 0.3])
+@pytest.mark.parametrize('seed', range(8))
 def test_an_object_moved_since_learning_alone_in_an_image_is_no_knock(seed, way_m):
     drive, known, alone = simulated(seed, seconds=24.0), set(), []
-    direction = 2.0 * np.pi * np.random.default_rng(seed).random()
-    motion = way_m * np.array([np.cos(direction), np.sin(direction)])
 
     def change(k, seen):
         new = np.array([c not in known for c in seen.columns.tolist()])
@@ -305,14 +304,17 @@ def test_an_object_moved_since_learning_alone_in_an_image_is_no_knock(seed, way_
             return seen
         alone.append(seen.stamp_ns)
         to = drive.landmark_map.positions[seen.columns, :2] - drive.poses[k - 1][:2]
+        # Along the line of sight a motion looks like an error of the pose that the prior allows.
+        ahead = to[new].mean(axis=0)
+        motion = way_m * np.array([-ahead[1], ahead[0]]) / np.hypot(*ahead)
         left = np.arctan2(*(to + motion).T[::-1]) - np.arctan2(*to.T[::-1])
         to_right = np.stack([-wrap_rad(left), np.zeros(len(left))], axis=1)
         return replace(seen, points=seen.points + to_right).chosen(new)
 
     run = driven(drive, changed=change)
+    assert alone
     assert not any(update.stepped for update in run.updates)
     assert (run.nees < 31.8).all()
-    assert np.hypot(*run.errors[20:, :2].T).max() < 0.03
 
 
 def test_another_focal_length_is_noticed_at_once_and_found():
@@ -442,7 +444,7 @@ def test_an_image_that_comes_too_late_is_refused():
 
 def test_the_protection_level_holds():
     inside, ratios = [], []
-    for seed in range(8):
+    for seed in range(24):
         run = driven(simulated(seed, seconds=24.0))
         for error, covariance, update in zip(
             run.errors, run.covariances, run.updates, strict=False

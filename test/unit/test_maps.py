@@ -7,7 +7,7 @@ import pytest
 from wire import assert_same
 import yaml
 
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.patches import PatchView
@@ -181,6 +181,22 @@ def test_a_map_of_schema_1_is_read(tmp_path):
     assert old.calibration_from(given) is given
     assert [k.views for k in old.landmarks] == [(), (), ()]
     np.testing.assert_array_equal(old.landmarks[2].patch, make_map().landmarks[2].patch)
+
+
+def test_a_quantity_that_an_older_map_lacks_has_its_default_sigma(tmp_path):
+    rng = np.random.default_rng(4)
+    root = 1e-3 * rng.normal(size=(len(NAMES), len(NAMES)))
+    found = Calibration(root[0], root @ root.T, by_map=0.5 * root[:, :4])
+    kept = [k for k, name in enumerate(NAMES) if name != 'distortion']
+    older = {
+        'names': [NAMES[k] for k in kept],
+        'values': found.values[kept].tolist(),
+        'covariance': found.covariance[np.ix_(kept, kept)].tolist(),
+        'shared_loading': found.by_map[kept].tolist(),
+    }
+    loaded = load_map(edited(tmp_path, lambda document: document.update(calibration=older)))
+    assert loaded.calibration['distortion'] == (0.0, DEFAULT_SIGMAS[NAMES.index('distortion')])
+    np.testing.assert_array_equal(loaded.calibration.by_map[kept], found.by_map[kept])
 
 
 def test_a_map_holds_the_calibration_of_its_learning(tmp_path):

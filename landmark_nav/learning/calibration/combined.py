@@ -27,6 +27,7 @@ _QUANTITIES = {
     'forward': 'center_x',
     'left': 'center_y',
     'principal_point': 'principal_point',
+    'distortion': 'distortion',
 }
 # Smaller information, relative to the largest, is rounding.
 _ROUNDING = 1e-9

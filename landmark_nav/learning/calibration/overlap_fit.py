@@ -466,11 +466,7 @@ def corrected(
 
 
 def _camera(camera: CameraModel, common: FloatArray) -> CameraModel:
-    k1 = float(common[1])
-    if k1:
-        first, *others = camera.distortion or (0.0,)
-        camera = replace(camera, distortion=(first + k1, *others))
-    return camera.magnified(float(np.exp(common[0])), float(common[7]))
+    return camera.adjusted(float(np.exp(common[0])), float(common[7]), float(common[1]))
 
 
 def _mount(mount: PanTiltMount, common: FloatArray) -> PanTiltMount:

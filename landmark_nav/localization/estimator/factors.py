@@ -28,7 +28,7 @@ from landmark_nav.types import FloatArray
 POSE, FLOOR_TILT, SCALE, DRIFT, TURN_SCALE, SLIP, TURN_LOSS, CALIBRATION = 0, 3, 5, 6, 7, 8, 9, 10
 STATES = CALIBRATION + len(NAMES)
 _AXIS, _RPY, CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
-ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, DELAY = range(CALIBRATION + 9, STATES)
+ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, _, DELAY = range(CALIBRATION + 9, STATES)
 YAW = _RPY + 2
 
 # Least depth of a visible point, m.
@@ -75,9 +75,9 @@ class ImagePoints:
         point, not a measurement.
     sizes : ndarray, shape (m, 2), optional
         Width and height of the templates: one of a wrong scale fits at any of its points.
-    by_lens : ndarray, shape (m, 2, 2), optional
-        Derivatives of the undistorted points of given pixels by focal scale and principal point;
-        `points` are linearly extrapolated to the lens of camera_info.
+    by_lens : ndarray, shape (m, 2, 3), optional
+        Derivatives of the undistorted points of given pixels by focal scale, principal point and
+        distortion; `points` are linearly extrapolated to the lens of camera_info.
     lost : bool
         Whether the pose was lost before: then no step is assumed, as another place is likelier.
     """
@@ -117,18 +117,20 @@ class ImagePoints:
         """
         Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera.
 
-        The lens bends rays by how far they are off the axis. That is removed with the focal length
-        and principal point that are `known` by now, and a linear model of other ones, so that
-        points do not depend on what is known.
+        The lens bends rays by how far they are off the axis. That is removed with the lens that
+        is `known` by now, and a linear model of others, so that points do not depend on what is
+        known.
         """
         known = known or camera
         rays = known.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
         scale, shift = known.fx / camera.fx - 1.0, (known.cx - camera.cx) / camera.fx
+        k1 = known.coefficients[0] - camera.coefficients[0]
         bent = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2) * [known.fx, known.fy]
         seen = (uv_px - [known.cx, known.cy]) / [known.fx, known.fy]
         by_focal = rays[:, 0] - (bent @ seen[..., None])[..., 0]
-        by_lens = np.stack([by_focal, [1.0, 0.0] - bent[..., 0]], -1)
-        points = (1.0 + scale) * rays[:, 0] + [shift, 0.0] - by_lens @ [scale, shift]
+        by_k1 = -(bent @ known.by_distortion(rays[:, 0])[..., None])[..., 0]
+        by_lens = np.stack([by_focal, [1.0, 0.0] - bent[..., 0], by_k1], -1)
+        points = (1.0 + scale) * rays[:, 0] + [shift, 0.0] - by_lens @ [scale, shift, k1]
         by_uv = bent / [camera.fx, camera.fy]
         return cls(
             stamp_ns,
@@ -289,7 +291,7 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     by_state[:, 0, PRINCIPAL] = 1.0
     by_state[:, :, DELAY] = by_pan * by_delay
     if seen.by_lens is not None:
-        lens = [FOCAL, PRINCIPAL]
+        lens = slice(FOCAL, DELAY)
         points -= seen.by_lens @ state[lens]
         by_state[:, :, lens] -= seen.by_lens
     return Projection(points, by_state, flat_by[:, :, 16:19], by_pan, ahead)

@@ -168,7 +168,7 @@ def detections(msg: Any) -> Detections:
         points=image_points if has_points else image_points[:0],
         point_covariance=point_covariance if has_points else point_covariance[:0],
         sizes=sizes if has_points else sizes[:0],
-        by_lens=by_lens.reshape(-1, 2, 2) if has_points and by_lens.any() else None,
+        by_lens=by_lens.reshape(-1, 2, 3) if has_points and by_lens.any() else None,
         near=near if near.any() else None,
     )
 

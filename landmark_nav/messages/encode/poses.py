@@ -135,7 +135,7 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
     if len(found.sizes):
         seen['size'] = found.sizes
     if found.by_lens is not None:
-        seen['by_lens'] = found.by_lens.reshape(-1, 4)
+        seen['by_lens'] = found.by_lens.reshape(-1, 6)
     if found.near is not None:
         points['near'] = found.near
     points['joint_delay'] = found.joint_delay_s
