@@ -249,7 +249,13 @@ def posterior_bound(
     if np.isnan(poses[0]).any():
         return bound
     # Points without noise must not adapt the noise models, and cannot be outliers.
-    noise = replace(config.estimator, tail_freedom=0.0, step_probability=0.0, learning_sigma=0.0)
+    noise = replace(
+        config.estimator,
+        tail_freedom=0.0,
+        step_probability=0.0,
+        moved_probability=0.0,
+        learning_sigma=0.0,
+    )
     start = PoseEstimate(begin, poses[0], start.covariance)
     ideal = JointFilter(landmark_map, calibration, start, noise, config.odometry)
     track = OdometryTrack(config.odometry)

@@ -327,11 +327,11 @@ def test_another_focal_length_is_noticed_at_once_and_found():
         points = seen.points / 1.1 + off if k >= 40 else seen.points
         return replace(seen, points=points, sizes=sizes)
 
-    for seed in range(4):
+    for seed in range(8):
         run = driven(simulated(seed, mount, mount, seconds=24.0), changed=zoomed)
         steps = [update.stamp_ns for update in run.updates if update.stepped]
         assert steps
-        assert 0 <= steps[0] - 41 * NS // 5 <= NS
+        assert 0 <= steps[0] - 41 * NS // 5 <= 2 * NS
         assert (run.nees < 31.8).all()
         focal, sigma = run.filter.calibration['focal_scale']
         assert sigma < 0.005

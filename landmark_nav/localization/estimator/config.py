@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import log
+from math import inf, log
 from typing import NamedTuple
 
 from landmark_nav.parameters import Config, parameter
@@ -29,7 +29,7 @@ class Step(NamedTuple):
 
 
 def _log_odds(probability: float) -> float:
-    return log(probability / (1.0 - probability))
+    return log(probability / (1.0 - probability)) if probability else -inf
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import expit
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
@@ -70,6 +71,8 @@ _EXCLUDED = float(np.log(0.01))
 _ANYWHERE = (3.0, 3.0, 2.0)
 _DRIFTING = slice(SCALE, SLIP)
 _CALIBRATED = np.arange(CALIBRATION, STATES)
+# Variance that is nothing beside that of any landmark.
+_LEAST_M2 = 1e-18
 # Sigma of what is given as exact, in m, rad, 1 or s: so that images show what they would change.
 _EXACT = 1e-6
 # Default sigmas with which images alone hardly show a quantity.
@@ -145,9 +148,11 @@ class JointFilter:
         by_noise = np.zeros((NOISES, STATES, STATES))
         by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_m_per_rad**2
         by_noise[FLOOR, [FLOOR_TILT, FLOOR_TILT + 1], [FLOOR_TILT, FLOOR_TILT + 1]] = floor_tilt**2
-        none = np.empty(0, dtype=np.intp)
+        none, nothing = np.empty(0, dtype=np.intp), np.empty((0, 3, 3))
         scales = NoiseScales.unknown(self._config.learning_sigma)
-        self._state = State(start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0))
+        self._state = State(
+            start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0), nothing
+        )
         self.predicted = self._state
 
     @property
@@ -175,11 +180,16 @@ class JointFilter:
         )
 
     def with_landmarks(self) -> FloatArray:
-        """Covariance (3, 2 n) of the pose with x and y of all landmarks."""
+        """Covariance (3, 2 n) of the pose with x and y of all landmarks, as the map has them."""
         state, first = self._state, self._fixed
         shared = state.covariance[:3, STATES:first]
         out = np.einsum('kf,nif->kni', shared, self._errors.loadings[:, :2])
-        own = state.covariance[:3, first:].reshape(3, -1, 3)[..., :2]
+        own = state.covariance[:3, first:].reshape(3, -1, 3)
+        # The part of each own error that the map accounts for.
+        share = np.linalg.solve(
+            state.own + _LEAST_M2 * np.eye(3), self._errors.own[state.landmarks]
+        )
+        own = np.einsum('kni,nij->knj', own, share)[..., :2]
         out[:, state.landmarks] += own
         return np.asarray(out.reshape(3, -1))
 
@@ -371,6 +381,8 @@ class JointFilter:
         expected = hypothesis = _Hypothesis(prior, *self._corrected(prior, seen, new))
         if expected.update.surprising and not seen.lost:
             hypothesis = self._likeliest(expected, seen, new)
+        elif np.count_nonzero(new) >= _WITNESSES:
+            hypothesis = self._perhaps_moved(expected, seen, new)
         prior, after, update, moved = hypothesis
         # What chance explains as well, in windows that large, must not move the pose.
         unused = update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0 or (
@@ -412,7 +424,8 @@ class JointFilter:
                 update = update._replace(log_evidence=evidence, stepped=bool(step.calibration))
                 hypotheses.append(_Hypothesis(opened, after, update))
         if np.count_nonzero(new) >= _WITNESSES:
-            _, update = self._corrected(self._displaced(prior, seen.columns[new]), seen, new)
+            opened = self._displaced(prior, seen.columns[new], self._config.moved_sigma_m**2)
+            _, update = self._corrected(opened, seen, new)
             if np.count_nonzero(update.weight[new] > _INLIER) >= _WITNESSES:
                 evidence = self._config.moved_log_odds + update.log_evidence
                 update = update._replace(log_evidence=evidence)
@@ -431,6 +444,21 @@ class JointFilter:
             chosen = stepped[-1]
         return chosen._replace(update=chosen.update._replace(log_evidence=best))
 
+    def _perhaps_moved(
+        self, expected: _Hypothesis, seen: ImagePoints, new: npt.NDArray[np.bool_]
+    ) -> _Hypothesis:
+        """
+        Return the hypothesis where new landmarks moved together as far as the image leaves open.
+
+        The variance of their common motion is the mean over both cases.
+        """
+        columns, config = seen.columns[new], self._config
+        moved = self._displaced(expected.prior, columns, config.moved_sigma_m**2)
+        evidence = self._corrected(moved, seen, new)[1].log_evidence
+        share = expit(config.moved_log_odds + evidence - expected.update.log_evidence)
+        prior = self._displaced(expected.prior, columns, share * config.moved_sigma_m**2)
+        return _Hypothesis(prior, *self._corrected(prior, seen, new))
+
     def _doubting(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
         """
         Return the state with wider own errors of new landmarks that were found to be off.
@@ -448,9 +476,11 @@ class JointFilter:
         slots = np.nonzero(columns[:, None] == state.landmarks)[1]
         places = self._fixed + 3 * slots[:, None] + np.arange(3)
         covariance = state.covariance.copy()
-        own = wider[:, None, None] * self._errors.own[columns]
-        covariance[places[:, :, None], places[:, None]] += own
-        return replace(state, covariance=covariance)
+        added = wider[:, None, None] * self._errors.own[columns]
+        covariance[places[:, :, None], places[:, None]] += added
+        own = state.own.copy()
+        own[slots] += added
+        return replace(state, covariance=covariance, own=own)
 
     def _corrected(
         self, state: State, seen: ImagePoints, new: npt.NDArray[np.bool_]
@@ -470,13 +500,14 @@ class JointFilter:
                 covariance[k, k] += sigma**2
         return replace(state, covariance=covariance)
 
-    def _displaced(self, state: State, columns: IndexArray) -> State:
-        """Return the state where these landmarks may have been moved together."""
+    def _displaced(self, state: State, columns: IndexArray, variance_m2: float) -> State:
+        """Return the state where these landmarks may have been moved together, on the floor."""
         slots = np.flatnonzero(np.isin(state.landmarks, columns))
-        covariance = state.covariance.copy()
-        for axis in self._fixed + np.arange(3):
-            covariance[np.ix_(axis + 3 * slots, axis + 3 * slots)] += self._config.moved_sigma_m**2
-        return replace(state, covariance=covariance)
+        covariance, own = state.covariance.copy(), state.own.copy()
+        for axis in self._fixed + np.arange(2):
+            covariance[np.ix_(axis + 3 * slots, axis + 3 * slots)] += variance_m2
+        own[slots] += variance_m2 * np.diag([1.0, 1.0, 0.0])
+        return replace(state, covariance=covariance, own=own)
 
     def _elapsed(self, state: State) -> State:
         """Predict the errors of landmarks and mount over way and time since the last image."""
@@ -527,4 +558,5 @@ class JointFilter:
             covariance=covariance,
             landmarks=np.concatenate([state.landmarks, new]),
             unseen_m=np.concatenate([state.unseen_m, np.zeros(len(new))]),
+            own=np.concatenate([state.own, self._errors.own[new]]),
         )

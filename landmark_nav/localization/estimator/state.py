@@ -63,9 +63,11 @@ class State:
     covariance: FloatArray
     by_noise: FloatArray
     scales: NoiseScales
-    # Columns of the landmarks with own errors in the state, and the way since each was seen.
+    # Columns of the landmarks with own errors in the state, the way since each was seen, and the
+    # prior covariance (n, 3, 3) of each, which may exceed that of the map.
     landmarks: IndexArray
     unseen_m: FloatArray
+    own: FloatArray
     way_m: float = 0.0
     seconds: float = 0.0
     # Derivative of pose, lean and odometry by those after the last image.
@@ -93,6 +95,7 @@ class State:
             covariance=self.covariance[np.ix_(rows, rows)],
             landmarks=self.landmarks[kept],
             unseen_m=self.unseen_m[kept],
+            own=self.own[kept],
         )
 
 
