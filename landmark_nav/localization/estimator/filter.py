@@ -379,9 +379,9 @@ class JointFilter:
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         new = ~(seen.columns[:, None] == self._state.landmarks).any(axis=1)
         expected = hypothesis = _Hypothesis(prior, *self._corrected(prior, seen, new))
-        if expected.update.surprising and not seen.lost:
+        if not seen.lost and expected.update.surprising:
             hypothesis = self._likeliest(expected, seen, new)
-        elif np.count_nonzero(new) >= _WITNESSES:
+        elif not seen.lost and np.count_nonzero(new) >= _WITNESSES:
             hypothesis = self._perhaps_moved(expected, seen, new)
         prior, after, update, moved = hypothesis
         # What chance explains as well, in windows that large, must not move the pose.
