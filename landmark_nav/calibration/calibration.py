@@ -35,7 +35,7 @@ _QUANTITIES: dict[str, tuple[str, float, str]] = {
     'pan_scale': ('1', 0.001, 'relative error of the pan angle'),
     'focal_scale': ('1', 0.01, 'relative error of the focal length'),
     'principal_point': ('1', 0.001, 'principal point to the right, over the focal length'),
-    'distortion': ('1', 0.005, 'error of the first radial distortion coefficient, k1'),
+    'distortion': ('1', 0.02, 'error of the first radial distortion coefficient, k1'),
     'joint_delay': ('s', 0.03, 'time by which joint_states lag the images'),
 }
 NAMES: tuple[str, ...] = tuple(_QUANTITIES)
