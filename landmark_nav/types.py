@@ -106,12 +106,14 @@ class PlaceChain:
     Poses (v, 3) of the base at v sweeps, in the frame of the first one.
 
     `covariance` (3 v, 3 v) is their joint covariance: an error of one motion is part of all later
-    poses. `source` is the name of the sensor.
+    poses. `source` is the name of the sensor. `slip_m` is the sigma of a slip between two
+    sweeps, in any direction, that is not part of the covariance: a slip is rare, but possible.
     """
 
     poses: FloatArray
     covariance: FloatArray
     source: str = 'odom'
+    slip_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
