@@ -286,11 +286,20 @@ class LandmarkMap:
         """
         Calibration before a drive, with `given` from the current ``robot.yaml``.
 
-        It is the estimate by learning, or `given` if ``robot.yaml`` has changed since learning.
+        It is the estimate by learning, or `given` if ``robot.yaml`` has changed since learning. In
+        the map's unit of length the distance of the pan axis is as uncertain as the scale.
         """
-        if self.prior is None or self.calibration is None or not given.same_as(self.prior):
-            return given
-        return replace(self.calibration, base=given.base)
+        known = given
+        if self.prior is not None and self.calibration is not None and given.same_as(self.prior):
+            known = replace(self.calibration, base=given.base)
+        if not self.scale_sigma:
+            return known
+        return known.widened({k: self.scale_sigma * known[k][0] for k in ('axis_x', 'axis_y')})
+
+    @property
+    def scale_sigma(self) -> float:
+        """Relative sigma of the map's unit of length; 0 for that of a plan."""
+        return float(self.provenance.get('scale_sigma', 0.0))
 
     @property
     def has_own_frame(self) -> bool:
