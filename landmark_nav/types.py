@@ -106,12 +106,14 @@ class PlaceChain:
     Poses (v, 3) of the base at v sweeps, in the frame of the first one.
 
     `covariance` (3 v, 3 v) is their joint covariance: an error of one motion is part of all later
-    poses. `source` is the name of the sensor.
+    poses. `source` is the name of the sensor. `slip_m` is the sigma of a slip between two
+    sweeps, in any direction, that is not part of the covariance: a slip is rare, but possible.
     """
 
     poses: FloatArray
     covariance: FloatArray
     source: str = 'odom'
+    slip_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,11 +286,20 @@ class LandmarkMap:
         """
         Calibration before a drive, with `given` from the current ``robot.yaml``.
 
-        It is the estimate by learning, or `given` if ``robot.yaml`` has changed since learning.
+        It is the estimate by learning, or `given` if ``robot.yaml`` has changed since learning. In
+        the map's unit of length the distance of the pan axis is as uncertain as the scale.
         """
-        if self.prior is None or self.calibration is None or not given.same_as(self.prior):
-            return given
-        return replace(self.calibration, base=given.base)
+        known = given
+        if self.prior is not None and self.calibration is not None and given.same_as(self.prior):
+            known = replace(self.calibration, base=given.base)
+        if not self.scale_sigma:
+            return known
+        return known.widened({k: self.scale_sigma * known[k][0] for k in ('axis_x', 'axis_y')})
+
+    @property
+    def scale_sigma(self) -> float:
+        """Relative sigma of the map's unit of length; 0 for that of a plan."""
+        return float(self.provenance.get('scale_sigma', 0.0))
 
     @property
     def has_own_frame(self) -> bool:

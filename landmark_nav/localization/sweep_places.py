@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -18,6 +19,8 @@ from landmark_nav.types import FloatArray, OdometrySample, PlaceChain, PoseEstim
 _STANDS_M, _STANDS_RAD = 0.03, 0.02
 # Samples used before and after the requested times.
 _MARGIN = 20
+# Sigma of a slip of the wheels between two sweeps, m.
+_SLIP_M = 0.1
 
 
 def known_places(
@@ -50,7 +53,7 @@ def _seen_from(places: PlaceChain, first: FloatArray) -> PlaceChain:
     count = len(places.poses)
     turn = np.kron(np.eye(count), block_diag(rotation(first[2]), 1.0))
     poses = np.array([compose(first, pose) for pose in places.poses])
-    return PlaceChain(poses, turn @ places.covariance @ turn.T, places.source)
+    return replace(places, poses=poses, covariance=turn @ places.covariance @ turn.T)
 
 
 def places_by_odometry(
@@ -85,7 +88,7 @@ def places_by_odometry(
                 f'{np.degrees(turn):.1f} deg by odom in sweep {number}: let it stand, sweep again'
             )
     middles = [(begin + end) // 2 for begin, end in spans_ns]
-    return chained(_motions(middles, samples, config), config)
+    return replace(chained(_motions(middles, samples, config), config), slip_m=_SLIP_M)
 
 
 def _given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:

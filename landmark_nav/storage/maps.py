@@ -266,6 +266,13 @@ def load_map(folder: Path | str) -> LandmarkMap:
     provenance = document.get('provenance') or {}
     if not isinstance(provenance, dict):
         raise LandmarkNavError(f'{path}: provenance is {shown(provenance)}, not a mapping')
+    sigma = provenance.get('scale_sigma', 0.0)
+    try:
+        known = 0.0 <= float(sigma) < float('inf')
+    except (TypeError, ValueError):
+        known = False
+    if not known:
+        raise LandmarkNavError(f'{path}: scale_sigma is {shown(sigma)}, not a number from 0 on')
     return LandmarkMap(
         landmarks,
         reading.name_field(document, 'frame_id', where),

@@ -193,7 +193,7 @@ def _by_frame(ways: FloatArray) -> FloatArray:
 
 
 def _scale_sigma(landmarks: LandmarkMap) -> float:
-    return float(landmarks.provenance.get('scale_sigma', _MEASURED_SCALE_SIGMA))
+    return landmarks.scale_sigma or _MEASURED_SCALE_SIGMA
 
 
 def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:

@@ -140,6 +140,8 @@ def of_calibration(spoil):
         (lambda d: d['walls'][0].pop('height'), r'walls\[0\]: height is missing'),
         (lambda d: d['panorama_poses'][0].update(pose=[0, 0]), r'panorama_poses\[0\]: pose'),
         (lambda d: d.update(provenance=['x']), 'provenance'),
+        (lambda d: d.update(provenance={'scale_sigma': 'small'}), 'scale_sigma is .*small'),
+        (lambda d: d.update(provenance={'scale_sigma': -0.1}), 'scale_sigma is'),
         (of_calibration(lambda entry: entry.pop('values')), 'calibration'),
         (of_calibration(lambda entry: entry.update(names=['axis_x'])), 'calibration'),
         (of_calibration(lambda entry: entry['covariance'][0].pop()), 'calibration'),
@@ -216,3 +218,6 @@ def test_a_map_holds_the_calibration_of_its_learning(tmp_path):
     # A robot.yaml that was changed since counts by itself.
     changed = robot.with_values(axis_x=0.12)
     assert loaded.calibration_from(changed) is changed
+    # Nor is its lever better known in the unit of a map than that unit.
+    scaled = replace(learned, provenance={'scale_sigma': '0.05'})
+    assert scaled.calibration_from(changed)['axis_x'][1] > 0.05 * 0.12

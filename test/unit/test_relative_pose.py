@@ -1,11 +1,13 @@
 """Relative poses of panoramas: known poses are recovered from matches, or refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.se2 import rot_z
+from landmark_nav.geometry.se2 import rot_z, rotation
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
     misses,
@@ -92,6 +94,18 @@ def test_heading_that_slipped_is_recovered_with_less_certain_scale():
     result = found(POSES[:2], slipped, seed=5)
     assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.2
     assert result.scales[0].inflation > 1.0
+
+
+@pytest.mark.parametrize('aside_rad', [0.0, 0.6, np.pi])
+def test_slip_that_panoramas_do_not_show_is_inside_the_sigma_of_the_scale(aside_rad):
+    way = POSES[1, :2]
+    slip = 0.3 / np.hypot(*way) * rotation(aside_rad) @ way
+    known = odometry(POSES[:2] + np.array([[0.0, 0.0, 0.0], [*slip, 0.0]]), 0.06, 0.03)
+    rng = np.random.default_rng(3)
+    seen = features(POSES[:2], room_points(rng, 250), rng)
+    result = relative_poses(seen, [replace(known, slip_m=0.1)], LEVER, CONFIG)
+    scale = np.hypot(*result.states[1, :2] - result.states[0, :2]) / np.hypot(*way)
+    assert abs(scale - 1.0) < 3.0 * result.scale_sigma
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,8 @@ class ScaleShare:
     The scale by one source.
 
     `scale` is relative to that by all sources together, with the sigma `sigma`. `inflation` is the
-    factor on its variances, `sheets` the number of its sheets.
+    factor on its variances, `sheets` the number of its sheets. `slip` is the sigma by slips along
+    the ways, which panoramas do not show: these explain no contradiction to another source.
     """
 
     name: str
@@ -47,6 +48,7 @@ class ScaleShare:
     sigma: float
     inflation: float = 1.0
     sheets: int = 0
+    slip: float = 0.0
 
 
 @dataclass(eq=False)
@@ -77,8 +79,13 @@ class PlaceSource:
 
     def share(self, states: FloatArray) -> ScaleShare:
         """Scale by this source."""
-        scale, sigma = _scale_by(self.rows(states), states)
-        return ScaleShare(self.name, scale, sigma, self.inflation)
+        rows = self.rows(states)
+        scale, sigma = _scale_by(rows, states)
+        # Derivative of the scale by each place; a slip moves all later places.
+        by_place = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
+        by_slip = np.cumsum(by_place.reshape(-1, STATE)[:0:-1, :2], axis=0)
+        slip = self.places.slip_m * float(np.linalg.norm(by_slip))
+        return ScaleShare(self.name, scale, sigma, self.inflation, slip=slip)
 
     def inflate(self, states: FloatArray) -> None:
         """
@@ -149,11 +156,16 @@ Source = PlaceSource | SheetSource
 def _scale_by(rows: Rows, states: FloatArray) -> tuple[float, float]:
     """Best factor on all baselines for some rows, for a fixed shape, and its sigma."""
     off, jacobian = rows
-    growth = np.zeros_like(states)
-    growth[:, [0, 1, 3]] = center(states - states[0])
-    slope = jacobian @ growth.ravel()
+    slope = jacobian @ _growth(states)
     information = float(slope @ slope)
     return 1.0 - float(slope @ off) / information, information**-0.5
+
+
+def _growth(states: FloatArray) -> FloatArray:
+    """Derivative (6 v,) of states by a factor on all baselines."""
+    growth = np.zeros_like(states)
+    growth[:, [0, 1, 3]] = center(states - states[0])
+    return growth.ravel()
 
 
 def stacked(sources: Sequence[Source]) -> Callable[[FloatArray], Rows]:
@@ -172,7 +184,7 @@ def scale_sigma(shares: Sequence[ScaleShare]) -> float:
 
     Raises `LandmarkNavError`: two sources contradict each other.
     """
-    sigma = float(sum(share.sigma**-2 for share in shares) ** -0.5)
+    sigma = float(sum(1.0 / (k.sigma**2 + k.slip**2) for k in shares) ** -0.5)
     for one, other in combinations(shares, 2):
         apart = abs(one.scale - other.scale)
         sigmas = apart / np.hypot(one.sigma, other.sigma)
