@@ -146,16 +146,31 @@ class Listener:
         del self.heard[subscription.topic]
         self.meanwhile()
 
+    def create_timer(self, _seconds, tick, **_):
+        self.tick = tick
 
-def test_the_first_that_delivers_stays():
+    def destroy_timer(self, _timer):
+        self.tick = lambda: None
+
+
+def test_raw_images_are_taken_while_no_compressed_ones_come():
     node: Any = Listener()
     images: list[Any] = []
-    ImageSource(node, RAW, images.append)
+    source = ImageSource(node, RAW, images.append)
     late = node.heard[RAW]
     node.heard[COMPRESSED]('jpeg')
     late('raw')
     assert images == ['jpeg']
+    for _ in range(2):
+        assert list(node.heard) == [COMPRESSED]
+        node.tick()
+    node.heard[RAW]('raw')
+    node.heard[COMPRESSED]('another')
+    assert images == ['jpeg', 'raw', 'another']
     assert list(node.heard) == [COMPRESSED]
+    source.close()
+    node.tick()
+    assert not node.heard
 
 
 class Recorder:
