@@ -24,7 +24,7 @@ from landmark_nav.ros.health import steady_clock
 from landmark_nav.ros.inputs import IrrelevantError
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import RELIABLE
-from landmark_nav.storage.bags.timelines import JointHistory
+from landmark_nav.storage.bags.timelines import JointHistory, too_fast
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, Refusal
 
 
@@ -199,8 +199,8 @@ class CameraFrames:
 
     def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
         """Angles at a stamp, interpolated; or why they are unknown."""
-        history = JointHistory(tuple(self._joints), tuple(self._tilts))
-        return history.at(stamp_ns)
+        samples = tuple(self._joints)
+        return too_fast(samples) or JointHistory(samples, tuple(self._tilts)).at(stamp_ns)
 
     def complete(
         self, message: Any, seconds: float, also: Callable[[int], bool], late_s: float
