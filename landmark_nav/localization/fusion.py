@@ -49,6 +49,8 @@ _LOG = logging.getLogger(__name__)
 
 # Motion while a clock was set back: unknown, as in one second without odometry.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
+# A turn of the camera is logged if there was none for this time: a wrong joint gives one an image.
+_AGAIN_NS = 10 * 10**9
 # Missing odometry is reported after this time, s.
 _SILENT_S = 0.7
 # Sigmas of changes of the mount since its prior; a change of 5 sigma is a contradiction.
@@ -108,6 +110,7 @@ class Fusion:
         # Values of the mount that contradict their prior.
         self._unlikely: tuple[str, ...] = ()
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
+        self._turned_ns = -_AGAIN_NS
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
         """Continue with other landmarks; the pose and its covariance are kept."""
@@ -205,7 +208,9 @@ class Fusion:
         if sure and self.status_at()[0] is Status.OK:
             self._trusted = line.filter.snapshot
         if self._update is not None and self._update.stepped:
-            _LOG.warning('camera or base was turned, and the wheels did not measure it')
+            if abs(seen.stamp_ns - self._turned_ns) > _AGAIN_NS:
+                _LOG.warning('camera or base was turned, and the wheels did not measure it')
+            self._turned_ns = seen.stamp_ns
         return update
 
     def _weigh_start(self, line: Timeline, seen: ImagePoints, update: Update) -> None:
