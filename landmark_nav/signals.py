@@ -9,6 +9,7 @@ import signal
 
 TYPE_CHECKING = False  # as in `typing`, without its import
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from types import FrameType
     from typing import Any
 
@@ -61,3 +62,11 @@ class interrupting:  # noqa: N801
     def _interrupt(self, number: int, _frame: FrameType | None) -> None:
         self.__exit__()
         raise KeyboardInterrupt(number)
+
+
+def tied_to_parent(command: Sequence[str]) -> list[str]:
+    """Command that receives SIGTERM if its parent is killed, if `setpriv` (util-linux) exists."""
+    from shutil import which
+
+    setpriv = which('setpriv')
+    return [*([setpriv, '--pdeathsig', 'TERM', '--'] if setpriv else []), *command]

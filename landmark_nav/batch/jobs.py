@@ -19,6 +19,7 @@ import time
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError, shown, why
+from landmark_nav.signals import tied_to_parent
 from landmark_nav.storage.reading import check_spelling, list_field, name_field, read_yaml_mapping
 
 # Commands in the order of a run, and default inputs from earlier commands: option -> sources
@@ -263,6 +264,9 @@ class Outcome:
     memory_mb: float = 0.0
 
 
+COSTS = ('cpu_s', 'wall_s', 'memory_mb')
+
+
 def stage_arguments(stage: Stage, stages: Path, folder: Path) -> list[str]:
     """Arguments of `landmark-nav` for a stage, with results of other stages in `stages`."""
     given = [str(stages / word[1:]) if word.startswith('@') else word for word in stage.arguments]
@@ -338,8 +342,9 @@ def run_all(
 def _done(folder: Path) -> Outcome | None:
     """Outcome of a finished stage, also of an earlier batch; None if it is not finished."""
     try:
-        return Outcome(**json.loads((folder / _DONE).read_text(encoding='utf-8')))
-    except (OSError, ValueError, TypeError):
+        found = json.loads((folder / _DONE).read_text(encoding='utf-8'))
+        return Outcome(str(found['reason']), *(float(found[name]) for name in COSTS))
+    except (OSError, ValueError, TypeError, KeyError):
         return None
 
 
@@ -360,8 +365,13 @@ def _run_stage(stage: Stage, stages: Path, needed: Sequence[Outcome]) -> Outcome
     target = stages / stage.key
     if done := _done(target):
         return done
-    # The name is unique, as another worker may have been lost during the same stage.
-    folder = stages / f'.{stage.key}.{os.uname().nodename}-{os.getpid()}'
+    # The name is unique, as another worker may be at the same stage; if it was lost, this removes
+    # what it left.
+    begun = f'.{stage.key}.{os.uname().nodename}-'
+    for left in stages.glob(f'{begun}*'):
+        if not Path('/proc', left.name.removeprefix(begun)).exists():
+            shutil.rmtree(left, ignore_errors=True)
+    folder = stages / f'{begun}{os.getpid()}'
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     if stage.config:
@@ -370,7 +380,7 @@ def _run_stage(stage: Stage, stages: Path, needed: Sequence[Outcome]) -> Outcome
     begin = time.monotonic()
     with (folder / 'log.txt').open('wb') as log:
         process = subprocess.Popen(
-            [sys.executable, '-m', 'landmark_nav', *words],
+            tied_to_parent([sys.executable, '-m', 'landmark_nav', *words]),
             stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
         )  # fmt: skip
         _, status, usage = os.wait4(process.pid, 0)

@@ -8,6 +8,7 @@ import csv
 from dataclasses import dataclass
 from io import StringIO
 import json
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import cv2
 import numpy as np
 from scipy import stats
 
-from landmark_nav.batch.jobs import Outcome, Run
+from landmark_nav.batch.jobs import COSTS, Outcome, Run
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.reading import read_text
 
@@ -37,7 +38,6 @@ _FIGURES: dict[str, dict[str, tuple[Callable[[Mapping[str, Any]], Any], int]]] =
     },
 }
 _WORSE = {name: worse for group in _FIGURES.values() for name, (_, worse) in group.items()}
-_COSTS = ('cpu_s', 'wall_s', 'memory_mb')
 _THUMBNAIL_PX = 240
 
 
@@ -51,12 +51,14 @@ def row(run: Run, outcome: Outcome, results: Path) -> Row:
             path = results / 'stages' / stage.key / 'result.json'
             try:
                 report = json.loads(read_text(path))
-            except ValueError as error:
+                figures |= {name: read(report) for name, (read, _) in wanted.items()}
+            except (ValueError, TypeError, KeyError, AttributeError) as error:
                 raise LandmarkNavError(
                     f'{path}: no report: remove its folder, run again'
                 ) from error
-        figures |= {name: read(report) if report else None for name, (read, _) in wanted.items()}
-    costs = {name: round(getattr(outcome, name), 3) for name in _COSTS}
+        else:
+            figures |= dict.fromkeys(wanted)
+    costs = {name: round(getattr(outcome, name), 3) for name in COSTS}
     return {'run': run.name, **run.values, **figures, **costs, 'failure': outcome.reason}
 
 
@@ -134,9 +136,10 @@ def compare(after: Sequence[Row], before: Sequence[Row]) -> list[Change]:
 
 def _number(value: Any) -> float | None:
     try:
-        return float(value)
+        number = float(value)
     except (TypeError, ValueError):
         return None
+    return number if isfinite(number) else None
 
 
 def _change(name: str, pairs: np.ndarray[Any, Any], worse: int) -> Change:

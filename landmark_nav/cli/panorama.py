@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -108,14 +107,17 @@ def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
     """Read the sweep with the given number, from 1; by default the only one of the bag."""
     number: int | None = args.number
     bag = open_bag(args.sweep, args)
-    total = bag.counts[bag.require('sweep/trajectory')]
-    if (number is None and total > 1) or (number or 1) > total:
+    found, total = None, 0
+    for total, sweep in enumerate(read_sweeps(bag, mount), 1):
+        if total == (number or 1):
+            found = sweep
+        if total == number:
+            break
+    if not total:
+        raise LandmarkNavError(f'{bag.path}: holds no whole sweep: take another')
+    if found is None or (number is None and total > 1):
         which = '' if number is None else f', no number {number}'
         raise UsageError(
             f'{bag.path}: holds {total} sweeps{which}: take one by --sweep 1 to {total}'
         )
-    # Previous sweeps are read one at a time.
-    sweep = next(islice(read_sweeps(bag, mount), (number or 1) - 1, None), None)
-    if sweep is None:
-        raise LandmarkNavError(f'{bag.path}: holds no sweep {number or 1}: take another')
-    return sweep
+    return found

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import json
 import os
 from pathlib import Path
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from types import FrameType
 from typing import Any
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.signals import tied_to_parent
 from landmark_nav.storage.robot_files import shipped_config
 
 # Period of checks at the end.
@@ -38,10 +38,9 @@ class _Child:
 
 class Supervisor:
     """
-    Context manager for child processes, each in its own process group.
+    Context manager for child processes, each in its own process group, `tied_to_parent`.
 
-    If `setpriv` (util-linux) is installed, they receive SIGTERM if this process is killed. Their
-    outputs go to ``NAME.log`` in `log_folder`, or where those of this process go; after each
+    Their outputs go to ``NAME.log`` in `log_folder`, or where those of this process go; after each
     signal they have `grace_s` to end.
     """
 
@@ -52,8 +51,6 @@ class Supervisor:
         self._environment = dict(environment)
         self._grace_s = grace_s
         self._children: list[_Child] = []
-        setpriv = shutil.which('setpriv')
-        self._wrapper = [setpriv, '--pdeathsig', 'TERM', '--'] if setpriv else []
         if log_folder is not None:
             log_folder.mkdir(parents=True, exist_ok=True)
 
@@ -70,7 +67,7 @@ class Supervisor:
         log = None if self._log_folder is None else self._log_folder / f'{name}.log'
         with log.open('wb') if log else nullcontext() as output:
             process = subprocess.Popen(
-                [*self._wrapper, *command],
+                tied_to_parent(command),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT if log else None,

@@ -26,7 +26,6 @@ from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Time
 from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import (
-    Ahead,
     ClockStep,
     ClockWatch,
     Distrusted,
@@ -50,6 +49,8 @@ _LOG = logging.getLogger(__name__)
 
 # Motion while a clock was set back: unknown, as in one second without odometry.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
+# A turn of the camera is logged if there was none for this time: a wrong joint gives one an image.
+_AGAIN_NS = 10 * 10**9
 # Missing odometry is reported after this time, s.
 _SILENT_S = 0.7
 # Sigmas of changes of the mount since its prior; a change of 5 sigma is a contradiction.
@@ -109,6 +110,7 @@ class Fusion:
         # Values of the mount that contradict their prior.
         self._unlikely: tuple[str, ...] = ()
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
+        self._turned_ns = -_AGAIN_NS
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
         """Continue with other landmarks; the pose and its covariance are kept."""
@@ -133,18 +135,13 @@ class Fusion:
         self._anywhere, self._given = copy(self._line.filter), self._line.filter.snapshot
         self._anywhere.forget_pose()
 
-    def place(
-        self,
-        found: PoseEstimate,
-        joints: JointSample | CameraFrame | None = None,
-        now_ns: int | None = None,
-    ) -> None:
+    def place(self, found: PoseEstimate, joints: JointSample | CameraFrame | None = None) -> None:
         """
         Continue at a place found in images; the last of them was taken at these joints.
 
-        Raises `LandmarkNavError`: as `initialize`.
+        Odometry must reach its stamp. Raises `LandmarkNavError`: as `initialize`.
         """
-        found = checked_start(found, self._reach_ns, now_ns)
+        found = checked_start(found)
         late = self._prior_late if self._line is None else self.late
         rate, bend = 0.0, 0.0
         if joints is not None:
@@ -158,19 +155,19 @@ class Fusion:
         self._place(found, rate)
 
     def reaches(self, stamp_ns: int) -> bool:
-        """Whether odometry leads from a time to now."""
-        return self._reach_ns is None or self._reach_ns[0] <= stamp_ns
+        """Whether odometry leads from a time to now, or may still come up to it."""
+        ends = self._track.stamps_ns
+        early_ns = round(1e9 * HORIZON_S)
+        return ends is None or ends[0] - early_ns <= stamp_ns <= ends[1] + REACH_NS
 
     def add_odometry(self, sample: OdometrySample) -> Refusal | None:
         """Add odometry; return what is wrong with it, if anything (`Distrusted` if it is used)."""
         line, ends, stamp = self._line, self._track.stamps_ns, sample.stamp_ns
         if ends is not None:
-            newest = ends[1] if line is None else line.newest_ns
-            window_ns = round(1e9 * self._config.history_s)
-            step = self._clock.judge(stamp, ends[1], newest, window_ns)
-            seconds = f'{1e-9 * (stamp - ends[1]):.1f} s'
-            if step is ClockStep.AHEAD:
-                return Ahead('odometry is ahead', f'{seconds}: the next sample tells')
+            step = self._clock.judge(stamp, ends[1], round(1e9 * self._config.history_s))
+            seconds = f'{1e-9 * (stamp - ends[1]):+.1f} s'
+            if step is ClockStep.OFF:
+                return Refusal('odometry is off', f'{seconds}: the next sample tells')
             if step is ClockStep.BACK:
                 self._set_back(sample)
                 return Distrusted('clock was set back', f'{seconds}: goes on from the last pose')
@@ -211,7 +208,9 @@ class Fusion:
         if sure and self.status_at()[0] is Status.OK:
             self._trusted = line.filter.snapshot
         if self._update is not None and self._update.stepped:
-            _LOG.warning('camera or base was turned, and the wheels did not measure it')
+            if abs(seen.stamp_ns - self._turned_ns) > _AGAIN_NS:
+                _LOG.warning('camera or base was turned, and the wheels did not measure it')
+            self._turned_ns = seen.stamp_ns
         return update
 
     def _weigh_start(self, line: Timeline, seen: ImagePoints, update: Update) -> None:
@@ -352,12 +351,6 @@ class Fusion:
     def _wrong(self) -> bool:
         """Whether the mount, or the given start, contradicts the pose."""
         return bool(self._unlikely) or self._start_odds < 0.0
-
-    @property
-    def _reach_ns(self) -> tuple[int, int] | None:
-        """First and last time from which odometry leads to now."""
-        ends = self._track.stamps_ns
-        return ends and (ends[0] - round(1e9 * HORIZON_S), ends[1])
 
     @property
     def _prior_late(self) -> JointDelay:

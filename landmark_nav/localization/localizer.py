@@ -214,6 +214,8 @@ class Localizer:
         outcome = self._relocalizer.add_frame(straight(frame, self.calibration))
         if isinstance(outcome, Refusal):
             return outcome
+        if not self._fusion.reaches(frame.stamp_ns):
+            return Refusal('the image is far off the odometry', 'are their clocks the same?')
         self._fusion.place(self._relocalizer.in_time, frame)
         self._relocalizer = None
         self._unseen.restart()

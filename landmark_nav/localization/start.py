@@ -26,7 +26,7 @@ def with_sigmas(start: PoseEstimate, sigma_m: float, sigma_rad: float) -> PoseEs
 
 
 def checked_start(
-    start: PoseEstimate, odometry_ns: tuple[int, int] | None, now_ns: int | None
+    start: PoseEstimate, odometry_ns: tuple[int, int] | None = None, now_ns: int | None = None
 ) -> PoseEstimate:
     """
     Return a valid start pose; its stamp is replaced by now if no odometry is near it.
@@ -38,9 +38,9 @@ def checked_start(
 
     Parameters
     ----------
-    odometry_ns : tuple of int or None
+    odometry_ns : tuple of int, optional
         First and last stamp of the odometry.
-    now_ns : int or None
+    now_ns : int, optional
         Present time; the stamp of the last odometry counts if it is later.
     """
     if not is_finite(start):

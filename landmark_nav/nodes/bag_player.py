@@ -102,7 +102,7 @@ class BagPlayerNode(LandmarkNode):
                 next_clock_ns += _CLOCK_PERIOD_NS
             if self._wait_until(begin, entry.stamp_ns - first_ns):
                 return
-            self._players[entry.topic].publish(entry.data)
+            self._players[entry.topic].publish(bytes(entry.data))
             self._played_ns = entry.stamp_ns - first_ns
 
     def _wait_until(self, begin: float, bag_ns: int) -> bool:

@@ -161,7 +161,7 @@ class OdometryFusionNode(LandmarkNode):
         decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
         place = decode.global_pose(message)
         if not self._fusion.reaches(place.stamp_ns):
-            raise LandmarkNavError('it is of an image from before the odometry that is kept')
+            raise LandmarkNavError('it is of an image far off the odometry that is kept')
         if self._start_given_ns is not None and place.stamp_ns <= self._start_given_ns:
             raise LandmarkNavError('it is of an image from before the given start pose')
         self._waiting.append(place)
@@ -212,7 +212,7 @@ class OdometryFusionNode(LandmarkNode):
             else:
                 joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
                 known = None if isinstance(joints, Refusal) else joints
-                self._fusion.place(found, known, self._now_ns())
+                self._fusion.place(found, known)
                 self._started(found, 'found')
 
     def _waits(self, found: Detections | GlobalPose) -> bool:
@@ -234,9 +234,9 @@ class OdometryFusionNode(LandmarkNode):
         update = self._fusion.add_detections(found, known)
         if isinstance(update, Refusal):
             self.note(f'detections dropped: {update}')
-        else:
-            self._accepted += len(update.used)
-            self._rejected += len(update.columns) - len(update.used)
+            return
+        self._accepted += len(update.used)
+        self._rejected += len(update.columns) - len(update.used)
         self._corrected(found.stamp_ns)
 
     def _corrected(self, stamp_ns: int) -> None:

@@ -18,7 +18,8 @@ from landmark_nav.messages import decode
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.types import ImageArray, JointSample, PoseEstimate, Sweep
 
-# Greatest number of frames of a sweep, and their size; older ones belong to an aborted sweep.
+# Greatest number of frames of a sweep, and their size; those that arrived before belong to an
+# aborted sweep.
 _MAX_FRAMES, _MAX_BYTES = 1440, 2**30
 # Greatest time for frames that arrive after their trajectory, chosen by hand.
 _LATE_FRAMES_S = 3.0
@@ -107,7 +108,7 @@ class SweepInbox:
         with self._lock:
             _remember(self._images, decode.stamp_ns(message.header), message)
             while sum(len(image.data) for image in self._images.values()) > _MAX_BYTES:
-                del self._images[min(self._images)]
+                del self._images[next(iter(self._images))]
 
     def _on_camera_info(self, message: Any) -> None:
         info = decode.camera_info(message)
@@ -143,4 +144,4 @@ class SweepInbox:
 def _remember(items: dict[int, Any], stamp_ns: int, item: Any) -> None:
     items[stamp_ns] = item
     while len(items) > _MAX_FRAMES:
-        del items[min(items)]
+        del items[next(iter(items))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from math import isfinite
 from threading import Condition
 from typing import Any
@@ -19,10 +20,11 @@ from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.geometry.angles import unwrap_joint
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
+from landmark_nav.ros.health import steady_clock
 from landmark_nav.ros.inputs import IrrelevantError
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import RELIABLE
-from landmark_nav.storage.bags.timelines import JointHistory
+from landmark_nav.storage.bags.timelines import JointHistory, too_fast
 from landmark_nav.types import CameraFrame, ImageArray, JointSample, Refusal
 
 
@@ -32,13 +34,17 @@ def image_topics(topic: str, transport: str) -> list[str]:
     return [topics[transport]] if transport in topics else list(topics.values())
 
 
+# Time without compressed images after which raw ones are taken again.
+_SILENCE_S = 3.0
+
+
 class ImageSource:
     """
     Subscription to the images of `topic` or of ``topic/compressed``.
 
     With the transport ``auto`` both are subscribed. Raw images are used until the first compressed
-    one; then the raw subscription ends: that saves bandwidth, and common middleware loses large
-    messages. A repeated image is handled once.
+    one; then the raw subscription ends, until compressed images stop to come: that saves
+    bandwidth, and common middleware loses large messages. A repeated image is handled once.
     """
 
     def __init__(
@@ -53,18 +59,37 @@ class ImageSource:
         self._node = node
         self._last: Any = None
         self._raw = topic
+        self._compressed_came = False
         self._subscriptions: dict[str, Subscription[Any]] = {}
-        for name in image_topics(topic, transport):
-            self._subscriptions[name] = node.listen(name, self._only(name, callback), depth=depth)
+        self._open = {
+            name: partial(node.listen, name, self._only(name, callback), depth=depth)
+            for name in image_topics(topic, transport)
+        }
+        self._open_all()
+        self._timer = node.create_timer(_SILENCE_S, self._look, clock=steady_clock())
 
     def close(self) -> None:
         """End the subscription."""
+        self._open.clear()
+        self._node.destroy_timer(self._timer)
         self._keep(None)
+
+    def _open_all(self) -> None:
+        for name, listen in list(self._open.items()):
+            if name not in self._subscriptions:
+                self._subscriptions[name] = listen()
+
+    def _look(self) -> None:
+        """Take raw images again if no compressed one came since the last look."""
+        if not self._compressed_came:
+            self._open_all()
+        self._compressed_came = False
 
     def _only(self, name: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         def take(message: Any) -> None:
             if name in self._subscriptions and message != self._last:
                 if name != self._raw:
+                    self._compressed_came = True
                     self._keep(name)
                 self._last = message
                 callback(message)
@@ -174,8 +199,8 @@ class CameraFrames:
 
     def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
         """Angles at a stamp, interpolated; or why they are unknown."""
-        history = JointHistory(tuple(self._joints), tuple(self._tilts))
-        return history.at(stamp_ns)
+        samples = tuple(self._joints)
+        return too_fast(samples) or JointHistory(samples, tuple(self._tilts)).at(stamp_ns)
 
     def complete(
         self, message: Any, seconds: float, also: Callable[[int], bool], late_s: float

@@ -122,10 +122,10 @@ class Input:
         """Active publishers; several only if they alternate, not after a change of publisher."""
         if not self._last_source:
             # Not every middleware gives the publisher of a message: all known ones count.
-            return sorted(map(_full_name, self._endpoints()))
+            return sorted(set(map(_full_name, self._endpoints())))
         recent = [source for at_s, source in self._changes if now_s - at_s < _ALTERNATION_S]
         alternate = len(set(recent)) < len(recent)
-        return sorted(map(self._name_of, set(recent))) if alternate else []
+        return sorted(set(map(self._name_of, recent))) if alternate else []
 
     def report(self) -> str:
         """Short text of the state, for the values of diagnostics."""

@@ -35,7 +35,7 @@ def join_ros(context: Context | None = None, domain_id: int | None = None) -> in
     return domain_id
 
 
-# Largest number of incomplete sets; the oldest is dropped first.
+# Largest number of incomplete sets; the first that arrived is dropped, whatever its stamp.
 _MAX_WAITING = 8
 
 
@@ -52,7 +52,7 @@ def listen_together(
             found = waiting.pop(stamp)
             callback(*(found[name] for name in topics))
         elif len(waiting) > _MAX_WAITING:
-            del waiting[min(waiting)]
+            del waiting[next(iter(waiting))]
 
     for topic in topics:
         node.listen(topic, partial(take, topic))

@@ -19,7 +19,7 @@ from landmark_nav.ros.camera_frames import CameraFrames, ImageSource
 from landmark_nav.ros.inputs import IrrelevantError
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import ros_factory
-from landmark_nav.types import JointSample
+from landmark_nav.types import JointSample, Refusal
 
 MOUNT = PanTiltMount()
 RATE_RAD_S = 0.5
@@ -58,6 +58,20 @@ def test_they_reach_back_however_fast_they_come(step_ns):
         assert joints.pan_rad == pytest.approx(1e-9 * (last_ns - before_ns) * RATE_RAD_S)
         assert joints.pan_rate_rad_s == pytest.approx(RATE_RAD_S)
     assert frames.pan_range_rad == pytest.approx(3.0 * RATE_RAD_S, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    'pan_of',
+    [lambda k: np.degrees(0.01 * k), lambda k: 0.01 * k * (k % 2)],
+    ids=['degrees', 'two publishers'],
+)
+def test_pans_that_no_joint_could_turn_are_refused_until_they_are_over(pan_of):
+    frames, hear = listening()
+    for k in range(400):
+        hear(JointSample(k * 20_000_000, pan_of(k) if 100 <= k < 200 else 0.01 * k))
+        if k in (99, 199, 399):
+            known = frames.joints_at(k * 20_000_000)
+            assert isinstance(known, Refusal) == (k == 199)
 
 
 def test_a_tilt_of_another_driver_is_waited_for_and_kept():
@@ -146,16 +160,31 @@ class Listener:
         del self.heard[subscription.topic]
         self.meanwhile()
 
+    def create_timer(self, _seconds, tick, **_):
+        self.tick = tick
 
-def test_the_first_that_delivers_stays():
+    def destroy_timer(self, _timer):
+        self.tick = lambda: None
+
+
+def test_raw_images_are_taken_while_no_compressed_ones_come():
     node: Any = Listener()
     images: list[Any] = []
-    ImageSource(node, RAW, images.append)
+    source = ImageSource(node, RAW, images.append)
     late = node.heard[RAW]
     node.heard[COMPRESSED]('jpeg')
     late('raw')
     assert images == ['jpeg']
+    for _ in range(2):
+        assert list(node.heard) == [COMPRESSED]
+        node.tick()
+    node.heard[RAW]('raw')
+    node.heard[COMPRESSED]('another')
+    assert images == ['jpeg', 'raw', 'another']
     assert list(node.heard) == [COMPRESSED]
+    source.close()
+    node.tick()
+    assert not node.heard
 
 
 class Recorder:

@@ -12,7 +12,7 @@ from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import GlobalPose
 from landmark_nav.nodes.odometry_fusion import OdometryFusionNode
 from landmark_nav.ros.topics import ros_factory
-from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
+from landmark_nav.types import Detections, LandmarkMap, OdometrySample, PoseEstimate
 
 PERIOD_NS, SPEED_M_S = 50_000_000, 0.4
 SURE = np.diag([0.02, 0.02, 0.01]) ** 2
@@ -95,6 +95,15 @@ def test_a_place_of_before_a_start_that_was_given_is_not_taken(fusion):
     assert decode.odometry(fusion.published[-1]).pose_odom_base[0] == pytest.approx(4.1, abs=0.01)
 
 
+def test_a_place_keeps_its_time_where_odometry_comes_seconds_late(fusion):
+    for k in range(61):
+        fusion.now_ns = k * PERIOD_NS
+        fusion.odometry(k)
+        if k == 10:
+            fusion.found(50 * PERIOD_NS, 4.0)
+    assert decode.odometry(fusion.published[-1]).pose_odom_base[0] == pytest.approx(4.2, abs=0.01)
+
+
 def test_odometry_that_comes_twice_is_no_news_and_that_of_a_known_stamp_is_dropped(fusion):
     fusion.start(0, 0.0)
     fusion.odometry(0)
@@ -106,6 +115,17 @@ def test_odometry_that_comes_twice_is_no_news_and_that_of_a_known_stamp_is_dropp
     fusion.odometry(1, way_m=0.01)
     assert len(fusion.published) == count
     assert 'odom dropped' in fusion.reason()
+
+
+def test_detections_of_another_clock_do_not_set_the_time_of_what_is_fused(fusion):
+    fusion.start(0, 1.0)
+    fusion.odometry(0)
+    count = len(fusion.published)
+    none = np.empty(0)
+    seen = Detections(3600 * 10**9, none.astype(np.int64), none, none, none, np.empty((0, 2)))
+    fusion.node._on_detections(encode.detections(ros_factory, seen, 'base_link'))
+    assert len(fusion.published) == count
+    assert 'detections dropped' in fusion.reason()
 
 
 def test_odometry_that_is_not_a_number_is_named_and_the_next_is_used(fusion):

@@ -19,6 +19,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.camera_frames import listen_for_joints
 from landmark_nav.ros.health import Health, Level
+from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import message_class, ros_factory, TOPICS
 from landmark_nav.types import JointSample, OdometrySample
@@ -107,6 +108,22 @@ def test_reliability_is_overridden_and_a_publisher_that_does_not_suffice_is_name
     wheels = driver.advertise('odom')
     strict.fails = False
     graph.until(lambda: bool(strict.odometry), publish)
+
+
+def test_what_never_gets_its_other_half_makes_way_whatever_its_stamp(graph):
+    came: list[Any] = []
+    topics = ('panorama/image', 'panorama/pose')
+    listen_together(graph.listener, topics, lambda *parts: came.append(parts))
+    heard = {one.topic_name: one.callback for one in graph.listener.subscriptions}
+    image, pose = (message_class(TOPICS[topic].type_name)() for topic in topics)
+    for k in range(99):
+        # By a clock that is ahead.
+        image.header.stamp.sec = 5000 + k
+        heard['/robot/panorama/image'](image, {})
+    image.header.stamp.sec = pose.header.stamp.sec = 1
+    heard['/robot/panorama/image'](image, {})
+    heard['/robot/panorama/pose'](pose, {})
+    assert len(came) == 1
 
 
 @pytest.mark.parametrize('value', ['perfect', '', 5, True])

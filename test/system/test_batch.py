@@ -55,18 +55,24 @@ def test_a_worker_is_killed_and_nothing_is_lost(tmp_path, cluster):
         assert time.monotonic() < deadline, 'the worker got no work'
         time.sleep(0.02)
     workers[0].kill()
+    workers[0].wait()
     said, _ = batch.communicate(timeout=240.0)
     # That robot.yaml is none.
     assert batch.returncode == 1, said
     rows = list(csv.DictReader((tmp_path / 'out' / 'table.csv').open()))
     assert [bool(row['failure']) for row in rows] == [False] * 2 + [True] * 2
     assert all(len(row['failure']) < 200 for row in rows)
+    assert not list((tmp_path / 'out' / 'stages').glob(f'.*{mark}'))
     page = (tmp_path / 'out' / 'index.html').read_text()
     assert all(row['run'] in page for row in rows)
 
     done = sorted((tmp_path / 'out' / 'stages').glob('simulate-*/done.json'))
+    done[1].write_text('{"reason": "", "cpu_s": "much"}')
     before = [os.stat(path).st_mtime_ns for path in done]
     again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert again.returncode == 1
-    assert [os.stat(path).st_mtime_ns for path in done] == before
+    after = [os.stat(path).st_mtime_ns for path in done]
     assert len(before) == 2
+    assert after[0] == before[0]
+    assert after[1] > before[1]
+    assert json.loads(done[1].read_text())['cpu_s'] > 0.0

@@ -50,8 +50,8 @@ BELOW = {
     'signals': set[str](),
     'ros': {*FILES, 'former_parameters'},
     'nodes': {*STAGES, *FILES, 'configuration', 'simulation', *RUN},
-    'demo': {*STAGES, *FILES, 'simulation', 'evaluation', 'ros'},
-    'batch': FILES,
+    'demo': {*STAGES, *FILES, 'simulation', 'evaluation', 'ros', 'signals'},
+    'batch': {*FILES, 'signals'},
     'cli': {
         *STAGES,
         *FILES,

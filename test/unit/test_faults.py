@@ -93,11 +93,22 @@ def spinning(ahead_m):
     return change
 
 
-def set_back(step, frame):
-    """One clock for all, by a second: odometry is not late for that."""
-    stamp_ns = step.odometry.stamp_ns - 10**9
-    frame = frame and replace(frame, stamp_ns=frame.stamp_ns - 10**9)
-    return replace(step, odometry=replace(step.odometry, stamp_ns=stamp_ns)), frame
+def clock_set(by_s):
+    """One clock for all: odometry is not late for that."""
+
+    def change(step, frame):
+        by_ns = round(1e9 * by_s)
+        frame = frame and replace(frame, stamp_ns=frame.stamp_ns + by_ns)
+        stamp_ns = step.odometry.stamp_ns + by_ns
+        return replace(step, odometry=replace(step.odometry, stamp_ns=stamp_ns)), frame
+
+    return lambda _: change
+
+
+def one_of_another_clock(sensed):
+    """The first odometry of the fault is stamped an hour early."""
+    at_ns = at_fault(sensed).stamp_ns
+    return wheels(lambda s: replace(s, stamp_ns=s.stamp_ns - (s.stamp_ns == at_ns) * 3600 * 10**9))
 
 
 def behind(sample):
@@ -134,7 +145,11 @@ FAULTS: dict[str, tuple[Callable[[list[Sensed]], Change], float, float, float]] 
         lambda sensed: wheels(lambda s: replace(
             at_fault(sensed), stamp_ns=s.stamp_ns, linear_m_s=0.0, angular_rad_s=0.0)),
         4.0, 2.0, NEVER),
-    'clock set back': (lambda _: set_back, NEVER, NEVER, 2.5),
+    'clock set back': (clock_set(-1.0), NEVER, NEVER, 2.5),
+    'clock set back by an hour': (clock_set(-3600.0), NEVER, NEVER, 2.5),
+    # As after a computer slept: the robot may be anywhere meanwhile.
+    'clock set ahead by a day': (clock_set(86400.0), NEVER, 0.5, 2.5),
+    'odometry once of another clock': (one_of_another_clock, NEVER, NEVER, 2.5),
     'odometry starts anew': (
         lambda _: wheels(lambda s: moved(s, se2.compose([5.0, 1.0, 1.0], s.pose_odom_base))),
         4.0, 2.0, 7.0),

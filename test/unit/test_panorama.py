@@ -113,12 +113,12 @@ def test_a_camera_off_its_axis_sees_one_room_if_the_range_is_known(offset):
     assert error[False] > 3.0 * error[True]
 
 
-@pytest.fixture
-def bag(tmp_path):
-    """Two sweeps, of 24 and 18 frames."""
+@pytest.fixture(params=[True, False])
+def bag(tmp_path, request):
+    """Two sweeps, of 24 and 18 frames, with their trajectory or joint states alone."""
     with BagWriter(tmp_path / 'learn') as bag:
-        write_sweep(bag, START, full_turn())
-        write_sweep(bag, START + 60 * SECOND, full_turn(18))
+        write_sweep(bag, START, full_turn(), trajectory=request.param)
+        write_sweep(bag, START + 60 * SECOND, full_turn(18), trajectory=request.param)
     return tmp_path / 'learn'
 
 

@@ -158,7 +158,8 @@ def corrected(
         if change < _CONVERGED:
             break
     gain = with_state @ precision
-    corrected = gain @ with_state.T
+    # Joseph's form: an unknown pose leaves the gain few digits, whose errors then hardly matter.
+    corrected = gain @ (2.0 * with_state - gain @ covariance).T
     # In place: the covariance is larger than the cache.
     np.subtract(state.covariance, corrected, out=corrected)
     symmetric = corrected + corrected.T

@@ -316,22 +316,17 @@ def _is_near_zero(sample: OdometrySample, seconds: float) -> bool:
     )
 
 
-# A sample older than this means that the clock was set back; one newer by this may be wrong.
+# A stamp that is off by more than this may be wrong, or the clock was set.
 _STEP_NS = 10**9
 # This number of consecutive late samples, in the order of their stamps, means the same.
 _LATE_IN_A_ROW = 5
-
-
-@dataclass(frozen=True)
-class Ahead(Refusal):
-    """Why a sample is held back: its stamp may be wrong, or it is the first after a pause."""
 
 
 class ClockStep(Enum):
     """State of the clock by a stamp."""
 
     NONE = 'goes on'
-    AHEAD = 'is ahead'
+    OFF = 'is off'
     BACK = 'was set back'
 
 
@@ -340,29 +335,29 @@ class ClockWatch:
 
     def __init__(self) -> None:
         self._late_ns = self._late_in_a_row = 0
-        self._ahead_ns: int | None = None
+        self._off_ns: int | None = None
 
-    def judge(self, stamp_ns: int, odometry_ns: int, newest_ns: int, window_ns: int) -> ClockStep:
+    def judge(self, stamp_ns: int, odometry_ns: int, window_ns: int) -> ClockStep:
         """
         Return the state of the clock by the stamp of a sample.
 
-        `odometry_ns` is the newest stamp of odometry, `newest_ns` that of all inputs. A sample
-        that is older by less than `window_ns` may just be late. One that is far ahead has to be
-        left out; if the next one follows it, there was a pause.
+        `odometry_ns` is the newest stamp of odometry. A sample that is older by less than
+        `window_ns` may just be late. One that is further off has to be left out; if the next one
+        follows it, the clock was set back, or there was a pause.
         """
         late = stamp_ns <= odometry_ns
         in_order = late and stamp_ns > self._late_ns
         self._late_in_a_row = self._late_in_a_row + 1 if in_order else 0
         self._late_ns = stamp_ns if late else 0
-        if self._late_in_a_row >= _LATE_IN_A_ROW or stamp_ns < newest_ns - max(
-            window_ns, _STEP_NS
-        ):
-            self._late_in_a_row = 0
-            return ClockStep.BACK
-        before, self._ahead_ns = self._ahead_ns, None
-        if stamp_ns - odometry_ns <= _STEP_NS or (
-            before is not None and 0 < stamp_ns - before <= before - odometry_ns
-        ):
-            return ClockStep.NONE
-        self._ahead_ns = stamp_ns
-        return ClockStep.AHEAD
+        far_back = stamp_ns < odometry_ns - max(window_ns, _STEP_NS)
+        before, self._off_ns = self._off_ns, None
+        if self._late_in_a_row < _LATE_IN_A_ROW:
+            if not far_back and stamp_ns - odometry_ns <= _STEP_NS:
+                return ClockStep.NONE
+            if before is None or not 0 < stamp_ns - before <= abs(before - odometry_ns):
+                self._off_ns = stamp_ns
+                return ClockStep.OFF
+            if not far_back:
+                return ClockStep.NONE
+        self._late_in_a_row = 0
+        return ClockStep.BACK

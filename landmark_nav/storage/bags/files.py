@@ -23,6 +23,7 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag1 import ReaderError as Ros1ReaderError
 from rosbags.rosbag1.reader import decompressors, Header, RecordType
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
@@ -95,7 +96,12 @@ def _naming(path: Path) -> Iterator[None]:
     except LandmarkNavError:
         raise
     except Exception as error:
-        raise LandmarkNavError(f'{path}: cannot be read: {error}') from error
+        remedy = ''
+        if isinstance(error, sqlite3.Error):
+            remedy = ': repair it by sqlite3 FILE .recover'
+        elif isinstance(error, Ros1ReaderError):
+            remedy = ': repair it by rosbag reindex'
+        raise LandmarkNavError(f'{path}: cannot be read: {error}{remedy}') from error
 
 
 def _sqlite3(path: Path) -> Sqlite3Reader:

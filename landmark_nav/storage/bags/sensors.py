@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 
@@ -70,12 +72,12 @@ def sensor_events(
     """
     Yield the sensor data of a drive, by log time.
 
-    Images follow other data of the same log time, as nodes wait for the data that belong to an
-    image. Images are grey, with pan and tilt interpolated at their stamps. Stamps of joint states,
-    images and odometry are corrected by their known delays. The ground truth, if there is one, is
-    yielded as `PoseEstimate`. Messages that cannot be used, such as those with a value that is not
-    a number, are left out and reported by ``bag.warn``. A bag without images may hold
-    ``detections`` instead, of this package or another sensor.
+    Images follow other data of the same log time that are not newer, as nodes wait for the data
+    that belong to an image. Images are grey, with pan and tilt interpolated at their stamps.
+    Stamps of joint states, images and odometry are corrected by their known delays. The ground
+    truth, if there is one, is yielded as `PoseEstimate`. Messages that cannot be used, such as
+    those with a value that is not a number, are left out and reported by ``bag.warn``. A bag
+    without images may hold ``detections`` instead, of this package or another sensor.
 
     Raises `LandmarkNavError`: a topic is missing, or none of its messages can be used.
     """
@@ -122,17 +124,24 @@ def _usable(
 
 
 def _images_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagMessage]:
-    """Yield messages by log time; of one log time those on the topic `images` come last."""
-    held: list[BagMessage] = []
+    """Yield messages by log time; an image follows others of its log time that are not newer."""
+    held: deque[BagMessage] = deque()
     for entry in messages:
-        if held and entry.stamp_ns > held[-1].stamp_ns:
-            yield from held
-            held.clear()
         if entry.topic == images:
             held.append(entry)
-        else:
-            yield entry
+            continue
+        while held and (entry.stamp_ns > held[0].stamp_ns or _stamp(entry) > _stamp(held[0])):
+            yield held.popleft()
+        yield entry
     yield from held
+
+
+def _stamp(entry: BagMessage) -> float:
+    """Stamp of a message, ns; infinite if it cannot be read."""
+    try:
+        return decode.stamp_ns(entry.message.header)
+    except LandmarkNavError:
+        return inf
 
 
 def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -195,7 +195,8 @@ def logged_joints(bag: Bag, mount: PanTiltMount) -> _Logged:
         raise LandmarkNavError(missing)
     # `require` refuses several topics unless one has exactly this name, and a missing topic.
     topic = next(iter(found)) if len(found) == 1 else bag.require('joint_states')
-    _check_radians([sample for _, sample in found[topic][0]], f'{bag.path}: {topic}')
+    if wrong := too_fast(sample for _, sample in found[topic][0]):
+        raise LandmarkNavError(f'{bag.path}: {topic}: {wrong}')
     return found[topic]
 
 
@@ -226,20 +227,23 @@ def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
     return logged, tilts
 
 
-def _check_radians(samples: Sequence[JointSample], where: str) -> None:
-    """Refuse a pan whose median rate is not plausible; single steps may be wraps of the angle."""
+def too_fast(samples: Iterable[JointSample]) -> Refusal | None:
+    """Return why a pan is not plausible: its median rate, as single steps may be wraps."""
     timed = np.array([(1e-9 * sample.stamp_ns, sample.pan_rad) for sample in samples])
+    if not len(timed):
+        return None
     # A measurement may be published several times.
     changed = np.append(True, np.diff(timed[:, 1]) != 0.0)
     steps = np.diff(timed[changed], axis=0)
     moving = steps[(steps[:, 0] > 0.0) & (np.abs(steps[:, 1]) > _MOVING_RAD)]
     if len(moving) < _ENOUGH_STEPS:
-        return
+        return None
     rate = float(np.median(np.abs(moving[:, 1]) / moving[:, 0]))
-    if rate > _FASTEST_RAD_S:
-        raise LandmarkNavError(
-            f'{where}: the pan turns by {rate:.0f} rad/s: are these degrees or ticks?'
-        )
+    if rate <= _FASTEST_RAD_S:
+        return None
+    return Refusal(
+        f'the pan turns by {rate:.0f} rad/s', 'are these degrees or ticks, or of two publishers?'
+    )
 
 
 class CameraInfos:
