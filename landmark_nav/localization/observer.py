@@ -21,11 +21,12 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.se2 import relative
 from landmark_nav.localization.detection.correlation import detect_blurred, DetectionResult
 from landmark_nav.localization.detection.expectation import Expectation as Window
-from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
+from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, View
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
 from landmark_nav.localization.late_joints import in_time
 from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization.search import localize_within_prior
+from landmark_nav.localization.relocalization.verification import PlaceVerifier
 from landmark_nav.localization.start import is_prior_uncertain
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import (
@@ -327,8 +328,8 @@ class Observer:
         if self._vain > _EAGER and self._vain % _PATIENT:
             return None
         known = expected.calibration
-        seen = straight(frame, known), expected, self._map.distinct, known.mount, self._config
-        place = localize_within_prior(*seen)
+        verifier = PlaceVerifier(self._map.distinct, known.mount, self._config)
+        place = localize_within_prior(straight(frame, known), expected, verifier)
         if isinstance(place, Refusal):
             return None
         self._vain = 0
@@ -362,15 +363,8 @@ class Observer:
             axis_from_base(expected, mount), self._map, self._distinct(visible, shifted),
             config.triplet.bearing_sigma_rad, count, self._novelty,
         )  # fmt: skip
-        result, self._blur = detect_blurred(
-            upright,
-            shifted,
-            self._map,
-            mount,
-            detection,
-            looked_for,
-            self._blur,
-        )
+        view = View(upright, shifted, mount)
+        result, self._blur = detect_blurred(view, self._map, detection, looked_for, self._blur)
         return result, looked_for
 
     def _distinct(self, visible: IndexArray, expected: PoseEstimate) -> IndexArray:

@@ -30,7 +30,7 @@ from landmark_nav.localization.relocalization.candidate_detections import (
 )
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.search import locate
-from landmark_nav.localization.relocalization.verification import CarriedFrames
+from landmark_nav.localization.relocalization.verification import CarriedFrames, PlaceVerifier
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.types import (
     CameraFrame,
@@ -143,7 +143,7 @@ class Relocalizer:
         self._map, self._mount = landmark_map.distinct, mount
         self._config = config or RelocalizationConfig()
         self._odometry = odometry or OdometryNoiseConfig()
-        self._looking = looking or LookingConfig()
+        self._verifier = PlaceVerifier(self._map, mount, looking or LookingConfig())
         self._track = OdometryTrack(self._odometry)
         self._kept: list[_Keyframe] = []
         self._outcome = Refusal('nothing seen yet', 'no image came')
@@ -205,14 +205,13 @@ class Relocalizer:
         detections = find_candidate_detections(carried.frames[-1], self._map, self._mount)
         self._kept = [*self._kept, _Keyframe(frame, direction, detections)][recent]
         seen = [keyframe.detections for keyframe in self._kept]
-        outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
+        outcome = locate(carried, seen, self._verifier, self._config)
         tilt_sigma = self._config.tilt_sigma_rad
         failed = isinstance(outcome, Refusal) and outcome.code is RefusalCode.UNRECOGNISED
         if failed and tilt_sigma and len(self._kept) >= _TILT_AFTER:
             seen = self._tilted(carried.frames, tilt_sigma)
-            tilted = locate(
-                carried, seen, self._map, self._mount, self._config, self._looking, tilt_sigma
-            )
+            verifier = replace(self._verifier, tilt_sigma_rad=tilt_sigma)
+            tilted = locate(carried, seen, verifier, self._config)
             outcome = outcome if isinstance(tilted, Refusal) else tilted
         if isinstance(outcome, Refusal):
             self._outcome = outcome
