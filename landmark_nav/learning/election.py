@@ -174,7 +174,7 @@ def _refuse(
         return Refusal('place too uncertain', f'{sigma * 100:.1f} cm')
     incidence = float(np.arccos(np.clip(ray @ patch.normal[:2] / np.hypot(*ray), -1.0, 1.0)))
     if incidence > config.max_incidence_rad:
-        return Refusal('seen too obliquely', f'{np.degrees(incidence):.0f} deg')
+        return Refusal('too oblique', f'{np.degrees(incidence):.0f} deg')
     if min(patch.candidate.width_px, patch.candidate.height_px) < config.min_size_px:
         return Refusal('too small')
     return None

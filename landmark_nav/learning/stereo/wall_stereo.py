@@ -189,7 +189,7 @@ def compare(
     loose = replace(config, min_score=_RETURN_SCORE * config.min_score)
     back = _located(replace(patch, shape=area.shape), found, here, (seen, own), loose)
     if isinstance(back, Refusal):
-        return Refusal('no way back', str(back))
+        return Refusal('reverse match differs', str(back))
     # In pixels of the coarser view.
     coarser = max(own.max(), seen.max())
     away = back[1] - patch.position
@@ -197,7 +197,7 @@ def compare(
         away[2] = 0.0
     off = float(np.linalg.norm(away)) / patch.texel_m / coarser
     if off > _MAX_RETURN_PX:
-        return Refusal('no way back', f'leads {off:.1f} px away')
+        return Refusal('reverse match differs', f'by {off:.1f} px')
     displaced = displaced_quarter(template, found) / coarser
     if displaced > config.max_displaced_px:
         return Refusal('not flat', f'a quarter is out of place by {displaced:.1f} px')
