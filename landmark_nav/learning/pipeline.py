@@ -33,7 +33,7 @@ from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.stereo.found_again import find_again, Found
+from landmark_nav.learning.stereo.reconstruction import reconstruct, Reconstruction
 from landmark_nav.learning.stereo.wall_patch import StereoConfig, Ties
 from landmark_nav.parameters import Config
 from landmark_nav.types import (
@@ -126,12 +126,12 @@ def learn_from_panoramas(
     if places is None:
         places = joint_covariance(panoramas, room, config.reference_area)
     with log.measure('stereo'):
-        found = find_again(panoramas, candidates, room, config.stereo, ties)
+        found = reconstruct(panoramas, candidates, room, config.stereo, ties)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
             free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
             room, shift_m = moved_walls(free, found.walls, room, config.adjustment)
             if shift_m > config.adjustment.hanging_sigma_m:
-                found = find_again(panoramas, candidates, room, config.stereo, ties)
+                found = reconstruct(panoramas, candidates, room, config.stereo, ties)
     outcomes = found.outcomes
     if len(found.patches) < 3:
         raise LandmarkNavError(
@@ -218,7 +218,7 @@ def _without_walls(config: LearningConfig) -> AdjustmentConfig:
 
 
 def _adjust(
-    found: Found,
+    found: Reconstruction,
     panoramas: Sequence[Panorama],
     places: FloatArray,
     room: Room,

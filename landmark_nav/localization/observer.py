@@ -23,8 +23,8 @@ from landmark_nav.localization.detection.correlation import detect_blurred, Dete
 from landmark_nav.localization.detection.expectation import Expectation as Window
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, View
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
-from landmark_nav.localization.late_joints import in_time
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
+from landmark_nav.localization.joint_delay import in_time
 from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.localization.relocalization.verification import PlaceVerifier
 from landmark_nav.localization.start import is_prior_uncertain
@@ -213,7 +213,7 @@ class Observer:
     ----------
     calibration : Calibration
         Prior of mount, lens and clocks.
-    config : LookingConfig
+    config : ImageStagesConfig
         Parameters of the stages of detection.
     step : EstimatorConfig
         Sigmas of sudden changes of camera and base.
@@ -223,7 +223,7 @@ class Observer:
         self,
         landmark_map: LandmarkMap,
         calibration: Calibration,
-        config: LookingConfig,
+        config: ImageStagesConfig,
         step: EstimatorConfig,
     ) -> None:
         self._map, self._config, self._step = landmark_map, config, step

@@ -10,7 +10,7 @@ from scenes import draw_frame, textured_room
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator import EstimatorConfig
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.observer import Observer
 from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.localization.relocalization.verification import PlaceVerifier, Verification
@@ -20,7 +20,7 @@ from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
 TRUTH = np.array([2.3, 2.1, 0.4])
 FRAME = camera_image(TRUTH, -0.2, np.random.default_rng(4))
 SURE = np.array([0.02, 0.02, 0.01])
-VERIFIER = PlaceVerifier(MAP, MOUNT, LookingConfig())
+VERIFIER = PlaceVerifier(MAP, MOUNT, ImageStagesConfig())
 
 
 def reported(error, sigma, truth=TRUTH):
@@ -32,7 +32,7 @@ def look(prior, frame=FRAME):
 
 
 def observer(landmarks):
-    return Observer(landmarks, Calibration.exact(MOUNT), LookingConfig(), EstimatorConfig())
+    return Observer(landmarks, Calibration.exact(MOUNT), ImageStagesConfig(), EstimatorConfig())
 
 
 def errors_of(seen):

@@ -56,7 +56,7 @@ class TwoViews:
 def two_views_of(states: FloatArray, one: int, other: int) -> TwoViews:
     """Relative pose of two of the states (v, 6) of sweeps."""
     here, there = states[one], states[other]
-    # In the frame of the first view, which leans: the inverse of a rotation is its transpose.
+    # In the frame of the first view, which is tilted: the inverse of a rotation is its transpose.
     way = turned(here, np.eye(3)) @ (center(there) - center(here))
     heading = there[2] - here[2]
     tilt = there[4:] - rotation(-heading) @ here[4:]

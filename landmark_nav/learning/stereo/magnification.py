@@ -27,7 +27,7 @@ _CONVERGED = 1e-4
 _MOST = 0.25
 _LARGEST_SIGMA = 0.02
 _LEAST_PIVOT = 1e-5
-# Border of a view that the blur spoils, pixels.
+# Border of a view that the blur affects, pixels.
 MARGIN = 4
 _INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.late_joints import DELAY_BOUND_S
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
+from landmark_nav.localization.joint_delay import DELAY_BOUND_S
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
     left_variance,
@@ -128,7 +128,7 @@ class Relocalizer:
     ----------
     odometry : OdometryNoiseConfig, optional
         Noise of the odometry.
-    looking : LookingConfig, optional
+    stages : ImageStagesConfig, optional
         Parameters of the detection that verifies a hypothesis.
     """
 
@@ -138,12 +138,12 @@ class Relocalizer:
         mount: PanTiltMount,
         config: RelocalizationConfig | None = None,
         odometry: OdometryNoiseConfig | None = None,
-        looking: LookingConfig | None = None,
+        stages: ImageStagesConfig | None = None,
     ) -> None:
         self._map, self._mount = landmark_map.distinct, mount
         self._config = config or RelocalizationConfig()
         self._odometry = odometry or OdometryNoiseConfig()
-        self._verifier = PlaceVerifier(self._map, mount, looking or LookingConfig())
+        self._verifier = PlaceVerifier(self._map, mount, stages or ImageStagesConfig())
         self._track = OdometryTrack(self._odometry)
         self._kept: list[_Keyframe] = []
         self._outcome = Refusal('nothing seen yet', 'no image came')

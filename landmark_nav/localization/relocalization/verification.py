@@ -16,7 +16,7 @@ from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.correlation import detect_blurred
 from landmark_nav.localization.detection.expectation import View
 from landmark_nav.localization.detection.rows import RowResiduals
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.triangulation import Fix, triangulate
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.localization.triplet.visibility import visible_landmarks
@@ -164,7 +164,7 @@ class PlaceVerifier:
 
     landmark_map: LandmarkMap
     mount: PanTiltMount
-    looking: LookingConfig
+    stages: ImageStagesConfig
     tilt_sigma_rad: float = 0.0
 
     def verify(self, pose_map_base: FloatArray, carried: CarriedFrames) -> Verification | Refusal:
@@ -175,7 +175,7 @@ class PlaceVerifier:
         2 degrees. A tilt and roll common to all images are estimated from the rows of the matches.
         """
         estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
-        detection = self.looking.detection
+        detection = self.stages.detection
         if self.tilt_sigma_rad:
             prior = replace(estimate, covariance=np.diag(np.square(_SIGMAS[0])))
             height_px = min(self.tilt_sigma_rad * carried.frames[0].camera.fy, _TALLEST_PX)
@@ -223,7 +223,7 @@ class PlaceVerifier:
         for k, (frame, view) in enumerate(zip(carried.frames, views, strict=True)):
             pan, tilt = frame.pan_rad, frame.tilt_rad
             index = visible_landmarks(
-                view.prior, landmark_map, frame.camera, mount, pan, tilt, self.looking.triplet
+                view.prior, landmark_map, frame.camera, mount, pan, tilt, self.stages.triplet
             )
             axis = axis_from_base(view.prior, mount).pose
             turn, _ = mount.camera_pose_base(pan, tilt)
@@ -271,7 +271,7 @@ class PlaceVerifier:
                 found.variance + self.mount.pan_sigma_rad**2,
                 covariance,
                 start=start,
-                config=self.looking.triangulation,
+                config=self.stages.triangulation,
             )
             if isinstance(fix, Refusal) or not moved.any():
                 return fix

@@ -154,7 +154,7 @@ def _without_outliers(
         if isinstance(solved, Refusal):
             if len(index) <= 4:
                 return solved
-            # Outliers spoiled the solution: remove the worst of them as seen from the start.
+            # Outliers corrupted the solution: remove the worst of them as seen from the start.
             residual = bearing_residuals(pose, position[index], bearing[index])
             used[index[np.argmax(residual**2 / variance[index])]] = False
             continue
