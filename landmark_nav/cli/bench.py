@@ -176,9 +176,7 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
 
     sweeps = [
         Sweep(
-            0,
-            tuple(frame(pose, pan) for pan in _STEP_RAD * np.arange(72)),
-            _estimate(pose, 1e-3),
+            0, tuple(frame(pose, pan) for pan in _STEP_RAD * np.arange(72)), _estimate(pose, 1e-3)
         )
         for pose in places.poses
     ]

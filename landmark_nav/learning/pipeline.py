@@ -36,14 +36,7 @@ from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo.reconstruction import reconstruct, Reconstruction
 from landmark_nav.learning.stereo.wall_patch import StereoConfig, Ties
 from landmark_nav.parameters import Config
-from landmark_nav.types import (
-    Candidate,
-    FloatArray,
-    Landmark,
-    LandmarkMap,
-    Panorama,
-    Refusal,
-)
+from landmark_nav.types import Candidate, FloatArray, Landmark, LandmarkMap, Panorama, Refusal
 
 _LOG = logging.getLogger(__name__)
 
@@ -167,13 +160,7 @@ def learn_from_panoramas(
     )
     with log.measure('election'):
         elected = elect(
-            found.patches,
-            found.measurements,
-            adjustment,
-            free,
-            adjusted,
-            room,
-            config.election,
+            found.patches, found.measurements, adjustment, free, adjusted, room, config.election
         )
     for (i, n), outcome in zip(found.origin, elected, strict=True):
         outcomes[i][n] = outcome

@@ -346,10 +346,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         seen, frame, prior = self._observe(message)
         self._images_unusable = seen.unusable
         self._search.note(stamp, len(seen.detections))
-        found = replace(
-            seen.detections,
-            uv_px=frame.camera.in_full_image(seen.detections.uv_px),
-        )
+        found = replace(seen.detections, uv_px=frame.camera.in_full_image(seen.detections.uv_px))
         self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
         self._latency.note(self._age_ns(message))
         if self._fix.get_subscription_count() and isinstance(seen.fix, PoseEstimate):

@@ -70,14 +70,7 @@ class AdjustmentConfig(Config):
 # Shared unknowns: x, y, z, heading of each panorama; distance of objects from each wall, then from
 # each section; then the calibration, tilts and waves.
 _POSE = 4
-CALIBRATED = (
-    'center_x',
-    'center_y',
-    'camera_tilt',
-    'focal_scale',
-    'axis_roll',
-    'axis_pitch',
-)
+CALIBRATED = ('center_x', 'center_y', 'camera_tilt', 'focal_scale', 'axis_roll', 'axis_pitch')
 _OFFSET = slice(CALIBRATED.index('center_x'), CALIBRATED.index('center_y') + 1)
 # Highest number of waves per turn of errors of azimuths: lenses, bearings, seams.
 _WAVES = 4

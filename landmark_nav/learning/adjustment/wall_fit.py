@@ -129,10 +129,7 @@ class WallResidual:
 
 
 def wall_residuals(
-    adjustment: Adjustment,
-    walls: Sequence[int],
-    room: Room,
-    expected: AdjustmentConfig,
+    adjustment: Adjustment, walls: Sequence[int], room: Room, expected: AdjustmentConfig
 ) -> tuple[WallResidual, ...]:
     """Return the distances of patches from their walls; arguments as for `check_walls`."""
     residuals = []

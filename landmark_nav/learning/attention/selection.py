@@ -39,10 +39,7 @@ _SIZE_EXPONENT = 0.25
 
 
 def select(
-    saliency: Float32Array,
-    covered: BoolArray,
-    config: AttentionConfig,
-    examine: Examine,
+    saliency: Float32Array, covered: BoolArray, config: AttentionConfig, examine: Examine
 ) -> tuple[tuple[Candidate, ...], tuple[tuple[Candidate, Refusal], ...]]:
     """
     Select rectangles until there are enough or the response is too low.

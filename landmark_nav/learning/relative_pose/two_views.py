@@ -148,9 +148,7 @@ def _refined(
     )
     found = two_views_of(fit.states, 0, 1)
     return replace(
-        found,
-        heading_rad=float(wrap_rad(found.heading_rad)),
-        support=int(fit.agrees[0].sum()),
+        found, heading_rad=float(wrap_rad(found.heading_rad)), support=int(fit.agrees[0].sum())
     )
 
 

@@ -33,9 +33,7 @@ _INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
 
 def log_nearer(
-    patch: WallPatch,
-    point: FloatArray,
-    panoramas: tuple[Panorama, Panorama],
+    patch: WallPatch, point: FloatArray, panoramas: tuple[Panorama, Panorama]
 ) -> tuple[float, float]:
     """
     Log ratio of the distances of two panoramas from the true plane of a patch.

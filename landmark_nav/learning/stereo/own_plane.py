@@ -310,11 +310,7 @@ class _Search:
 
 
 def _distance(
-    patch: WallPatch,
-    seen: PatchMeasurement,
-    here: Panorama,
-    there: Panorama,
-    config: StereoConfig,
+    patch: WallPatch, seen: PatchMeasurement, here: Panorama, there: Panorama, config: StereoConfig
 ) -> float | None:
     """Horizontal distance by both azimuths; None if there is too little parallax."""
     # The sine rule in plan (McMillan and Bishop, 1995).

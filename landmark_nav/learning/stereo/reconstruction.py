@@ -85,10 +85,7 @@ def reconstruct(
 
 
 def _on_wall(
-    patch: WallPatch | Refusal,
-    panoramas: Sequence[Panorama],
-    room: Room,
-    config: StereoConfig,
+    patch: WallPatch | Refusal, panoramas: Sequence[Panorama], room: Room, config: StereoConfig
 ) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
     """Match a candidate on the wall behind it."""
     if isinstance(patch, Refusal):

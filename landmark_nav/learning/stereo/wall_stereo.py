@@ -124,11 +124,7 @@ def hypothesize(
 
 
 def match_in(
-    patch: WallPatch,
-    other: int,
-    panoramas: Sequence[Panorama],
-    room: Room,
-    config: StereoConfig,
+    patch: WallPatch, other: int, panoramas: Sequence[Panorama], room: Room, config: StereoConfig
 ) -> PatchMeasurement | Refusal:
     """
     Find a patch of one panorama in another, number `other`.
@@ -160,10 +156,7 @@ def match_in(
 
 
 def compare(
-    patch: WallPatch,
-    other: int,
-    panoramas: Sequence[Panorama],
-    config: StereoConfig,
+    patch: WallPatch, other: int, panoramas: Sequence[Panorama], config: StereoConfig
 ) -> PatchMeasurement | Refusal:
     """
     Match the two views, resampled on the patch's plane, in both directions.

@@ -24,13 +24,7 @@ from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.expectation import expect, Expectation, quadratic, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals
 from landmark_nav.matching import blur_by, blur_sigmas, Match, match_template, sigmas_of
-from landmark_nav.types import (
-    Detections,
-    FloatArray,
-    Landmark,
-    LandmarkMap,
-    Refusal,
-)
+from landmark_nav.types import Detections, FloatArray, Landmark, LandmarkMap, Refusal
 
 _SHARP = np.zeros(2)
 # Blur mixes the surroundings into a patch, which shifts matches by this share of its sigma
@@ -215,18 +209,13 @@ def _heights(
     )
     off_px = np.array([f.down_px for f in found])
     covariance = rows.covariance(
-        view.prior.covariance,
-        landmark_map.covariances[index],
-        landmark_map.shared_loadings[index],
+        view.prior.covariance, landmark_map.covariances[index], landmark_map.shared_loadings[index]
     )
     return RowResiduals(off_px, rows.by_tilt_roll, covariance + np.diag(variance_px2), points)
 
 
 def _bearings(
-    landmarks: Sequence[Landmark],
-    rays: FloatArray,
-    covariance: FloatArray,
-    view: View,
+    landmarks: Sequence[Landmark], rays: FloatArray, covariance: FloatArray, view: View
 ) -> tuple[FloatArray, FloatArray]:
     """
     Bearings (n,) at the pan axis in the base frame, and their variances (n,).

@@ -67,10 +67,7 @@ class Expectation(NamedTuple):
 
 
 def expect(
-    landmark_map: LandmarkMap,
-    indices: npt.NDArray[np.intp],
-    view: View,
-    config: DetectionConfig,
+    landmark_map: LandmarkMap, indices: npt.NDArray[np.intp], view: View, config: DetectionConfig
 ) -> list[Expectation]:
     """Expected places of the landmarks `indices` in a view."""
     if not len(indices):

@@ -32,13 +32,7 @@ from landmark_nav.localization.relocalization.verification import (
     PlaceVerifier,
     Verification,
 )
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    PoseEstimate,
-    Refusal,
-    RefusalCode,
-)
+from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate, Refusal, RefusalCode
 
 # Least share of the landmarks expected at a place that must be found there.
 _MIN_FOUND_SHARE = 0.4
