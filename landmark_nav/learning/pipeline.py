@@ -33,7 +33,7 @@ from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.stereo.reconstruction import reconstruct, Reconstruction
+from landmark_nav.learning.stereo.reconstruction import reconstruct
 from landmark_nav.learning.stereo.wall_patch import StereoConfig, Ties
 from landmark_nav.parameters import Config
 from landmark_nav.types import Candidate, FloatArray, Landmark, LandmarkMap, Panorama, Refusal
@@ -118,10 +118,17 @@ def learn_from_panoramas(
 
     if places is None:
         places = joint_covariance(panoramas, room, config.reference_area)
+    joint = places
+
+    def adjusted_by(expected: AdjustmentConfig) -> Adjustment:
+        start = np.array([patch.position for patch in found.patches])
+        seen, walls, normals = found.measurements, found.walls, found.normals
+        return adjust(seen, walls, start, panoramas, joint, room, expected, normals, ties)
+
     with log.measure('stereo'):
         found = reconstruct(panoramas, candidates, room, config.stereo, ties)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
-            free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
+            free = adjusted_by(_without_walls(config))
             room, shift_m = moved_walls(free, found.walls, room, config.adjustment)
             if shift_m > config.adjustment.hanging_sigma_m:
                 found = reconstruct(panoramas, candidates, room, config.stereo, ties)
@@ -133,21 +140,17 @@ def learn_from_panoramas(
             'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
+        free = adjusted_by(_without_walls(config))
         hidden = ''
         if ties is None:  # with ties, walls are estimated, so that there are none to check
             behind = [patch.wall for patch in found.patches]
             hidden = check_walls(free, behind, room, config.adjustment)
-        adjustment = _adjust(found, panoramas, places, room, config.adjustment, ties)
+        adjustment = adjusted_by(config.adjustment)
         residuals = wall_residuals(adjustment, found.walls, room, config.adjustment)
         adjustment, free = depth_from_scale(
-            adjustment,
-            free,
-            found.measurements,
-            found.normals,
-            config.adjustment,
+            adjustment, free, found.measurements, found.normals, config.adjustment,
             config.election.max_depth_sigma_m,
-        )
+        )  # fmt: skip
     uneven = wall_warnings(residuals, adjustment.hanging_sigma_m, config.adjustment)
     warning = '; '.join(filter(None, [hidden, uneven]))
     if warning:
@@ -201,28 +204,6 @@ def _without_walls(config: LearningConfig) -> AdjustmentConfig:
         camera_weight=_AS_EXPECTED,
         place_weight=_AS_EXPECTED,
         room_weight=_AS_EXPECTED,
-    )
-
-
-def _adjust(
-    found: Reconstruction,
-    panoramas: Sequence[Panorama],
-    places: FloatArray,
-    room: Room,
-    expected: AdjustmentConfig,
-    ties: Ties | None,
-) -> Adjustment:
-    start = np.array([patch.position for patch in found.patches])
-    return adjust(
-        found.measurements,
-        found.walls,
-        start,
-        panoramas,
-        places,
-        room,
-        expected,
-        found.normals,
-        ties,
     )
 
 
