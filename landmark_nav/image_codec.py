@@ -65,9 +65,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def decode_image(
-    data: bytes | npt.NDArray[np.uint8],
-    mode: int = cv2.IMREAD_COLOR,
-    max_pixels: int = MAX_PIXELS,
+    data: bytes | npt.NDArray[np.uint8], mode: int = cv2.IMREAD_COLOR, max_pixels: int = MAX_PIXELS
 ) -> npt.NDArray[np.generic]:
     """
     Decode a PNG or JPEG with `cv2.imdecode` in `mode`.
@@ -93,9 +91,7 @@ def decode_image(
 
 
 def encode_image(
-    image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16],
-    suffix: str,
-    options: Sequence[int] = (),
+    image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16], suffix: str, options: Sequence[int] = ()
 ) -> npt.NDArray[np.uint8]:
     """
     Encode an image in the format of a suffix (``.png``, ``.jpg``): bytes (n,).

@@ -74,7 +74,7 @@ class PanoramaQuality:
             parts.append(self.closure)
         if np.isfinite(self.residual_px):
             parts.append(
-                f'frames agree to {self.residual_px:.2f} px ({self.before_px:.2f} before)'
+                f'frames agree to {self.residual_px:.2f} px ({self.before_px:.2f} uncalibrated)'
             )
         used = [str(term) for term in self.calibration if term.used]
         parts.append(f'corrected: {", ".join(used)}' if used else 'nothing corrected')

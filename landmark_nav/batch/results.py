@@ -183,7 +183,7 @@ def _cell(value: Any) -> str:
 
 def _pictures(run: Run, results: Path) -> list[tuple[str, str]]:
     """Link targets of the figures of a run, and thumbnails of the figures in base64."""
-    pictures = []
+    images = []
     for stage in run.stages:
         folder = results / 'stages' / stage.key
         file = folder / 'out' / {'learn': 'map.png'}.get(stage.command, 'trajectory.png')
@@ -194,8 +194,8 @@ def _pictures(run: Run, results: Path) -> list[tuple[str, str]]:
         data = base64.b64encode(cv2.imencode('.png', small)[1].tobytes()).decode('ascii')
         report = folder / 'report.html'
         target = report if report.is_file() else file
-        pictures.append((str(target.relative_to(results)), data))
-    return pictures
+        images.append((str(target.relative_to(results)), data))
+    return images
 
 
 _PAGE = """<!doctype html>
@@ -220,7 +220,7 @@ th:first-child,.left{text-align:left}.left{white-space:normal}img{background:#ff
 {% for row in failures %}<tr><td>{{ row.run }}<td class=left>{{ row.failure }}{% endfor %}
 </table>{% endif %}{% if shown %}<h2>Runs</h2>
 <table><tr><th>run<th>{% for name in columns %}<th>{{ name }}{% endfor %}
-{% for row, pictures in shown %}<tr><td>{{ row.run }}<td>{% for link, data in pictures %}<a
+{% for row, images in shown %}<tr><td>{{ row.run }}<td>{% for link, data in images %}<a
 href="{{ link }}"><img src="data:image/png;base64,{{ data }}" alt="{{ row.run }}"></a> {% endfor %}
 {% for name in columns %}<td>{{ cell(row.get(name)) }}{% endfor %}{% endfor %}</table>{% endif %}
 </html>

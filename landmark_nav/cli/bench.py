@@ -42,7 +42,7 @@ from landmark_nav.learning.stereo.wall_patch import (
 )
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, View
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
 from landmark_nav.localization.triangulation import triangulate
@@ -176,9 +176,7 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
 
     sweeps = [
         Sweep(
-            0,
-            tuple(frame(pose, pan) for pan in _STEP_RAD * np.arange(72)),
-            _estimate(pose, 1e-3),
+            0, tuple(frame(pose, pan) for pan in _STEP_RAD * np.arange(72)), _estimate(pose, 1e-3)
         )
         for pose in places.poses
     ]
@@ -353,7 +351,7 @@ def _of_drive(
     patches = [cv2.resize(learned.landmarks[k].patch, (32, 32)) for k in expected]
     yield _Comparison(
         'detection of a landmark',
-        lambda: detect_landmarks(seen, prior, learned, _MOUNT, DetectionConfig(), expected),
+        lambda: detect_landmarks(View(seen, prior, _MOUNT), learned, DetectionConfig(), expected),
         'cv2.matchTemplate over the whole image',
         lambda: [cv2.matchTemplate(grey, patch, cv2.TM_CCOEFF_NORMED) for patch in patches],
         count=max(len(expected), 1),

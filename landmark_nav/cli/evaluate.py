@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--smooth',
         action='store_true',
-        help='also smooth over the whole drive: the best line that its measurements allow',
+        help='also estimate each pose from all images of the drive, later ones too',
     )
     add(parser, '--json', help='write errors, availability and times to F')
     parser.add_argument(

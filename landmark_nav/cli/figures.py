@@ -161,11 +161,7 @@ def _sweep(scene: Scene, mount: PanTiltMount, pose: FloatArray) -> Sweep:
 
 
 def _draw(
-    number: int,
-    data: _Data,
-    attention: AttentionConfig,
-    path: Path,
-    features: list[str] | None,
+    number: int, data: _Data, attention: AttentionConfig, path: Path, features: list[str] | None
 ) -> str:
     """Draw a figure; return its caption."""
     if number == 3:

@@ -188,12 +188,7 @@ def _add_verbosity(parser: argparse.ArgumentParser, default: Any) -> None:
         (('-q', '--quiet'), -1, 'no progress and no warnings'),
     ):
         group.add_argument(
-            *flags,
-            dest='verbosity',
-            action='store_const',
-            const=value,
-            default=default,
-            help=text,
+            *flags, dest='verbosity', action='store_const', const=value, default=default, help=text
         )
 
 

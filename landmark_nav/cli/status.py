@@ -87,6 +87,12 @@ def run(args: argparse.Namespace) -> int:
             # Nodes of others may report by another name.
             with suppress(LandmarkNavError):
                 client.wait(lambda: not client.unheard(), _NO_NODE_S, 'all nodes')
+            if missing := client.unheard():
+                from landmark_nav.configuration import READS
+
+                reason = 'it runs, but reports nothing: it is at work, or hangs'
+                silent = replace(client.status_of(''), level='SILENT', reason=reason)
+                client.status |= dict.fromkeys(missing & READS.keys(), silent)
         while True:
             size = shutil.get_terminal_size((99, 24))
             lines = table(others(), size.columns, args.values)

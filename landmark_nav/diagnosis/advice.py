@@ -29,11 +29,7 @@ _WALL_TIME_S = 1e6
 
 _WHEELS = 'calibrate the radii of the wheels, on a straight line'
 
-_OTHERS = {
-    IMAGES: 'joint_states and odom',
-    JOINTS: 'images',
-    ODOMETRY: 'images',
-}
+_OTHERS = {IMAGES: 'joint_states and odom', JOINTS: 'images', ODOMETRY: 'images'}
 
 
 def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool = True) -> Finding:

@@ -146,10 +146,10 @@ def calibrate_by_drive(
             f'localization is lost in {run.lost.sum()} of {len(run.updates)} images: is the map '
             'of this room, and camera_info of this camera?'
         )
-    lean = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
+    tilts = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
     level = np.zeros_like(run.calibration.covariance)
     # Exact quantities remain exact.
-    level[lean, lean] = np.where(prior.sigmas[lean] > 0.0, _LEVEL_RAD**2, 0.0)
+    level[tilts, tilts] = np.where(prior.sigmas[tilts] > 0.0, _LEVEL_RAD**2, 0.0)
     found = replace(run.calibration, covariance=run.calibration.covariance + level)
     return CalibrationDrive(run, found, _direction_bound(run), landmark_map, config, focal_px)
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.solution import Adjustment
@@ -103,13 +102,10 @@ def elect(
     depth_sigma = np.sqrt(np.einsum('ni,nij,nj->n', normals, free.own_covariance, normals))
     taken: list[Landmark] = []
     for k in np.argsort([-patch.candidate.saliency for patch in patches], kind='stable'):
-        patch = patches[k]
+        patch, panorama = patches[k], panoramas[patches[k].source]
         own = next(s for s in measurements[k] if s.panorama == patch.source)
         others = [s for s in measurements[k] if s is not own]
-        refusal = _refuse(
-            patch, k, adjustment, depth_sigma[k], panoramas[patch.source],
-            len(others), config,
-        )  # fmt: skip
+        refusal = _refuse(patch, k, adjustment, depth_sigma[k], panorama, len(others), config)
         if refusal is None and any(
             _overlap(patch, adjustment.positions[k], other) > config.max_overlap for other in taken
         ):
@@ -119,17 +115,25 @@ def elect(
         if refusal is not None:
             outcomes[k] = refusal
             continue
-        score = min(s.score for s in measurements[k])
-        landmark = _landmark(
-            len(taken) + 1, patch, adjustment.positions[k], panoramas[patch.source], own,
-            room.walls[patch.wall].id if patch.on_wall else '',
-            covariance=covariance[k],
-            shared_loading=adjustment.shared_loading[k],
-            threshold=float(np.clip(_THRESHOLD_SHARE * score, 0.55, 0.85)),
-        )  # fmt: skip
-        if landmark is None:
+        texture = _texture(patch, adjustment.positions[k], panorama, own)
+        if texture is None:
             outcomes[k] = Refusal('runs out of its panorama')
             continue
+        score = min(s.score for s in measurements[k])
+        landmark = Landmark(
+            id=len(taken) + 1,
+            position=adjustment.positions[k],
+            covariance=covariance[k],
+            shared_loading=adjustment.shared_loading[k],
+            normal=patch.normal,
+            width_m=patch.shape[1] * patch.texel_m,
+            height_m=patch.shape[0] * patch.texel_m,
+            patch=texture,
+            viewpoint=panorama.center_map,
+            threshold=float(np.clip(_THRESHOLD_SHARE * score, 0.55, 0.85)),
+            wall_id=room.walls[patch.wall].id if patch.on_wall else '',
+            saliency=patch.candidate.saliency,
+        )
         views = [_view(patch, landmark, panoramas[s.panorama], s) for s in others]
         landmark = replace(landmark, views=tuple(view for view in views if view is not None))
         outcomes[k] = landmark
@@ -174,7 +178,7 @@ def _refuse(
         return Refusal('place too uncertain', f'{sigma * 100:.1f} cm')
     incidence = float(np.arccos(np.clip(ray @ patch.normal[:2] / np.hypot(*ray), -1.0, 1.0)))
     if incidence > config.max_incidence_rad:
-        return Refusal('seen too obliquely', f'{np.degrees(incidence):.0f} deg')
+        return Refusal('too oblique', f'{np.degrees(incidence):.0f} deg')
     if min(patch.candidate.width_px, patch.candidate.height_px) < config.min_size_px:
         return Refusal('too small')
     return None
@@ -196,38 +200,6 @@ def _overlap(patch: WallPatch, position: FloatArray, other: Landmark) -> float:
     return float(np.prod(common) / min(np.prod(size), np.prod(other_size)))
 
 
-def _landmark(
-    number: int,
-    patch: WallPatch,
-    position: FloatArray,
-    panorama: Panorama,
-    measured: PatchMeasurement,
-    wall_id: str,
-    *,
-    covariance: FloatArray,
-    shared_loading: FloatArray,
-    threshold: float,
-) -> Landmark | None:
-    shown = shown_at(position, patch.normal, panorama, measured)
-    texture = wall_texture(replace(patch, position=shown), panorama)
-    if texture is None:
-        return None
-    return Landmark(
-        id=number,
-        position=position,
-        covariance=covariance,
-        shared_loading=shared_loading,
-        normal=patch.normal,
-        width_m=patch.shape[1] * patch.texel_m,
-        height_m=patch.shape[0] * patch.texel_m,
-        patch=_levels(texture),
-        viewpoint=panorama.center_map,
-        threshold=threshold,
-        wall_id=wall_id,
-        saliency=patch.candidate.saliency,
-    )
-
-
 def _view(
     patch: WallPatch, landmark: Landmark, panorama: Panorama, measured: PatchMeasurement
 ) -> PatchView | None:
@@ -236,11 +208,15 @@ def _view(
     columns = max(8, round(landmark.width_m * panorama.cylinder.fy / reach))
     texel = landmark.width_m / columns
     shape = (max(8, round(landmark.height_m / texel)), columns)
-    shown = shown_at(landmark.position, landmark.normal, panorama, measured)
-    seen = replace(patch, position=shown, shape=shape, texel_m=texel)
-    texture = wall_texture(seen, panorama)
-    return None if texture is None else PatchView(panorama.center_map, _levels(texture))
+    sized = replace(patch, shape=shape, texel_m=texel)
+    texture = _texture(sized, landmark.position, panorama, measured)
+    return None if texture is None else PatchView(panorama.center_map, texture)
 
 
-def _levels(texture: Float32Array) -> ImageArray:
-    return np.clip(np.rint(texture), 0, 255).astype(np.uint8)
+def _texture(
+    patch: WallPatch, position: FloatArray, panorama: Panorama, measured: PatchMeasurement
+) -> ImageArray | None:
+    """Texture of a patch where a panorama shows it; None if that does not cover it."""
+    shown = shown_at(position, patch.normal, panorama, measured)
+    texture = wall_texture(replace(patch, position=shown), panorama)
+    return None if texture is None else np.clip(np.rint(texture), 0, 255).astype(np.uint8)

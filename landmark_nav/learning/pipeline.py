@@ -33,17 +33,10 @@ from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.stereo.found_again import find_again, Found
+from landmark_nav.learning.stereo.reconstruction import reconstruct
 from landmark_nav.learning.stereo.wall_patch import StereoConfig, Ties
 from landmark_nav.parameters import Config
-from landmark_nav.types import (
-    Candidate,
-    FloatArray,
-    Landmark,
-    LandmarkMap,
-    Panorama,
-    Refusal,
-)
+from landmark_nav.types import Candidate, FloatArray, Landmark, LandmarkMap, Panorama, Refusal
 
 _LOG = logging.getLogger(__name__)
 
@@ -125,13 +118,20 @@ def learn_from_panoramas(
 
     if places is None:
         places = joint_covariance(panoramas, room, config.reference_area)
+    joint = places
+
+    def adjusted_by(expected: AdjustmentConfig) -> Adjustment:
+        start = np.array([patch.position for patch in found.patches])
+        seen, walls, normals = found.measurements, found.walls, found.normals
+        return adjust(seen, walls, start, panoramas, joint, room, expected, normals, ties)
+
     with log.measure('stereo'):
-        found = find_again(panoramas, candidates, room, config.stereo, ties)
+        found = reconstruct(panoramas, candidates, room, config.stereo, ties)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
-            free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
+            free = adjusted_by(_without_walls(config))
             room, shift_m = moved_walls(free, found.walls, room, config.adjustment)
             if shift_m > config.adjustment.hanging_sigma_m:
-                found = find_again(panoramas, candidates, room, config.stereo, ties)
+                found = reconstruct(panoramas, candidates, room, config.stereo, ties)
     outcomes = found.outcomes
     if len(found.patches) < 3:
         raise LandmarkNavError(
@@ -140,21 +140,17 @@ def learn_from_panoramas(
             'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        free = _adjust(found, panoramas, places, room, _without_walls(config), ties)
+        free = adjusted_by(_without_walls(config))
         hidden = ''
         if ties is None:  # with ties, walls are estimated, so that there are none to check
             behind = [patch.wall for patch in found.patches]
             hidden = check_walls(free, behind, room, config.adjustment)
-        adjustment = _adjust(found, panoramas, places, room, config.adjustment, ties)
+        adjustment = adjusted_by(config.adjustment)
         residuals = wall_residuals(adjustment, found.walls, room, config.adjustment)
         adjustment, free = depth_from_scale(
-            adjustment,
-            free,
-            found.measurements,
-            found.normals,
-            config.adjustment,
+            adjustment, free, found.measurements, found.normals, config.adjustment,
             config.election.max_depth_sigma_m,
-        )
+        )  # fmt: skip
     uneven = wall_warnings(residuals, adjustment.hanging_sigma_m, config.adjustment)
     warning = '; '.join(filter(None, [hidden, uneven]))
     if warning:
@@ -167,13 +163,7 @@ def learn_from_panoramas(
     )
     with log.measure('election'):
         elected = elect(
-            found.patches,
-            found.measurements,
-            adjustment,
-            free,
-            adjusted,
-            room,
-            config.election,
+            found.patches, found.measurements, adjustment, free, adjusted, room, config.election
         )
     for (i, n), outcome in zip(found.origin, elected, strict=True):
         outcomes[i][n] = outcome
@@ -214,28 +204,6 @@ def _without_walls(config: LearningConfig) -> AdjustmentConfig:
         camera_weight=_AS_EXPECTED,
         place_weight=_AS_EXPECTED,
         room_weight=_AS_EXPECTED,
-    )
-
-
-def _adjust(
-    found: Found,
-    panoramas: Sequence[Panorama],
-    places: FloatArray,
-    room: Room,
-    expected: AdjustmentConfig,
-    ties: Ties | None,
-) -> Adjustment:
-    start = np.array([patch.position for patch in found.patches])
-    return adjust(
-        found.measurements,
-        found.walls,
-        start,
-        panoramas,
-        places,
-        room,
-        expected,
-        found.normals,
-        ties,
     )
 
 

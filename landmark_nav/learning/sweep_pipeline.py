@@ -25,8 +25,8 @@ from landmark_nav.learning.calibration.combined import (
     as_calibrated,
     as_corrected,
     HEIGHT,
-    leant,
     levelled,
+    tilted,
     with_overlaps,
     with_papers,
 )
@@ -178,7 +178,7 @@ def panorama_from_sweep(
 
 def corrected(given: Calibration, found: MountError) -> Calibration:
     """Return the calibration with height and tilt of the pan axis as measured."""
-    roll, pitch, _ = leant(given.mount, found.tilt_roll_rad).axis_rpy
+    roll, pitch, _ = tilted(given.mount, found.tilt_roll_rad).axis_rpy
     height = given['axis_z'][0] + found.rise_m
     return given.with_values(axis_z=height, axis_roll=roll, axis_pitch=pitch)
 
@@ -207,8 +207,8 @@ class _Maker:
     def not_exact(self, error: WrongMountError) -> MountError:
         """Return the error of a mount that may be corrected; refuse errors of exact values."""
         area, found, (rise, tilt) = self._area, error.found, self._sigmas
-        high, leans = found.beyond(area.height_sigma_m, area.horizon_sigma_rad, WRONG_PRIOR)
-        if (high and not rise) or (leans and not tilt):
+        high, off_level = found.beyond(area.height_sigma_m, area.horizon_sigma_rad, WRONG_PRIOR)
+        if (high and not rise) or (off_level and not tilt):
             raise LandmarkNavError(f'{error}; robot.yaml gives it as exact (sigma 0)') from error
         return MountError(found.rise_m if rise else 0.0, found.tilt_roll_rad * (tilt > 0.0))
 

@@ -26,11 +26,7 @@ from landmark_nav.learning.facades.planes import (
     placed_matches,
     SeenPoints,
 )
-from landmark_nav.learning.pipeline import (
-    learn_from_panoramas,
-    LearningConfig,
-    LearningResult,
-)
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
 from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, RelativePoseConfig
 from landmark_nav.learning.relative_pose.features import find_features
 from landmark_nav.learning.relative_pose.poses import relative_poses, RelativePoses
@@ -151,10 +147,7 @@ def locate(
         ties = Ties(joined.positions, [m for _, pairs in matched for m in _measured(pairs, sigma)])
     located = [
         replace(
-            p,
-            center_map=eye,
-            heading_rad=float(state[2]),
-            covariance=np.diag(RELATIVE_SIGMA**2),
+            p, center_map=eye, heading_rad=float(state[2]), covariance=np.diag(RELATIVE_SIGMA**2)
         )
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
@@ -232,12 +225,7 @@ def learn_located(
     election = replace(config.election, max_range_share=unmeasured.max_range_share)
     config = replace(config, adjustment=adjustment, election=election)
     result = learn_from_panoramas(
-        located.panoramas,
-        located.room,
-        config,
-        log,
-        located.places,
-        located.ties,
+        located.panoramas, located.room, config, log, located.places, located.ties
     )
     return replace(result, map=_turned(result.map, unmeasured.relative_pose.heading_sigma_rad))
 

@@ -23,7 +23,7 @@ from landmark_nav.localization.estimator import (
 )
 from landmark_nav.localization.estimator.state import State
 from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
-from landmark_nav.localization.late_joints import DELAY_BOUND_S, JointDelay, PanMotion
+from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay, PanMotion
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import (
     ClockStep,

@@ -17,8 +17,8 @@ from landmark_nav.localization.estimator import (
     Update,
 )
 from landmark_nav.localization.fusion import Fusion
-from landmark_nav.localization.late_joints import JointDelay
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
+from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.observer import Observation, Observer, straight
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
@@ -38,7 +38,7 @@ STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost
 
 
 @dataclass(frozen=True)
-class LocalizationConfig(LookingConfig):
+class LocalizationConfig(ImageStagesConfig):
     """Parameters of all stages."""
 
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)

@@ -21,11 +21,12 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.se2 import relative
 from landmark_nav.localization.detection.correlation import detect_blurred, DetectionResult
 from landmark_nav.localization.detection.expectation import Expectation as Window
-from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR
+from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, View
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
-from landmark_nav.localization.late_joints import in_time
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
+from landmark_nav.localization.joint_delay import in_time
 from landmark_nav.localization.relocalization.search import localize_within_prior
+from landmark_nav.localization.relocalization.verification import PlaceVerifier
 from landmark_nav.localization.start import is_prior_uncertain
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import (
@@ -211,7 +212,7 @@ class Observer:
     ----------
     calibration : Calibration
         Prior of mount, lens and clocks.
-    config : LookingConfig
+    config : ImageStagesConfig
         Parameters of the stages of detection.
     step : EstimatorConfig
         Sigmas of sudden changes of camera and base.
@@ -221,7 +222,7 @@ class Observer:
         self,
         landmark_map: LandmarkMap,
         calibration: Calibration,
-        config: LookingConfig,
+        config: ImageStagesConfig,
         step: EstimatorConfig,
     ) -> None:
         self._map, self._config, self._step = landmark_map, config, step
@@ -326,8 +327,8 @@ class Observer:
         if self._vain > _EAGER and self._vain % _PATIENT:
             return None
         known = expected.calibration
-        seen = straight(frame, known), expected, self._map.distinct, known.mount, self._config
-        place = localize_within_prior(*seen)
+        verifier = PlaceVerifier(self._map.distinct, known.mount, self._config)
+        place = localize_within_prior(straight(frame, known), expected, verifier)
         if isinstance(place, Refusal):
             return None
         self._vain = 0
@@ -361,15 +362,8 @@ class Observer:
             axis_from_base(expected, mount), self._map, self._distinct(visible, shifted),
             config.triplet.bearing_sigma_rad, count, self._novelty,
         )  # fmt: skip
-        result, self._blur = detect_blurred(
-            upright,
-            shifted,
-            self._map,
-            mount,
-            detection,
-            looked_for,
-            self._blur,
-        )
+        view = View(upright, shifted, mount)
+        result, self._blur = detect_blurred(view, self._map, detection, looked_for, self._blur)
         return result, looked_for
 
     def _distinct(self, visible: IndexArray, expected: PoseEstimate) -> IndexArray:

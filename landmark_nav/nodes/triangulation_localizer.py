@@ -15,8 +15,8 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.localization.expected_poses import ExpectedPoses
-from landmark_nav.localization.late_joints import JointDelay, PanMotion
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
+from landmark_nav.localization.joint_delay import JointDelay, PanMotion
 from landmark_nav.localization.observer import Observation, Observer, straight
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
@@ -73,7 +73,7 @@ class PlaceSearch:
     Localizes globally on request or if lost, and publishes on ``global_localization/pose``.
 
     `fused` returns the newest fused pose, or None if its time differs from a stamp [ns] by more
-    than a limit [s]; `looking` is for the search for expected landmarks.
+    than a limit [s]; `stages` are for the search for expected landmarks.
     """
 
     def __init__(
@@ -84,12 +84,12 @@ class PlaceSearch:
         map_frame: str,
         fused: Callable[[int, float], PoseEstimate | None],
         odometry: OdometryNoiseConfig,
-        looking: LookingConfig,
+        stages: ImageStagesConfig,
     ) -> None:
         # The current estimate, which is updated from outside.
         self.calibration = calibration
         self.config, self._map_frame = config, map_frame
-        self._fused, self._noise, self._looking = fused, odometry, looking
+        self._fused, self._noise, self._stages = fused, odometry, stages
         self._moves = False
         self.landmarks = LandmarkMap(())
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
@@ -183,7 +183,7 @@ class PlaceSearch:
 
     def _new_relocalizer(self) -> Relocalizer:
         mount = self.calibration.mount
-        return Relocalizer(self.landmarks, mount, self.config, self._noise, self._looking)
+        return Relocalizer(self.landmarks, mount, self.config, self._noise, self._stages)
 
     async def _search(self) -> str:
         if not self.landmarks.landmarks:
@@ -346,10 +346,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         seen, frame, prior = self._observe(message)
         self._images_unusable = seen.unusable
         self._search.note(stamp, len(seen.detections))
-        found = replace(
-            seen.detections,
-            uv_px=frame.camera.in_full_image(seen.detections.uv_px),
-        )
+        found = replace(seen.detections, uv_px=frame.camera.in_full_image(seen.detections.uv_px))
         self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
         self._latency.note(self._age_ns(message))
         if self._fix.get_subscription_count() and isinstance(seen.fix, PoseEstimate):

@@ -196,12 +196,7 @@ class Predictor:
     """Predicts the localization error at floor `cells` (c, 2) for subsets of given panoramas."""
 
     def __init__(
-        self,
-        views: Views,
-        samples: WallSamples,
-        cells: FloatArray,
-        room: Room,
-        config: PlanConfig,
+        self, views: Views, samples: WallSamples, cells: FloatArray, room: Room, config: PlanConfig
     ) -> None:
         """Compute the values that do not depend on the subset."""
         self._views, self._samples, self._config = views, samples, config

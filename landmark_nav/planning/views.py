@@ -231,13 +231,7 @@ def look(
         plan = np.diag(RELATIVE_SIGMA[[0, 1, 3]] ** 2)
         errors = np.tile(plan, (len(eye), 1, 1)), np.zeros((len(eye), 3, 1))
     return Views(
-        poses_map_base[measured],
-        eye,
-        *errors,
-        azimuth,
-        reach,
-        share,
-        np.maximum(proposed, 0.0),
+        poses_map_base[measured], eye, *errors, azimuth, reach, share, np.maximum(proposed, 0.0)
     )
 
 

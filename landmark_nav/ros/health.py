@@ -67,11 +67,7 @@ def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) 
 
     # Not `LandmarkNode.create_timer`: diagnostics are published in every lifecycle state.
     Node.create_timer(
-        node,
-        1.0,
-        publish,
-        callback_group=ReentrantCallbackGroup(),
-        clock=steady_clock(),
+        node, 1.0, publish, callback_group=ReentrantCallbackGroup(), clock=steady_clock()
     )
 
 

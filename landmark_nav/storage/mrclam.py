@@ -20,13 +20,7 @@ import numpy as np
 from landmark_nav.arrays import IntArray
 from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.storage.reading import read_bytes
-from landmark_nav.types import (
-    Detections,
-    FloatArray,
-    Landmark,
-    LandmarkMap,
-    PoseEstimate,
-)
+from landmark_nav.types import Detections, FloatArray, Landmark, LandmarkMap, PoseEstimate
 
 # Greatest number of a subject that is a robot.
 _ROBOTS = 5

@@ -45,7 +45,9 @@ LEARNING: dict[str, dict[str, Any]] = {
     'quarters of a patch': {f'{_WALL}displaced_quarter': lambda *_: 0.0},
     'way back': {f'{_WALL}_MAX_RETURN_PX': BEST},
     'one peak (stereo)': {f'{_LEARN}stereo.wall_patch:StereoConfig.max_second_ratio': 1.0},
-    'search off the walls': {f'{_LEARN}stereo.found_again:match_freely': lambda *_: Refusal('')},
+    'search off the walls': {
+        f'{_LEARN}stereo.reconstruction:match_freely': lambda *_: Refusal('')
+    },
     'exposures, vignetting': {
         f'{_LEARN}sweep_pipeline:measure_photometry': lambda s, _: Photometry.none(len(s.frames))
     },

@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 from relocalize import camera_image, free_poses
 
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, View
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
     fully_in_view,
@@ -119,7 +119,7 @@ class Looker:
         noise = self.rng.normal(0.0, _PRIOR_SIGMA)
         prior = PoseEstimate(frame.stamp_ns, pose + noise, np.diag(_PRIOR_SIGMA**2))
         found = detect_landmarks(
-            frame, prior, learned, world.mount, DetectionConfig(), np.flatnonzero(which)
+            View(frame, prior, world.mount), learned, DetectionConfig(), np.flatnonzero(which)
         ).detections
         turn, center = world.mount.camera_pose_map(pose, frame.pan_rad, frame.tilt_rad)
         index = learned.indices(found.ids)

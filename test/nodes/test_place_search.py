@@ -15,7 +15,7 @@ from rclpy.task import Future
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.expected_poses import ExpectedPoses
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
 from landmark_nav.messages import decode, encode
@@ -66,7 +66,7 @@ def search(prior, reported, services, ended):
         'map',
         prior.recent,
         OdometryNoiseConfig(),
-        LookingConfig(),
+        ImageStagesConfig(),
     )
     landmark: Any = SimpleNamespace(edge=False)
     made.use(LandmarkMap((landmark,)))

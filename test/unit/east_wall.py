@@ -8,7 +8,12 @@ from scenes import rectangle_room, textured_room, true_landmark
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, DetectionResult
+from landmark_nav.localization.detection import (
+    detect_landmarks,
+    DetectionConfig,
+    DetectionResult,
+    View,
+)
 from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, PoseEstimate
 
 LENS = CameraModel(
@@ -49,7 +54,7 @@ def detect(
 ) -> DetectionResult:
     everything = np.arange(len(landmark_map.landmarks))
     estimate = PoseEstimate(frame.stamp_ns, prior, PRIOR)
-    return detect_landmarks(frame, estimate, landmark_map, MOUNT, config, everything)
+    return detect_landmarks(View(frame, estimate, MOUNT), landmark_map, config, everything)
 
 
 def bearing_at(pose: FloatArray, landmark: Landmark) -> float:

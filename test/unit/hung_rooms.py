@@ -8,7 +8,7 @@ import numpy as np
 from scenes import rectangle_room
 
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_stretches
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_sections
 from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
@@ -147,7 +147,7 @@ def world_hung(
     relief_m: float = CONFIG.relief_sigma_m,
 ) -> World:
     """The world with its landmarks hung anew before the walls."""
-    thing = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    thing = wall_sections(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
     off = rng.normal(0.0, CONFIG.common_hanging_sigma_m) + rng.normal(
         0.0, hanging_m, int(thing.max()) + 1
     )

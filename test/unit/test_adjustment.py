@@ -37,7 +37,7 @@ from landmark_nav.learning.adjustment.problem import (
     AdjustmentConfig,
     CALIBRATED,
     Problem,
-    wall_stretches,
+    wall_sections,
 )
 from landmark_nav.learning.adjustment.solution import adjust
 from landmark_nav.learning.least_squares import (
@@ -126,7 +126,7 @@ def test_the_solution_is_that_of_least_squares():
     prior = given_poses(world, rng)
     measurements = measurements_of(world, None)
     found = solve(world, measurements, prior, AS_EXPECTED)
-    stretch = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    stretch = wall_sections(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
     views = panoramas_at(prior)
     problem = Problem(
         measurements, world.walls, stretch, views, places_of(views), ROOM,
@@ -175,7 +175,7 @@ def test_an_eccentric_camera_is_modelled_as_its_panorama_was_made(lean):
     views = [
         replace(p, calibration=mount, made_with=mount.values) for p in panoramas_at(world.poses)
     ]
-    stretch = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    stretch = wall_sections(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
     normals = np.zeros((24, 3))
     problem = Problem(
         measurements, world.walls, stretch, views, places_of(views), ROOM, normals,
@@ -365,7 +365,7 @@ def test_tilts_that_differ_between_sweeps_are_estimated():
 def test_tilt_and_waves_have_the_right_slopes():
     rng = np.random.default_rng(34)
     world = world_of(rng, 8)
-    stretch = wall_stretches(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    stretch = wall_sections(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
     views = panoramas_at(world.poses)
     measurements: list[list[PatchMeasurement]] = measurements_of(world, None)
     problem = Problem(

@@ -140,7 +140,7 @@ def test_repeated_patterns_are_refused_with_their_reason(kind):
 
     assert not [c for c in found.candidates if on_pattern(c)]
     reasons = {str(why.reason) for c, why in found.refused if on_pattern(c)}
-    assert 'looks like a place near by' in reasons
+    assert 'looks like its neighbourhood' in reasons
     assert [c for c in found.candidates if 1200 <= c.column < 1320]
 
 
@@ -230,7 +230,7 @@ def test_unknown_feature_and_too_small_a_panorama_are_refused():
         attend(panorama(np.zeros((20, 400))), AttentionConfig())
 
 
-AMBIGUOUS = 'looks like a place near by'
+AMBIGUOUS = 'looks like its neighbourhood'
 
 
 def judge(gray, column=299.5, row=99.5, *, edge=False, **values):

@@ -23,7 +23,7 @@ from scenes import Board, draw_frame, flat_texture, Scene, textured_room, true_l
 
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.patches import PatchView
-from landmark_nav.localization.detection import detect_landmarks
+from landmark_nav.localization.detection import detect_landmarks, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals, wrong_heights
 from landmark_nav.localization.relocalization.verification import estimate_camera_tilt
 from landmark_nav.types import PoseEstimate
@@ -34,7 +34,7 @@ def test_a_camera_that_hangs_upside_down_finds_them_too(over):
     mount = replace(MOUNT, **over)
     frame = draw_frame(SCENE, LENS, mount, HERE, 0.05)
     prior = PoseEstimate(0, HERE, PRIOR)
-    result = detect_landmarks(frame, prior, LANDMARKS, mount, CONFIG, np.arange(4))
+    result = detect_landmarks(View(frame, prior, mount), LANDMARKS, CONFIG, np.arange(4))
     assert sorted(result.detections.ids) == [1, 2, 3, 4]
     assert np.abs(errors_of(result, HERE)).max() < 2e-4
 

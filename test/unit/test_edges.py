@@ -20,7 +20,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import is_upright_edge
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig
+from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, View
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
 from landmark_nav.localization.relocalization import Relocalizer
 from landmark_nav.matching import Match, match_template
@@ -92,7 +92,8 @@ def test_bearings_of_edges_are_as_good_as_stated(learned):
         frame = draw_frame(scene, LENS, MOUNT, HERE, pan, rng=np.random.default_rng(seed))
         prior = PoseEstimate(frame.stamp_ns, HERE + np.array([0.01, -0.01, 0.004]), PRIOR)
         every = np.arange(len(learned.landmarks))
-        found = detect_landmarks(frame, prior, learned, MOUNT, DetectionConfig(), every).detections
+        view = View(frame, prior, MOUNT)
+        found = detect_landmarks(view, learned, DetectionConfig(), every).detections
         axis = MOUNT.axis_pose_map(HERE)
         away = learned.positions[learned.indices(found.ids), :2]
         off = wrap_rad(found.bearing_rad - se2.bearings(axis, away))

@@ -133,7 +133,7 @@ GOOD = patch_at((6.0, 2.4, 1.2))
             'place too uncertain',
             '5.0 cm',
         ),
-        (patch_at((5.8, 0.0, 1.2), wall=SOUTH), {}, 'seen too obliquely', '61 deg'),
+        (patch_at((5.8, 0.0, 1.2), wall=SOUTH), {}, 'too oblique', '61 deg'),
         (patch_at((6.0, 2.4, 1.2), size_px=12), {}, 'too small', ''),
         (patch_at((6.0, 2.4, 2.45)), {}, 'runs out of its panorama', ''),
     ],

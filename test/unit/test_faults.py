@@ -26,7 +26,7 @@ from landmark_nav.evaluation.replay import replay as replay_events
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.localization import observer
-from landmark_nav.localization.late_joints import JointDelay
+from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal

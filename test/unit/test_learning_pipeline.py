@@ -22,7 +22,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper
-from landmark_nav.learning.calibration.combined import leant
+from landmark_nav.learning.calibration.combined import tilted
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
@@ -163,7 +163,7 @@ def test_the_tilt_of_the_base_at_a_sweep_is_no_error_of_an_exact_mount():
     tilt, bare, exact = np.radians([0.8, -0.5]), replace(ROOM, papers=()), Calibration.exact(MOUNT)
     views = [
         panorama_from_sweep(
-            sweep_at(POSES[0], leant(MOUNT, lean), known=True), bare, exact, PanoramaStages(),
+            sweep_at(POSES[0], tilted(MOUNT, lean), known=True), bare, exact, PanoramaStages(),
             tilt_rad=lean,
         )
         for lean in (np.zeros(2), tilt)

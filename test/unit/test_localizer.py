@@ -12,8 +12,8 @@ from landmark_nav.localization.debug_image import draw_observation
 from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.expectation import Expectation
 from landmark_nav.localization.estimator import EstimatorConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
-from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.observer import Observation, Observer
 from landmark_nav.localization.triplet import CameraState, TripletConfig
 from landmark_nav.localization.triplet.selection import ActiveCamera
@@ -25,7 +25,7 @@ EXACT = Calibration.exact(MOUNT)
 
 
 def observer(config=None):
-    return Observer(MAP, EXACT, config or LookingConfig(), EstimatorConfig())
+    return Observer(MAP, EXACT, config or ImageStagesConfig(), EstimatorConfig())
 
 
 @dataclass(frozen=True, eq=False)

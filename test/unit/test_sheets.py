@@ -109,11 +109,11 @@ def test_the_pose_of_one_view_in_another_does_not_depend_on_the_map(
 ):
     level = np.array([[0.0, 0, 0.3, 0, 0, 0], [1.7, 0.6, 0.8, 0.0, 0.0, 0.0]])
     expected = two_views_of(level, 0, 1)
-    leant = level.copy()
-    for state in leant:  # the whole map leans about its origin
+    tilted = level.copy()
+    for state in tilted:  # the whole map leans about its origin
         state[3] = center(state)[:2] @ [-tilt_rad[1], tilt_rad[0]]
         state[4:] = rotation(-state[2]) @ tilt_rad
-    found = two_views_of(leant, 0, 1)
+    found = two_views_of(tilted, 0, 1)
     assert found.slope == pytest.approx(expected.slope, abs=1e-3)
     assert found.tilt_rad == pytest.approx(expected.tilt_rad, abs=1e-3)
 

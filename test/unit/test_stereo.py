@@ -20,8 +20,8 @@ from scenes import (
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.stereo.found_again import find_again
 from landmark_nav.learning.stereo.own_plane import match_freely
+from landmark_nav.learning.stereo.reconstruction import reconstruct
 from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
     PatchMeasurement,
@@ -357,7 +357,7 @@ def test_what_stands_before_a_wall_is_found_at_its_depth(scene, center, angle):
     _, match = match_at(panoramas, center)
     assert isinstance(match, Refusal)
     candidates = [[candidate_at(panoramas[0], center, 30)], []]
-    found = find_again(panoramas, candidates, ROOM, CONFIG)
+    found = reconstruct(panoramas, candidates, ROOM, CONFIG)
     assert found.walls == [-1]
     (patch,) = found.patches
     assert patch.position == pytest.approx(center, abs=0.03)
@@ -371,7 +371,7 @@ def test_a_wall_that_is_reported_too_near_or_too_far_is_found_where_it_is(scene,
     panoramas = views_of(scene, centers=UNEVEN)
     points = [np.array([6.0, y, z]) for y in (1.6, 2.2, 2.8) for z in (1.0, 1.3)]
     candidates = [[candidate_at(panoramas[0], point, 30) for point in points], []]
-    found = find_again(panoramas, candidates, given, CONFIG)
+    found = reconstruct(panoramas, candidates, given, CONFIG)
     own = [patch for patch in found.patches if not patch.on_wall]
     assert len(own) >= 4
     for patch in own:

@@ -10,16 +10,17 @@ from scenes import draw_frame, textured_room
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator import EstimatorConfig
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.observer import Observer
 from landmark_nav.localization.relocalization.search import localize_within_prior
-from landmark_nav.localization.relocalization.verification import Verification
+from landmark_nav.localization.relocalization.verification import PlaceVerifier, Verification
 from landmark_nav.localization.triangulation.model import axis_from_base, bearing_residuals
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
 
 TRUTH = np.array([2.3, 2.1, 0.4])
 FRAME = camera_image(TRUTH, -0.2, np.random.default_rng(4))
 SURE = np.array([0.02, 0.02, 0.01])
+VERIFIER = PlaceVerifier(MAP, MOUNT, ImageStagesConfig())
 
 
 def reported(error, sigma, truth=TRUTH):
@@ -31,7 +32,7 @@ def look(prior, frame=FRAME):
 
 
 def observer(landmarks):
-    return Observer(landmarks, Calibration.exact(MOUNT), LookingConfig(), EstimatorConfig())
+    return Observer(landmarks, Calibration.exact(MOUNT), ImageStagesConfig(), EstimatorConfig())
 
 
 def errors_of(seen):
@@ -69,7 +70,7 @@ def test_another_room_or_a_dark_image_shows_nothing():
         draw_frame(other, LENS, MOUNT, TRUTH, -0.2),
         replace(FRAME, image=np.zeros_like(FRAME.image)),
     ):
-        place = localize_within_prior(frame, wide, MAP, MOUNT, LookingConfig())
+        place = localize_within_prior(frame, wide, VERIFIER)
         assert isinstance(place, Refusal)
         assert place.reason == 'nothing recognised'
         assert not len(look(wide, frame).detections)
@@ -82,9 +83,7 @@ def test_a_place_is_reported_as_well_as_its_covariance_states():
         truth = START + rng.uniform((0.2, 0.2, -0.2), (1.0, 1.0, 0.2))
         sigma = np.array([0.4, 0.4, 0.15])
         wide = reported(sigma * rng.normal(size=3), sigma, truth)
-        place = localize_within_prior(
-            camera_image(truth, 0.0, rng), wide, MAP, MOUNT, LookingConfig()
-        )
+        place = localize_within_prior(camera_image(truth, 0.0, rng), wide, VERIFIER)
         assert isinstance(place, Verification), str(place)
         error = place.estimate.pose - truth
         squares.append(error @ np.linalg.solve(place.estimate.covariance, error))
@@ -102,11 +101,13 @@ def test_two_places_that_the_prior_allows_are_none():
     ]
     wide = reported(np.array([0.0, 0.3, 0.0]), np.array([0.3, 0.5, 0.1]))
     assert isinstance(
-        localize_within_prior(FRAME, wide, LandmarkMap(tuple(east)), MOUNT, LookingConfig()),
+        localize_within_prior(
+            FRAME, wide, replace(VERIFIER, landmark_map=LandmarkMap(tuple(east)))
+        ),
         Verification,
     )
     place = localize_within_prior(
-        FRAME, wide, LandmarkMap(tuple(east + again)), MOUNT, LookingConfig()
+        FRAME, wide, replace(VERIFIER, landmark_map=LandmarkMap(tuple(east + again)))
     )
     assert isinstance(place, Refusal)
     assert place.reason == 'not unique'

@@ -17,6 +17,7 @@ STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}
 Table = dict[str, Any]
 Row = dict[str, Any]
 
+_SCALE_NOTE = 'Size of the map if this source alone gave its scale.'
 _SCALE = ('scale from', 'sheets', 'map larger by [%]', 'sigma [%]', 'variance inflated by')
 _NOT_LANDMARKS = (
     ('Candidates not elected', 'candidates', 'refused'),
@@ -95,7 +96,7 @@ def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
         consistent = f'NEES {mean:.2f}, where 3 is ideal'
         if interval:
             small, large = mean > interval[1], mean < interval[0]
-            word = 'too small' if small else 'too large' if large else 'consistent'
+            word = 'too small' if small else 'conservative' if large else 'consistent'
             consistent = f'covariance {word} (NEES {mean:.2f}{nees_range(interval)})'
             level = 'warning' if small else level
         elif integrity := report.get('integrity'):
@@ -246,11 +247,7 @@ def learning_tables(report: Mapping[str, Any]) -> list[Table]:
     )
     return [
         _table('Sweeps', (*head, 'candidates', 'elected'), sweeps),
-        *(
-            [_table('Scale', _SCALE, sources, 'Beside the map as it is, by each source alone.')]
-            if found
-            else []
-        ),
+        *([_table('Scale', _SCALE, sources, _SCALE_NOTE)] if found else []),
         *(
             _table(name, (name.lower(), what), (_row(k, n) for k, n in report[key].items()))
             for name, what, key in _NOT_LANDMARKS

@@ -21,7 +21,7 @@ from landmark_nav.calibration import NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.calibration.combined import lean_axes
+from landmark_nav.learning.calibration.combined import tilt_axes
 from landmark_nav.learning.calibration.sweep_calibration import FAR_M
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
@@ -53,7 +53,7 @@ class AdjustmentConfig(Config):
     relief_sigma_m: float = 0.015
     # Sigma of the distance from the wall between sections.
     hanging_sigma_m: float = 0.015
-    # Length of a section of wall, within which errors are correlated, as in a picture.
+    # Length of a section of wall, within which errors are correlated, as on a poster.
     hanging_length_m: float = 0.6
     # Sigma of the mean distance of objects from all walls.
     common_hanging_sigma_m: float = 0.015
@@ -70,14 +70,7 @@ class AdjustmentConfig(Config):
 # Shared unknowns: x, y, z, heading of each panorama; distance of objects from each wall, then from
 # each section; then the calibration, tilts and waves.
 _POSE = 4
-CALIBRATED = (
-    'center_x',
-    'center_y',
-    'camera_tilt',
-    'focal_scale',
-    'axis_roll',
-    'axis_pitch',
-)
+CALIBRATED = ('center_x', 'center_y', 'camera_tilt', 'focal_scale', 'axis_roll', 'axis_pitch')
 _OFFSET = slice(CALIBRATED.index('center_x'), CALIBRATED.index('center_y') + 1)
 # Highest number of waves per turn of errors of azimuths: lenses, bearings, seams.
 _WAVES = 4
@@ -167,7 +160,7 @@ class Problem:
     Measurements of n landmarks, their walls, and the priors of the panoramas.
 
     `own_sigma` (k, 2) are the sigmas of each measurement by matching; `landmark` and `view` (k,)
-    are its indices; `stretch` (n,) is the section of wall of each landmark. Landmarks off the
+    are its indices; `section` (n,) is the section of wall of each landmark. Landmarks off the
     walls, -1, have planes of their own, with `normals` (n, 3) through `start` (n, 3).
     """
 
@@ -175,7 +168,7 @@ class Problem:
         self,
         measurements: Sequence[Sequence[PatchMeasurement]],
         walls: Sequence[int],
-        stretch: npt.NDArray[np.intp],
+        section: npt.NDArray[np.intp],
         panoramas: Sequence[Panorama],
         places: FloatArray,
         room: Room,
@@ -201,7 +194,7 @@ class Problem:
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
         # Indicators of the wall and the section of each landmark: (n, walls + sections).
         self._hangs = self.on_wall[:, None] * np.hstack(
-            [np.eye(len(room.walls))[self.wall], np.eye(int(stretch.max()) + 1)[stretch]]
+            [np.eye(len(room.walls))[self.wall], np.eye(int(section.max()) + 1)[section]]
         )
         plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
         # A wall with a given sigma has that; for the others one sigma is estimated.
@@ -396,14 +389,14 @@ class Problem:
         return seen, wall
 
 
-def wall_stretches(
+def wall_sections(
     points: FloatArray, walls: Sequence[int], room: Room, length_m: float
 ) -> npt.NDArray[np.intp]:
     """
-    Numbers (n,) of the stretches of wall that points (n, 3) hang on.
+    Numbers (n,) of the sections of wall that points (n, 3) hang on.
 
     What is near each other is mostly part of one thing, and hangs equally far from the wall:
-    twenty patches of an image say no more of how things hang than one does.
+    twenty patches of an image say no more of how objects hang than one does.
     """
     start = np.array([room.walls[w].start for w in walls])
     side = np.array([wall.along for wall in room.walls])[list(walls)]
@@ -439,4 +432,4 @@ def _calibration(
     covariance = known.covariance[np.ix_(which, which)] + _LEAST_ERROR**2 * np.eye(len(which))
     normal = rotation_rpy(known.mount.axis_rpy)[:, 2]
     lifted = -normal[:2] / normal[2]
-    return lean_axes(known), lifted, known.values[which], covariance, made[:, which]
+    return tilt_axes(known), lifted, known.values[which], covariance, made[:, which]

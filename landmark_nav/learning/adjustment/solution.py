@@ -20,7 +20,7 @@ from landmark_nav.learning.adjustment.problem import (
     AdjustmentConfig,
     Linearized,
     Problem,
-    wall_stretches,
+    wall_sections,
     Weights,
 )
 from landmark_nav.learning.least_squares import Damping, root_of
@@ -136,9 +136,9 @@ def adjust(
         walls = [*walls, *[-1] * len(ties.positions)]
         start = np.concatenate([start, ties.positions])
         normals = np.concatenate([normals, np.tile([1.0, 0.0, 0.0], (len(ties.positions), 1))])
-    stretch = wall_stretches(start, walls, room, config.hanging_length_m)
+    section = wall_sections(start, walls, room, config.hanging_length_m)
     problem = Problem(
-        measurements, walls, stretch, panoramas, places, room, normals, start, config
+        measurements, walls, section, panoramas, places, room, normals, start, config
     )
     expected = np.array(
         [

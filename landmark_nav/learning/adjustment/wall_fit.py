@@ -20,7 +20,7 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.se2 import cross, crossing
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_stretches
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_sections
 from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.learning.right_angles import common_direction, pull
@@ -35,7 +35,7 @@ _FEW = 2
 # A wall is refused if it exceeds a bound by this number of sigmas.
 _SURE = 3.0
 # Fewest objects of which one can be found to be an outlier.
-_LEAST_THINGS = 3
+_LEAST_OBJECTS = 3
 # Fewest patches of a refusal, and their least extent along the wall, m.
 _MIN_PATCHES = 6
 _MIN_EXTENT_M = 1.0
@@ -89,10 +89,10 @@ def check_walls(
     off_m = np.sum((free.positions[:, :2] - starts) * room.normals[index, :2], 1)
     free = replace(free, off_wall_m=off_m)
     for k, on in _judged(free, walls, room, _MIN_PATCHES, elsewhere=True):
-        things = _things(free, room, k, on, expected.hanging_length_m)
+        objects = _objects(free, room, k, on, expected.hanging_length_m)
         shared = np.linalg.norm(_shared(free, room, k, on))
         sigma = float(np.hypot(shared, room.walls[k].sigma_m or 0.0))
-        complaint = _complaint(things, sigma, expected.hanging_sigma_m, int(on.sum()))
+        complaint = _complaint(objects, sigma, expected.hanging_sigma_m, int(on.sum()))
         if complaint:
             wall, before = room.walls[k], np.median(free.off_wall_m[on]) > _ELSEWHERE_M[0]
             seen = np.ptp(free.positions[on, :2] @ wall.along)
@@ -109,7 +109,7 @@ def check_walls(
 @dataclass(frozen=True, eq=False)
 class WallResidual:
     """
-    Median distance of objects from a wall, over its `stretches` with patches.
+    Median distance of objects from a wall, over its `sections` with patches.
 
     `shared` (m,) are its loadings by the shared factors; `wall_sigma_m` is the sigma of the wall,
     if the plan gives it.
@@ -117,7 +117,7 @@ class WallResidual:
 
     wall_id: str
     patches: int
-    stretches: int
+    sections: int
     off_m: float
     shared: FloatArray
     wall_sigma_m: float | None = None
@@ -129,15 +129,12 @@ class WallResidual:
 
 
 def wall_residuals(
-    adjustment: Adjustment,
-    walls: Sequence[int],
-    room: Room,
-    expected: AdjustmentConfig,
+    adjustment: Adjustment, walls: Sequence[int], room: Room, expected: AdjustmentConfig
 ) -> tuple[WallResidual, ...]:
     """Return the distances of patches from their walls; arguments as for `check_walls`."""
     residuals = []
     for k, on in _judged(adjustment, walls, room, _FEW):
-        off = _things(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
+        off = _objects(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
         shared = _shared(adjustment, room, k, on)
         wall = room.walls[k]
         residuals.append(
@@ -172,16 +169,16 @@ def wall_warnings(
         return ''
     off = np.array([residual.off_m for residual in residuals])
     shared = np.stack([residual.shared for residual in residuals])
-    stretches = np.array([residual.stretches for residual in residuals])
+    sections = np.array([residual.sections for residual in residuals])
     walls = np.array([residual.wall_sigma_m or 0.0 for residual in residuals])
     measured = np.where(walls > 0.0, walls, expected.wall_sigma_m)
     # The variance of a median is pi / 2 times that of a mean.
-    apart = measured**2 + 0.5 * np.pi * hanging_sigma_m**2 / stretches
+    apart = measured**2 + 0.5 * np.pi * hanging_sigma_m**2 / sections
     inverse = covariance_of(shared @ shared.T + np.diag(apart))
     left = off - np.sum(inverse @ off) / inverse.sum()
     likely = chdtrc(max(len(off) - 1, 1), left @ inverse @ left) > _FALSE_ALARM
     # A single object may be as far from the wall as its frame is deep; the mean of many is not.
-    slack = 2.0 * np.sqrt(np.sum(shared**2, 1) + hanging_sigma_m**2 / stretches**2 + walls**2)
+    slack = 2.0 * np.sqrt(np.sum(shared**2, 1) + hanging_sigma_m**2 / sections**2 + walls**2)
     near = (off >= -_MAX_BEHIND_M - slack) & (off <= _MAX_BEFORE_M + slack)
     if likely and near.all():
         return ''
@@ -228,7 +225,7 @@ def _likelier_plane(off_m: FloatArray) -> float:
     return plane if far_more and _ELSEWHERE_M[0] < abs(plane) < _ELSEWHERE_M[1] else 0.0
 
 
-def _things(
+def _objects(
     adjustment: Adjustment, room: Room, k: int, on: BoolArray, length_m: float
 ) -> FloatArray:
     """
@@ -239,8 +236,8 @@ def _things(
     wall, positions = room.walls[k], adjustment.positions[on]
     along = (positions[:, :2] - wall.start) @ wall.along
     patches = np.stack([along, adjustment.off_wall_m[on]], 1)
-    stretch = wall_stretches(positions, [k] * len(positions), room, length_m)
-    return np.array([np.median(patches[stretch == n], 0) for n in range(stretch.max() + 1)])
+    section = wall_sections(positions, [k] * len(positions), room, length_m)
+    return np.array([np.median(patches[section == n], 0) for n in range(section.max() + 1)])
 
 
 def _shared(adjustment: Adjustment, room: Room, k: int, on: BoolArray) -> FloatArray:
@@ -248,10 +245,10 @@ def _shared(adjustment: Adjustment, room: Room, k: int, on: BoolArray) -> FloatA
     return np.asarray(room.normals[k] @ adjustment.shared_loading[on].mean(0))
 
 
-def _complaint(things: FloatArray, sigma_m: float, hanging_sigma_m: float, patches: int) -> str:
+def _complaint(objects: FloatArray, sigma_m: float, hanging_sigma_m: float, patches: int) -> str:
     """Complaint about a wall; empty unless its objects lie in one plane."""
-    along, off = things.T
-    if len(things) < _LEAST_THINGS:
+    along, off = objects.T
+    if len(objects) < _LEAST_OBJECTS:
         return ''
     slope = theilslopes(off, along).slope
     straightened = off - slope * along
@@ -309,7 +306,7 @@ def moved_walls(
     seen = [k for k, wall in enumerate(room.walls) if wall.sigma_m and np.any(index == k)]
     if not seen:
         return room, 0.0
-    section = wall_stretches(free.positions, walls, room, config.hanging_length_m)
+    section = wall_sections(free.positions, walls, room, config.hanging_length_m)
     # Patches of one section of a wall hang equally far from it.
     hanging = np.asarray(config.hanging_sigma_m**2 * np.bincount(section)[section], np.float64)
     fitted = [_fitted(w, free, index == k, hanging, config) for k, w in enumerate(room.walls)]

@@ -39,10 +39,7 @@ _SIZE_EXPONENT = 0.25
 
 
 def select(
-    saliency: Float32Array,
-    covered: BoolArray,
-    config: AttentionConfig,
-    examine: Examine,
+    saliency: Float32Array, covered: BoolArray, config: AttentionConfig, examine: Examine
 ) -> tuple[tuple[Candidate, ...], tuple[tuple[Candidate, Refusal], ...]]:
     """
     Select rectangles until there are enough or the response is too low.
@@ -233,7 +230,7 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     at = np.unravel_index(int(np.argmax(score)), score.shape)
     if score[at] > _MAX_SIMILARITY:
         return Refusal(
-            'looks like a place near by',
+            'looks like its neighbourhood',
             f'correlation {score[at]:.2f} at {at[1] - column:+d} columns, {at[0] - row:+d} rows',
         )
     return None

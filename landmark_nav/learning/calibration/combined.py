@@ -132,16 +132,16 @@ def with_papers(
     rows = np.zeros((3, len(NAMES)))
     rows[0, [NAMES.index(name) for name in HEIGHT]] = 1.0
     axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
-    rows[1:, axis_tilt] = lean_axes(used)
+    rows[1:, axis_tilt] = tilt_axes(used)
     values = rows @ used.values + covariance @ score
     covariance[1:, 1:] += floor_rad**2 * np.eye(2)
     # Expressed in roll and pitch.
     turn = np.eye(3)
-    turn[1:, 1:] = lean_axes(used).T
+    turn[1:, 1:] = tilt_axes(used).T
     return known.observed(turn @ rows, turn @ values, turn @ covariance @ turn.T)
 
 
-def lean_axes(calibration: Calibration) -> FloatArray:
+def tilt_axes(calibration: Calibration) -> FloatArray:
     """Matrix (2, 2) from roll and pitch of the pan axis to rotations about x and y of the base."""
     yaw = calibration['axis_yaw'][0]
     return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
@@ -184,10 +184,10 @@ def levelled(
     )
     if not significant:
         return mount, terms
-    return leant(mount, axis_tilt), terms
+    return tilted(mount, axis_tilt), terms
 
 
-def leant(mount: PanTiltMount, tilt_roll_rad: FloatArray) -> PanTiltMount:
+def tilted(mount: PanTiltMount, tilt_roll_rad: FloatArray) -> PanTiltMount:
     """Rotate the pan axis by small angles (2,) about x and y of the base."""
     turned = Rotation.from_rotvec([*tilt_roll_rad, 0.0]).as_matrix() @ rotation_rpy(mount.axis_rpy)
     roll, pitch, yaw = Rotation.from_matrix(turned).as_euler('xyz').tolist()

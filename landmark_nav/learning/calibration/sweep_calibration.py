@@ -174,10 +174,7 @@ def moved_px(one: SweepCalibration, other: SweepCalibration) -> float:
 
 
 def fit_significant(
-    problem: OverlapProblem,
-    free: Sequence[int],
-    frame_sigma: Sequence[float],
-    camera: CameraModel,
+    problem: OverlapProblem, free: Sequence[int], frame_sigma: Sequence[float], camera: CameraModel
 ) -> tuple[Fit, Fit, tuple[CalibrationTerm, ...]]:
     """
     Fit all terms; then remove the least significant terms until all that remain are significant.

@@ -344,10 +344,7 @@ class SweepCapture:
 
 
 def begin_or_resume(
-    before: SweepCapture | None,
-    config: CaptureConfig,
-    inspect: Callable[[Any], Look],
-    now_ns: int,
+    before: SweepCapture | None, config: CaptureConfig, inspect: Callable[[Any], Look], now_ns: int
 ) -> tuple[SweepCapture, str]:
     """
     Continue an incomplete sweep if the base has not moved since; else begin a new one.

@@ -147,10 +147,7 @@ def frame_slab(
         frame.image, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     return FrameSlab(
-        start,
-        float(middle),
-        np.asarray(image, dtype=np.uint8),
-        np.asarray(inside, dtype=np.uint8),
+        start, float(middle), np.asarray(image, dtype=np.uint8), np.asarray(inside, dtype=np.uint8)
     )
 
 

@@ -114,10 +114,7 @@ def _wrapped(start: int, count: int, width: int) -> list[tuple[slice, slice]]:
 
 
 def _feather(
-    slabs: list[FrameSlab],
-    reach_rad: FloatArray,
-    cylinder: Cylinder,
-    rows: npt.NDArray[np.intp],
+    slabs: list[FrameSlab], reach_rad: FloatArray, cylinder: Cylinder, rows: npt.NDArray[np.intp]
 ) -> ImageArray:
     """Weighted mean in some rows; the weight of a frame falls with the angle from its axis."""
     channels = slabs[0].image.shape[2:]

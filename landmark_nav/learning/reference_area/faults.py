@@ -30,7 +30,7 @@ from landmark_nav.learning.reference_area.model import (
     PaperPlaces,
     ReferenceAreaConfig,
 )
-from landmark_nav.learning.reference_area.refusals import lean_text, MountError
+from landmark_nav.learning.reference_area.refusals import MountError, tilt_text
 from landmark_nav.learning.reference_area.search import (
     find_places,
     LEAST_PAPERS,
@@ -47,7 +47,7 @@ _COMMON, _PAPER = len(_OF_ALL), len(OF_PAPER)
 _FREE_M, _FREE_RAD, _FREE_SHARE = 0.5, 0.2, 0.5
 _IN_METRES = ('camera_height', 'along', 'height', 'depth')
 # Faults of the mount -> the sigma that they set free.
-_OF_MOUNT = {'camera_height': 'height_sigma_m', 'lean': 'horizon_sigma_rad'}
+_OF_MOUNT = {'camera_height': 'height_sigma_m', 'tilt': 'horizon_sigma_rad'}
 # Sigmas of the focal length after the calibration by overlaps, and of the sizes of one paper.
 _FOCAL_SIGMA, _OWN_SIZE_SIGMA = 1e-3, 3e-3
 # Least gain in chi-square of a real fault, and its least lead over all others.
@@ -105,7 +105,7 @@ class PaperFault:
 
     `kind` is, of the paper with index `paper`: 'along' (to the left), 'height', 'depth' (off the
     wall), 'width', 'tallness', 'size' (both), 'turned' (both exchanged) or 'hidden'; of all, with
-    `paper` -1: 'swapped' (colours), 'mirrored', 'feet' (the unit), 'camera_height', 'lean'
+    `paper` -1: 'swapped' (colours), 'mirrored', 'feet' (the unit), 'camera_height', 'tilt'
     (of the pan axis), 'focal' or 'sizes'.
     `value` and `sigma` are true minus given in m, rad or relative, 0 if `kind` is sufficient.
     `text` is its description, `mount` the error of the mount.
@@ -266,7 +266,7 @@ class _Hypothesis:
 
     def free(self, views: int) -> list[int]:
         """Indices in the state of a model with this number of views."""
-        if self.kind == 'lean':
+        if self.kind == 'tilt':
             return [_VIEW * v + n for v in range(views) for n in (3, 4)]
         if self.kind in _OF_ALL:
             return [_VIEW * views + _OF_ALL.index(self.kind)]
@@ -277,7 +277,7 @@ class _Hypothesis:
     @property
     def sigma(self) -> float:
         """Sigma of the free values."""
-        if self.kind == 'lean':
+        if self.kind == 'tilt':
             return _FREE_RAD
         return _FREE_M if self.kind in _IN_METRES else _FREE_SHARE
 
@@ -285,7 +285,7 @@ class _Hypothesis:
 def _hypotheses(room: Room) -> Iterator[_Hypothesis]:
     """All single faults."""
     papers = room.papers
-    for kind in (*_OF_ALL, 'lean'):
+    for kind in (*_OF_ALL, 'tilt'):
         yield _Hypothesis(kind)
     for k, paper in enumerate(papers):
         for kind in (*OF_PAPER, 'hidden'):
@@ -398,7 +398,7 @@ class _Trial:
             unseen += int(np.sum(missing))
         cost += _MISSING * unseen + _BY_FREEDOM * len(free)
         # Those of each view have a common mean.
-        width = 2 if hypothesis.kind == 'lean' else 1
+        width = 2 if hypothesis.kind == 'tilt' else 1
         values = state[free].reshape(-1, width)
         sigmas = np.sqrt(np.diag(covariance_of(information))[free]).reshape(-1, width)
         redundancy = max(1, model.measured - 3 * len(views) - len(free))
@@ -534,8 +534,8 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, room: Room) -> PaperFau
     if sum(paper.color == color for paper in room.papers) > 1:
         x, y, _ = room.papers[k].center
         color = f'{color} ({x:.2f}, {y:.2f})'
-    if kind == 'lean':
-        text, mount = lean_text(solution.values), MountError(tilt_roll_rad=solution.values)
+    if kind == 'tilt':
+        text, mount = tilt_text(solution.values), MountError(tilt_roll_rad=solution.values)
     elif kind == 'swapped' and hypothesis.room is not None:
         both = zip(hypothesis.room.papers, room.papers, strict=True)
         pairs = {(h.color, p.color): None for h, p in both if h.color != p.color}

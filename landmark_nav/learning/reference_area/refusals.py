@@ -33,8 +33,8 @@ class MountError:
 
     def beyond(self, rise_m: float, tilt_rad: float, times: float = 1.0) -> tuple[bool, bool]:
         """Whether height and tilt exceed limits, or some times these."""
-        leans = float(np.hypot(*self.tilt_roll_rad)) > times * tilt_rad
-        return abs(self.rise_m) > times * rise_m, leans
+        off_level = float(np.hypot(*self.tilt_roll_rad)) > times * tilt_rad
+        return abs(self.rise_m) > times * rise_m, off_level
 
     @property
     def reasonable(self) -> bool:
@@ -85,10 +85,10 @@ def check_prior(
 ) -> None:
     """Raise `LandmarkNavError` if a fit contradicts the priors of the mount or of the papers."""
     found = MountError(float(fit.mount[0]), fit.mount[1:])
-    high, leans = found.beyond(config.height_sigma_m, config.horizon_sigma_rad, most_sigmas)
-    if high or leans:
-        lean = f'{lean_text(found.tilt_roll_rad)}: level the robot, or set pan_axis rpy'
-        raise WrongMountError(wrong_height(found.rise_m) if high else lean, found)
+    high, off_level = found.beyond(config.height_sigma_m, config.horizon_sigma_rad, most_sigmas)
+    if high or off_level:
+        tilt = f'{tilt_text(found.tilt_roll_rad)}: level the robot, or set pan_axis rpy'
+        raise WrongMountError(wrong_height(found.rise_m) if high else tilt, found)
     hang = np.abs(fit.hang_m).max(axis=1)
     worst = int(np.argmax(hang))
     if hang[worst] > WRONG_PRIOR * max(config.paper_sigma_m, 1e-4):
@@ -99,7 +99,7 @@ def check_prior(
         )
 
 
-def lean_text(tilt_roll_rad: FloatArray) -> str:
+def tilt_text(tilt_roll_rad: FloatArray) -> str:
     """Text of a tilt (2,) of the pan axis that differs from the given one."""
     roll, pitch = np.degrees(tilt_roll_rad)
     return (

@@ -235,8 +235,8 @@ def _placed(
         states[new, 2] = wrap_rad(heading)
         rise = lengths[i, j] * pose.slope
         states[new, 3] = states[near, 3] + (rise if forward else -rise)
-        lean = pose.tilt_rad if forward else -rotation(-turn) @ pose.tilt_rad
-        states[new, 4:] = rotation(-turn) @ states[near, 4:] + lean
+        tilt = pose.tilt_rad if forward else -rotation(-turn) @ pose.tilt_rad
+        states[new, 4:] = rotation(-turn) @ states[near, 4:] + tilt
         placed.add(new)
     return states
 

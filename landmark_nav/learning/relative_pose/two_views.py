@@ -56,7 +56,7 @@ class TwoViews:
 def two_views_of(states: FloatArray, one: int, other: int) -> TwoViews:
     """Relative pose of two of the states (v, 6) of sweeps."""
     here, there = states[one], states[other]
-    # In the frame of the first view, which leans: the inverse of a rotation is its transpose.
+    # In the frame of the first view, which is tilted: the inverse of a rotation is its transpose.
     way = turned(here, np.eye(3)) @ (center(there) - center(here))
     heading = there[2] - here[2]
     tilt = there[4:] - rotation(-heading) @ here[4:]
@@ -148,9 +148,7 @@ def _refined(
     )
     found = two_views_of(fit.states, 0, 1)
     return replace(
-        found,
-        heading_rad=float(wrap_rad(found.heading_rad)),
-        support=int(fit.agrees[0].sum()),
+        found, heading_rad=float(wrap_rad(found.heading_rad)), support=int(fit.agrees[0].sum())
     )
 
 

@@ -27,15 +27,13 @@ _CONVERGED = 1e-4
 _MOST = 0.25
 _LARGEST_SIGMA = 0.02
 _LEAST_PIVOT = 1e-5
-# Border of a view that the blur spoils, pixels.
+# Border of a view that the blur affects, pixels.
 MARGIN = 4
 _INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
 
 def log_nearer(
-    patch: WallPatch,
-    point: FloatArray,
-    panoramas: tuple[Panorama, Panorama],
+    patch: WallPatch, point: FloatArray, panoramas: tuple[Panorama, Panorama]
 ) -> tuple[float, float]:
     """
     Log ratio of the distances of two panoramas from the true plane of a patch.

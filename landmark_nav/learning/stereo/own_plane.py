@@ -9,7 +9,7 @@ depth, only that is searched. Then the patch is rotated for the best correlation
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -65,10 +65,6 @@ def match_freely(
 
     Parameters
     ----------
-    source : int
-        Number of the panorama that proposed it.
-    panoramas : sequence of Panorama
-        All panoramas.
     config : StereoConfig
         What counts as the same patch.
     depths : tuple of ndarray, optional
@@ -79,28 +75,31 @@ def match_freely(
     tuple of WallPatch and list of PatchMeasurement, or Refusal
         The patch on its own plane and its measurements, that of its own panorama first.
     """
-    others = [j for j in range(len(panoramas)) if j != source]
     known = _known_depth(candidate, panoramas[source], depths)
     if depths is not None and known is None and not candidate.edge:
         return Refusal('no feature around it is found again')
-    strict = replace(config, min_score=max(config.min_score, _MIN_SCORE))
+    strict = max(config.min_score, _MIN_SCORE)
+    searches = [
+        _Search(candidate, source, other, panoramas, config)
+        for other in range(len(panoramas))
+        if other != source
+    ]
     best: tuple[float, WallPatch] | None = None
     refused = Refusal('found at no depth')
-    for other in others:
-        at = known or _depth(candidate, source, other, panoramas, strict)
+    for search in searches:
+        at = known or search.with_least(strict).depth()
         if isinstance(at, Refusal):
             refused = at
             continue
-        loose = replace(config, min_score=_TURNING_SHARE * config.min_score)
-        turned = _turned(candidate, source, other, at, panoramas, loose)
+        turned = search.with_least(_TURNING_SHARE * config.min_score).turned(at)
         if turned is not None and (best is None or turned[0] > best[0]):
             best = turned
     if best is None:
         return refused
     patch = best[1]
     seen = []
-    for other in others:
-        found = _near(patch, other, panoramas, config)
+    for search in searches:
+        found = search.near(patch)
         if isinstance(found, Refusal):
             refused = found
         else:
@@ -108,9 +107,9 @@ def match_freely(
     # A single other view may match by chance, and an edge looks like others; two views or several
     # features do not.
     if seen and len(seen) < 2 and not (known and known.agreed):
-        least = np.inf if candidate.edge else strict.min_score
+        least = np.inf if candidate.edge else strict
         seen = [found for found in seen if found.score >= least]
-        refused = Refusal('low correlation', f'less than {strict.min_score:.2f}')
+        refused = Refusal('low correlation', f'less than {strict:.2f}')
     return (patch, [own_measurement(patch, panoramas[source]), *seen]) if seen else refused
 
 
@@ -130,19 +129,15 @@ def is_off_wall(
 ) -> bool:
     """Whether all other panoramas show a patch of a wall far off it."""
     here = panoramas[patch.source]
+    reach = float(np.hypot(*(patch.position - here.center_map)[:2]))
     off = []
     for seen in measurements[1:]:
         there = panoramas[seen.panorama]
-        reach = float(np.hypot(*(patch.position - here.center_map)[:2]))
         distance = _distance(patch, seen, here, there, config)
         if distance is None:
             return False
-        slack = (
-            _SLACK_RAD
-            * distance
-            * reach
-            / float(np.hypot(*(there.center_map - here.center_map)[:2]))
-        )
+        baseline = float(np.hypot(*(there.center_map - here.center_map)[:2]))
+        slack = _SLACK_RAD * distance * reach / baseline
         off.append(abs(1.0 - distance / reach) * patch.reach_m(here) - slack)
     return min(off) > config.max_off_wall_m
 
@@ -180,153 +175,142 @@ def _known_depth(candidate: Candidate, panorama: Panorama, depths: Depths | None
     return _Depth(middle, _DEPTH_SHARE * middle + spread, agreed)
 
 
-def _depth(
-    candidate: Candidate,
-    source: int,
-    other: int,
-    panoramas: Sequence[Panorama],
-    config: StereoConfig,
-) -> _Depth | Refusal:
-    """Distance of a candidate, from a search along its epipolar curve in another panorama."""
-    here, there = panoramas[source], panoramas[other]
-    found: list[tuple[float, float]] = []
-    for patch in _moved(candidate, source, here, there):
-        step = 0.5 * (1.0 / _STEP - 1.0) * patch.reach_m(here)
-        if patch.reach_m(there) < 2.0 * step:
-            continue
-        wide = replace(
-            config,
-            before_wall_m=min(step, _WIDEST_M),
-            behind_wall_m=min(1.3 * step, _WIDEST_M),
-            # Its rotation is not known yet.
-            max_displaced_px=100.0,
-        )
-        seen = compare(patch, other, panoramas, wide)
-        if isinstance(seen, PatchMeasurement):
-            distance = _distance(patch, seen, here, there, config)
-            if distance is not None:
-                found.append((seen.score, distance))
-    if not found:
-        return Refusal('found at no depth')
-    score, distance = max(found)
-    rivals = [s for s, d in found if abs(np.log(d / distance)) > -np.log(1.0 - 2 * _DEPTH_SHARE)]
-    if rivals and max(rivals) > _MAX_RIVAL * score:
-        return Refusal('found at two depths')
-    return _Depth(distance, _NEAR_M)
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Search of a candidate of panorama `source` in panorama `other`, off the walls."""
 
+    candidate: Candidate
+    source: int
+    other: int
+    panoramas: Sequence[Panorama]
+    config: StereoConfig
 
-def _moved(
-    candidate: Candidate, source: int, here: Panorama, there: Panorama
-) -> Iterator[WallPatch]:
-    """The patch at all depths, facing both cameras and rotated to either side."""
-    distance = _FARTHEST_M
-    while distance > _NEAREST_M:
-        for turn in _TURNS:
-            patch = _patch(candidate, source, distance, turn, here, there)
-            if patch is not None:
-                yield patch
-        distance *= _STEP
+    @property
+    def _here(self) -> Panorama:
+        return self.panoramas[self.source]
 
+    @property
+    def _there(self) -> Panorama:
+        return self.panoramas[self.other]
 
-def _patch(
-    candidate: Candidate,
-    source: int,
-    distance: float,
-    turn: float,
-    here: Panorama,
-    there: Panorama,
-) -> WallPatch | None:
-    """
-    The patch at a distance, rotated from facing both.
+    def with_least(self, score: float) -> _Search:
+        """Return the search with another least score."""
+        return replace(self, config=replace(self.config, min_score=score))
 
-    None if one view is too oblique, or it is below the floor, as in a mirror or outside a window.
-    """
-    azimuth = float(here.cylinder.azimuth_rad(candidate.column)) + here.heading_rad
-    ray = np.array([np.cos(azimuth), np.sin(azimuth), here.cylinder.tangent(candidate.row)])
-    position = here.center_map + distance * ray
-    between = 0.5 * (here.center_map + there.center_map)[:2] - position[:2]
-    toward = float(np.arctan2(between[1], between[0])) + turn
-    normal = np.array([np.cos(toward), np.sin(toward), 0.0])
-    cosine = float(-ray[:2] @ normal[:2])
-    across = there.center_map - position
-    texel = distance / here.cylinder.fy
-    if min(cosine, float(across @ normal) / float(np.hypot(*across[:2]))) < _LEAST_COSINE:
-        return None
-    if position[2] < 0.5 * candidate.height_px * texel:
-        return None
-    shape = (candidate.height_px, max(8, round(candidate.width_px / cosine)))
-    return WallPatch(candidate, source, -1, position, normal, shape, texel, on_wall=False)
-
-
-def _turned(
-    candidate: Candidate,
-    source: int,
-    other: int,
-    at: _Depth,
-    panoramas: Sequence[Panorama],
-    config: StereoConfig,
-) -> tuple[float, WallPatch] | None:
-    """Score and patch with the distance and rotation of the best correlation."""
-    here, there = panoramas[source], panoramas[other]
-    distance, near_m, _ = at
-    best: tuple[float, float, float, WallPatch] | None = None
-    turns: tuple[float, ...] = _TURNS
-    for finer in (*_FINER, None):
-        for turn in turns:
-            patch = _patch(candidate, source, distance, turn, here, there)
-            found = patch and _near(patch, other, panoramas, config, near_m)
-            if patch is None or not isinstance(found, PatchMeasurement):
+    def depth(self) -> _Depth | Refusal:
+        """Distance of the candidate, from a search along its epipolar curve."""
+        found: list[tuple[float, float]] = []
+        for patch in self._moved():
+            step = 0.5 * (1.0 / _STEP - 1.0) * patch.reach_m(self._here)
+            if patch.reach_m(self._there) < 2.0 * step:
                 continue
-            exact = _distance(patch, found, here, there, config)
-            worth = found.score - _TURN_PRICE * abs(turn)
-            if exact is not None and (best is None or worth > best[0]):
-                share = exact / distance
-                position = here.center_map + share * (patch.position - here.center_map)
-                patch = replace(patch, position=position, texel_m=share * patch.texel_m)
-                best = worth, turn, exact, patch
-        if best is None or finer is None:
-            break
-        _, turn, distance, _ = best
-        near_m = _NEAR_M
-        turns = (turn - finer, turn + finer)
-    return best and (best[0], best[3])
+            wide = replace(
+                self.config,
+                before_wall_m=min(step, _WIDEST_M),
+                behind_wall_m=min(1.3 * step, _WIDEST_M),
+                # Its rotation is not known yet.
+                max_displaced_px=100.0,
+            )
+            seen = compare(patch, self.other, self.panoramas, wide)
+            if isinstance(seen, PatchMeasurement):
+                distance = self._distance(patch, seen)
+                if distance is not None:
+                    found.append((seen.score, distance))
+        if not found:
+            return Refusal('found at no depth')
+        score, distance = max(found)
+        apart = -np.log(1.0 - 2 * _DEPTH_SHARE)
+        rivals = [s for s, d in found if abs(np.log(d / distance)) > apart]
+        if rivals and max(rivals) > _MAX_RIVAL * score:
+            return Refusal('found at two depths')
+        return _Depth(distance, _NEAR_M)
 
+    def _moved(self) -> Iterator[WallPatch]:
+        """Yield the patch at all depths, facing both cameras and rotated to either side."""
+        distance = _FARTHEST_M
+        while distance > _NEAREST_M:
+            for turn in _TURNS:
+                patch = self._patch(distance, turn)
+                if patch is not None:
+                    yield patch
+            distance *= _STEP
 
-def _near(
-    patch: WallPatch,
-    other: int,
-    panoramas: Sequence[Panorama],
-    config: StereoConfig,
-    near_m: float = _NEAR_M,
-) -> PatchMeasurement | Refusal:
-    """Find a patch in another panorama, with its plane nearly known."""
-    here, there = panoramas[patch.source], panoramas[other]
-    to_there = there.center_map - patch.position
-    if to_there @ patch.normal < _LEAST_COSINE * np.hypot(*to_there[:2]):
-        return Refusal('too oblique from the other place')
-    close = replace(
-        config,
-        before_wall_m=near_m,
-        behind_wall_m=near_m,
-        margin_m=_MARGIN_M,
-        max_displaced_px=max(config.max_displaced_px, config.max_relief_px),
-    )
-    found = compare(patch, other, panoramas, close)
-    if isinstance(found, Refusal):
+    def _patch(self, distance: float, turn: float) -> WallPatch | None:
+        """
+        Return the patch at a distance, rotated from facing both.
+
+        None if one view is too oblique, or it is below the floor, as in a mirror or outside a
+        window.
+        """
+        candidate, here, there = self.candidate, self._here, self._there
+        azimuth = float(here.cylinder.azimuth_rad(candidate.column)) + here.heading_rad
+        ray = np.array([np.cos(azimuth), np.sin(azimuth), here.cylinder.tangent(candidate.row)])
+        position = here.center_map + distance * ray
+        between = 0.5 * (here.center_map + there.center_map)[:2] - position[:2]
+        toward = float(np.arctan2(between[1], between[0])) + turn
+        normal = np.array([np.cos(toward), np.sin(toward), 0.0])
+        cosine = float(-ray[:2] @ normal[:2])
+        across = there.center_map - position
+        texel = distance / here.cylinder.fy
+        if min(cosine, float(across @ normal) / float(np.hypot(*across[:2]))) < _LEAST_COSINE:
+            return None
+        if position[2] < 0.5 * candidate.height_px * texel:
+            return None
+        shape = (candidate.height_px, max(8, round(candidate.width_px / cosine)))
+        return WallPatch(candidate, self.source, -1, position, normal, shape, texel, on_wall=False)
+
+    def turned(self, at: _Depth) -> tuple[float, WallPatch] | None:
+        """Score and patch with the distance and rotation of the best correlation."""
+        distance, near_m, _ = at
+        best: tuple[float, float, float, WallPatch] | None = None
+        turns: tuple[float, ...] = _TURNS
+        for finer in (*_FINER, None):
+            for turn in turns:
+                patch = self._patch(distance, turn)
+                found = patch and self.near(patch, near_m)
+                if patch is None or not isinstance(found, PatchMeasurement):
+                    continue
+                exact = self._distance(patch, found)
+                worth = found.score - _TURN_PRICE * abs(turn)
+                if exact is not None and (best is None or worth > best[0]):
+                    share, center = exact / distance, self._here.center_map
+                    position = center + share * (patch.position - center)
+                    patch = replace(patch, position=position, texel_m=share * patch.texel_m)
+                    best = worth, turn, exact, patch
+            if best is None or finer is None:
+                break
+            _, turn, distance, _ = best
+            near_m = _NEAR_M
+            turns = (turn - finer, turn + finer)
+        return best and (best[0], best[3])
+
+    def near(self, patch: WallPatch, near_m: float = _NEAR_M) -> PatchMeasurement | Refusal:
+        """Find a patch in the other panorama, with its plane nearly known."""
+        to_there = self._there.center_map - patch.position
+        if to_there @ patch.normal < _LEAST_COSINE * np.hypot(*to_there[:2]):
+            return Refusal('too oblique from the other place')
+        close = replace(
+            self.config,
+            before_wall_m=near_m,
+            behind_wall_m=near_m,
+            margin_m=_MARGIN_M,
+            max_displaced_px=max(self.config.max_displaced_px, self.config.max_relief_px),
+        )
+        found = compare(patch, self.other, self.panoramas, close)
+        if isinstance(found, Refusal):
+            return found
+        ratio = patch.reach_m(self._here) / patch.reach_m(self._there)
+        missed = abs(found.log_nearer - float(np.log(ratio)))
+        if missed > _MAX_SIZE + _SIZE_SIGMAS * found.sigma_log_nearer:
+            return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
         return found
-    ratio = patch.reach_m(here) / patch.reach_m(there)
-    missed = abs(found.log_nearer - float(np.log(ratio)))
-    if missed > _MAX_SIZE + _SIZE_SIGMAS * found.sigma_log_nearer:
-        return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
-    return found
+
+    def _distance(self, patch: WallPatch, seen: PatchMeasurement) -> float | None:
+        return _distance(patch, seen, self._here, self._there, self.config)
 
 
 def _distance(
-    patch: WallPatch,
-    seen: PatchMeasurement,
-    here: Panorama,
-    there: Panorama,
-    config: StereoConfig,
+    patch: WallPatch, seen: PatchMeasurement, here: Panorama, there: Panorama, config: StereoConfig
 ) -> float | None:
     """Horizontal distance by both azimuths; None if there is too little parallax."""
     # The sine rule in plan (McMillan and Bishop, 1995).

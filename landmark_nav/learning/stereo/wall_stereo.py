@@ -124,11 +124,7 @@ def hypothesize(
 
 
 def match_in(
-    patch: WallPatch,
-    other: int,
-    panoramas: Sequence[Panorama],
-    room: Room,
-    config: StereoConfig,
+    patch: WallPatch, other: int, panoramas: Sequence[Panorama], room: Room, config: StereoConfig
 ) -> PatchMeasurement | Refusal:
     """
     Find a patch of one panorama in another, number `other`.
@@ -160,10 +156,7 @@ def match_in(
 
 
 def compare(
-    patch: WallPatch,
-    other: int,
-    panoramas: Sequence[Panorama],
-    config: StereoConfig,
+    patch: WallPatch, other: int, panoramas: Sequence[Panorama], config: StereoConfig
 ) -> PatchMeasurement | Refusal:
     """
     Match the two views, resampled on the patch's plane, in both directions.
@@ -189,7 +182,7 @@ def compare(
     loose = replace(config, min_score=_RETURN_SCORE * config.min_score)
     back = _located(replace(patch, shape=area.shape), found, here, (seen, own), loose)
     if isinstance(back, Refusal):
-        return Refusal('no way back', str(back))
+        return Refusal('reverse match differs', str(back))
     # In pixels of the coarser view.
     coarser = max(own.max(), seen.max())
     away = back[1] - patch.position
@@ -197,7 +190,7 @@ def compare(
         away[2] = 0.0
     off = float(np.linalg.norm(away)) / patch.texel_m / coarser
     if off > _MAX_RETURN_PX:
-        return Refusal('no way back', f'leads {off:.1f} px away')
+        return Refusal('reverse match differs', f'by {off:.1f} px')
     displaced = displaced_quarter(template, found) / coarser
     if displaced > config.max_displaced_px:
         return Refusal('not flat', f'a quarter is out of place by {displaced:.1f} px')

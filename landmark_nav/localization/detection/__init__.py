@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.correlation import detect_landmarks, DetectionResult
+from landmark_nav.localization.detection.expectation import View
 
-__all__ = ['DetectionConfig', 'DetectionResult', 'detect_landmarks']
+__all__ = ['DetectionConfig', 'DetectionResult', 'View', 'detect_landmarks']

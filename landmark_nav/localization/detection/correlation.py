@@ -19,21 +19,12 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.detection.appearance import draw
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.expectation import expect, Expectation, quadratic, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals
 from landmark_nav.matching import blur_by, blur_sigmas, Match, match_template, sigmas_of
-from landmark_nav.types import (
-    CameraFrame,
-    Detections,
-    FloatArray,
-    Landmark,
-    LandmarkMap,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import Detections, FloatArray, Landmark, LandmarkMap, Refusal
 
 _SHARP = np.zeros(2)
 # Blur mixes the surroundings into a patch, which shifts matches by this share of its sigma
@@ -61,10 +52,8 @@ class DetectionResult:
 
 
 def detect_landmarks(
-    frame: CameraFrame,
-    prior: PoseEstimate,
+    view: View,
     landmark_map: LandmarkMap,
-    mount: PanTiltMount,
     config: DetectionConfig,
     indices: npt.NDArray[np.intp],
     blur_px2: FloatArray = _SHARP,
@@ -74,17 +63,12 @@ def detect_landmarks(
 
     Parameters
     ----------
-    frame : CameraFrame
-        Image with the joint angles at its stamp.
-    prior : PoseEstimate
-        Expected pose of the base at its stamp.
     indices : ndarray of int, shape (n,)
         Landmarks of the map to search: those expected in this view.
     blur_px2 : ndarray, shape (2,)
         Variance of the image's blur relative to the images of the map, across and down; negative
         if the image is sharper.
     """
-    view = View(frame, prior, mount)
     refused: dict[int, Refusal] = {}
     looked: list[Landmark] = []
     places: list[Expectation] = []
@@ -118,7 +102,7 @@ def detect_landmarks(
     bearing, variance = _bearings([f.landmark for f in found], rays, covariance, view)
     return DetectionResult(
         Detections(
-            frame.stamp_ns,
+            view.stamp_ns,
             np.array([f.landmark.id for f in found], dtype=np.int64),
             bearing,
             variance,
@@ -225,18 +209,13 @@ def _heights(
     )
     off_px = np.array([f.down_px for f in found])
     covariance = rows.covariance(
-        view.prior.covariance,
-        landmark_map.covariances[index],
-        landmark_map.shared_loadings[index],
+        view.prior.covariance, landmark_map.covariances[index], landmark_map.shared_loadings[index]
     )
     return RowResiduals(off_px, rows.by_tilt_roll, covariance + np.diag(variance_px2), points)
 
 
 def _bearings(
-    landmarks: Sequence[Landmark],
-    rays: FloatArray,
-    covariance: FloatArray,
-    view: View,
+    landmarks: Sequence[Landmark], rays: FloatArray, covariance: FloatArray, view: View
 ) -> tuple[FloatArray, FloatArray]:
     """
     Bearings (n,) at the pan axis in the base frame, and their variances (n,).
@@ -269,10 +248,8 @@ _SHARPEST_PX2, _BLURRIEST_PX2 = -4.0, 25.0
 
 
 def detect_blurred(
-    frame: CameraFrame,
-    prior: PoseEstimate,
+    view: View,
     landmark_map: LandmarkMap,
-    mount: PanTiltMount,
     config: DetectionConfig,
     indices: npt.NDArray[np.intp],
     blur_px2: FloatArray,
@@ -280,21 +257,11 @@ def detect_blurred(
     """
     Find landmarks as `detect_landmarks` does, with the blur estimated from those found.
 
-    Parameters
-    ----------
-    frame, prior, landmark_map, mount, config, indices
-        As in `detect_landmarks`.
-    blur_px2 : ndarray, shape (2,)
-        Initial value of the blur, such as that of the image before.
-
-    Returns
-    -------
-    DetectionResult
-    blur_px2 : ndarray, shape (2,)
-        Estimated blur.
+    `blur_px2` (2,) is the initial value of the blur, such as that of the image before; the
+    estimated blur is returned.
     """
     for _ in range(_LOOKS):
-        result = detect_landmarks(frame, prior, landmark_map, mount, config, indices, blur_px2)
+        result = detect_landmarks(view, landmark_map, config, indices, blur_px2)
         if len(result.detections) < _LEAST:
             # They may be missed because the image is sharp again.
             return result, 0.5 * blur_px2

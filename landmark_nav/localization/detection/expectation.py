@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.patches import rays_to_patch
 from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
@@ -22,7 +22,7 @@ class View:
     """The image, and the camera's pose by the prior."""
 
     def __init__(self, frame: CameraFrame, prior: PoseEstimate, mount: PanTiltMount) -> None:
-        self.camera: CameraModel = frame.camera
+        self.stamp_ns, self.camera = frame.stamp_ns, frame.camera
         image = frame.image
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
         self.grey = np.asarray(grey, dtype=np.uint8)
@@ -67,10 +67,7 @@ class Expectation(NamedTuple):
 
 
 def expect(
-    landmark_map: LandmarkMap,
-    indices: npt.NDArray[np.intp],
-    view: View,
-    config: DetectionConfig,
+    landmark_map: LandmarkMap, indices: npt.NDArray[np.intp], view: View, config: DetectionConfig
 ) -> list[Expectation]:
     """Expected places of the landmarks `indices` in a view."""
     if not len(indices):

@@ -70,7 +70,7 @@ class State:
     own: FloatArray
     way_m: float = 0.0
     seconds: float = 0.0
-    # Derivative of pose, lean and odometry by those after the last image.
+    # Derivative of pose, tilt of the floor and odometry by those after the last image.
     carried: FloatArray = field(default_factory=lambda: np.eye(CALIBRATION))
     # Sum (2, 16) of the corrections of the calibration by images, and of their variances.
     corrections: FloatArray = field(default_factory=lambda: np.zeros((2, STATES - CALIBRATION)))

@@ -12,7 +12,7 @@ capture of MR.CLAM 6).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 import math
 from typing import NamedTuple
 
@@ -51,27 +51,24 @@ class Motion(NamedTuple):
     jitter_rad2: float = 0.0
 
 
+_sigma = partial(parameter, minimum=0.0, maximum=1.0)
+
+
 @dataclass(frozen=True)
 class OdometryNoiseConfig(Config):
     """Noise of wheel odometry."""
 
-    along_m_per_sqrt_m: float = parameter(
-        0.004, 'Sigma along the way after one metre, m.', minimum=0.0, maximum=1.0
+    along_m_per_sqrt_m: float = _sigma(0.004, 'Sigma along the way after one metre, m.')
+    across_m_per_sqrt_m: float = _sigma(0.004, 'Sigma across the way after one metre, m.')
+    turn_rad_per_sqrt_m: float = _sigma(0.008, 'Sigma of the heading after one metre, rad.')
+    turn_rad_per_sqrt_rad: float = _sigma(
+        0.015, 'Sigma of the heading after one radian of turn, rad.'
     )
-    across_m_per_sqrt_m: float = parameter(
-        0.004, 'Sigma across the way after one metre, m.', minimum=0.0, maximum=1.0
+    floor_m_per_sqrt_s: float = _sigma(
+        0.0005, 'Sigma of the position after one second at rest, m.'
     )
-    turn_rad_per_sqrt_m: float = parameter(
-        0.008, 'Sigma of the heading after one metre, rad.', minimum=0.0, maximum=1.0
-    )
-    turn_rad_per_sqrt_rad: float = parameter(
-        0.015, 'Sigma of the heading after one radian of turn, rad.', minimum=0.0, maximum=1.0
-    )
-    floor_m_per_sqrt_s: float = parameter(
-        0.0005, 'Sigma of the position after one second at rest, m.', minimum=0.0, maximum=1.0
-    )
-    floor_rad_per_sqrt_s: float = parameter(
-        0.0003, 'Sigma of the heading after one second at rest, rad.', minimum=0.0, maximum=1.0
+    floor_rad_per_sqrt_s: float = _sigma(
+        0.0003, 'Sigma of the heading after one second at rest, rad.'
     )
     blind_m_per_sqrt_s: float = parameter(
         0.5, 'Sigma of the position after one second without odometry, m.', minimum=0.0
@@ -82,33 +79,22 @@ class OdometryNoiseConfig(Config):
     estimate_odometry_bias: bool = parameter(
         True, 'Estimate the scale, the drift per metre and the turn scale of the odometry.'
     )
-    scale_sigma: float = parameter(
-        0.03, 'Sigma of the relative error of the way at the start.', minimum=0.0, maximum=1.0
+    scale_sigma: float = _sigma(0.03, 'Sigma of the relative error of the way at the start.')
+    drift_sigma_rad_per_m: float = _sigma(
+        0.01, 'Sigma of the systematic turn per metre at the start.'
     )
-    drift_sigma_rad_per_m: float = parameter(
-        0.01, 'Sigma of the systematic turn per metre at the start.', minimum=0.0, maximum=1.0
-    )
-    turn_scale_sigma: float = parameter(
-        0.03, 'Sigma of the relative error of turns at the start.', minimum=0.0, maximum=1.0
-    )
-    turn_loss_sigma_m_per_rad: float = parameter(
+    turn_scale_sigma: float = _sigma(0.03, 'Sigma of the relative error of turns at the start.')
+    turn_loss_sigma_m_per_rad: float = _sigma(
         0.0,
         'Sigma of the way that is lost in turns, m per rad, which is estimated: a base that is '
         'commanded to drive and to turn may drive slower. 0 has it lose none.',
-        minimum=0.0,
-        maximum=1.0,
     )
-    bias_change_per_sqrt_m: float = parameter(
-        0.05,
-        'Random walk of these three in one metre, relative to their sigmas at the start.',
-        minimum=0.0,
-        maximum=1.0,
+    bias_change_per_sqrt_m: float = _sigma(
+        0.05, 'Random walk of these three in one metre, relative to their sigmas at the start.'
     )
-    slip_m_per_rad: float = parameter(
+    slip_m_per_rad: float = _sigma(
         0.05,
         'Sigma of the side slip in turns, m to the left per rad; on a straight way there is none.',
-        minimum=0.0,
-        maximum=1.0,
     )
     slip_length_m: float = parameter(
         0.1, 'Way over which side slip changes, m.', minimum=0.001, maximum=1000.0

@@ -20,9 +20,7 @@ import numpy as np
 from scipy.special import chdtri, erfc
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import squared_distance, transform_points
-from landmark_nav.localization.looking import LookingConfig
 from landmark_nav.localization.relocalization.candidate_detections import (
     CandidateDetections,
     find_candidate_detections,
@@ -31,17 +29,10 @@ from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.hypotheses import DISTINCT_M, DISTINCT_RAD, propose
 from landmark_nav.localization.relocalization.verification import (
     CarriedFrames,
+    PlaceVerifier,
     Verification,
-    verify,
 )
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    LandmarkMap,
-    PoseEstimate,
-    Refusal,
-    RefusalCode,
-)
+from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate, Refusal, RefusalCode
 
 # Least share of the landmarks expected at a place that must be found there.
 _MIN_FOUND_SHARE = 0.4
@@ -63,11 +54,8 @@ _MIN_SPREAD_RAD = 0.6
 def locate(
     carried: CarriedFrames,
     detections: Sequence[CandidateDetections],
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
+    verifier: PlaceVerifier,
     config: RelocalizationConfig,
-    looking: LookingConfig,
-    tilt_sigma_rad: float = 0.0,
 ) -> Verification | Refusal:
     """
     Find the robot's place without any prior.
@@ -78,8 +66,6 @@ def locate(
         Images, and the poses of the base at each by odometry.
     detections : sequence of Detections
         Possible detections in each image, found without a prior.
-    tilt_sigma_rad : float
-        How far tilt and roll of the camera may be off.
 
     Returns
     -------
@@ -96,14 +82,12 @@ def locate(
         )
         for seen, pose in zip(detections, carried.poses_last_base, strict=True)
     ]
-    proposed = propose(CandidateDetections.joined(moved), landmark_map)
+    proposed = propose(CandidateDetections.joined(moved), verifier.landmark_map)
     if not len(proposed.poses):
         return nothing_recognised('no two detections agree on a place')
     poses, count, places = proposed.poses, len(proposed.poses), list[Verification]()
     for some in poses[:CANDIDATES], poses[CANDIDATES:_ALL_CANDIDATES]:
-        places = verified_places(
-            some, carried, landmark_map, mount, looking, tilt_sigma_rad, places
-        )
+        places = verified_places(some, carried, verifier, places)
         judged = _judged(best_place(places, count), config)
         if isinstance(judged, Refusal):
             break
@@ -113,16 +97,13 @@ def locate(
 def verified_places(
     poses: FloatArray,
     carried: CarriedFrames,
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
-    looking: LookingConfig,
-    tilt_sigma_rad: float = 0.0,
+    verifier: PlaceVerifier,
     known: Sequence[Verification] = (),
 ) -> list[Verification]:
     """Verify poses (n, 3); return them with those `known`, if different, most landmarks first."""
     places = list(known)
     for pose in poses:
-        outcome = verify(pose, carried, landmark_map, mount, looking, tilt_sigma_rad)
+        outcome = verifier.verify(pose, carried)
         if isinstance(outcome, Verification) and not _known(outcome, places):
             places.append(outcome)
     return sorted(places, key=lambda place: -len(place.ids))
@@ -236,36 +217,19 @@ _LEAST_SIGMA, _PROPOSED_SIGMA = (1e-3, 1e-3, 1e-3), (0.1, 0.1, 0.035)
 
 
 def localize_within_prior(
-    frame: CameraFrame,
-    prior: PoseEstimate,
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
-    looking: LookingConfig,
-    tilt_sigma_rad: float = 0.0,
+    frame: CameraFrame, prior: PoseEstimate, verifier: PlaceVerifier
 ) -> Verification | Refusal:
-    """
-    Find the pose within a wide prior that fits an image.
-
-    Parameters
-    ----------
-    tilt_sigma_rad : float
-        How far tilt and roll of the camera may be off; a small roll is found without.
-
-    Returns
-    -------
-    Verification or Refusal
-        Pose of the base by this image alone, or why there is none.
-    """
+    """Find the pose of the base within a wide prior by one image, or why there is none."""
     prior = replace(prior, covariance=prior.covariance + np.diag(np.square(_LEAST_SIGMA)))
-    detections = find_candidate_detections(frame, landmark_map, mount, prior, tilt_sigma_rad)
+    landmark_map = verifier.landmark_map
+    detections = find_candidate_detections(frame, landmark_map, verifier.mount, prior)
     poses = propose(detections, landmark_map).poses
     rough = np.diag(np.square(_PROPOSED_SIGMA))
     likely = poses[[_allows(prior, pose, rough) for pose in poses]]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
-    some = likely[:CANDIDATES]
     places = [
         place
-        for place in verified_places(some, still, landmark_map, mount, looking, tilt_sigma_rad)
+        for place in verified_places(likely[:CANDIDATES], still, verifier)
         if _allows(prior, place.estimate.pose, place.estimate.covariance)
     ]
     return best_place(places, len(likely))

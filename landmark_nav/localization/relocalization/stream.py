@@ -14,8 +14,8 @@ import numpy.typing as npt
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.late_joints import DELAY_BOUND_S
-from landmark_nav.localization.looking import LookingConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
+from landmark_nav.localization.joint_delay import DELAY_BOUND_S
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
     left_variance,
@@ -30,7 +30,7 @@ from landmark_nav.localization.relocalization.candidate_detections import (
 )
 from landmark_nav.localization.relocalization.config import RelocalizationConfig
 from landmark_nav.localization.relocalization.search import locate
-from landmark_nav.localization.relocalization.verification import CarriedFrames
+from landmark_nav.localization.relocalization.verification import CarriedFrames, PlaceVerifier
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.types import (
     CameraFrame,
@@ -128,7 +128,7 @@ class Relocalizer:
     ----------
     odometry : OdometryNoiseConfig, optional
         Noise of the odometry.
-    looking : LookingConfig, optional
+    stages : ImageStagesConfig, optional
         Parameters of the detection that verifies a hypothesis.
     """
 
@@ -138,12 +138,12 @@ class Relocalizer:
         mount: PanTiltMount,
         config: RelocalizationConfig | None = None,
         odometry: OdometryNoiseConfig | None = None,
-        looking: LookingConfig | None = None,
+        stages: ImageStagesConfig | None = None,
     ) -> None:
         self._map, self._mount = landmark_map.distinct, mount
         self._config = config or RelocalizationConfig()
         self._odometry = odometry or OdometryNoiseConfig()
-        self._looking = looking or LookingConfig()
+        self._verifier = PlaceVerifier(self._map, mount, stages or ImageStagesConfig())
         self._track = OdometryTrack(self._odometry)
         self._kept: list[_Keyframe] = []
         self._outcome = Refusal('nothing seen yet', 'no image came')
@@ -205,14 +205,13 @@ class Relocalizer:
         detections = find_candidate_detections(carried.frames[-1], self._map, self._mount)
         self._kept = [*self._kept, _Keyframe(frame, direction, detections)][recent]
         seen = [keyframe.detections for keyframe in self._kept]
-        outcome = locate(carried, seen, self._map, self._mount, self._config, self._looking)
+        outcome = locate(carried, seen, self._verifier, self._config)
         tilt_sigma = self._config.tilt_sigma_rad
         failed = isinstance(outcome, Refusal) and outcome.code is RefusalCode.UNRECOGNISED
         if failed and tilt_sigma and len(self._kept) >= _TILT_AFTER:
             seen = self._tilted(carried.frames, tilt_sigma)
-            tilted = locate(
-                carried, seen, self._map, self._mount, self._config, self._looking, tilt_sigma
-            )
+            verifier = replace(self._verifier, tilt_sigma_rad=tilt_sigma)
+            tilted = locate(carried, seen, verifier, self._config)
             outcome = outcome if isinstance(tilted, Refusal) else tilted
         if isinstance(outcome, Refusal):
             self._outcome = outcome

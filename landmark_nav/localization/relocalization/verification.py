@@ -12,10 +12,12 @@ import numpy.typing as npt
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.correlation import detect_blurred
+from landmark_nav.localization.detection.expectation import View
 from landmark_nav.localization.detection.rows import RowResiduals
-from landmark_nav.localization.looking import LookingConfig
-from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
+from landmark_nav.localization.image_stages import ImageStagesConfig
+from landmark_nav.localization.triangulation import Fix, triangulate
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.localization.triplet.visibility import visible_landmarks
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
@@ -152,162 +154,129 @@ class _Bearings:
     variance: FloatArray
 
 
-def verify(
-    pose_map_base: FloatArray,
-    carried: CarriedFrames,
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
-    looking: LookingConfig,
-    tilt_sigma_rad: float = 0.0,
-) -> Verification | Refusal:
+@dataclass(frozen=True, eq=False)
+class PlaceVerifier:
     """
-    Search all landmarks that should be visible from a pose, and triangulate from those found.
+    Verifies poses by the landmarks of a map.
 
-    A tilt and roll common to all images are estimated from the rows of the matches.
-
-    Parameters
-    ----------
-    pose_map_base : ndarray, shape (3,)
-        Hypothesis: pose of the base at the common time, within about 10 cm and 2 degrees.
-    tilt_sigma_rad : float
-        Sigma of tilt and roll of the camera; a small roll is found with 0 too.
+    `tilt_sigma_rad` is the sigma of tilt and roll of the camera; a small roll is found with 0 too.
     """
-    estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
-    if tilt_sigma_rad:
-        prior = replace(estimate, covariance=np.diag(np.square(_SIGMAS[0])))
-        tall = _tall(looking, tilt_sigma_rad, carried.frames[0])
-        _, expected, heights = _look(prior, carried, landmark_map, mount, tall)
-        camera_tilt = estimate_camera_tilt(heights)
-        if camera_tilt.matches < _MOST * expected:
-            return Refusal(
-                'no tilt', f'{camera_tilt.matches} of {expected} landmarks agree on one'
+
+    landmark_map: LandmarkMap
+    mount: PanTiltMount
+    stages: ImageStagesConfig
+    tilt_sigma_rad: float = 0.0
+
+    def verify(self, pose_map_base: FloatArray, carried: CarriedFrames) -> Verification | Refusal:
+        """
+        Search all landmarks that should be visible from a pose, and triangulate from those found.
+
+        The hypothesis, (3,), is the pose of the base at the common time, within about 10 cm and
+        2 degrees. A tilt and roll common to all images are estimated from the rows of the matches.
+        """
+        estimate = PoseEstimate(carried.stamp_ns, pose_map_base, np.zeros((3, 3)))
+        detection = self.stages.detection
+        if self.tilt_sigma_rad:
+            prior = replace(estimate, covariance=np.diag(np.square(_SIGMAS[0])))
+            height_px = min(self.tilt_sigma_rad * carried.frames[0].camera.fy, _TALLEST_PX)
+            tall = replace(detection, vertical_sigma_px=height_px)
+            _, expected, heights = self._look(prior, carried, tall)
+            camera_tilt = estimate_camera_tilt(heights)
+            if camera_tilt.matches < _MOST * expected:
+                return Refusal(
+                    'no tilt', f'{camera_tilt.matches} of {expected} landmarks agree on one'
+                )
+            carried = carried.levelled(
+                camera_tilt if camera_tilt.is_roll else camera_tilt._replace(roll_rad=0.0)
             )
-        carried = carried.levelled(
-            camera_tilt if camera_tilt.is_roll else camera_tilt._replace(roll_rad=0.0)
-        )
-    for sigmas in _SIGMAS:
-        prior = replace(estimate, covariance=np.diag(np.square(sigmas)))
-        found, expected, heights = _look(prior, carried, landmark_map, mount, looking)
-        if (camera_tilt := estimate_camera_tilt(heights)).is_roll:
-            carried = carried.levelled(camera_tilt)
-            found, expected, _ = _look(prior, carried, landmark_map, mount, looking)
-        fix = _solve(found, prior, carried, landmark_map, mount, looking.triangulation)
-        if isinstance(fix, Refusal):
-            return fix
-        estimate = base_from_axis(fix.at(carried.stamp_ns), mount)
-    assert isinstance(fix, Fix)
-    seen = found.landmark[fix.used]
-    landmark = np.unique(seen)
-    bearing = se2.bearings(fix.pose, landmark_map.positions[landmark, :2])
-    without = np.array([fix.solution.covariance_without(seen == one) for one in landmark])
-    sigma = np.sqrt(without[:, 0, 0] + without[:, 1, 1])
-    return Verification(
-        estimate,
-        landmark_map.ids[landmark],
-        bearing,
-        sigma,
-        expected,
-    )
+        for sigmas in _SIGMAS:
+            prior = replace(estimate, covariance=np.diag(np.square(sigmas)))
+            found, expected, heights = self._look(prior, carried, detection)
+            if (camera_tilt := estimate_camera_tilt(heights)).is_roll:
+                carried = carried.levelled(camera_tilt)
+                found, expected, _ = self._look(prior, carried, detection)
+            fix = self._solve(found, prior, carried)
+            if isinstance(fix, Refusal):
+                return fix
+            estimate = base_from_axis(fix.at(carried.stamp_ns), self.mount)
+        assert isinstance(fix, Fix)
+        seen = found.landmark[fix.used]
+        landmark = np.unique(seen)
+        bearing = se2.bearings(fix.pose, self.landmark_map.positions[landmark, :2])
+        without = np.array([fix.solution.covariance_without(seen == one) for one in landmark])
+        sigma = np.sqrt(without[:, 0, 0] + without[:, 1, 1])
+        return Verification(estimate, self.landmark_map.ids[landmark], bearing, sigma, expected)
 
+    def _look(
+        self, prior: PoseEstimate, carried: CarriedFrames, detection: DetectionConfig
+    ) -> tuple[_Bearings, int, RowResiduals]:
+        """Return the bearings found, the number of expected landmarks, and the rows of matches."""
+        landmark_map, mount = self.landmark_map, self.mount
+        poses = se2.compose(prior.pose, carried.poses_last_base)
+        views = [
+            View(
+                frame, PoseEstimate(frame.stamp_ns, pose, prior.covariance + np.diag(drift)), mount
+            )
+            for frame, pose, drift in zip(carried.frames, poses, carried.variances, strict=True)
+        ]
+        landmarks, frames, asides = [], [], []
+        for k, (frame, view) in enumerate(zip(carried.frames, views, strict=True)):
+            pan, tilt = frame.pan_rad, frame.tilt_rad
+            index = visible_landmarks(
+                view.prior, landmark_map, frame.camera, mount, pan, tilt, self.stages.triplet
+            )
+            axis = axis_from_base(view.prior, mount).pose
+            turn, _ = mount.camera_pose_base(pan, tilt)
+            offset = landmark_map.positions[index, :2] - axis[:2]
+            middle = axis[2] + np.arctan2(turn[1, 2], turn[0, 2])
+            landmarks.append(index)
+            frames.append(np.full(len(index), k))
+            asides.append(np.abs(wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - middle)))
+        landmark, of_frame = np.concatenate(landmarks), np.concatenate(frames)
+        order = np.lexsort((np.concatenate(asides), landmark))
+        landmark, of_frame = landmark[order], of_frame[order]
+        best = np.arange(len(order)) - np.searchsorted(landmark, landmark) < _VIEWS
+        parts, heights, blur = [], [], np.zeros(2)
+        for k, view in enumerate(views):
+            index = landmark[best & (of_frame == k)]
+            result, blur = detect_blurred(view, landmark_map, detection, index, blur)
+            heights.append(result.heights)
+            seen = result.detections
+            where = landmark_map.indices(seen.ids)
+            parts.append((where, np.full(len(seen), k), seen.bearing_rad, seen.variance_rad2))
+        found = _Bearings(*map(np.concatenate, zip(*parts, strict=True)))
+        return found, len(np.unique(landmark)), RowResiduals.joined(heights)
 
-def _look(
-    prior: PoseEstimate,
-    carried: CarriedFrames,
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
-    looking: LookingConfig,
-) -> tuple[_Bearings, int, RowResiduals]:
-    """Return the bearings found, the number of expected landmarks, and the rows of matches."""
-    priors = [
-        PoseEstimate(frame.stamp_ns, np.asarray(pose), prior.covariance + np.diag(drift))
-        for frame, pose, drift in zip(
-            carried.frames,
-            se2.compose(prior.pose, carried.poses_last_base),
-            carried.variances,
-            strict=True,
-        )
-    ]
-    landmarks, frames, asides = [], [], []
-    for k, (frame, here) in enumerate(zip(carried.frames, priors, strict=True)):
-        index = visible_landmarks(
-            here, landmark_map, frame.camera, mount, frame.pan_rad, frame.tilt_rad, looking.triplet
-        )
-        axis = axis_from_base(here, mount).pose
-        turn, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
-        offset = landmark_map.positions[index, :2] - axis[:2]
-        middle = axis[2] + np.arctan2(turn[1, 2], turn[0, 2])
-        landmarks.append(index)
-        frames.append(np.full(len(index), k))
-        asides.append(np.abs(wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - middle)))
-    landmark, of_frame = np.concatenate(landmarks), np.concatenate(frames)
-    order = np.lexsort((np.concatenate(asides), landmark))
-    landmark, of_frame = landmark[order], of_frame[order]
-    best = np.arange(len(order)) - np.searchsorted(landmark, landmark) < _VIEWS
-    expected = len(np.unique(landmark))
+    def _solve(
+        self, found: _Bearings, prior: PoseEstimate, carried: CarriedFrames
+    ) -> Fix | Refusal:
+        """
+        Triangulate the pan axis at the last image from bearings taken at different places.
 
-    parts, heights, blur = [], [], np.zeros(2)
-    for k, (frame, here) in enumerate(zip(carried.frames, priors, strict=True)):
-        index = landmark[best & (of_frame == k)]
-        result, blur = detect_blurred(
-            frame, here, landmark_map, mount, looking.detection, index, blur
-        )
-        heights.append(result.heights)
-        seen = result.detections
-        where = landmark_map.indices(seen.ids)
-        parts.append(_Bearings(where, np.full(len(seen), k), seen.bearing_rad, seen.variance_rad2))
-    return (
-        _Bearings(
-            np.concatenate([p.landmark for p in parts]),
-            np.concatenate([p.frame for p in parts]),
-            np.concatenate([p.bearing for p in parts]),
-            np.concatenate([p.variance for p in parts]),
-        ),
-        expected,
-        RowResiduals.joined(heights),
-    )
-
-
-def _tall(looking: LookingConfig, tilt_sigma_rad: float, frame: CameraFrame) -> LookingConfig:
-    """Parameters of a search with a larger vertical sigma."""
-    height_px = min(tilt_sigma_rad * frame.camera.fy, _TALLEST_PX)
-    return replace(looking, detection=replace(looking.detection, vertical_sigma_px=height_px))
-
-
-def _solve(
-    found: _Bearings,
-    prior: PoseEstimate,
-    carried: CarriedFrames,
-    landmark_map: LandmarkMap,
-    mount: PanTiltMount,
-    config: TriangulationConfig,
-) -> Fix | Refusal:
-    """
-    Triangulate the pan axis at the last image from bearings taken at different places.
-
-    A bearing from an earlier pose is one to a virtual landmark, shifted by the motion of the axis
-    since then (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009). Errors of
-    odometry are errors of the virtual landmark.
-    """
-    axis = np.array([*mount.axis_xyz[:2], 0.0])
-    moved = se2.relative(axis, se2.compose(carried.poses_last_base, axis))[found.frame]
-    position = landmark_map.positions[found.landmark, :2]
-    start = axis_from_base(prior, mount)
-    covariance = landmark_map.joint_covariance_of(found.landmark)
-    covariance += _drift(position - start.pose[:2], carried.variances[found.frame])
-    heading = float(start.pose[2])
-    for _ in range(_HEADING_PASSES):
-        fix = triangulate(
-            position - moved[:, :2] @ se2.rotation(heading).T,
-            wrap_rad(found.bearing + moved[:, 2]),
-            found.variance + mount.pan_sigma_rad**2,
-            covariance,
-            start=start,
-            config=config,
-        )
-        if isinstance(fix, Refusal) or not moved.any():
-            return fix
-        heading = float(fix.pose[2])
-    return fix
+        A bearing from an earlier pose is one to a virtual landmark, shifted by the motion of the
+        axis since then (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009).
+        Errors of odometry are errors of the virtual landmark.
+        """
+        axis = np.array([*self.mount.axis_xyz[:2], 0.0])
+        moved = se2.relative(axis, se2.compose(carried.poses_last_base, axis))[found.frame]
+        position = self.landmark_map.positions[found.landmark, :2]
+        start = axis_from_base(prior, self.mount)
+        covariance = self.landmark_map.joint_covariance_of(found.landmark)
+        covariance += _drift(position - start.pose[:2], carried.variances[found.frame])
+        heading = float(start.pose[2])
+        for _ in range(_HEADING_PASSES):
+            fix = triangulate(
+                position - moved[:, :2] @ se2.rotation(heading).T,
+                wrap_rad(found.bearing + moved[:, 2]),
+                found.variance + self.mount.pan_sigma_rad**2,
+                covariance,
+                start=start,
+                config=self.stages.triangulation,
+            )
+            if isinstance(fix, Refusal) or not moved.any():
+                return fix
+            heading = float(fix.pose[2])
+        return fix
 
 
 def _drift(sight: FloatArray, variances: FloatArray) -> FloatArray:

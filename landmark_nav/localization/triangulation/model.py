@@ -16,11 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.arrays import BoolArray
+from landmark_nav.arrays import BoolArray, IndexArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose, compose_jacobians
@@ -246,55 +247,68 @@ class Solution:
         return np.asarray(back / np.maximum(value, _LEAST_EIGENVALUE) @ back.T)
 
 
-def best_start(
-    position: FloatArray, bearing: FloatArray, variance: FloatArray, start: PoseEstimate | None
-) -> FloatArray | None:
-    """Pose (3,) out of those of triples and the prior with the least robust cost of bearings."""
-    index = triples(len(bearing), _MAX_STARTS)
-    poses = triangulate_three(position[index], bearing[index])
-    if start is not None:
-        poses = np.vstack([poses, start.pose])
-    poses = poses[np.isfinite(poses).all(axis=-1)]
-    if not len(poses):
-        return None
-    # Cauchy's cost: an outlier counts with the logarithm of its residual only.
-    square = bearing_residuals(poses, position, bearing) ** 2 / variance
-    return np.asarray(poses[np.argmin(np.sum(np.log1p(square / 9.0), axis=-1))])
+class Bearings(NamedTuple):
+    """
+    Bearings of n landmarks.
 
+    `position` (n, 2) of the landmarks in map, with the joint covariance `map_cov` (2 n, 2 n);
+    `bearing` (n,) with its own `variance` (n,).
+    """
 
-def solve(
-    position: FloatArray,
-    bearing: FloatArray,
-    variance: FloatArray,
-    map_cov: FloatArray,
-    start: FloatArray,
-) -> Solution | Refusal:
-    """Gauss-Newton with weights updated in each iteration and steps of at most 1 m and 1 rad."""
-    pose, jacobian = start.copy(), np.full((len(bearing), 3), -1.0)
-    for _ in range(_MAX_STEPS):
-        gradient = bearing_gradients(pose, position)
-        residual = bearing_residuals(pose, position, bearing)
-        jacobian[:, :2] = gradient
-        weight = np.asarray(np.linalg.inv(np.diag(variance) + map_share(gradient, map_cov)))
-        normal = jacobian.T @ weight @ jacobian
-        # Scaled to a unit diagonal, the rank of the normal matrix does not depend on units.
-        scale = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-100))
-        scaled = normal * scale[:, None] * scale
-        if not np.isfinite(scaled).all():
-            return _UNDETERMINED
-        value, vector = np.linalg.eigh(scaled)
-        if value[0] < 1e-12:
-            return _UNDETERMINED
-        scaled_back = scale[:, None] * vector
-        covariance: FloatArray = scaled_back / value @ scaled_back.T
-        step = covariance @ (jacobian.T @ (weight @ residual))
-        step /= max(1.0, float(np.hypot(step[0], step[1])), abs(float(step[2])))
-        pose = pose + step
-        # The next step would be at least a hundred times smaller.
-        if np.abs(step).max() < 1e-8:
-            pose[2] = wrap_rad(pose[2])
-            return Solution(pose, covariance, jacobian, residual, weight)
-    return Refusal('no convergence', f'last step {np.abs(step).max():.1e} m or rad')
+    position: FloatArray
+    bearing: FloatArray
+    variance: FloatArray
+    map_cov: FloatArray
+
+    def chosen(self, index: IndexArray) -> Bearings:
+        """Return the bearings of some landmarks."""
+        rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
+        position, bearing, variance, map_cov = self
+        return Bearings(
+            position[index], bearing[index], variance[index], map_cov[np.ix_(rows, rows)]
+        )
+
+    def best_start(self, start: PoseEstimate | None) -> FloatArray | None:
+        """Pose (3,) of those of triples and the prior with the least robust cost."""
+        index = triples(len(self.bearing), _MAX_STARTS)
+        poses = triangulate_three(self.position[index], self.bearing[index])
+        if start is not None:
+            poses = np.vstack([poses, start.pose])
+        poses = poses[np.isfinite(poses).all(axis=-1)]
+        if not len(poses):
+            return None
+        # Cauchy's cost: an outlier counts with the logarithm of its residual only.
+        square = bearing_residuals(poses, self.position, self.bearing) ** 2 / self.variance
+        return np.asarray(poses[np.argmin(np.sum(np.log1p(square / 9.0), axis=-1))])
+
+    def solve(self, start: FloatArray) -> Solution | Refusal:
+        """Gauss-Newton with weights updated in each iteration; steps of at most 1 m and 1 rad."""
+        pose, jacobian = start.copy(), np.full((len(self.bearing), 3), -1.0)
+        for _ in range(_MAX_STEPS):
+            gradient = bearing_gradients(pose, self.position)
+            residual = bearing_residuals(pose, self.position, self.bearing)
+            jacobian[:, :2] = gradient
+            own = np.diag(self.variance)
+            weight = np.asarray(np.linalg.inv(own + map_share(gradient, self.map_cov)))
+            normal = jacobian.T @ weight @ jacobian
+            # Scaled to a unit diagonal, the rank of the normal matrix does not depend on units.
+            scale = 1.0 / np.sqrt(np.maximum(normal.diagonal(), 1e-100))
+            scaled = normal * scale[:, None] * scale
+            if not np.isfinite(scaled).all():
+                return _UNDETERMINED
+            value, vector = np.linalg.eigh(scaled)
+            if value[0] < 1e-12:
+                return _UNDETERMINED
+            scaled_back = scale[:, None] * vector
+            covariance: FloatArray = scaled_back / value @ scaled_back.T
+            step = covariance @ (jacobian.T @ (weight @ residual))
+            step /= max(1.0, float(np.hypot(step[0], step[1])), abs(float(step[2])))
+            pose = pose + step
+            # The next step would be at least a hundred times smaller.
+            if np.abs(step).max() < 1e-8:
+                pose[2] = wrap_rad(pose[2])
+                return Solution(pose, covariance, jacobian, residual, weight)
+        return Refusal('no convergence', f'last step {np.abs(step).max():.1e} m or rad')
 
 
 def w_statistics(solved: Solution) -> FloatArray:

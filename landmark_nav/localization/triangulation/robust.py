@@ -13,15 +13,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import squared_distance
 from landmark_nav.localization.triangulation.model import (
     bearing_residuals,
-    best_start,
+    Bearings,
     danger_distance,
     Solution,
-    solve,
     w_statistics,
 )
 from landmark_nav.parameters import Config
@@ -70,7 +70,7 @@ class Fix:
 
     pose: FloatArray
     covariance: FloatArray
-    used: npt.NDArray[np.bool_]
+    used: BoolArray
     solution: Solution
 
     @property
@@ -115,48 +115,40 @@ def triangulate(
         Limits.
     """
     config = config or TriangulationConfig()
-    position, bearing, variance, map_cov = _checked(positions, bearings, variances, map_covariance)
-    n = len(bearing)
+    given = _checked(positions, bearings, variances, map_covariance)
+    n = len(given.bearing)
     if n < 3:
         return Refusal('fewer than three bearings', f'{n} given')
     used = np.ones(n, dtype=np.bool_)
     solved: Solution | Refusal | None = None
     if start is not None:
-        solved = solve(position, bearing, variance, map_cov, start.pose)
+        solved = given.solve(start.pose)
     # No other start is needed if all bearings fit a pose near the prior.
     if not isinstance(solved, Solution) or solved.chi_square > _limit(n, config):
-        pose = best_start(position, bearing, variance, start)
+        pose = given.best_start(start)
         if pose is None:
             return Refusal('degenerate geometry', 'no three landmarks fix a pose')
-        solved = _without_outliers(position, bearing, variance, map_cov, pose, used, config)
+        solved = _without_outliers(given, pose, used, config)
         if isinstance(solved, Refusal):
             return solved
     fix = Fix(solved.pose, solved.covariance, used, solved)
-    return _refusal(fix, position[used], start, config) or fix
+    return _refusal(fix, given.position[used], start, config) or fix
 
 
 def _without_outliers(
-    position: FloatArray,
-    bearing: FloatArray,
-    variance: FloatArray,
-    map_cov: FloatArray,
-    pose: FloatArray,
-    used: npt.NDArray[np.bool_],
-    config: TriangulationConfig,
+    given: Bearings, pose: FloatArray, used: BoolArray, config: TriangulationConfig
 ) -> Solution | Refusal:
     """Solve from a pose (3,); sets `used` (n,) to False for outliers."""
     while True:
         index = np.flatnonzero(used)
-        rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
-        solved = solve(
-            position[index], bearing[index], variance[index], map_cov[np.ix_(rows, rows)], pose
-        )
+        rest = given.chosen(index)
+        solved = rest.solve(pose)
         if isinstance(solved, Refusal):
             if len(index) <= 4:
                 return solved
-            # Outliers spoiled the solution: remove the worst of them as seen from the start.
-            residual = bearing_residuals(pose, position[index], bearing[index])
-            used[index[np.argmax(residual**2 / variance[index])]] = False
+            # Outliers corrupted the solution: remove the worst of them as seen from the start.
+            residual = bearing_residuals(pose, rest.position, rest.bearing)
+            used[index[np.argmax(residual**2 / rest.variance)]] = False
             continue
         limit = _limit(len(index), config)
         if solved.chi_square <= limit:
@@ -182,7 +174,7 @@ def _checked(
     bearings: npt.ArrayLike,
     variances: npt.ArrayLike,
     map_covariance: npt.ArrayLike | None,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> Bearings:
     position = np.asarray(positions, dtype=np.float64).reshape(-1, 2)
     bearing = np.asarray(bearings, dtype=np.float64)
     variance = np.asarray(variances, dtype=np.float64)
@@ -198,7 +190,7 @@ def _checked(
         raise LandmarkNavError('triangulation: a position, bearing or variance is not a number')
     if np.any(variance <= 0.0):
         raise LandmarkNavError('triangulation: bearing variances must be positive')
-    return position, bearing, variance, map_cov
+    return Bearings(position, bearing, variance, map_cov)
 
 
 def _refusal(

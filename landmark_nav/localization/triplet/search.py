@@ -171,11 +171,7 @@ class _Search:
     """The best triplets so far, and the highest score that a new one may have."""
 
     def __init__(
-        self,
-        tables: PairTables,
-        factor: FloatArray,
-        cost: FloatArray,
-        count: int,
+        self, tables: PairTables, factor: FloatArray, cost: FloatArray, count: int
     ) -> None:
         self._points = [PairTables(*point) for point in zip(*tables, strict=True)]
         self._factor, self._cost, self._count = factor, cost, count

@@ -70,13 +70,7 @@ def visible_landmarks(
     seen = observable(axis_position(prior.pose, mount), landmark_map, config)
     index = np.flatnonzero(seen)
     inside = fully_in_view(
-        landmark_map.corners[index],
-        prior.pose,
-        camera,
-        mount,
-        pan_rad,
-        tilt_rad,
-        config.border_px,
+        landmark_map.corners[index], prior.pose, camera, mount, pan_rad, tilt_rad, config.border_px
     )
     return index[inside]
 

@@ -13,12 +13,7 @@ from landmark_nav.messages.decode.headers import (
     set_stamp,
     stamp_ns,
 )
-from landmark_nav.messages.decode.images import (
-    BitDepth,
-    camera_image,
-    image,
-    published_size,
-)
+from landmark_nav.messages.decode.images import BitDepth, camera_image, image, published_size
 from landmark_nav.messages.decode.joints import (
     joint_sample,
     JointNames,

@@ -168,11 +168,7 @@ def _add(
 
 
 def _check_unusable(
-    bag: Bag,
-    topic: str,
-    plan: _Plan,
-    numbers: Mapping[int, int],
-    frames: Sequence[CameraFrame],
+    bag: Bag, topic: str, plan: _Plan, numbers: Mapping[int, int], frames: Sequence[CameraFrame]
 ) -> None:
     """Report the images of a sweep that are left out; refuse the sweep if they leave a gap."""
     first = min(plan.unusable)

@@ -22,7 +22,7 @@ from landmark_nav.types import Candidate, Landmark, Panorama, Refusal
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Reconstruction:
     """
     Patches that were found in another panorama, and their measurements.
 
@@ -46,19 +46,19 @@ class Found:
         return np.array([patch.normal for patch in self.patches])
 
 
-def find_again(
+def reconstruct(
     panoramas: Sequence[Panorama],
     candidates: Sequence[Sequence[Candidate]],
     room: Room,
     config: StereoConfig,
     ties: Ties | None = None,
-) -> Found:
+) -> Reconstruction:
     """
     Search each candidate in the other panoramas: on the wall behind it, else on its own plane.
 
     `ties` are features that panoramas share: they give the range of patches around them.
     """
-    found = Found([], [], [], [[] for _ in panoramas])
+    found = Reconstruction([], [], [], [[] for _ in panoramas])
     for i, panorama in enumerate(panoramas):
         features = None if ties is None else depths_of(ties.seen_by(i), panorama)
         for n, candidate in enumerate(candidates[i]):
@@ -85,10 +85,7 @@ def find_again(
 
 
 def _on_wall(
-    patch: WallPatch | Refusal,
-    panoramas: Sequence[Panorama],
-    room: Room,
-    config: StereoConfig,
+    patch: WallPatch | Refusal, panoramas: Sequence[Panorama], room: Room, config: StereoConfig
 ) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
     """Match a candidate on the wall behind it."""
     if isinstance(patch, Refusal):

@@ -11,7 +11,7 @@ from landmark_nav.parameters import Config
 
 
 @dataclass(frozen=True)
-class LookingConfig(Config):
+class ImageStagesConfig(Config):
     """Parameters of triplet choice, detection and triangulation."""
 
     triplet: TripletConfig = field(default_factory=TripletConfig)
