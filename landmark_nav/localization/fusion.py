@@ -92,7 +92,7 @@ class Fusion:
         config: EstimatorConfig | None = None,
         odometry: OdometryNoiseConfig | None = None,
     ) -> None:
-        self._map, self._prior = landmark_map, calibration
+        self._map, self._robot, self._prior = landmark_map, calibration, calibration
         self._may_be = calibration.widened(_MAY_STEP)
         self._config, self._odometry = (
             config or EstimatorConfig(),
@@ -113,10 +113,17 @@ class Fusion:
         self._turned_ns = -_AGAIN_NS
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
-        """Continue with other landmarks; the pose and its covariance are kept."""
+        """
+        Continue with other landmarks; the pose and its covariance are kept.
+
+        Before there is a pose, what learning showed of the robot is the prior from now on.
+        """
         self._map = landmark_map
         if self._line is not None:
             self._begin(self._line.filter.on_map(landmark_map))
+        else:
+            self._prior = landmark_map.calibration_from(self._robot)
+            self._may_be = self._prior.widened(_MAY_STEP)
 
     def initialize(self, start: PoseEstimate, now_ns: int | None = None) -> None:
         """

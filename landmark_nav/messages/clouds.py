@@ -91,7 +91,10 @@ GLOBAL_POSE = Layout(
 # Each row repeats the values of the map, so that one topic suffices: the walls (start x, y, end
 # x, y, height of each) and their names in UTF-8, separated by line feeds. The atlas also holds the
 # views of a landmark in other panoramas: `viewpoints` (x, y, z of each) and `views` (x, y, width,
-# height of each in the atlas; 0 where a landmark has fewer than others).
+# height of each in the atlas; 0 where a landmark has fewer than others). The values of `learned`
+# are distributed over all rows, filled up with NaN: the sigma of the scale, and if known the
+# calibration of ``robot.yaml`` at learning (values, sigmas) and by learning (values, covariance,
+# covariance with the shared factors).
 LANDMARKS = Layout(
     'landmarks',
     _fields(
@@ -105,6 +108,7 @@ LANDMARKS = Layout(
         'wall_names': ('u1', 1),
         'viewpoints': ('<f4', 3),
         'views': ('<u4', 4),
+        'learned': ('<f8', 1),
     },
 )
 

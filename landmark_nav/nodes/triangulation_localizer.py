@@ -229,8 +229,8 @@ class TriangulationLocalizerNode(LandmarkNode):
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
         self._config = configured(self, 'triangulation_localizer', self._reconfigure)
-        self._calibration = calibration_of(self, self._config)
-        self._mount = self._calibration.mount
+        self._given = self._calibration = calibration_of(self, self._config)
+        self._mount = self._given.mount
         self._detections = self.advertise('detections')
         self._fix = self.advertise('triangulation/pose')
         self._live = LiveView(self, self._config.map_frame)
@@ -308,6 +308,9 @@ class TriangulationLocalizerNode(LandmarkNode):
             self._health = Health(Level.LOST, f'landmarks dropped: {error}')
             raise
         landmarks = decode.landmark_map(points, atlas)
+        # Until the fusion estimates it.
+        self._calibration = landmarks.calibration_from(self._given)
+        self._search.calibration = self._calibration
         self._observer = Observer(landmarks, self._calibration, config, config.estimator)
         self._search.use(landmarks)
         if self._source is None:

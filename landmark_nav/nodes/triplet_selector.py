@@ -46,8 +46,8 @@ class TripletSelectorNode(LandmarkNode):
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
         self._config = configured(self, 'triplet_selector', self._reconfigure)
-        self._mount = calibration_of(self, self._config).mount
-        self._calibrated = self._mount
+        self._given = calibration_of(self, self._config)
+        self._mount = self._calibrated = self._given.mount
         self._publisher = self.advertise('triplet')
         cloud = message_class('sensor_msgs/msg/PointCloud2')
         self._triplet_scores = self.create_publisher(cloud, '~/triplet_scores', RELIABLE)
@@ -97,6 +97,8 @@ class TripletSelectorNode(LandmarkNode):
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
         self._map = decode.landmark_map(points, atlas)
+        # Until the fusion estimates it.
+        self._calibrated = self._map.calibration_from(self._given).mount
         self._camera = ActiveCamera(self._map, self._calibrated, self._config.triplet)
 
     def _on_detections(self, message: Any) -> None:

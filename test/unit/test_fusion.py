@@ -187,6 +187,18 @@ def test_a_wrong_start_is_lost_for_good_and_its_calibration_forgotten(aside_m):
     assert fusion.status_at()[0] is not Status.LOST
 
 
+def test_what_a_map_was_learned_with_is_the_prior():
+    drive = simulated(4, seconds=2.0, prior=Calibration.of_mount(MOUNT))
+    found = Calibration(drive.prior.values + 1e-3, 1e-4 * drive.prior.covariance)
+    landmarks = replace(drive.landmark_map, prior=drive.prior, calibration=found)
+    fusion = Fusion(LandmarkMap(()), drive.prior)
+    fusion.change_map(landmarks)
+    assert fusion.calibration.values == pytest.approx(found.values)
+    other = Fusion(LandmarkMap(()), drive.prior.with_values(axis_x=0.5))
+    other.change_map(landmarks)
+    assert other.calibration['axis_x'][0] == 0.5
+
+
 def test_another_map_leaves_the_pose_and_what_was_learned():
     drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
     fusion, arrivals = fused(drive), list(arriving(drive))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from wire import assert_same, both, FACTORY, MOUNT, over_the_wire, STAMP
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
@@ -112,6 +113,18 @@ def some_map(count, factors):
     return LandmarkMap(tuple(landmarks), 'map', walls)
 
 
+def learned_map(count, factors):
+    """A map with all that learning found out."""
+    rng, n = np.random.default_rng(6), len(NAMES)
+    root = 1e-3 * rng.normal(size=(n, n))
+    return replace(
+        some_map(count, factors),
+        provenance={'scale_sigma': '0.04'},
+        prior=Calibration(root[1], np.diag(root[2] ** 2)),
+        calibration=Calibration(root[0], root @ root.T, by_map=root[:, :factors]),
+    )
+
+
 RNG = np.random.default_rng(2)
 COVARIANCE = np.diag([1.0, 2.0, 3.0]) + 0.1
 JOINTS = tuple(JointSample(STAMP + k * 700_000_000, 0.1 * k, 0.01) for k in range(5))
@@ -149,6 +162,8 @@ def detections(count):
         (some_panorama(), encode.panorama, decode.panorama),
         (some_map(7, 6), encode.landmark_map, decode.landmark_map),
         (some_map(1, 0), encode.landmark_map, decode.landmark_map),
+        (learned_map(7, 6), encode.landmark_map, decode.landmark_map),
+        (learned_map(1, 2), encode.landmark_map, decode.landmark_map),
         (LandmarkMap(()), encode.landmark_map, decode.landmark_map),
     ],
     ids=lambda value: getattr(value, '__name__', type(value).__name__),
@@ -438,11 +453,30 @@ def test_a_landmark_that_can_not_be_is_refused(changed):
     assert len(str(refused.value)) < 200
 
 
-def test_patches_that_fill_the_memory_are_refused():
-    msg, atlas = landmarks()
+def rows_of(msg):
+    """Rows of ``landmarks``, which may be changed."""
     kinds = unpack_cloud(msg, LANDMARKS).dtype
     lengths = {name: kinds[name].shape[0] for name in LANDMARKS.repeated}
-    rows = np.frombuffer(msg.data.tobytes(), LANDMARKS.sized(**lengths)).copy()
+    return np.frombuffer(msg.data.tobytes(), LANDMARKS.sized(**lengths)).copy()
+
+
+@pytest.mark.parametrize(
+    ('at', 'value'), [(0, np.inf), (1, np.nan), (40, 1e300), (49, -1.0), (-1, 500.0)]
+)
+def test_what_learning_can_not_have_found_is_refused(at, value):
+    msg, atlas, _ = encode.landmark_map(FACTORY, learned_map(7, 6), STAMP)
+    rows = rows_of(msg)
+    flat = rows['learned'].ravel()
+    flat[np.flatnonzero(np.isfinite(flat))[at]] = value
+    rows['learned'] = flat.reshape(rows['learned'].shape)
+    with pytest.raises(LandmarkNavError) as refused:
+        decode.landmark_map(pack_cloud(FACTORY, HEAD, rows), atlas)
+    assert len(str(refused.value)) < 200
+
+
+def test_patches_that_fill_the_memory_are_refused():
+    msg, atlas = landmarks()
+    rows = rows_of(msg)
     rows['atlas_x'] = rows['atlas_y'] = 0
     rows['atlas_width'], rows['atlas_height'] = atlas.width, atlas.height
     with pytest.raises(LandmarkNavError, match='do not fit an atlas'):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
@@ -24,7 +25,7 @@ _MIN_WALL_M, _ROUNDING = 1e-3, 1e-3
 
 def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
     """
-    Map out of ``landmarks`` and ``landmarks/atlas``; the messages do not hold its provenance.
+    Map out of ``landmarks`` and ``landmarks/atlas``; of its provenance they hold the scale only.
 
     Raises `LandmarkNavError`: fields are missing, values are not numbers, or a patch lies outside
     the atlas.
@@ -62,6 +63,7 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
     largest = np.linalg.norm(covariance, 2, axis=(1, 2))
     if (np.linalg.eigvalsh(own)[:, 0] < -_ROUNDING * largest).any():
         raise LandmarkNavError('a covariance of landmarks is less than what all of them share')
+    provenance, prior, calibration = _learned(points, loadings.shape[2], stamp)
     return LandmarkMap(
         tuple(
             Landmark(
@@ -83,6 +85,34 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
         ),
         frame_id,
         walls,
+        provenance=provenance,
+        prior=prior,
+        calibration=calibration,
+    )
+
+
+def _learned(
+    points: npt.NDArray[np.void], factors: int, stamp: int
+) -> tuple[dict[str, str], Calibration | None, Calibration | None]:
+    """Provenance, and the calibrations before and after learning."""
+    flat, n = points['learned'].ravel(), len(NAMES)
+    flat = headers.finite(flat[~np.isnan(flat)], 'calibration', stamp, _MAX_VALUE)
+    parts = np.split(flat, np.cumsum([1, n, n, n, n * n]))
+    if len(flat) not in (0, 1, n * (n + 3) + 1, n * (n + 3 + factors) + 1):
+        raise LandmarkNavError(f'landmarks have a calibration of {len(flat)} numbers')
+    provenance = {'scale_sigma': str(abs(flat[0]))} if flat.any() else {}
+    if len(flat) < 2:
+        return provenance, None, None
+    given, sigmas, values, matrix, loading = parts[1:]
+    covariance = headers.covariances(matrix[None], 'covariance of the calibration', stamp, n)[0]
+    by_map = loading.reshape(n, -1) if len(loading) else None
+    own = covariance if by_map is None else covariance - by_map @ by_map.T
+    if np.linalg.eigvalsh(own)[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
+        raise LandmarkNavError('the calibration of landmarks is surer than what they share')
+    return (
+        provenance,
+        Calibration(given, np.diag(sigmas**2)),
+        Calibration(values, covariance, by_map=by_map),
     )
 
 

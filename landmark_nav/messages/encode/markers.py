@@ -263,12 +263,15 @@ def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArr
     names = np.frombuffer('\n'.join(wall.id for wall in walls).encode(), dtype=np.uint8)
     factors = members[0].shared_loading.shape[1] if members else 0
     views = max((len(k.views) for k in members), default=0)
+    learned = _learned(landmarks)
+    each = -(-len(learned) // max(1, len(members)))
     layout = LANDMARKS.sized(
         shared_loading=3 * factors,
         walls=5 * len(walls),
         wall_names=len(names),
         viewpoints=3 * views,
         views=4 * views,
+        learned=each,
     )
     points = np.zeros(len(members), dtype=layout)
     points['id'] = landmarks.ids
@@ -288,6 +291,10 @@ def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArr
     points['atlas_width'] = [k.patch.shape[1] for k in members]
     index = {wall.id: number for number, wall in enumerate(walls)}
     points['wall'] = [index.get(k.wall_id, -1) for k in members]
+    if members:
+        filled = np.full(each * len(members), np.nan)
+        filled[: len(learned)] = learned
+        points['learned'] = filled.reshape(-1, each)
     if factors:
         points['shared_loading'] = [k.shared_loading.reshape(-1) for k in members]
     if walls:
@@ -300,6 +307,17 @@ def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArr
                 point['viewpoints'][3 * k : 3 * k + 3] = view.viewpoint
                 point['views'][4 * k : 4 * k + 4] = *next(left_top), *view.patch.shape[::-1]
     return points
+
+
+def _learned(landmarks: LandmarkMap) -> FloatArray:
+    """Values of the field `learned`."""
+    prior, known = landmarks.prior, landmarks.calibration
+    scale = np.array([landmarks.scale_sigma])
+    if prior is None or known is None:
+        return scale
+    by_map = np.empty(0) if known.by_map is None else known.by_map
+    parts = scale, prior.values, prior.sigmas, known.values, known.covariance, by_map
+    return np.concatenate([part.ravel() for part in parts])
 
 
 def _pack_patches(patches: list[ImageArray]) -> tuple[npt.NDArray[np.int64], ImageArray]:
