@@ -49,7 +49,8 @@ TOPICS = {
     'panorama/camera_info': '`distortion_model: cylindrical`; `k`: fx px/rad, fy px per unit '
     'tangent, cx the column of azimuth 0 in `base_link`, cy the row of the horizon',
     'panorama/pose': 'pose of its optical centre in `map`',
-    'landmarks': 'the map: one point a landmark, with normal, size, covariance; the learned calibration',
+    'landmarks': 'the map: one point a landmark, with normal, size, covariance, and what '
+    'learning found of the robot',
     'landmarks/atlas': 'the patches of all landmarks in one image',
     'landmarks/markers': 'the same for RViz and Foxglove',
     'triplet': 'the three landmarks to look at, each with its expected bearing and sigma',
