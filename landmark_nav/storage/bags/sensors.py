@@ -72,7 +72,7 @@ def sensor_events(
     """
     Yield the sensor data of a drive, by log time.
 
-    Images follow other data of the same log time that are not newer, as nodes wait for the data
+    Images follow other data of the same log time, but newer odometry, as nodes wait for the data
     that belong to an image. Images are grey, with pan and tilt interpolated at their stamps.
     Stamps of joint states, images and odometry are corrected by their known delays. The ground
     truth, if there is one, is yielded as `PoseEstimate`. Messages that cannot be used, such as
@@ -99,7 +99,7 @@ def sensor_events(
     }
     if truth is not None:
         decoders[truth] = truth_decoder(bag, truth)
-    messages = _images_last(once(bag.messages(decoders)), images)
+    messages = _images_last(once(bag.messages(decoders)), images, odometry)
     yield from _usable(bag, messages, decoders, {images: 'images'})
 
 
@@ -123,14 +123,20 @@ def _usable(
         message_filter.report()
 
 
-def _images_last(messages: Iterable[BagMessage], images: str) -> Iterator[BagMessage]:
-    """Yield messages by log time; an image follows others of its log time that are not newer."""
+def _images_last(
+    messages: Iterable[BagMessage], images: str, odometry: str
+) -> Iterator[BagMessage]:
+    """Yield messages by log time; an image follows others of its log time, but newer odometry."""
     held: deque[BagMessage] = deque()
     for entry in messages:
         if entry.topic == images:
             held.append(entry)
             continue
-        while held and (entry.stamp_ns > held[0].stamp_ns or _stamp(entry) > _stamp(held[0])):
+        while held and (
+            entry.stamp_ns > held[0].stamp_ns
+            # The truth may have another clock.
+            or (entry.topic == odometry and _stamp(entry) > _stamp(held[0]))
+        ):
             yield held.popleft()
         yield entry
     yield from held
