@@ -185,8 +185,8 @@ class Panorama:
     ``base_link`` +x. `center_map` (3,) is the viewpoint (pan axis at the height of the optical
     centre) in map, `heading_rad` the heading of the base there, `covariance` (4, 4) that of x, y,
     z, heading. `quality` and `calibration` are those after the sweep; messages do not hold them.
-    `made_with` (15,) are the values of the calibration with which the image was synthesized;
-    `by_calibration` (4, 15) are the derivatives of x, y, z, heading by the calibration, 0 if
+    `made_with` (16,) are the values of the calibration with which the image was synthesized;
+    `by_calibration` (4, 16) are the derivatives of x, y, z, heading by the calibration, 0 if
     anchor papers located the camera itself.
     """
 

@@ -369,7 +369,8 @@ def _run_stage(stage: Stage, stages: Path, needed: Sequence[Outcome]) -> Outcome
     # what it left.
     begun = f'.{stage.key}.{os.uname().nodename}-'
     for left in stages.glob(f'{begun}*'):
-        if not Path('/proc', left.name.removeprefix(begun)).exists():
+        pid = left.name.removeprefix(begun)
+        if pid.isdigit() and not Path('/proc', pid).exists():
             shutil.rmtree(left, ignore_errors=True)
     folder = stages / f'{begun}{os.getpid()}'
     shutil.rmtree(folder, ignore_errors=True)

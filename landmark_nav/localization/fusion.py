@@ -107,6 +107,7 @@ class Fusion:
         self._start_odds = _GIVEN_RIGHT
         # The last state in which the pose was certainly right.
         self._trusted: State | None = None
+        self._used = False  # whether an image was
         # Values of the mount that contradict their prior.
         self._unlikely: tuple[str, ...] = ()
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
@@ -116,14 +117,26 @@ class Fusion:
         """
         Continue with other landmarks; the pose and its covariance are kept.
 
-        Before there is a pose, what learning showed of the robot is the prior from now on.
+        Until an image was used, what learning showed of the robot is the prior.
         """
-        self._map = landmark_map
-        if self._line is not None:
-            self._begin(self._line.filter.on_map(landmark_map))
+        # States of before have the factors of the other map.
+        self._map, self._trusted = landmark_map, None
+        if self._used:
+            self._prior = replace(self._prior, by_map=None)
         else:
             self._prior = landmark_map.calibration_from(self._robot)
             self._may_be = self._prior.widened(_MAY_STEP)
+        if self._line is None:
+            return
+        joint = self._line.filter
+        if self._used:
+            joint = joint.on_map(landmark_map)
+        else:
+            start = joint.estimate
+            joint = JointFilter(landmark_map, self._prior, start, self._config, self._odometry)
+        self._begin(joint)
+        if self._anywhere is not None:
+            self._test_start()
 
     def initialize(self, start: PoseEstimate, now_ns: int | None = None) -> None:
         """
@@ -138,9 +151,7 @@ class Fusion:
         ends = self._track.stamps_ns
         recent = ends and (max(ends[0], ends[1] - round(1e9 * self._config.history_s)), ends[1])
         self._place(checked_start(start, recent, now_ns))
-        assert self._line is not None, 'it was placed'
-        self._anywhere, self._given = copy(self._line.filter), self._line.filter.snapshot
-        self._anywhere.forget_pose()
+        self._test_start()
 
     def place(self, found: PoseEstimate, joints: JointSample | CameraFrame | None = None) -> None:
         """
@@ -209,6 +220,7 @@ class Fusion:
         unknown = is_unknown(line.filter.predicted.covariance[:3, :3])
         self._integrity.add(seen.stamp_ns, self._update, 0 if unknown else len(seen.missed))
         if self._update is not None:
+            self._used = True
             self._weigh_start(line, seen, self._update)
         self._unlikely = self.calibration.contradictions(self._may_be)
         sure = self._integrity.log_ratio >= _TRUSTED and self._anywhere is None
@@ -219,6 +231,12 @@ class Fusion:
                 _LOG.warning('camera or base was turned, and the wheels did not measure it')
             self._turned_ns = seen.stamp_ns
         return update
+
+    def _test_start(self) -> None:
+        """Compare the pose with an unknown one from now on."""
+        assert self._line is not None, 'it was placed'
+        self._anywhere, self._given = copy(self._line.filter), self._line.filter.snapshot
+        self._anywhere.forget_pose()
 
     def _weigh_start(self, line: Timeline, seen: ImagePoints, update: Update) -> None:
         """Compare the evidence of an image with that for an unknown start."""
@@ -302,9 +320,9 @@ class Fusion:
         return protection_level(estimate, self._update)
 
     @property
-    def prior(self) -> Calibration:
-        """Calibration at the start."""
-        return self._prior
+    def robot(self) -> Calibration:
+        """Calibration in ``robot.yaml``."""
+        return self._robot
 
     @property
     def calibration(self) -> Calibration:

@@ -113,7 +113,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _mount_advice(self) -> str:
         """Significant deviations of the estimated calibration from robot.yaml."""
-        known, prior = self._fusion.calibration, self._fusion.prior
+        known, prior = self._fusion.calibration, self._fusion.robot
         off = known.values - prior.values
         far = np.abs(off) > np.maximum(prior.sigmas, _BEYOND_DOUBT * known.sigmas)
         names = []
@@ -133,7 +133,7 @@ class OdometryFusionNode(LandmarkNode):
 
     def _calibrate(self) -> str:
         """Write the estimated calibration beside `robot_file`, which is not changed."""
-        given, found = self._fusion.prior, self._fusion.calibration
+        given, found = self._fusion.robot, self._fusion.calibration
         hidden = found.unobserved(given)
         shown = [name for name in NAMES if name not in hidden and given[name][1] > 0.0]
         if not shown:
@@ -209,6 +209,8 @@ class OdometryFusionNode(LandmarkNode):
             found = self._waiting.popleft()
             if isinstance(found, Detections):
                 self._use(found)
+            elif not self._fusion.reaches(found.stamp_ns):
+                self.note('global_localization/pose dropped: its image is far off the odometry')
             else:
                 joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
                 known = None if isinstance(joints, Refusal) else joints
@@ -278,11 +280,11 @@ def _calibration_values(fusion: Fusion) -> dict[str, str]:
     """Prior, value and sigma of quantities that are not exact, and whether they are observed."""
     delay_s, sigma_s = fusion.calibration['joint_delay']
     values = {'joint_delay_ms': f'{1e3 * delay_s:.2f} +- {1e3 * sigma_s:.2f}'}
-    for name, of in fusion.calibration.differences(fusion.prior).items():
-        if fusion.prior[name][1] > 0.0:
+    for name, of in fusion.calibration.differences(fusion.robot).items():
+        if fusion.robot[name][1] > 0.0:
             factor, unit = SHOWN_IN[UNITS[name]]
             value, sigma = (factor * float(of[key]) for key in ('value', 'sigma'))
-            prior, given = (factor * number for number in fusion.prior[name])
+            prior, given = (factor * number for number in fusion.robot[name])
             known = '' if of['observed'] else ', not observed yet'
             values[f'calibration/{name}'] = (
                 f'{value:.3f} +- {sigma:.3f} {unit} (prior {prior:.3f} +- {given:.3f}{known})'

@@ -56,7 +56,7 @@ def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibratio
         return None
     entry, where = document[key], f'{where}: {key}'
     names = reading.list_field(entry, 'names', where)
-    if [name for name in NAMES if name in names] != names:
+    if not names or [name for name in NAMES if name in names] != names:
         raise LandmarkNavError(f'{where}: names must be {", ".join(NAMES)}')
     covariance = reading.covariance_field(entry, len(names), where)
     values = reading.array_field(entry, 'values', (len(names),), where)

@@ -191,9 +191,14 @@ def test_what_a_map_was_learned_with_is_the_prior():
     drive = simulated(4, seconds=2.0, prior=Calibration.of_mount(MOUNT))
     found = Calibration(drive.prior.values + 1e-3, 1e-4 * drive.prior.covariance)
     landmarks = replace(drive.landmark_map, prior=drive.prior, calibration=found)
-    fusion = Fusion(LandmarkMap(()), drive.prior)
-    fusion.change_map(landmarks)
-    assert fusion.calibration.values == pytest.approx(found.values)
+    # Whether the start is known before the map or not.
+    for started in (False, True):
+        fusion = Fusion(LandmarkMap(()), drive.prior)
+        if started:
+            fusion.initialize(drive.start)
+        fusion.change_map(landmarks)
+        assert fusion.calibration.values == pytest.approx(found.values)
+    assert fusion.estimate().pose == pytest.approx(drive.start.pose)
     other = Fusion(LandmarkMap(()), drive.prior.with_values(axis_x=0.5))
     other.change_map(landmarks)
     assert other.calibration['axis_x'][0] == 0.5

@@ -522,6 +522,7 @@ class JointFilter:
         places = first + np.arange(3 * len(state.landmarks)).reshape(-1, 3)
         fresh = (1.0 - kept**2) * self._errors.own[state.landmarks]
         covariance[places[:, :, None], places[:, None]] += fresh
+        state = replace(state, own=kept**2 * state.own + fresh)
         walk = self._config.mount_walk_rad_per_sqrt_s**2 * state.seconds
         for k in (YAW, ROLL, TILT):
             # Exact values do not change.

@@ -251,7 +251,7 @@ def landmark_map(
     corners, atlas = _pack_patches([*(k.patch for k in members), *views])
     points = _points(landmarks, corners)
     return (
-        pack_cloud(factory, header(factory, stamp_ns, landmarks.frame_id), points),
+        pack_cloud(factory, header(factory, stamp_ns, landmarks.frame_id), points, dense=False),
         image(factory, atlas, stamp_ns, landmarks.frame_id),
         landmark_markers(factory, landmarks, stamp_ns),
     )

@@ -129,16 +129,16 @@ def _images_last(
     """Yield messages by log time; an image follows others of its log time, but newer odometry."""
     held: deque[BagMessage] = deque()
     for entry in messages:
-        if entry.topic == images:
-            held.append(entry)
-            continue
         while held and (
             entry.stamp_ns > held[0].stamp_ns
             # The truth may have another clock.
             or (entry.topic == odometry and _stamp(entry) > _stamp(held[0]))
         ):
             yield held.popleft()
-        yield entry
+        if entry.topic == images:
+            held.append(entry)
+        else:
+            yield entry
     yield from held
 
 
