@@ -94,13 +94,18 @@ def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
 def _learned(
     points: npt.NDArray[np.void], factors: int, stamp: int
 ) -> tuple[dict[str, str], Calibration | None, Calibration | None]:
-    """Provenance, and the calibrations before and after learning."""
+    """
+    Provenance, and the calibrations before and after learning; `factors` are those of the map.
+
+    Raises `LandmarkNavError`: another number of values, or one that is out of bounds.
+    """
     flat, n = points['learned'].ravel(), len(NAMES)
     flat = headers.finite(flat[~np.isnan(flat)], 'calibration', stamp, _MAX_VALUE)
     parts = np.split(flat, np.cumsum([1, n, n, n, n * n]))
     if len(flat) not in (0, 1, n * (n + 3) + 1, n * (n + 3 + factors) + 1):
         raise LandmarkNavError(f'landmarks have a calibration of {len(flat)} numbers')
-    provenance = {'scale_sigma': str(abs(flat[0]))} if flat.any() else {}
+    # A map in the metres of a plan has no uncertain scale.
+    provenance = {'scale_sigma': str(abs(flat[0]))} if flat[:1].any() else {}
     if len(flat) < 2:
         return provenance, None, None
     given, sigmas, values, matrix, loading = parts[1:]
@@ -108,7 +113,9 @@ def _learned(
     by_map = loading.reshape(n, -1) if len(loading) else None
     own = covariance if by_map is None else covariance - by_map @ by_map.T
     if np.linalg.eigvalsh(own)[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
-        raise LandmarkNavError('the calibration of landmarks is surer than what they share')
+        raise LandmarkNavError(
+            'the covariance of the calibration in landmarks is less than what they share'
+        )
     return (
         provenance,
         Calibration(given, np.diag(sigmas**2)),
