@@ -47,7 +47,8 @@ TOPICS = {
     'sweep/pose': '`base_link` in `map` at the sweep, if it is known from elsewhere',
     'panorama/image': 'cylindrical image of a sweep',
     'panorama/camera_info': '`distortion_model: cylindrical`; `k`: fx px/rad, fy px per unit '
-    'tangent, cx the column of azimuth 0 in `base_link`, cy the row of the horizon',
+    'tangent, cx the column of azimuth 0 in `base_link`, cy the row of the horizon; `d`: the '
+    'calibration after the sweep, for learning',
     'panorama/pose': 'pose of its optical centre in `map`',
     'landmarks': 'the map: one point a landmark, with normal, size, covariance, and what '
     'learning found of the robot',

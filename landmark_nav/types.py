@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from landmark_nav.arrays import Float32Array, FloatArray, ImageArray
 from landmark_nav.calibration import Calibration
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.cylinder import Cylinder
@@ -184,7 +185,7 @@ class Panorama:
     `mask` has the pixels that at least one frame covers. Azimuth 0 of the cylinder is
     ``base_link`` +x. `center_map` (3,) is the viewpoint (pan axis at the height of the optical
     centre) in map, `heading_rad` the heading of the base there, `covariance` (4, 4) that of x, y,
-    z, heading. `quality` and `calibration` are those after the sweep; messages do not hold them.
+    z, heading. `quality` and `calibration` are those after the sweep; messages hold no quality.
     `made_with` (16,) are the values of the calibration with which the image was synthesized;
     `by_calibration` (4, 16) are the derivatives of x, y, z, heading by the calibration, 0 if
     anchor papers located the camera itself.
@@ -272,6 +273,8 @@ class LandmarkMap:
 
     `prior` is the calibration in ``robot.yaml`` at learning, `calibration` the estimate by
     learning. Maps of schema 1 and of other sources have neither.
+
+    Raises `LandmarkNavError`: landmarks and calibration have different numbers of shared factors.
     """
 
     landmarks: tuple[Landmark, ...]
@@ -281,6 +284,17 @@ class LandmarkMap:
     provenance: dict[str, str] = field(default_factory=dict)
     prior: Calibration | None = None
     calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers of shared factors."""
+        by_map = None if self.calibration is None else self.calibration.by_map
+        numbers = {k.shared_loading.shape[1] for k in self.landmarks}
+        numbers |= set() if by_map is None else {by_map.shape[1]}
+        if self.landmarks and len(numbers) > 1:
+            raise LandmarkNavError(
+                f'landmarks and calibration of a map have {min(numbers)} to {max(numbers)} shared '
+                'factors: learn the map again'
+            )
 
     def calibration_from(self, given: Calibration) -> Calibration:
         """

@@ -51,6 +51,8 @@ _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
 _CONTRADICTION = 5.0
 # Least difference that is reported, in prior sigmas.
 _WORTH_REPORTING = 0.3
+# Greatest rounding of a covariance in a file or message, relative to its largest eigenvalue.
+_ROUNDING = 1e-6
 # Least relative decrease of the sigma of an observed quantity.
 _OBSERVED = 0.3
 
@@ -68,7 +70,8 @@ class Calibration:
     the m factors of unit variance that all landmarks of a map share, if the map was learned with
     this calibration.
 
-    Raises `LandmarkNavError`: a value is not finite, or the matrix is not a covariance.
+    Raises `LandmarkNavError`: a value is not finite, the matrix is not a covariance, or it is less
+    than the shared factors make of it.
     """
 
     values: FloatArray
@@ -86,6 +89,11 @@ class Calibration:
         spread = np.linalg.eigvalsh(self.covariance)
         if spread[0] < -1e-9 * max(spread[-1], 1e-12):
             raise LandmarkNavError('calibration: the covariance has a negative eigenvalue')
+        if self.by_map is None:
+            return
+        own = self.covariance - self.by_map @ self.by_map.T
+        if np.linalg.eigvalsh(own)[0] < -_ROUNDING * spread[-1]:
+            raise LandmarkNavError('calibration: the covariance is less than shared errors alone')
 
     @classmethod
     def of_mount(

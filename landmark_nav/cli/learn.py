@@ -26,7 +26,12 @@ from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.sheets import SheetsConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages, record_papers
+from landmark_nav.learning.sweep_pipeline import (
+    next_prior,
+    panorama_from_sweep,
+    PanoramaStages,
+    record_papers,
+)
 from landmark_nav.localization import sweep_places
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.messages import decode
@@ -263,10 +268,7 @@ def panoramas_of_bag(
             raise LandmarkNavError(
                 f'{bag.path}: {cause}' if cause else f'{bag.path}: {which}: {error}'
             ) from error
-        # A calibration is used for later sweeps only if it contradicts the given one; otherwise
-        # the sweeps remain independent.
-        found = panoramas[-1].calibration
-        known = found if found is not None and found.surprises(given) else known
+        known = next_prior(given, known, panoramas[-1])
         frames.append(len(sweep.frames))
     if warning := papers.faults().text:
         _LOG.warning('%s', warning)

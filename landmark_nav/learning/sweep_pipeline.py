@@ -176,6 +176,17 @@ def panorama_from_sweep(
     return maker.made(corrected(prior, allowed), maker.wider_area, WRONG_PRIOR)
 
 
+def next_prior(given: Calibration, known: Calibration, after: Panorama) -> Calibration:
+    """
+    Prior of the calibration for the sweep after a panorama, which was made with `known`.
+
+    The calibration by the panorama is used only if it contradicts the given one; otherwise the
+    sweeps remain independent.
+    """
+    found = after.calibration
+    return found if found is not None and found.surprises(given) else known
+
+
 def corrected(given: Calibration, found: MountError) -> Calibration:
     """Return the calibration with height and tilt of the pan axis as measured."""
     roll, pitch, _ = tilted(given.mount, found.tilt_roll_rad).axis_rpy

@@ -205,7 +205,11 @@ def locate_sweeps(
     if all(
         np.array_equal(new.image, old.image) for new, old in zip(again, panoramas, strict=True)
     ):
-        return located
+        again = [
+            replace(p, calibration=new.calibration, made_with=new.made_with)
+            for p, new in zip(located.panoramas, again, strict=True)
+        ]
+        return replace(located, panoramas=tuple(again))
     return locate(again, places, lever, config, log, located.poses)
 
 
@@ -290,4 +294,9 @@ def _turned(landmarks: LandmarkMap, sigma_rad: float) -> LandmarkMap:
     for pose in landmarks.panorama_poses:
         moved = np.append(rotation(np.pi / 2) @ (pose.pose - origin)[:2], 1.0) * sigma_rad
         poses.append(replace(pose, covariance=pose.covariance + np.outer(moved, moved)))
-    return replace(landmarks, landmarks=tuple(turned), panorama_poses=tuple(poses))
+    known = landmarks.calibration
+    if known is not None and known.by_map is not None:
+        known = replace(known, by_map=np.pad(known.by_map, ((0, 0), (0, 1))))
+    return replace(
+        landmarks, landmarks=tuple(turned), panorama_poses=tuple(poses), calibration=known
+    )

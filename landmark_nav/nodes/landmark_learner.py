@@ -94,8 +94,7 @@ class UnmeasuredLearner:
         unmeasured = self.config.unmeasured
         located = locate_sweeps(sweeps, known, self._given, self.config, unmeasured, StageLog())
         result = learn_located(located, self.config, unmeasured)
-        learned = replace(result.map, prior=self._given, provenance=located.provenance)
-        return replace(result, map=learned)
+        return replace(result, map=replace(result.map, provenance=located.provenance))
 
     def place_now(self, result: LearningResult) -> PoseEstimate | None:
         """Pose of the base in the map, by odometry since the last sweep; None without odometry."""
@@ -152,13 +151,16 @@ class LandmarkLearnerNode(LandmarkNode):
         self._map: LandmarkMap | None = None
         self._on_disk = False
         self._room: Room | None = None
+        self._given: Calibration | None = None
         if self._config.room_file:
+            if self._config.robot_file:
+                self._given = calibration_of(self, self._config)
             self._room = load_room(self._config.room_file)
             panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
             listen_together(self, panorama, self._on_panorama)
         else:
-            given = calibration_of(self, self._config)
-            self._unmeasured = UnmeasuredLearner(self, given, self._config)
+            self._given = calibration_of(self, self._config)
+            self._unmeasured = UnmeasuredLearner(self, self._given, self._config)
             self._start = self.advertise('initialpose')
         # Services exclude each other, but panoramas still arrive.
         group = MutuallyExclusiveCallbackGroup()
@@ -212,6 +214,7 @@ class LandmarkLearnerNode(LandmarkNode):
         else:
             panoramas = [self._panoramas[stamp] for stamp in sorted(self._panoramas)]
             result = learn_from_panoramas(panoramas, self._room, self._config)
+        result = replace(result, map=replace(result.map, prior=self._given))
         self._publish(result.map, on_disk=False)
         walls = len({landmark.wall_id for landmark in result.map.landmarks} - {''})
         done = (

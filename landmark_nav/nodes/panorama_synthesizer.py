@@ -37,7 +37,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
         self._config = configured(self, 'panorama_synthesizer')
-        self._known = calibration_of(self, self._config)
+        self._given = self._known = calibration_of(self, self._config)
         self._room = load_room(self._config.room_file) if self._config.room_file else None
         self._outputs = [
             self.advertise(name)
@@ -91,7 +91,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
         view = sweep_pipeline.panorama_from_sweep(
             sweep, self._room, self._known, self._config, papers=self._papers
         )
-        self._known = view.calibration or self._known
+        self._known = sweep_pipeline.next_prior(self._given, self._known, view)
         x, y, heading = *view.center_map[:2], np.degrees(view.heading_rad)
         return view, f'panorama at ({x:.3f}, {y:.3f}) m, {heading:.2f} deg', self._room.frame_id
 

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
-from landmark_nav.errors import LandmarkNavError, shown
+from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.image_codec import encode_image
 from landmark_nav.storage import reading
@@ -64,15 +64,13 @@ def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibratio
     rows = np.array([NAMES.index(name) for name in names], dtype=np.intp)
     every, spread = np.zeros(len(NAMES)), np.diag(DEFAULT_SIGMAS**2)
     every[rows], spread[np.ix_(rows, rows)] = values, covariance
-    if 'shared_loading' not in entry:
-        return Calibration(every, spread)
-    given = reading.array_field(entry, 'shared_loading', (len(names), None), where)
-    own = np.linalg.eigvalsh(covariance - given @ given.T)
-    if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
-        raise LandmarkNavError(f'{where}: covariance is less than shared_loading makes of it')
-    shared = np.zeros((len(NAMES), given.shape[1]))
-    shared[rows] = given
-    return Calibration(every, spread, by_map=shared)
+    shared = None
+    if 'shared_loading' in entry:
+        given = reading.array_field(entry, 'shared_loading', (len(names), None), where)
+        shared = np.zeros((len(NAMES), given.shape[1]))
+        shared[rows] = given
+    with inside(where):
+        return Calibration(every, spread, by_map=shared)
 
 
 def patch_name(identity: int) -> str:
@@ -261,8 +259,6 @@ def load_map(folder: Path | str) -> LandmarkMap:
     doubled = sorted(k for k, count in counts.items() if count > 1)
     if doubled:
         raise LandmarkNavError(f'{path}: landmark id {doubled[0]} is there twice: rename one')
-    if len({landmark.shared_loading.shape for landmark in landmarks}) > 1:
-        raise LandmarkNavError(f'{path}: shared_loading must have as many columns everywhere')
     provenance = document.get('provenance') or {}
     if not isinstance(provenance, dict):
         raise LandmarkNavError(f'{path}: provenance is {shown(provenance)}, not a mapping')
@@ -273,20 +269,20 @@ def load_map(folder: Path | str) -> LandmarkMap:
         known = False
     if not known:
         raise LandmarkNavError(f'{path}: scale_sigma is {shown(sigma)}, not a number from 0 on')
-    return LandmarkMap(
-        landmarks,
-        reading.name_field(document, 'frame_id', where),
-        walls_field(document, where),
-        tuple(
-            PoseEstimate(
-                reading.integer_field(entry, 'stamp_ns', f'{path}: panorama_poses[{k}]'),
-                reading.array_field(entry, 'pose', (3,), f'{path}: panorama_poses[{k}]'),
-                reading.covariance_field(entry, 3, f'{path}: panorama_poses[{k}]'),
-            )
-            for k, entry in enumerate(reading.list_field(document, 'panorama_poses', where))
-        ),
-        {str(key): str(value) for key, value in provenance.items()},
-        *(calibration_of(document, name, where) for name in ('prior', 'calibration')),
+    poses = reading.list_field(document, 'panorama_poses', where)
+    places = tuple(_pose_of(e, f'{path}: panorama_poses[{k}]') for k, e in enumerate(poses))
+    frame_id, walls = reading.name_field(document, 'frame_id', where), walls_field(document, where)
+    made = {str(key): str(value) for key, value in provenance.items()}
+    prior, learned = (calibration_of(document, name, where) for name in ('prior', 'calibration'))
+    with inside(path):
+        return LandmarkMap(landmarks, frame_id, walls, places, made, prior, learned)
+
+
+def _pose_of(entry: Any, where: str) -> PoseEstimate:
+    return PoseEstimate(
+        reading.integer_field(entry, 'stamp_ns', where),
+        reading.array_field(entry, 'pose', (3,), where),
+        reading.covariance_field(entry, 3, where),
     )
 
 

@@ -46,12 +46,17 @@ def play_all(play, client):
     return play_bag
 
 
+def has_learned_the_camera(landmarks):
+    prior, known = landmarks.prior, landmarks.calibration
+    assert {'focal_scale', 'camera_roll'}.isdisjoint(known.unobserved(prior))
+
+
 def test_learned_and_localized_as_offline(start, client, play_all, tmp_path):
     """Also where joint states are late, which is measured."""
     robot = str(shutil.copy(ROBOT, tmp_path))
     nodes: dict[str, dict[str, Any]] = {
         SYNTHESIZER: {'robot_file': robot, 'room_file': ROOM},
-        LEARNER: {'room_file': ROOM, 'map_folder': str(tmp_path / 'map')},
+        LEARNER: {'robot_file': robot, 'room_file': ROOM, 'map_folder': str(tmp_path / 'map')},
         LOCALIZER: {'robot_file': robot},
         FUSION: {'robot_file': robot},
     }
@@ -65,6 +70,8 @@ def test_learned_and_localized_as_offline(start, client, play_all, tmp_path):
     learned = client.call('learn_landmarks', 60.0)
     assert 'landmarks on' in learned
     assert 'not saved yet: call save_map' in learned
+    client.call('save_map', 20.0)
+    has_learned_the_camera(load_map(tmp_path / 'map'))
     client.wait(
         lambda: client.status_of(FUSION).values.get('landmarks', '0') != '0', 10.0, 'the map'
     )
@@ -144,6 +151,7 @@ def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(start, client, pl
     client.call('save_map', 20.0)
     learned = load_map(folder)
     assert learned.has_own_frame
+    has_learned_the_camera(learned)
     assert len(learned.landmarks) >= 40
 
     # The robot stands where it took the last sweep.

@@ -129,7 +129,7 @@ def of_calibration(spoil):
         ),
         (first('position', 'here'), 'position is .*not 3 numbers'),
         (first('covariance', [[1.0, 2, 0], [2, 1, 0], [0, 0, 1]]), 'no covariance'),
-        (first('shared_loading', [[1e-9], [0.0], [0.0]]), 'as many columns'),
+        (first('shared_loading', [[1e-9], [0.0], [0.0]]), 'shared factors'),
         (first('shared_loading', [[9.0] * 4] * 3), r'\(id 0\): covariance is less than what sha'),
         (first('covariance', [[0.0] * 3] * 3), r'\(id 0\): covariance is less .*exact place'),
         (first('normal', [0.0, 0.0, 1.0]), 'normal is not horizontal'),

@@ -76,6 +76,17 @@ def some_panorama():
     )
 
 
+def calibrated_panorama():
+    rng = np.random.default_rng(5)
+    values, root = 0.1 * rng.random((len(NAMES),)), 0.01 * rng.normal(size=(len(NAMES),) * 2)
+    return replace(
+        some_panorama(),
+        calibration=Calibration(values, root @ root.T),
+        made_with=rng.random(len(NAMES)),
+        by_calibration=rng.normal(size=(4, len(NAMES))),
+    )
+
+
 def some_map(count, factors):
     rng = np.random.default_rng(4)
     walls = (
@@ -160,6 +171,7 @@ def detections(count):
             decode.triplet,
         ),
         (some_panorama(), encode.panorama, decode.panorama),
+        (calibrated_panorama(), encode.panorama, decode.panorama),
         (some_map(7, 6), encode.landmark_map, decode.landmark_map),
         (some_map(1, 0), encode.landmark_map, decode.landmark_map),
         (learned_map(7, 6), encode.landmark_map, decode.landmark_map),
@@ -484,8 +496,9 @@ def test_patches_that_fill_the_memory_are_refused():
 
 
 def test_panoramas_of_another_size_or_shape_are_refused():
-    messages = encode.panorama(FACTORY, some_panorama())
+    messages = encode.panorama(FACTORY, calibrated_panorama())
     decode.panorama(*messages)
+    calibrated = np.array(messages[1].d)
     for attribute, value in (
         ('width', 2**32 - 1),
         ('height', 2**32 - 1),
@@ -494,6 +507,9 @@ def test_panoramas_of_another_size_or_shape_are_refused():
         ('k', np.full(9, 1e300)),
         ('k', np.zeros(9)),
         ('k', np.zeros(4)),
+        ('d', np.zeros(5)),
+        ('d', np.full_like(calibrated, np.nan)),
+        ('d', -abs(calibrated)),
     ):
         camera_image, info, pose = deepcopy(messages)
         setattr(info, attribute, value)

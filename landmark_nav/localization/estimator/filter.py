@@ -141,7 +141,7 @@ class JointFilter:
         covariance[CALIBRATION:STATES, CALIBRATION:STATES] = calibration.covariance
         covariance[_CALIBRATED, _CALIBRATED] += _EXACT**2 * (calibration.sigmas == 0.0)
         shared = calibration.by_map
-        if shared is not None and shared.shape[1] == self._fixed - STATES:
+        if shared is not None:
             # The map was learned with this calibration: their errors are correlated.
             covariance[CALIBRATION:STATES, STATES:] = shared
             covariance[STATES:, CALIBRATION:STATES] = shared.T

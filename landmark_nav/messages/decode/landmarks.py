@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.calibration import Calibration, NAMES
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import inside, LandmarkNavError
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages.clouds import LANDMARKS, unpack_cloud
@@ -111,16 +111,9 @@ def _learned(
     given, sigmas, values, matrix, loading = parts[1:]
     covariance = headers.covariances(matrix[None], 'covariance of the calibration', stamp, n)[0]
     by_map = loading.reshape(n, -1) if len(loading) else None
-    own = covariance if by_map is None else covariance - by_map @ by_map.T
-    if np.linalg.eigvalsh(own)[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
-        raise LandmarkNavError(
-            'the covariance of the calibration in landmarks is less than what they share'
-        )
-    return (
-        provenance,
-        Calibration(given, np.diag(sigmas**2)),
-        Calibration(values, covariance, by_map=by_map),
-    )
+    with inside('landmarks'):
+        known = Calibration(values, covariance, by_map=by_map)
+        return provenance, Calibration(given, np.diag(sigmas**2)), known
 
 
 def _check_area(points: npt.NDArray[np.void], atlas: ImageArray) -> None:

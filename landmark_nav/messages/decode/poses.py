@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
@@ -228,6 +228,19 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
             f'panorama image is {pixels.shape[1]} x {pixels.shape[0]}, its geometry '
             f'{cylinder.width} x {cylinder.height}'
         )
+    n = len(NAMES)
+    calibrated = finite(info_msg.d, 'panorama calibration', stamp, _MAX_CALIBRATION)
+    if len(calibrated) not in (0, n * (n + 6)):
+        raise LandmarkNavError(
+            f'panorama has a calibration of {len(calibrated)} numbers, not {n * (n + 6)}: use one '
+            'release of landmark_nav'
+        )
+    calibration = made_with = by_calibration = None
+    if len(calibrated):
+        values, matrix, made_with, derivatives = np.split(calibrated, np.cumsum([n, n * n, n]))
+        covariance = covariances(matrix, 'covariance of the panorama calibration', stamp, n)[0]
+        calibration = Calibration(values, covariance)
+        by_calibration = derivatives.reshape(4, n)
     pose = pose_msg.pose.pose
     position = (pose.position.x, pose.position.y, pose.position.z)
     return Panorama(
@@ -238,4 +251,7 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
         finite(position, 'panorama position', stamp, FARTHEST_M),
         yaw_rad(pose.orientation, 'panorama orientation', stamp),
         pose_covariance(pose_msg, clouds.UPRIGHT, 'panorama', stamp),
+        calibration=calibration,
+        made_with=made_with,
+        by_calibration=by_calibration,
     )

@@ -67,17 +67,22 @@ def panorama(
     """
     Build ``panorama/image`` (alpha is the mask), ``panorama/camera_info`` and ``panorama/pose``.
 
-    The pose is that of the optical centre with the orientation of the base.
+    The pose is that of the optical centre with the orientation of the base. `d` of camera_info
+    holds values and covariance of the calibration, `made_with` and `by_calibration`, if known.
     """
     alpha = np.where(view.mask, np.uint8(255), np.uint8(0))
     stamp = header(factory, view.stamp_ns, frame_id)
-    cylinder = view.cylinder
+    cylinder, known, calibrated = view.cylinder, view.calibration, np.zeros(0)
+    if known is not None and view.made_with is not None and view.by_calibration is not None:
+        parts = known.values, known.covariance, view.made_with, view.by_calibration
+        calibrated = np.concatenate([part.ravel() for part in parts])
     info = factory(
         'sensor_msgs/msg/CameraInfo',
         header=stamp,
         width=cylinder.width,
         height=cylinder.height,
         distortion_model='cylindrical',
+        d=calibrated,
         k=np.array([cylinder.fx, 0.0, cylinder.cx, 0.0, cylinder.fy, cylinder.cy, 0.0, 0.0, 1.0]),
     )
     x, y, z = view.center_map
