@@ -20,7 +20,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.robot_files import load_calibration, save_calibration
 from landmark_nav.types import PoseEstimate
 
 # How exact the start is given, 1 sigma.
@@ -134,9 +134,13 @@ def test_the_place_found_by_a_displaced_camera_starts_the_fusion(
 
 
 def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(start, client, play, tmp_path):
+    """Also where the mount of the camera was measured wrong."""
     sweeps, folder = with_odometry(BAGS / 'learn', tmp_path / 'sweeps'), tmp_path / 'map'
-    start(SYNTHESIZER, robot_file=ROBOT)
-    start(LEARNER, robot_file=ROBOT, map_folder=str(folder))
+    robot, wrong = str(tmp_path / 'robot.yaml'), {'center_x': 0.03, 'camera_roll': 0.015}
+    known = load_calibration(ROBOT)
+    save_calibration(known.with_values(**wrong).widened(wrong), robot)
+    start(SYNTHESIZER, robot_file=robot)
+    start(LEARNER, robot_file=robot, map_folder=str(folder))
     starts: list[Any] = []
     client.listen('initialpose', starts.append)
     client.wait(lambda: {SYNTHESIZER, LEARNER} <= client.status.keys(), 60.0, 'the nodes')
@@ -163,7 +167,7 @@ def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(start, client, pl
     assert abs(error[2]) < np.radians(0.3)
 
     for name in (FUSION, LOCALIZER):
-        start(name, robot_file=ROBOT, use_sim_time=True)
+        start(name, robot_file=robot, use_sim_time=True)
     client.wait(
         lambda: client.status_of(FUSION).values.get('landmarks', '0') != '0',
         60.0,
