@@ -440,7 +440,8 @@ class Detections:
     camera_info, x/z to the right, y/z down, with a covariance without that by an error of the
     focal length; empty where only bearings are known. `sizes` (n, 2) are width and height of the
     templates in these coordinates; empty if unknown. `by_lens` (n, 2, 3) are derivatives of the
-    points of these pixels by focal scale, principal point and distortion.
+    points of these pixels by focal scale, principal point and distortion. `intrinsics` (5,) are
+    those of the camera, see `CameraModel`; None if unknown.
 
     `missed` (m,) are landmarks that should be in view, were searched and were not found. `pan_rad`
     is the pan of the `JointSample` at `joint_delay_s` (assumed) after the stamp, as azimuth in
@@ -464,6 +465,7 @@ class Detections:
     sizes: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     by_lens: FloatArray | None = None
     near: FloatArray | None = None
+    intrinsics: FloatArray | None = None
 
     def __len__(self) -> int:
         """Number of landmarks found."""

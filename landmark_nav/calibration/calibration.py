@@ -53,6 +53,8 @@ _CONTRADICTION = 5.0
 _WORTH_REPORTING = 0.3
 # Greatest rounding of a covariance in a file or message, relative to its largest eigenvalue.
 _ROUNDING = 1e-6
+# Least change of `CameraModel.intrinsics` that counts: half the sigma of a lens that was learned.
+_SAME_LENS = 1e-4
 # Least relative decrease of the sigma of an observed quantity.
 _OBSERVED = 0.3
 
@@ -68,7 +70,8 @@ class Calibration:
     principal point to the right over the focal length; the error of k1; the time [s] by which the
     stamps of ``joint_states`` lag those of the images. `by_map` (16, m) is their covariance with
     the m factors of unit variance that all landmarks of a map share, if the map was learned with
-    this calibration.
+    this calibration. `intrinsics` (5,) are the `CameraModel.intrinsics` by camera_info that the
+    values of the lens correct; None: those of any camera.
 
     Raises `LandmarkNavError`: a value is not finite, the matrix is not a covariance, or it is less
     than the shared factors make of it.
@@ -78,6 +81,7 @@ class Calibration:
     covariance: FloatArray
     base: PanTiltMount = field(default_factory=PanTiltMount)
     by_map: FloatArray | None = None
+    intrinsics: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -149,6 +153,27 @@ class Calibration:
         """Return the camera with the calibrated lens."""
         focal, shift, distortion = (self[name][0] for name in LENS)
         return camera.adjusted(1.0 + focal, shift, distortion)
+
+    def for_camera(self, intrinsics: FloatArray, given: Calibration) -> Calibration:
+        """
+        Return the calibration for these intrinsics by camera_info.
+
+        If they are not those that the values of the lens correct, these are as in `given` again.
+        """
+        known = self.intrinsics
+        if known is None:
+            return replace(self, intrinsics=intrinsics)
+        if np.abs(known - intrinsics).max() < _SAME_LENS:
+            return self
+        lens = np.isin(NAMES, LENS)
+        covariance = np.where(np.logical_or.outer(lens, lens), 0.0, self.covariance)
+        return replace(
+            self,
+            values=np.where(lens, given.values, self.values),
+            covariance=covariance + np.diag(np.where(lens, given.sigmas**2, 0.0)),
+            by_map=None if self.by_map is None else np.where(lens[:, None], 0.0, self.by_map),
+            intrinsics=intrinsics,
+        )
 
     def measured(self, name: str, value: float, sigma: float) -> Calibration:
         """Return the calibration after a measurement of one quantity; raises as `observed`."""

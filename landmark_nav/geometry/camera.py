@@ -28,6 +28,8 @@ _COEFFICIENTS = {'plumb_bob': 12, 'rational_polynomial': 12, 'equidistant': 4}
 # Resolution to which images are reduced on arrival. It bounds time and memory for any camera;
 # bearings are more accurate than a pixel anyway.
 MAX_PX_PER_RAD = 600.0
+# Length of `CameraModel.intrinsics`.
+INTRINSICS = 5
 
 # A lens is used up to the angle where its distorted radius grows more slowly than this, relative
 # to the undistorted one, and up to this angle at most.
@@ -282,6 +284,19 @@ class CameraModel:
     def matrix(self) -> FloatArray:
         """Intrinsic matrix K, (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def intrinsics(self) -> FloatArray:
+        """
+        Numbers (5,) that identify the lens at any size of the image.
+
+        Focal lengths and principal point over the size, and the first distortion coefficient.
+        """
+        width, height = self.width, self.height
+        center = (self.cx + 0.5) / width, (self.cy + 0.5) / height
+        return np.array(
+            [self.fx / width, self.fy / height, *center, *(self.distortion or (0.0,))[:1]]
+        )
 
     @cached_property
     def coefficients(self) -> FloatArray:

@@ -276,10 +276,11 @@ class _Maker:
             self._area.horizon_sigma_rad,
         )
         panorama = _panorama(sweep, view, found, place, photometry, axis_tilt)
+        intrinsics = self._sweep.frames[0].camera.intrinsics
         return replace(
             panorama,
             covariance=panorama.covariance + by_calibration @ known.covariance @ by_calibration.T,
-            calibration=known,
+            calibration=replace(known, intrinsics=intrinsics),
             made_with=made.values,
             by_calibration=by_calibration,
         )

@@ -172,6 +172,28 @@ class Fusion:
         found = replace(found, covariance=found.covariance + bent)
         self._place(found, rate)
 
+    def use_camera(self, intrinsics: FloatArray | None) -> None:
+        """
+        Take note of the intrinsics by camera_info (None: unknown) before an image is used.
+
+        If they are not those at learning, or change while driving, errors of the lens that were
+        estimated with the others are forgotten.
+        """
+        if intrinsics is None:
+            return
+        # The robot file of a calibration that came from the map is that at learning.
+        robot, before = self._robot, self._prior
+        given = robot if robot.intrinsics is None else self._map.prior or robot
+        self._prior = before.for_camera(intrinsics, given)
+        if self._prior is before or before.intrinsics is None:
+            return
+        _LOG.warning('camera_info has changed: the lens is as uncertain as in robot.yaml again')
+        self._may_be, self._trusted = self._prior.widened(_MAY_STEP), None
+        if self._line is not None:
+            self._begin(self._line.filter.for_camera(intrinsics, given))
+        if self._anywhere is not None:
+            self._test_start()
+
     def reaches(self, stamp_ns: int) -> bool:
         """Whether odometry leads from a time to now, or may still come up to it."""
         ends = self._track.stamps_ns
@@ -203,6 +225,7 @@ class Fusion:
         self, found: Detections, joints: JointSample | CameraFrame | None = None
     ) -> Update | Refusal:
         """Correct the state by the landmarks of one image, see `points`."""
+        self.use_camera(found.intrinsics)
         return self.add_points(self.points(found, joints))
 
     def add_points(self, seen: ImagePoints) -> Update | Refusal:

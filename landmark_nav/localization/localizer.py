@@ -169,6 +169,7 @@ class Localizer:
         LocalizationUpdate or PoseEstimate or Refusal
             An update if there was a pose before; otherwise the pose found, or why none was found.
         """
+        self._fusion.use_camera(frame.camera.intrinsics)
         expected = self._fusion.expectation(frame.stamp_ns)
         if expected is None:
             return self._search(frame)

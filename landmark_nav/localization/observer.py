@@ -313,6 +313,7 @@ class Observer:
             by_lens=points.by_lens,
             sizes=sizes / [frame.camera.fx, frame.camera.fy],
             near=None if place is None else place.pose,
+            intrinsics=frame.camera.intrinsics,
         )
         return Observation(
             seen, result.refused, lambda: self.fix(seen, expected), expected=result.expected

@@ -60,15 +60,15 @@ def _fields(text: str) -> np.dtype[np.void]:
 # `point` and the `size` of the template are in normalised image coordinates by camera_info,
 # `by_lens` its derivatives by focal scale, principal point and distortion, row by row; a
 # covariance of zero means that there is none. All rows repeat the joint delay that the node
-# assumes, and `near`: the pose of the base found in this image by a search within an uncertain
-# prior, zero without a search.
+# assumes; `near`, the pose of the base found in this image by a search within an uncertain prior,
+# zero without a search; and the `intrinsics` of the camera, zero if unknown.
 DETECTIONS = Layout(
     'detections',
     _fields(
         'id:u4 bearing:f8 bearing_variance:f8 score:f4 u:f4 v:f4 joint_delay:f8 point:f8*2 '
-        'point_covariance:f8*4 size:f8*2 by_lens:f8*6 near:f8*3'
+        'point_covariance:f8*4 size:f8*2 by_lens:f8*6 near:f8*3 intrinsics:f8*5'
     ),
-    optional=('joint_delay', 'point', 'point_covariance', 'size', 'by_lens', 'near'),
+    optional=('joint_delay', 'point', 'point_covariance', 'size', 'by_lens', 'near', 'intrinsics'),
 )
 
 # One point: pose of the base with its covariance, speeds of the base, values and sigmas of the
@@ -94,7 +94,7 @@ GLOBAL_POSE = Layout(
 # height of each in the atlas; 0 where a landmark has fewer than others). The values of `learned`
 # are distributed over all rows, filled up with NaN: the sigma of the scale, and if known the
 # calibration of ``robot.yaml`` at learning (values, sigmas) and by learning (values, covariance,
-# covariance with the shared factors).
+# intrinsics of the camera, covariance with the shared factors).
 LANDMARKS = Layout(
     'landmarks',
     _fields(

@@ -367,8 +367,9 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _look(self, message: Any) -> bool:
         """Continue global localization with an image; return whether the pose was found."""
-        frame = straight(self._complete(message, self._search.reaches), self._calibration)
-        outcome = self._search.look(frame)
+        frame = self._complete(message, self._search.reaches)
+        self._calibration = self._calibration.for_camera(frame.camera.intrinsics, self._given)
+        outcome = self._search.look(straight(frame, self._calibration))
         found = 'pose found, and published on global_localization/pose'
         words = f'looking for the place: {outcome}' if isinstance(outcome, Refusal) else found
         self._health = Health(Level.LOST, words)

@@ -19,6 +19,7 @@ import yaml
 
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
 from landmark_nav.errors import inside, LandmarkNavError, shown
+from landmark_nav.geometry.camera import INTRINSICS
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.image_codec import encode_image
 from landmark_nav.storage import reading
@@ -43,11 +44,12 @@ def listed(values: Any) -> list[Any]:
 
 def calibration_entry(known: Calibration) -> dict[str, Any]:
     """Entry of a calibration: values and covariance, in the order of its `names`."""
+    optional = {'shared_loading': known.by_map, 'intrinsics': known.intrinsics}
     return {
         'names': list(NAMES),
         'values': listed(known.values),
         'covariance': listed(known.covariance),
-    } | ({} if known.by_map is None else {'shared_loading': listed(known.by_map)})
+    } | {key: listed(values) for key, values in optional.items() if values is not None}
 
 
 def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibration | None:
@@ -64,13 +66,15 @@ def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibratio
     rows = np.array([NAMES.index(name) for name in names], dtype=np.intp)
     every, spread = np.zeros(len(NAMES)), np.diag(DEFAULT_SIGMAS**2)
     every[rows], spread[np.ix_(rows, rows)] = values, covariance
-    shared = None
+    shared = intrinsics = None
     if 'shared_loading' in entry:
         given = reading.array_field(entry, 'shared_loading', (len(names), None), where)
         shared = np.zeros((len(NAMES), given.shape[1]))
         shared[rows] = given
+    if 'intrinsics' in entry:
+        intrinsics = reading.array_field(entry, 'intrinsics', (INTRINSICS,), where)
     with inside(where):
-        return Calibration(every, spread, by_map=shared)
+        return Calibration(every, spread, by_map=shared, intrinsics=intrinsics)
 
 
 def patch_name(identity: int) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from wire import FACTORY, over_the_wire
 
-from landmark_nav.calibration import Calibration
+from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, LENS, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.se2 import compose
@@ -324,3 +324,33 @@ def test_silence_is_reported():
     status, reason = fusion.status_at(5 * NS)
     assert status is not Status.OK
     assert 'no odometry for' in reason
+
+
+@pytest.mark.parametrize('since', [0, 40])
+def test_a_camera_info_that_changes_restarts_the_estimate_of_the_lens(since):
+    """Since learning (image 0), and while driving."""
+    before, after = np.array([1.1, 1.1, 0.5, 0.5, 0.0]), np.array([1.122, 1.122, 0.5, 0.5, 0.0])
+    exact = Calibration.exact(MOUNT)
+    lens = dict(zip(NAMES, np.where(np.isin(NAMES, LENS), DEFAULT_SIGMAS, 0.0), strict=True))
+    robot = exact.widened(lens)
+    drive = simulated(5, seconds=30.0, prior=exact)
+    learned = replace(exact, intrinsics=before)
+    landmarks = replace(drive.landmark_map, prior=robot, calibration=learned)
+    fusion = Fusion(LandmarkMap(()), robot)
+    fusion.change_map(landmarks)
+    fusion.initialize(drive.start)
+    images = 0
+    for what in arriving(drive):
+        if isinstance(what, OdometrySample):
+            fusion.add_odometry(what)
+            continue
+        found, joints = what
+        camera = after if images >= since else before
+        points = found.points * before[0] / camera[0]
+        fusion.add_detections(replace(found, points=points, intrinsics=camera), joints)
+        images += 1
+    focal, sigma = fusion.calibration['focal_scale']
+    assert sigma < 1e-3
+    assert abs(focal - (before[0] / after[0] - 1.0)) < 5.0 * sigma
+    assert np.abs(error(fusion, drive)[:2]).max() < 0.02
+    assert fusion.status_at()[0] is Status.OK

@@ -205,11 +205,13 @@ def test_a_map_holds_the_calibration_of_its_learning(tmp_path):
     rng = np.random.default_rng(3)
     prior = Calibration.of_mount(PanTiltMount((0.1, 0.0, 1.2)))
     root = 1e-3 * rng.normal(size=(len(NAMES), len(NAMES)))
-    found = Calibration(prior.values + 0.01, root @ root.T, by_map=0.5 * root[:, :4])
+    found = Calibration(
+        prior.values + 0.01, root @ root.T, by_map=0.5 * root[:, :4], intrinsics=rng.random(5)
+    )
     learned = replace(make_map(factors=4), prior=prior, calibration=found)
     save_map(learned, tmp_path / 'map')
     loaded = load_map(tmp_path / 'map')
-    for name in ('values', 'covariance', 'by_map'):
+    for name in ('values', 'covariance', 'by_map', 'intrinsics'):
         np.testing.assert_array_equal(getattr(loaded.calibration, name), getattr(found, name))
     robot = Calibration.of_mount(PanTiltMount((0.1, 0.0, 1.2), base_frame='base'))
     known = loaded.calibration_from(robot)

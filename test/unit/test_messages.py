@@ -9,7 +9,7 @@ from wire import assert_same, both, FACTORY, MOUNT, over_the_wire, STAMP
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.camera import INTRINSICS, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
@@ -81,7 +81,7 @@ def calibrated_panorama():
     values, root = 0.1 * rng.random((len(NAMES),)), 0.01 * rng.normal(size=(len(NAMES),) * 2)
     return replace(
         some_panorama(),
-        calibration=Calibration(values, root @ root.T),
+        calibration=Calibration(values, root @ root.T, intrinsics=rng.random(INTRINSICS)),
         made_with=rng.random(len(NAMES)),
         by_calibration=rng.normal(size=(4, len(NAMES))),
     )
@@ -132,7 +132,9 @@ def learned_map(count, factors):
         some_map(count, factors),
         provenance={'scale_sigma': '0.04'},
         prior=Calibration(root[1], np.diag(root[2] ** 2)),
-        calibration=Calibration(root[0], root @ root.T, by_map=root[:, :factors]),
+        calibration=Calibration(
+            root[0], root @ root.T, by_map=root[:, :factors], intrinsics=rng.random(INTRINSICS)
+        ),
     )
 
 
@@ -147,7 +149,7 @@ def detections(count):
     return Detections(
         STAMP, np.arange(count) + 7, RNG.normal(size=count), RNG.random(count) + 0.1,
         RNG.random(count), 500 * RNG.random((count, 2)), np.array([50, 60])[: count // 2],
-        joint_delay_s=0.04 if count else 0.0,
+        joint_delay_s=0.04 if count else 0.0, intrinsics=np.ones(INTRINSICS) if count else None,
     )  # fmt: skip
 
 

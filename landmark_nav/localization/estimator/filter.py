@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.special import expit
 
 from landmark_nav.arrays import IndexArray
-from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
+from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, LENS, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.config import EstimatorConfig, Step
 from landmark_nav.localization.estimator.correction import corrected, usable
@@ -27,6 +27,7 @@ from landmark_nav.localization.estimator.factors import (
     CENTER,
     DELAY,
     FLOOR_TILT,
+    FOCAL,
     ImagePoints,
     moved,
     ROLL,
@@ -199,6 +200,26 @@ class JointFilter:
         other._state = self._stepped(self._state, self._config.knock)
         return other
 
+    def for_camera(self, intrinsics: FloatArray, given: Calibration) -> JointFilter:
+        """Return the filter where the lens is as in `given`; see `Calibration.for_camera`."""
+        prior = self._prior.for_camera(intrinsics, given)
+        other, state = copy(self), self._state
+        other._prior = prior
+        lens = np.isin(NAMES, LENS)
+        rows = CALIBRATION + np.flatnonzero(lens)
+        mean, covariance, by_noise = (
+            values.copy() for values in (state.mean, state.covariance, state.by_noise)
+        )
+        covariance[rows] = covariance[:, rows] = 0.0
+        by_noise[:, rows] = by_noise[:, :, rows] = 0.0
+        mean[rows] = prior.values[lens]
+        covariance[rows, rows] = np.maximum(prior.sigmas[lens], _EXACT) ** 2
+        corrections = np.where(lens, 0.0, state.corrections)
+        other._state = other.predicted = replace(
+            state, mean=mean, covariance=covariance, by_noise=by_noise, corrections=corrections
+        )
+        return other
+
     def placed(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> JointFilter:
         """
         Return the filter of the same robot at another pose.
@@ -224,6 +245,10 @@ class JointFilter:
             covariance[:3, :3] += with_mount @ by_mount.T
             # The offset of the optical centre had several directions during the search.
             covariance[[0, 1], [0, 1]] += np.diag(covariance)[CENTER : CENTER + 2].max()
+            # A longer focal length brings the camera nearer to what it sees.
+            away = self._errors.positions[:, :2] - mean[:2]
+            square = np.sum(away**2) / max(len(away), 1)
+            covariance[[0, 1], [0, 1]] += covariance[FOCAL, FOCAL] * square
         by_kept = np.eye(STATES)[:, SCALE:]
         by_kept[:3] = by_mount[:, : STATES - SCALE]
         by_noise = by_kept @ mine.by_noise[:, SCALE:, SCALE:] @ by_kept.T
@@ -254,10 +279,11 @@ class JointFilter:
         """The current estimate of the calibration; exact values are those of the prior."""
         prior, mine = self._prior, slice(CALIBRATION, STATES)
         free = prior.sigmas > 0.0
-        return Calibration(
-            np.where(free, self._state.mean[mine], prior.values),
-            np.where(np.outer(free, free), self._state.covariance[mine, mine], 0.0),
-            prior.base,
+        return replace(
+            prior,
+            values=np.where(free, self._state.mean[mine], prior.values),
+            covariance=np.where(np.outer(free, free), self._state.covariance[mine, mine], 0.0),
+            by_map=None,
         )
 
     @property

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import inside, LandmarkNavError
+from landmark_nav.geometry.camera import INTRINSICS
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages.clouds import LANDMARKS, unpack_cloud
@@ -101,18 +102,20 @@ def _learned(
     """
     flat, n = points['learned'].ravel(), len(NAMES)
     flat = headers.finite(flat[~np.isnan(flat)], 'calibration', stamp, _MAX_VALUE)
-    parts = np.split(flat, np.cumsum([1, n, n, n, n * n]))
-    if len(flat) not in (0, 1, n * (n + 3) + 1, n * (n + 3 + factors) + 1):
+    parts = np.split(flat, np.cumsum([1, n, n, n, n * n, INTRINSICS]))
+    count = 1 + n * (n + 3) + INTRINSICS
+    if len(flat) not in (0, 1, count, count + n * factors):
         raise LandmarkNavError(f'landmarks have a calibration of {len(flat)} numbers')
     # A map in the metres of a plan has no uncertain scale.
     provenance = {'scale_sigma': str(abs(flat[0]))} if flat[:1].any() else {}
     if len(flat) < 2:
         return provenance, None, None
-    given, sigmas, values, matrix, loading = parts[1:]
+    given, sigmas, values, matrix, intrinsics, loading = parts[1:]
     covariance = headers.covariances(matrix[None], 'covariance of the calibration', stamp, n)[0]
     by_map = loading.reshape(n, -1) if len(loading) else None
     with inside('landmarks'):
-        known = Calibration(values, covariance, by_map=by_map)
+        lens = intrinsics if intrinsics.any() else None
+        known = Calibration(values, covariance, by_map=by_map, intrinsics=lens)
         return provenance, Calibration(given, np.diag(sigmas**2)), known
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.camera import INTRINSICS, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import clouds
 from landmark_nav.messages.clouds import unpack_cloud
@@ -155,7 +155,9 @@ def detections(msg: Any) -> Detections:
     image_points = finite(found['point'], 'detections point', stamp, _MAX_COORDINATE)
     sizes = finite(found['size'], 'detections size', stamp, _MAX_COORDINATE, least=0.0)
     by_lens = finite(found['by_lens'], 'detections by_lens', stamp, _MAX_COORDINATE)
-    near = finite(points['near'][0] if len(points) else np.zeros(3), 'near', stamp, FARTHEST_M)
+    common = points[:1] if len(points) else np.zeros(1, clouds.DETECTIONS.fields)
+    near = finite(common['near'][0], 'near', stamp, FARTHEST_M)
+    intrinsics = finite(common['intrinsics'][0], 'intrinsics', stamp, _MAX_COORDINATE)
     return Detections(
         stamp,
         found['id'],
@@ -170,6 +172,7 @@ def detections(msg: Any) -> Detections:
         sizes=sizes if has_points else sizes[:0],
         by_lens=by_lens.reshape(-1, 2, 3) if has_points and by_lens.any() else None,
         near=near if near.any() else None,
+        intrinsics=intrinsics if intrinsics.any() else None,
     )
 
 
@@ -230,16 +233,19 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
         )
     n = len(NAMES)
     calibrated = finite(info_msg.d, 'panorama calibration', stamp, _MAX_CALIBRATION)
-    if len(calibrated) not in (0, n * (n + 6)):
+    count = n * (n + 6) + INTRINSICS
+    if len(calibrated) not in (0, count):
         raise LandmarkNavError(
-            f'panorama has a calibration of {len(calibrated)} numbers, not {n * (n + 6)}: use one '
+            f'panorama has a calibration of {len(calibrated)} numbers, not {count}: use one '
             'release of landmark_nav'
         )
     calibration = made_with = by_calibration = None
     if len(calibrated):
-        values, matrix, made_with, derivatives = np.split(calibrated, np.cumsum([n, n * n, n]))
+        parts = np.split(calibrated, np.cumsum([n, n * n, INTRINSICS, n]))
+        values, matrix, intrinsics, made_with, derivatives = parts
         covariance = covariances(matrix, 'covariance of the panorama calibration', stamp, n)[0]
-        calibration = Calibration(values, covariance)
+        lens = intrinsics if intrinsics.any() else None
+        calibration = Calibration(values, covariance, intrinsics=lens)
         by_calibration = derivatives.reshape(4, n)
     pose = pose_msg.pose.pose
     position = (pose.position.x, pose.position.y, pose.position.z)

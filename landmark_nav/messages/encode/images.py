@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from landmark_nav.geometry.camera import CameraModel
+from landmark_nav.geometry.camera import CameraModel, INTRINSICS
 from landmark_nav.image_codec import encode_image
 from landmark_nav.messages.clouds import UPRIGHT
 from landmark_nav.messages.factory import header, MessageFactory, pose_with_covariance
@@ -68,13 +68,14 @@ def panorama(
     Build ``panorama/image`` (alpha is the mask), ``panorama/camera_info`` and ``panorama/pose``.
 
     The pose is that of the optical centre with the orientation of the base. `d` of camera_info
-    holds values and covariance of the calibration, `made_with` and `by_calibration`, if known.
+    holds values, covariance and intrinsics of the calibration, `made_with` and `by_calibration`.
     """
     alpha = np.where(view.mask, np.uint8(255), np.uint8(0))
     stamp = header(factory, view.stamp_ns, frame_id)
     cylinder, known, calibrated = view.cylinder, view.calibration, np.zeros(0)
     if known is not None and view.made_with is not None and view.by_calibration is not None:
-        parts = known.values, known.covariance, view.made_with, view.by_calibration
+        lens = np.zeros(INTRINSICS) if known.intrinsics is None else known.intrinsics
+        parts = known.values, known.covariance, lens, view.made_with, view.by_calibration
         calibrated = np.concatenate([part.ravel() for part in parts])
     info = factory(
         'sensor_msgs/msg/CameraInfo',

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.camera import CameraModel, INTRINSICS, PanTiltMount
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages.clouds import LANDMARKS, pack_cloud
 from landmark_nav.messages.encode.images import image
@@ -316,7 +316,8 @@ def _learned(landmarks: LandmarkMap) -> FloatArray:
     if prior is None or known is None:
         return scale
     by_map = np.empty(0) if known.by_map is None else known.by_map
-    parts = scale, prior.values, prior.sigmas, known.values, known.covariance, by_map
+    lens = np.zeros(INTRINSICS) if known.intrinsics is None else known.intrinsics
+    parts = scale, prior.values, prior.sigmas, known.values, known.covariance, lens, by_map
     return np.concatenate([part.ravel() for part in parts])
 
 

@@ -138,6 +138,8 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
         seen['by_lens'] = found.by_lens.reshape(-1, 6)
     if found.near is not None:
         points['near'] = found.near
+    if found.intrinsics is not None:
+        points['intrinsics'] = found.intrinsics
     points['joint_delay'] = found.joint_delay_s
     dense = not len(found.missed)
     return pack_cloud(factory, factories.header(factory, found.stamp_ns, frame_id), points, dense)
