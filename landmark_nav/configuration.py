@@ -37,7 +37,9 @@ READS: dict[str, tuple[str, ...]] = {
         *('robot_file', 'room_file', 'map_folder', 'load_on_start'),
         *('attention', 'stereo', 'election', 'unmeasured'),
     ),
-    'triplet_selector': ('robot_file', 'triplet', 'look_around', 'command', 'yield_s'),
+    'triplet_selector': (
+        *('robot_file', 'map_frame', 'triplet', 'look_around', 'command', 'yield_s'),
+    ),
     'triangulation_localizer': (
         *('robot_file', 'map_frame', 'image_transport', 'max_age_s'),
         *('triplet', 'relocalization'),

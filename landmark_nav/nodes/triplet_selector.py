@@ -87,6 +87,7 @@ class TripletSelectorNode(LandmarkNode):
         return Health(Level.DEGRADED, words, health.values)
 
     def _on_fused(self, message: Any) -> None:
+        decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
         self._fused, self._fused_s = decode.pose_estimate(message), time.monotonic()
 
     def _on_expectation(self, message: Any) -> None:
@@ -96,6 +97,7 @@ class TripletSelectorNode(LandmarkNode):
             self._camera.mount = self._calibrated
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
+        decode.check_frame(points.header, self._config.map_frame, 'set map_frame to it')
         self._map = decode.landmark_map(points, atlas)
         # Until the fusion estimates it.
         self._calibrated = self._map.calibration_from(self._given).mount

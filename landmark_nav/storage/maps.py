@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -278,6 +279,11 @@ def load_map(folder: Path | str) -> LandmarkMap:
     frame_id, walls = reading.name_field(document, 'frame_id', where), walls_field(document, where)
     made = {str(key): str(value) for key, value in provenance.items()}
     prior, learned = (calibration_of(document, name, where) for name in ('prior', 'calibration'))
+    factors = landmarks[0].shared_loading.shape[1] if landmarks else 0
+    if learned is not None and learned.by_map is not None and learned.by_map.shape[1] < factors:
+        # An older map without a plan lacks the factor of the pan zero, which is the last one.
+        lacking = factors - learned.by_map.shape[1]
+        learned = replace(learned, by_map=np.pad(learned.by_map, ((0, 0), (0, lacking))))
     with inside(path):
         return LandmarkMap(landmarks, frame_id, walls, places, made, prior, learned)
 
