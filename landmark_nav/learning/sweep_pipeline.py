@@ -243,12 +243,16 @@ class _Maker:
             why = why_seen_otherwise(sweep, self._room, mount, area)
             raise LandmarkNavError(why or str(error)) from error
         found, photometry, view = _first_view(sweep, mount, log)
-        with log.measure('reference_area'):
-            self._papers.add(view, optical_height(found.sweep, found.mount))
-            try:
-                place = self._place(view, found, area, most_sigmas)
-            except LandmarkNavError as error:
-                raise self._explained(error, sweep, mount, area) from error
+        self._papers.add(view, optical_height(found.sweep, found.mount))
+
+        def placed(found: SweepCalibration, rough: bool = False) -> SweepPlace:
+            with log.measure('reference_area'):
+                try:
+                    return self._place(view, found, area, most_sigmas, rough)
+                except LandmarkNavError as error:
+                    raise self._explained(error, sweep, used.mount, area) from error
+
+        place = placed(found, rough=True)
         information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
         mount, axis_tilt = levelled(mount, place.mount_score, information)
         with log.measure('calibration'):
@@ -256,9 +260,9 @@ class _Maker:
             refined = calibrate_sweep(sweep, mount, range_m, found)
         mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
         off_axis = any(refined.mount.optical_center_offset[:2])
-        if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
-            with log.measure('reference_area'):
-                place = self._place(view, refined, area, most_sigmas)
+        changed = mount_changed or off_axis or moved_px(found, refined) > _SAME_PX
+        if changed or place.rough:
+            place = placed(refined)
             with log.measure('panorama'):
                 reach_m = _range_of_azimuth(place, refined, self._room)
                 view = _view(refined, photometry, reach_m)
@@ -291,12 +295,13 @@ class _Maker:
         found: SweepCalibration,
         area: ReferenceAreaConfig,
         most_sigmas: float,
+        rough: bool = False,
     ) -> SweepPlace:
         """Pose of a sweep by papers, or the given one if they agree."""
         sweep, mount, known = found.sweep, found.mount, found.sweep.pose_map_base
         papers = PaperSearch(sweep, view, self._room, mount, area)
         if known is None:
-            return papers.located(most_sigmas)
+            return papers.located(most_sigmas, rough)
         plane = np.ix_([0, 1, 3], [0, 1, 3])
         covariance = np.zeros((4, 4))
         covariance[plane] = _given_covariance(known)

@@ -66,7 +66,8 @@ class SweepPlace:
     `pose_map_base` (3,) is that of the base, `height_m` that of the optical centre, `covariance`
     (4, 4) that of x, y, z, heading. `mount_score` (3,) and `mount_information` (3, 3) are errors
     of height and of the tilt of the pan axis about x and y of the base in information form, by
-    papers alone. `warning` is set if sizes and distances of papers contradict each other.
+    papers alone. `warning` is set if sizes and distances of papers contradict each other. `rough`:
+    not all edges of the papers fit yet.
     """
 
     pose_map_base: FloatArray
@@ -75,6 +76,7 @@ class SweepPlace:
     warning: str = ''
     mount_score: FloatArray = field(default_factory=lambda: np.zeros(3))
     mount_information: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    rough: bool = False
 
 
 class PaperSearch:
@@ -106,9 +108,9 @@ class PaperSearch:
         self._blobs = [colors[paper.color] for paper in room.papers]
         self._fitter = PaperFitter(sweep, room, mount, config)
 
-    def located(self, most_sigmas: float = WRONG_PRIOR) -> SweepPlace:
+    def located(self, most_sigmas: float = WRONG_PRIOR, rough: bool = False) -> SweepPlace:
         """
-        Measure the pose of the sweep.
+        Measure the pose of the sweep, or a `rough` one before the camera is calibrated.
 
         Raises `WrongMountError`: height or tilt of the camera are off by more than `most_sigmas`;
         `LandmarkNavError`: fewer than three papers are in the room or in view, papers do not fit
@@ -120,7 +122,7 @@ class PaperSearch:
                 f'the room names {len(self._room.papers)} reference papers: hang three and list '
                 'them in room.yaml, or give the pose of each sweep (sweep/pose)'
             )
-        fit = self.fit()
+        fit = self.fit(rough)
         check_prior(fit, self._room, config, most_sigmas)
         # The misfit inflates the whole covariance, including the part of the prior.
         scatter = max(1.0, fit.misfit)
@@ -133,6 +135,7 @@ class PaperSearch:
             size_warning(fit, config),
             of_mount @ fit.mount / scatter,
             (of_mount - np.diag(prior)) / scatter,
+            not _fits(fit, self._room),
         )
 
     def check_agreement(self, pose_map_base: FloatArray, covariance: FloatArray) -> None:
@@ -168,8 +171,12 @@ class PaperSearch:
             'pose or its covariance, or the papers in room.yaml'
         )
 
-    def fit(self) -> PaperFit:
-        """Fit of all edges at the pose; `LandmarkNavError` with the reason if there is none."""
+    def fit(self, rough: bool = False) -> PaperFit:
+        """
+        Fit of all edges at the pose; `LandmarkNavError` with the reason if there is none.
+
+        A `rough` one may have a large misfit: an optical centre off its axis moves the edges.
+        """
         fits = self._tried()
         good = sorted((f for f in fits if _fits(f, self._room)), key=lambda f: -_support(f))
         if not good:
@@ -177,7 +184,7 @@ class PaperSearch:
         _check_unique(good)
         best = good[0]
         fit = self._fitter.fit(best.pose_map_base, mount=best.mount)
-        if fit is None or not _fits(fit, self._room):
+        if fit is None or not _fits(fit, self._room, np.inf if rough else _MOST_MISFIT):
             raise self._refusal([fit] if fit else [])
         return fit
 
@@ -244,7 +251,7 @@ def optical_height(sweep: Sweep, mount: PanTiltMount) -> float:
     return float(mount.camera_pose_base(pan, tilt)[1][:, 2].mean())
 
 
-def _fits(fit: PaperFit, room: Room) -> bool:
+def _fits(fit: PaperFit, room: Room, most_misfit: float = _MOST_MISFIT) -> bool:
     """Whether enough papers agree and few contradict."""
     measured = measured_papers(fit)
     wrong = (fit.seen >= 0.5) & (fit.agreed < LEAST_AGREED)
@@ -253,7 +260,7 @@ def _fits(fit: PaperFit, room: Room) -> bool:
         measured.sum() >= LEAST_PAPERS
         and measured.sum() > 2 * wrong.sum()
         and np.sum((fit.seen * fit.agreed)[measured]) > max(_LEAST_EVIDENCE, 0.4 * expected)
-        and fit.misfit < _MOST_MISFIT
+        and fit.misfit < most_misfit
     )
 
 
