@@ -133,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
     bag = open_bag(args.bag, args)
     log = StageLog()
     with log.measure('checks'):
-        checked(bag, mount, room)
+        checked(bag, given, room)
     with atomic_io.atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
