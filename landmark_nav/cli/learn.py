@@ -263,10 +263,11 @@ def panoramas_of_bag(
             raise LandmarkNavError(
                 f'{bag.path}: {cause}' if cause else f'{bag.path}: {which}: {error}'
             ) from error
-        # A calibration is used for later sweeps only if it contradicts the given one; otherwise
-        # the sweeps remain independent.
+        # Values are used for later sweeps only if they contradict the given ones. Sweeps share the
+        # errors of tracking and ranges, so that what several show is as uncertain as one of them.
         found = panoramas[-1].calibration
-        known = found if found is not None and found.surprises(given) else known
+        if found is not None and found.surprises(given):
+            known = replace(given, values=found.values)
         frames.append(len(sweep.frames))
     if warning := papers.faults().text:
         _LOG.warning('%s', warning)

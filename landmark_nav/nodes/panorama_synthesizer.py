@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import time
 from typing import Any
 
@@ -91,7 +92,9 @@ class PanoramaSynthesizerNode(LandmarkNode):
         view = sweep_pipeline.panorama_from_sweep(
             sweep, self._room, self._known, self._config, papers=self._papers
         )
-        self._known = view.calibration or self._known
+        if view.calibration is not None:
+            # Sweeps share errors: what several show is as uncertain as one of them.
+            self._known = replace(self._known, values=view.calibration.values)
         x, y, heading = *view.center_map[:2], np.degrees(view.heading_rad)
         return view, f'panorama at ({x:.3f}, {y:.3f}) m, {heading:.2f} deg', self._room.frame_id
 

@@ -168,7 +168,8 @@ class DrawnRoom:
                 panorama_from_sweep(taken, self._room, known, PanoramaStages(), papers=papers)
             )
             found = panoramas[-1].calibration
-            known = found if found is not None and found.surprises(given) else known
+            if found is not None and found.surprises(given):
+                known = replace(given, values=found.values)
         result = learn_from_panoramas(panoramas, self._room, LearningConfig())
         landmarks = replace(result.map, prior=given)
         known, start = landmarks.calibration_from(given), start_of(self._folder)
