@@ -246,11 +246,11 @@ class _Maker:
         mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
         off_axis = any(refined.mount.optical_center_offset[:2])
         if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
-            with log.measure('reference_area'):
-                place = self._place(view, refined, area, most_sigmas)
             with log.measure('panorama'):
                 reach_m = _range_of_azimuth(place, refined, self._room)
                 view = _view(refined, photometry, reach_m)
+            with log.measure('reference_area'):
+                place = self._place(view, refined, area, most_sigmas)
         found = refined
         for warning in filter(None, [place.warning, _wrong_lens(found)]):
             _LOG.warning('%s', warning)
