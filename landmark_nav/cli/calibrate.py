@@ -135,7 +135,7 @@ def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
     """Calibrate by sweeps; learn a map from them if one is required and not given."""
     config = work.config
     for bag in bags:
-        checked(bag, work.known.mount, room)
+        checked(bag, work.known, room)
         panoramas, _ = panoramas_of_bag(bag, room, work.known, config, StageLog())
         work.panoramas += panoramas
         if panoramas:
@@ -155,10 +155,11 @@ def _use_drive(work: _Work, bag: Bag) -> None:
             f'{bag.path}: a drive needs a map: give --map, or --room and a bag with two sweeps'
         )
     room = Room(landmarks.walls) if landmarks.walls else None
-    diagnosis = checked(bag, known.mount, room)
+    diagnosis = checked(bag, known, room)
     late = diagnosis.delays
     if late.joints_s:
-        known = known.measured('joint_delay', late.joints_s, max(late.pan_sigma_s, 1e-3))
+        delay_s = known['joint_delay'][0] + late.joints_s
+        known = known.measured('joint_delay', delay_s, max(late.pan_sigma_s, 1e-3))
     events = sensor_events(bag, known.mount, 0.0, late.images_s, late.odometry_s)
     total = bag.counts[bag.require('odom')]
     shown_events = progress(events, 'calibrating', 2 * total)

@@ -8,6 +8,7 @@ import itertools
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.cli.options import add, open_bag
 from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, Finding, QUICK, table, worst
 from landmark_nav.errors import LandmarkNavError
@@ -20,7 +21,7 @@ from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.bags.definitions import DRIVE_IMAGES
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import CameraFrame
 
 # Number of images within which the pose is found if the map is of this room.
@@ -42,15 +43,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check a bag and print a table of findings."""
     check_writable(args.json)
-    mount = load_robot(args.robot) if args.robot else PanTiltMount()
+    known = load_calibration(args.robot) if args.robot else Calibration.of_mount(PanTiltMount())
     room = load_room(args.room) if args.room else None
     if args.map and room is None:
         walls = load_map(args.map).walls
         room = Room(walls) if walls else None
     bag = open_bag(args.bag, args)
-    found = diagnose(bag, mount, room)
+    found = diagnose(bag, known, room)
     if room is not None and room.papers:
-        found = replace(found, findings=(*found.findings, *check_papers(bag, mount, room)))
+        found = replace(found, findings=(*found.findings, *check_papers(bag, known, room)))
     if args.map and args.robot and not found.errors and bag.find('odom'):
         found = replace(found, findings=(*found.findings, *_check_map(bag, args)))
     if args.json:
@@ -87,13 +88,13 @@ def _check_map(bag: Bag, args: argparse.Namespace) -> list[Finding]:
     return [Finding('map', 'ok', text, '', {'pose': done.start.pose.tolist()})]
 
 
-def checked(bag: Bag, mount: PanTiltMount, room: Room | None) -> Diagnosis:
+def checked(bag: Bag, known: Calibration, room: Room | None) -> Diagnosis:
     """
     Check a recording quickly before it is used, and log warnings, one line each.
 
     Raises `LandmarkNavError`: the recording has errors; the first one is in the message.
     """
-    found = diagnose(bag, mount, room, QUICK)
+    found = diagnose(bag, known, room, QUICK)
     for finding in found.warnings:
         if not finding.when_read:
             bag.warn(f'{bag.path}: {finding.line()}')

@@ -109,10 +109,10 @@ def run(args: argparse.Namespace) -> int:
 
     # Walls that were found, not measured, carry no information about units.
     measured = landmarks.walls and not landmarks.has_own_frame
-    diagnosis = checked(bag, mount, Room(landmarks.walls) if measured else None)
+    diagnosis = checked(bag, calibration, Room(landmarks.walls) if measured else None)
     late = diagnosis.delays
     # A measured delay has a sigma.
-    delay_s = late.joints_s or calibration['joint_delay'][0]
+    delay_s = calibration['joint_delay'][0] + late.joints_s
     calibration = calibration.with_values(joint_delay=delay_s)
     calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
     events = sensor_events(bag, mount, 0.0, late.images_s, late.odometry_s)

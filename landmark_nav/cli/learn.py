@@ -133,12 +133,11 @@ def run(args: argparse.Namespace) -> int:
     atomic_io.check_writable(args.json, args.walls_out, args.report)
     room = load_room(args.room) if args.room else None
     given = load_calibration(args.robot)
-    mount = given.mount
     config = _config(args)
     bag = open_bag(args.bag, args)
     log = StageLog()
     with log.measure('checks'):
-        checked(bag, mount, room)
+        checked(bag, given, room)
     with atomic_io.atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is None:
@@ -167,7 +166,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         learning_report.check_truth_frame(bag, room.frame_id)
     seconds = time.perf_counter() - begin
-    report = learning_report.learning_report(result, panoramas, frames, truth, mount, log, seconds)
+    known = replace(given, covariance=learned.covariance)
+    report = learning_report.learning_report(result, panoramas, frames, truth, known, log, seconds)
     if located is not None:
         scales = {share.name: asdict(share) for share in located.poses.scales}
         report['unmeasured'] = {**found, 'sources': scales}

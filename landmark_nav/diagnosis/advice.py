@@ -43,7 +43,7 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
         # `evaluate` reports the joint delay more accurately in a separate line.
         by_map = stream == JOINTS
         if by_map:
-            advice = f'corrected here; in robot.yaml set joint_delay to {late_s:.3f}'
+            advice = f'corrected here; in robot.yaml add {late_s:+.3f} to joint_delay'
         return Finding(f'{stream} clock', 'warning', text, advice, values, by_map)
     advice = (
         'wall time beside simulated time: set use_sim_time alike everywhere'

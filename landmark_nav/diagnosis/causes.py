@@ -128,7 +128,11 @@ def verdict(
     best = max(found, key=lambda cause: cause.score)
     if best.score < none.score + _CERTAIN or not linear(best.motion).quiet:
         best = none
-    alike = [c for c in found if c is not best and c.score > best.score - ALIKE]
+    alike = [c for c in found if c.score > best.score - ALIKE]
+    delayed = (IMAGES, *CLOCKS), (JOINTS, 'filter')
+    if any(best.stream == stream and best.kind in kinds for stream, *kinds in delayed):
+        # All delay the pan against the images; robot.yaml expects it of the clock of the joints.
+        best = next((c for c in alike if (c.stream, c.kind) == (JOINTS, 'clock')), best)
     best = _polished(best)
     # Faults of one clock are not different ones.
     fault = best.stream, best.kind in CLOCKS

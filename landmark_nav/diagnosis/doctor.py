@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.diagnosis.advice import camera_finding, cause_findings, motion_findings
 from landmark_nav.diagnosis.causes import verdict
 from landmark_nav.diagnosis.drives import DriveChecks, THOROUGH
@@ -36,10 +37,10 @@ _PAUSE = 5.0
 _INFOS = ('sweep/camera_info', 'camera/camera_info')
 
 
-def check_sweeps(bag: Bag, images: str, mount: PanTiltMount, most_images: int) -> list[Finding]:
+def check_sweeps(bag: Bag, images: str, known: Calibration, most_images: int) -> list[Finding]:
     """Check the sweeps of a bag with at most `most_images` decoded images of a topic."""
-    looks, error = look_corrected(bag, images, _INFOS, mount, most_images)
-    found = []
+    looks, error = look_corrected(bag, images, _INFOS, known, most_images)
+    found, mount = [], known.mount
     if error is not None:
         found, mount = [camera_finding(error)], error.setup.mount
         if abs(error.value) < np.log(_CALIBRATED):
@@ -50,7 +51,8 @@ def check_sweeps(bag: Bag, images: str, mount: PanTiltMount, most_images: int) -
     if len(samples) < 2:
         return found
     stamps, pans = np.array(samples).T
-    pan = Track.of(1e-9 * (stamps - bag.start_ns), mount.pan_sense * unwrapped(pans)[:, None])
+    sense = mount.pan_sense * (1.0 + known['pan_scale'][0])
+    pan = Track.of(1e-9 * (stamps - bag.start_ns), sense * unwrapped(pans)[:, None])
     motion = _motion(looks, pan, 1)
     if len(motion) < _LEAST_PAIRS:
         return found
@@ -124,10 +126,10 @@ QUICK = 60
 
 
 def diagnose(
-    bag: Bag, mount: PanTiltMount, room: Room | None = None, most_images: int = THOROUGH
+    bag: Bag, known: Calibration, room: Room | None = None, most_images: int = THOROUGH
 ) -> Diagnosis:
     """
-    Check the streams of a bag of a drive, or of sweeps.
+    Check the streams of a bag of a drive, or of sweeps, of a robot as it is `known`.
 
     The size of a `room` determines the unit of the odometry more exactly. `most_images` are
     decoded, more if these show a fault. Raises `LandmarkNavError`: the bag cannot be read at all.
@@ -139,7 +141,7 @@ def diagnose(
     delays = Delays()
     images, sweeps = bag.find(*DRIVE_IMAGES), bag.find(*SWEEP_IMAGES)
     if images:
-        diagnosis = DriveChecks(bag, images, mount, room).diagnosis(most_images)
+        diagnosis = DriveChecks(bag, images, known, room).diagnosis(most_images)
         found += diagnosis.findings
         delays = diagnosis.delays
     elif bag.find('detections'):
@@ -148,9 +150,9 @@ def diagnose(
             if topic:
                 found += check_stamps(read_stream(bag, name, topic))
     if sweeps:
-        checked = check_sweeps(bag, sweeps, mount, most_images)
+        checked = check_sweeps(bag, sweeps, known, most_images)
         if most_images < THOROUGH and any(finding.level == 'error' for finding in checked):
-            checked = check_sweeps(bag, sweeps, mount, THOROUGH)
+            checked = check_sweeps(bag, sweeps, known, THOROUGH)
         found += checked
     if not found:
         bag.require(*DRIVE_IMAGES, *SWEEP_IMAGES)
@@ -160,19 +162,19 @@ def diagnose(
     return Diagnosis(tuple(found), delays)
 
 
-def check_papers(bag: Bag, mount: PanTiltMount, room: Room) -> list[Finding]:
+def check_papers(bag: Bag, known: Calibration, room: Room) -> list[Finding]:
     """Locate each sweep of a bag, if any, by the papers of a room, as `learn` does."""
     found: list[Finding] = []
     if not bag.find(*SWEEP_IMAGES):
         return found
-    sweeps = read_sweeps(bag, mount)
+    sweeps = read_sweeps(bag, known.mount)
     while True:
         name = f'papers, sweep {len(found) + 1}'
         try:
             sweep = next(sweeps, None)
             if sweep is None:
                 return found
-            axis = panorama_from_sweep(sweep, room, mount, PanoramaStages()).axis
+            axis = panorama_from_sweep(sweep, room, known, PanoramaStages()).axis
         except LandmarkNavError as error:
             text = str(error).removeprefix(f'{bag.path}: ')
             found.append(Finding(name, 'error', text))

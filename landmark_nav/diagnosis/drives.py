@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
+from landmark_nav.calibration import Calibration
 from landmark_nav.diagnosis import parts, stamps
 from landmark_nav.diagnosis.advice import (
     camera_finding,
@@ -45,6 +46,7 @@ from landmark_nav.diagnosis.streams import (
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
+from landmark_nav.matching.strips import comparable
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 
@@ -74,23 +76,25 @@ _Judged = tuple[list[Finding], Delays, bool]
 class DriveChecks:
     """Checks of the streams of a drive."""
 
-    def __init__(self, bag: Bag, images: str, mount: PanTiltMount, room: Room | None) -> None:
-        self._bag, self._images, self._mount, self._room = bag, images, mount, room
+    def __init__(self, bag: Bag, images: str, known: Calibration, room: Room | None) -> None:
+        self._bag, self._images, self._known, self._room = bag, images, known, room
+        self._mount = known.mount
         odometry = bag.find('odom')
         self._odometry = read_stream(bag, ODOMETRY, odometry, _odometry_of) if odometry else None
 
     def diagnosis(self, most_images: int) -> Diagnosis:
         """Check with `most_images` decoded images; with more if these show a fault."""
         bag, images = self._bag, self._images
-        looks, error = look_corrected(bag, images, _INFOS, self._mount, most_images)
+        looks, error = look_corrected(bag, images, _INFOS, self._known, most_images)
         of_camera = []
         if error is not None:
             # All other checks use the corrected setup.
             self._mount, of_camera = error.setup.mount, [camera_finding(error)]
         found, delays, healthy = self._judged(looks)
         if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
-            setup = self._mount if error is None else error.setup
-            found, delays, _ = self._judged(look(bag, images, _INFOS, setup, THOROUGH))
+            setup = None if error is None else error.setup
+            looks = look(bag, images, _INFOS, self._known, THOROUGH, setup)
+            found, delays, _ = self._judged(looks)
         said = {finding.name for finding in of_camera}
         return Diagnosis((*of_camera, *(f for f in found if f.name not in said)), delays)
 
@@ -161,8 +165,9 @@ class DriveChecks:
             return found, Delays(), True
         hints = stamps.clock_hints(images, dict(zip((JOINTS, ODOMETRY), streams, strict=False)))
         logged = looks.stream.logged_ns[looks.pairs]
-        inside = ((logged >= first) & (logged <= last)).all(1)
-        pairs = self._motion(looks, looks.pairs[inside], streams)
+        before, after = looks.stream.seconds[looks.pairs.T]
+        chosen = looks.pairs[((logged >= first) & (logged <= last)).all(1) & (after > before)]
+        pairs = self._motion(looks, chosen, streams)
         if (mixed := parts.alternating_images(looks, pairs)) is not None:
             return [*found, mixed], Delays(), True
         motion = pairs.only(np.isfinite(pairs.turns_rad))
@@ -202,7 +207,9 @@ class DriveChecks:
             if path is not None:
                 found = _without(found, _OF_PATH)
             elif looks.view is not None and staying is None:
-                strange = parts.strange_images(pairs, looks.view.width_rad)
+                clear = [comparable(looks.strips[k], looks.strips[n]) for k, n in chosen.tolist()]
+                clearly = pairs.only(np.array(clear, np.bool_))
+                strange = parts.strange_images(clearly, looks.view.width_rad)
                 said = {finding.name for finding in found}
                 found += [] if strange is None or strange.name in said else [strange]
             return [*found, *self._truth(images, motion, Clock())], Delays(), True
@@ -271,13 +278,14 @@ class DriveChecks:
 
     def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
         before, after = looks.stream.seconds[pairs.T]
-        good = after > before
         turns = np.array([looks.compared(*pair)[0] for pair in pairs.tolist()])
+        sense = self._mount.pan_sense * (1.0 + self._known['pan_scale'][0])
+        joint_times = streams[0].seconds - self._known['joint_delay'][0]
         return Motion(
-            before[good],
-            after[good],
-            turns[good],
-            Track.of(streams[0].seconds, self._mount.pan_sense * _angles(streams[0])),
+            before,
+            after,
+            turns,
+            Track.of(joint_times, sense * _angles(streams[0])),
             _odometry_track(streams[1], streams[1].values) if streams[1:] else None,
             self._mount.axis_xyz[:2],
             self._mount.optical_center_offset[:2],

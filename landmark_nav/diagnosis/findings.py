@@ -53,7 +53,7 @@ class Finding:
 @dataclass(frozen=True)
 class Delays:
     """
-    Delays of the stamps of streams, s, that readers subtract.
+    Delays of the stamps of streams, s, beyond those of ``robot.yaml``, that readers subtract.
 
     `pan_sigma_s` is the sigma of the delay between images and joints.
     """

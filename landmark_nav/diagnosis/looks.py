@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from landmark_nav.arrays import FloatArray, ImageArray, IndexArray
+from landmark_nav.calibration import Calibration
 from landmark_nav.diagnosis.camera_errors import (
     camera_error,
     CameraError,
@@ -21,7 +22,7 @@ from landmark_nav.diagnosis.camera_errors import (
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.streams import Row, Stream, stream_of
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.matching.strips import Strip, StripView, without_cover
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag, BagMessage
@@ -72,14 +73,15 @@ def look(
     bag: Bag,
     topic: str,
     infos: tuple[str, ...],
-    mounted: PanTiltMount | CameraSetup,
+    known: Calibration,
     most_images: int,
+    setup: CameraSetup | None = None,
 ) -> Looks:
     """
     Decode and examine at most `most_images` images.
 
-    `infos` are names in the contract of the topics that may hold the intrinsics; a `CameraSetup`
-    replaces the recorded ones, and then no points are tracked.
+    `infos` are names in the contract of the topics that may hold the intrinsics. A `setup`
+    replaces these and what is known of the robot, and then no points are tracked.
     """
     chosen = _chosen(bag.counts[topic], most_images)
     rows: list[Row] = []
@@ -96,7 +98,6 @@ def look(
     except LandmarkNavError as error:
         text = str(error).removeprefix(f'{bag.path}: ')
         refused.append(Finding('camera lens', 'error', text, when_read=True))
-    setup = mounted if isinstance(mounted, CameraSetup) else None
     # First images of pairs, spread over the recording.
     firsts = [] if setup else [k for k in sorted(chosen) if k + 1 in chosen]
     tracked = set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
@@ -110,8 +111,9 @@ def look(
         try:
             image, seen_by = decode.camera_image(entry.message, cameras.at(stamp), True)
             if view is None:
-                camera = setup.camera if setup else seen_by
-                view = StripView(camera, *((setup.mount, setup.tilt_rad) if setup else (mounted,)))
+                used = setup or _setup(seen_by, known)
+                camera = used.camera
+                view = StripView(camera, used.mount, used.tilt_rad)
             width, height = decode.published_size(entry.message)
             kinds[f'{_kind(entry)} {width} x {height}'] = None
             strips[index] = view.strip(image)
@@ -155,20 +157,24 @@ def _sharpness(image: ImageArray) -> float:
 
 
 def look_corrected(
-    bag: Bag, topic: str, infos: tuple[str, ...], mount: PanTiltMount, most_images: int
+    bag: Bag, topic: str, infos: tuple[str, ...], known: Calibration, most_images: int
 ) -> tuple[Looks, CameraError | None]:
     """Examine images as `look` does; if lens or mount have an error, with the corrected setup."""
-    looks = look(bag, topic, infos, mount, most_images)
-    error = camera_error_of(bag, looks, mount)
-    return (look(bag, topic, infos, error.setup, most_images) if error else looks), error
+    looks = look(bag, topic, infos, known, most_images)
+    error = camera_error_of(bag, looks, known)
+    return (look(bag, topic, infos, known, most_images, error.setup) if error else looks), error
 
 
-def camera_error_of(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError | None:
+def _setup(camera: CameraModel, known: Calibration) -> CameraSetup:
+    return CameraSetup(known.camera(camera), known.mount, known['camera_tilt'][0])
+
+
+def camera_error_of(bag: Bag, looks: Looks, known: Calibration) -> CameraError | None:
     """Find a relevant error of lens or mount by the tracked points; None if there is none."""
     if looks.camera is None or not looks.points:
         return None
     try:
-        joints = JointHistory.read(bag, mount)
+        joints = JointHistory.read(bag, known.mount)
     except LandmarkNavError:
         joints = JointHistory(())  # reported elsewhere
     first = np.array(list(looks.points))
@@ -178,12 +184,12 @@ def camera_error_of(bag: Bag, looks: Looks, mount: PanTiltMount) -> CameraError 
         for sample in map(joints.at, stamps.ravel().tolist())
     ]
     pans, tilts = np.array(angles).T.reshape(2, -1, 2)
-    known = tilts[np.isfinite(tilts)]
-    tilts[~np.isfinite(tilts)] = np.median(known) if len(known) else 0.0
+    seen = np.isfinite(tilts)
+    tilts[~seen] = np.median(tilts[seen]) if seen.any() else 0.0
     before, after = zip(*looks.points.values(), strict=True)
     pairs = np.repeat(np.arange(len(before)), [len(points) for points in before])
     matches = Matches(np.concatenate(before), np.concatenate(after), pairs, pans, tilts)
-    return camera_error(matches, CameraSetup(looks.camera, mount))
+    return camera_error(matches, CameraSetup(looks.camera, known.mount, known['camera_tilt'][0]))
 
 
 def _chosen(count: int, most: int) -> set[int]:

@@ -49,6 +49,8 @@ _ESTIMATED = {
 _LEEWAY_S = 0.02
 # Step of the numerical derivative by time.
 _STEP_S = 0.05
+# Sigma of the position of pan axis and optical centre, if measured with a tape.
+_LEVER_SIGMA_M = 0.02
 # Least sigma of turns between images.
 _LEAST_SIGMA_RAD = 1e-3
 
@@ -220,10 +222,20 @@ class Motion:
         return self._seen(moved)
 
     def levers(self) -> FloatArray:
-        """Displacements (n, 2) to the left of the view by an axis 1 m ahead, or to the left."""
+        """
+        Displacements (n, 4) to the left of the view by levers of 1 m.
+
+        The first two are of the pan axis, ahead and to the left of the base, the others of the
+        optical centre, in the frame that turns.
+        """
         if self.odometry is None:
-            return np.zeros((len(self), 2))
-        each = [self._seen(self._carried(at))[:, 0] for at in ((1.0, 0.0), (0.0, 1.0))]
+            return np.zeros((len(self), 4))
+        units = ((1.0, 0.0), (0.0, 1.0))
+        each = [
+            self._seen(self._carried(at, with_pan=pan))[:, 0]
+            for pan in (False, True)
+            for at in units
+        ]
         return np.stack(each, -1)
 
     def passed(self) -> FloatArray:
@@ -264,10 +276,15 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Coefficients (k,), their sigmas, the noise and the log-likelihood of a regression."""
+    """
+    Coefficients (k,), their sigmas, the noise and the log-likelihood of a regression.
+
+    `gain` (k, n) are the derivatives of the coefficients by the turns.
+    """
 
     values: FloatArray
     sigmas: FloatArray
+    gain: FloatArray
     noise_rad: float
     log_likelihood: float
     residuals_rad: FloatArray
@@ -304,16 +321,17 @@ def fit(turns: FloatArray, columns: FloatArray) -> Fit:
             scale = new
             break
         scale = new
-    all_values, sigmas = np.zeros(k), np.full(k, np.inf)
+    all_values, sigmas, gain = np.zeros(k), np.full(k, np.inf), np.zeros((k, n))
     all_values[seen] = values
     if used.shape[1]:
         # The ridge keeps what collinear columns leave open uncertain.
         spread = np.linalg.inv(information + ridge)
         sigmas[seen] = scale * np.sqrt(np.maximum(np.diag(spread), 0.0))
+        gain[seen] = spread @ used.T * weights
     likelihood = -n * np.log(scale) - 0.5 * (FREEDOM + 1.0) * float(
         np.sum(np.log1p((residuals / scale) ** 2 / FREEDOM))
     )
-    return Fit(all_values, sigmas, scale, likelihood, residuals)
+    return Fit(all_values, sigmas, gain, scale, likelihood, residuals)
 
 
 def explained(motion: Motion) -> Fit:
@@ -397,15 +415,17 @@ def linear(motion: Motion) -> Linear:
     base = np.stack([panned, yawed, pan_rate, yaw_rate, *motion.parallax().T], -1)
     left = motion.unexplained()
     found = fit(left, base)
-    pairs = zip(found.values.tolist(), found.sigmas.tolist(), strict=True)
+    levers, near = motion.levers(), max(abs(found.values[4]), 1e-3)
+    # Errors of the levers are no part of the residuals.
+    mounted = _LEVER_SIGMA_M * near * np.linalg.norm(found.gain @ levers, axis=1)
+    pairs = zip(found.values.tolist(), np.hypot(found.sigmas, mounted).tolist(), strict=True)
     small = [Estimate(*pair) for pair in pairs]
     # One at a time: at constant speed, time and path are correlated, as are levers and distances.
     passed = motion.passed()
-    for column in np.column_stack([passed, motion.levers()]).T:
+    for column in np.column_stack([passed, levers[:, :2]]).T:
         alone = fit(left, np.column_stack([base, column]))
         small.append(Estimate(float(alone.values[-1]), float(alone.sigmas[-1])))
     # Turns by a lever are proportional to the nearness.
-    near = max(abs(found.values[4]), 1e-3)
     small[-2:] = (Estimate(*(float(v) / near for v in lever)) for lever in small[-2:])
     # With a constant pan, a curved path has the same effect as a wrong heading of the camera.
     curved = fit(left, np.column_stack([base[:, :-1], passed[:, 1]]))

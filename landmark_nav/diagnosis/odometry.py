@@ -81,9 +81,12 @@ def check_twist(stream: Stream) -> list[Finding]:
         if max(np.abs(pose).sum(), np.abs(twist).sum()) < least:
             continue
         size = float(np.abs(pose).sum() / max(np.abs(twist).sum(), 1e-9))
-        ratio = -size if float(pose @ twist) < 0.0 else size
+        both = float(pose @ twist)
+        ratio = -size if both < 0.0 else size
         level: Level = 'warning'
-        if 1.0 / _ALIKE < ratio < _ALIKE:
+        # With noise in both, the ratio lies between their regressions on each other.
+        low, high = both / max(float(twist @ twist), 1e-12), float(pose @ pose) / max(both, 1e-12)
+        if both > 0.0 and low < _ALIKE and high > 1.0 / _ALIKE:
             level, advice = 'ok', ''
         elif ratio < 0.0:
             advice = 'pose and twist have opposite signs: publish both by REP-103'

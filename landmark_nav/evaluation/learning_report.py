@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import pose_errors, PoseTrack
-from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry import se2
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.localization.triangulation.model import base_from_axis
@@ -19,7 +20,7 @@ from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.reader import decoded
 from landmark_nav.storage.bags.sensors import truth_decoder
-from landmark_nav.types import Landmark, Panorama, Refusal
+from landmark_nav.types import FloatArray, Landmark, Panorama, Refusal
 
 SCHEMA = 1
 # Where landmarks on planes of their own are counted.
@@ -31,7 +32,7 @@ def learning_report(
     measured: Sequence[Panorama],
     frames: Sequence[int],
     truth: PoseTrack,
-    mount: PanTiltMount,
+    known: Calibration,
     log: StageLog,
     seconds: float,
 ) -> dict[str, Any]:
@@ -39,8 +40,10 @@ def learning_report(
     Metrics of learning; errors by the `truth` of ``base_link``, if there is one.
 
     `measured` are panoramas before the adjustment, with poses by the papers alone, or by
-    ``sweep/pose``; `frames` are the numbers of frames of the sweeps.
+    ``sweep/pose``; `frames` are the numbers of frames of the sweeps. What is `known` of the mount
+    gives the pose of the base.
     """
+    own_frame = result.map.has_own_frame
     outcomes = [outcome for group in result.outcomes for outcome in group]
     refused = Counter(o.reason for o in outcomes if isinstance(o, Refusal))
     walls = Counter(landmark.wall_id or NO_WALL for landmark in result.map.landmarks)
@@ -50,8 +53,8 @@ def learning_report(
             {
                 'stamp_ns': panorama.stamp_ns,
                 'frames': count,
-                **_place(panorama, truth, mount),
-                'measured': _place(before, truth, mount),
+                **_place(panorama, truth, known, own_frame),
+                'measured': _place(before, truth, known, own_frame),
                 'panorama': quality_report(panorama.quality or PanoramaQuality()),
                 'candidates': len(group),
                 'elected': sum(isinstance(outcome, Landmark) for outcome in group),
@@ -102,11 +105,18 @@ def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
     return {**plain, 'calibration': terms, **({'unmatched_pan_deg': gaps} if gaps else {})}
 
 
-def _place(panorama: Panorama, truth: PoseTrack, mount: PanTiltMount) -> dict[str, Any]:
+def _place(
+    panorama: Panorama, truth: PoseTrack, known: Calibration, own_frame: bool
+) -> dict[str, Any]:
     """Pose of the base, x [m], y [m], heading [rad], and its errors."""
-    base = base_from_axis(panorama.axis, mount)
-    pose, covariance = base.pose, base.covariance
-    entry: dict[str, Any] = {'pose': pose.tolist(), 'sigma': np.sqrt(np.diag(covariance)).tolist()}
+    base = base_from_axis(panorama.axis, known.mount)
+    by_mount = _by_mount(base.pose, panorama, known, own_frame)
+    pose, covariance = base.pose, base.covariance + by_mount @ known.covariance @ by_mount.T
+    entry: dict[str, Any] = {
+        'pose': pose.tolist(),
+        'sigma': np.sqrt(np.diag(covariance)).tolist(),
+        'sigma_without_mount': np.sqrt(np.diag(base.covariance)).tolist(),
+    }
     error = pose_errors(pose[None], truth.at([panorama.stamp_ns]))[0]
     if np.all(np.isfinite(error)):
         entry['error'] = error.tolist()
@@ -114,6 +124,37 @@ def _place(panorama: Panorama, truth: PoseTrack, mount: PanTiltMount) -> dict[st
         entry['error_heading_deg'] = float(np.degrees(abs(error[2])))
         entry['nees'] = float(error @ np.linalg.solve(covariance, error))
     return entry
+
+
+def _by_mount(
+    pose: FloatArray, panorama: Panorama, known: Calibration, own_frame: bool
+) -> FloatArray:
+    """
+    Derivatives (3, 16) of a pose of the base by the mount, for the measured pose of the axis.
+
+    In the frame of the first sweep, the same errors move its base.
+    """
+    jacobian = np.zeros((3, len(NAMES)))
+    which = [NAMES.index(name) for name in ('axis_x', 'axis_y', 'axis_yaw')]
+    lever = [*known.mount.axis_xyz[:2], 0.0]
+    if own_frame:
+        by_frame, _ = se2.compose_jacobians([0.0, 0.0, 0.0], pose)
+        by_first, by_base = (_by_axis(np.asarray(at), lever) for at in ([0.0] * 3, pose))
+        jacobian[:, which] = by_base - by_frame @ by_first
+    elif panorama.by_calibration is not None:
+        # A given pose of the base does not depend on the mount, that of the axis does.
+        by_axis, _ = se2.compose_jacobians(panorama.axis.pose, np.negative(lever))
+        jacobian = by_axis @ panorama.by_calibration[[0, 1, 3]]
+        jacobian[:, which] += _by_axis(pose, lever)
+    return jacobian
+
+
+def _by_axis(pose: FloatArray, lever: Sequence[float]) -> FloatArray:
+    """Derivatives (3, 3) of a pose of the base by position and yaw of the axis on it."""
+    by_pose, by_lever = se2.compose_jacobians(pose, lever)
+    jacobian = -by_lever
+    jacobian[:2, 2] = by_pose[:2, 2]
+    return jacobian
 
 
 def truth_of_bag(bag: Bag) -> PoseTrack:

@@ -274,7 +274,8 @@ def other_frame(run: Replay, errors: RunErrors) -> str | None:
     except LandmarkNavError:
         return None
     (was, left) = (np.nanmean(np.square(e.fused[:, :2])) for e in (errors, after))
-    if left > _LEFT**2 * was:
+    white = np.linalg.solve(run.fused_covariances, errors.fused[..., None])[..., 0]
+    if left > _LEFT**2 * was or np.nanmean(np.sum(errors.fused * white, 1)) < _FAR:
         return None
     x, y, turn = pose.tolist()
     unit = '' if abs(np.log(scale)) < _LEFT else f', and lengths are {1.0 / scale:.4g} times those'

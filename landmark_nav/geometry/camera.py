@@ -136,11 +136,13 @@ class CameraModel:
 
     @property
     def restriction(self) -> str:
-        """Why a part of the image is not used; empty if all of it is."""
-        if self._used_share == 1.0:
-            return ''
+        """Why a part of the image is not used; empty if all is that localization needs."""
         tangent, distorted = self._usable_border
         angle = math.degrees(math.atan(tangent))
+        # A fisheye lens may well see more than is used.
+        wide = self._is_fisheye and angle > math.degrees(_MAX_ANGLE_RAD) - 1.0
+        if self._used_share == 1.0 or (wide and self._used_share >= _MIN_USED_SHARE):
+            return ''
         lens = ', '.join(f'{value:.3g}' for value in self.distortion[:3])
         why = f'the lens ({self.model} {lens}) folds back'
         if angle > math.degrees(_MAX_ANGLE_RAD) - 1.0:

@@ -180,11 +180,11 @@ def next_prior(given: Calibration, known: Calibration, after: Panorama) -> Calib
     """
     Prior of the calibration for the sweep after a panorama, which was made with `known`.
 
-    The calibration by the panorama is used only if it contradicts the given one; otherwise the
-    sweeps remain independent.
+    The values by the panorama are used if they contradict the given ones. Sweeps share the errors
+    of tracking and ranges, so that what several show is as uncertain as one of them.
     """
     found = after.calibration
-    return found if found is not None and found.surprises(given) else known
+    return replace(given, values=found.values) if found and found.surprises(given) else known
 
 
 def corrected(given: Calibration, found: MountError) -> Calibration:
@@ -262,10 +262,10 @@ class _Maker:
         off_axis = any(refined.mount.optical_center_offset[:2])
         changed = mount_changed or off_axis or moved_px(found, refined) > _SAME_PX
         if changed or place.rough:
-            place = placed(refined)
             with log.measure('panorama'):
                 reach_m = _range_of_azimuth(place, refined, self._room)
                 view = _view(refined, photometry, reach_m)
+            place = placed(refined)
         found = refined
         for warning in filter(None, [place.warning, _wrong_lens(found)]):
             _LOG.warning('%s', warning)

@@ -27,6 +27,9 @@ _LEAST_SEQUENCE = 12
 # Least peak of the correlation; lower ones are by chance.
 _LEAST_SCORE = 0.4
 
+# Least peak that a match of two images would have, so that a lower one means that they differ.
+_CLEAR_SCORE = 1.5 * _LEAST_SCORE
+
 # Spectrum of each row, and cumulative energy of the columns.
 Strip = tuple[npt.NDArray[np.complexfloating], FloatArray]
 
@@ -34,6 +37,13 @@ Strip = tuple[npt.NDArray[np.complexfloating], FloatArray]
 def _strip_of(seen: npt.NDArray[np.float32]) -> Strip:
     energy = np.concatenate([[0.0], np.cumsum((seen * seen).sum(0))])
     return fft.rfft(seen, 2 * _COLUMNS, axis=1), energy
+
+
+def comparable(first: Strip, second: Strip) -> bool:
+    """Whether two strips have so much texture that they would match if they showed the same."""
+    energies = np.array([first[1][-1], second[1][-1]])
+    share = energies / (energies + _BLANK * _ROWS * _COLUMNS)
+    return bool(np.sqrt(share.prod()) >= _CLEAR_SCORE)
 
 
 def without_cover(strips: Sequence[Strip]) -> list[Strip]:

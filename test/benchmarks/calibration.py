@@ -37,7 +37,7 @@ from landmark_nav.evaluation.replay import Replay
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
-from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep_pipeline import next_prior, panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
@@ -167,8 +167,7 @@ class DrawnRoom:
             panoramas.append(
                 panorama_from_sweep(taken, self._room, known, PanoramaStages(), papers=papers)
             )
-            found = panoramas[-1].calibration
-            known = found if found is not None and found.surprises(given) else known
+            known = next_prior(given, known, panoramas[-1])
         result = learn_from_panoramas(panoramas, self._room, LearningConfig())
         landmarks = replace(result.map, prior=given)
         known, start = landmarks.calibration_from(given), start_of(self._folder)

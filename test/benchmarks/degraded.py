@@ -31,8 +31,8 @@ from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.robot_files import save_calibration
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.robot_files import load_calibration, save_calibration
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import CameraFrame
 
 Degradation = Callable[[ImageArray, np.random.Generator], ImageArray]
@@ -120,15 +120,15 @@ def row(name: str, run: Replay) -> tuple[str, int]:
 
 def named(drive: Path, error: StreamError, robot: Path, room: Path) -> tuple[bool, list[str]]:
     """Whether the cause of an error is named, and all that is said; refusals are said, too."""
-    mount = load_robot(robot)
+    known = load_calibration(robot)
     with tempfile.TemporaryDirectory() as scratch:
         path = write_drive(Bag(drive), Path(scratch) / 'drive', error)
         try:
             if error.robot:
                 given = Path(scratch) / 'robot.yaml'
-                save_calibration(Calibration.of_mount(error.robot(mount)), given)
-                mount = load_robot(given)
-            found = diagnose(Bag(path), mount, load_room(room))
+                save_calibration(Calibration.of_mount(error.robot(known.mount)), given)
+                known = load_calibration(given)
+            found = diagnose(Bag(path), known, load_room(room))
         except LandmarkNavError as refused:
             hit = bool(error.finding and re.search(error.finding, str(refused)))
             return hit, [str(refused)]

@@ -23,6 +23,7 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import get_typestore, Stores
 import yaml
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError
@@ -204,7 +205,7 @@ LOG_NS = (0, 1, 2**63 - 1, 2**63, 2**64 - 1)
 
 def check_bag(path):
     """What `landmark-nav check`, `learn` and `evaluate` begin with."""
-    found = diagnose(Bag(path, lambda _: None), PanTiltMount(), None, QUICK)
+    found = diagnose(Bag(path, lambda _: None), Calibration.of_mount(PanTiltMount()), None, QUICK)
     assert all(finding.line().isprintable() for finding in found.findings), found
 
 

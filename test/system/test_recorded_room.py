@@ -1,5 +1,6 @@
 """The offline commands on the recorded room of bags/, against its expected figures."""
 
+from dataclasses import replace
 import json
 
 from drive_faults import displaced_drive, late_drive, starved_drive
@@ -9,11 +10,14 @@ import pytest
 from small import recorded_figures, worse
 
 from landmark_nav.calibration import Calibration
+from landmark_nav.cli.learn import panoramas_of_bag
 from landmark_nav.cli.main import main
+from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.sweep_pipeline import PanoramaStages
 from landmark_nav.planning.planner import forecast
 from landmark_nav.planning.views import PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
@@ -83,6 +87,20 @@ def test_landmarks_lie_where_things_really_hang_or_stand(figures):
     assert min(np.linalg.norm(k.position - centers[target]) for k in landmarks) < 0.02
 
 
+@pytest.mark.parametrize('plan', [True, False], ids=['plan', 'no plan'])
+def test_sigmas_of_sweeps_hold_what_is_unknown_of_the_mount(plan, tmp_path):
+    mount = load_robot(BAGS / 'robot.yaml')
+    (x, y, z), robot = mount.axis_xyz, tmp_path / 'robot.yaml'
+    off = replace(mount, axis_xyz=(x + 0.02, y - 0.03, z), axis_rpy=(0.0, 0.0, 0.02))
+    save_calibration(Calibration.of_mount(off), robot)
+    files = ['--robot', robot, '--out', tmp_path / 'map', '--json', tmp_path / 'learn.json']
+    files += ['--room', BAGS / 'room.yaml'] if plan else ['--paper-size', 0.21, 0.297]
+    assert main([str(word) for word in ('learn', BAGS / 'learn', *files)]) == 0
+    sweeps = json.loads((tmp_path / 'learn.json').read_text())['sweeps']
+    assert max(sweep['error_position_m'] for sweep in sweeps) > 0.02
+    assert max(sweep['nees'] for sweep in sweeps) < 16.0
+
+
 def test_the_planner_predicts_landmarks_and_sweep_errors(figures):
     sweeps = json.loads((figures[1] / 'learn.json').read_text())['sweeps']
     room, mount = load_room(BAGS / 'room.yaml'), load_robot(BAGS / 'robot.yaml')
@@ -90,9 +108,21 @@ def test_the_planner_predicts_landmarks_and_sweep_errors(figures):
     (expected,) = forecast([poses], poses[:, :2], room, mount, PlanConfig())
     assert 0.7 < expected.landmarks.sum() / figures[0]['landmarks'] < 1.4
     papers = np.sqrt(np.diagonal(expected.pose_covariance, axis1=1, axis2=2))
-    measured = np.array([sweep['measured']['sigma'] for sweep in sweeps])
+    measured = np.array([sweep['measured']['sigma_without_mount'] for sweep in sweeps])
     assert np.all(papers[:, 2] < 1.6 * measured[:, 2])
     assert np.all(papers[:, 2] > measured[:, 2] / 1.6)
+
+
+def test_a_sweep_that_is_read_twice_shows_no_more(monkeypatch):
+    room, mount = load_room(BAGS / 'room.yaml'), load_robot(BAGS / 'robot.yaml')
+    given = Calibration.of_mount(replace(mount, camera_roll_rad=0.02))
+    bag = Bag(BAGS / 'learn')
+    sweep = next(read_sweeps(bag, mount))
+    monkeypatch.setattr('landmark_nav.cli.learn.read_sweeps', lambda *_: iter([sweep, sweep]))
+    panoramas, _ = panoramas_of_bag(bag, room, given, PanoramaStages(), StageLog())
+    first, second = (panorama.calibration for panorama in panoramas)
+    assert 'camera_roll' in first.surprises(given)
+    np.testing.assert_allclose(second.sigmas, first.sigmas, rtol=0.1)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from stream_errors import of_drives, of_sweeps, StreamError, write_drive
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.cli.check import checked
 from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose, QUICK
@@ -28,6 +29,7 @@ from landmark_nav.diagnosis.motion import (
     ODOMETRY,
     Track,
 )
+from landmark_nav.diagnosis.odometry import check_twist
 from landmark_nav.diagnosis.parts import (
     check_content,
     held_values,
@@ -40,8 +42,9 @@ from landmark_nav.diagnosis.stamps import check_stamps
 from landmark_nav.diagnosis.streams import Stream, two_sources
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.matching.strips import StripView
+from landmark_nav.matching.strips import comparable, StripView
 from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
 from landmark_nav.types import OdometrySample
 
@@ -259,10 +262,27 @@ def test_the_cause_is_named_in_a_recorded_drive(name, tmp_path):
     error = NAMED[name]
     bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
     mount, room = load_robot(BAGS / 'robot.yaml'), load_room(BAGS / 'room.yaml')
-    found = diagnose(bag, error.robot(mount) if error.robot else mount, room)
+    known = Calibration.of_mount(error.robot(mount) if error.robot else mount)
+    found = diagnose(bag, known, room)
     wrong = [*found.errors, *found.warnings]
     assert any(re.match(error.names, f.name) and re.search(error.finding, f.line()) for f in wrong)
     assert len(wrong) <= 3, 'what follows from a fault is no fault of its own'
+
+
+@pytest.mark.parametrize(
+    ('name', 'off', 'finding'),
+    [
+        ('camera_tilt', 0.2, 'camera tilt'),
+        ('pan_scale', 0.1, 'pan scale'),
+        ('focal_scale', 0.25, 'camera lens'),
+        ('joint_delay', 0.1, 'joint_states clock'),
+    ],
+)
+def test_checks_use_all_that_robot_yaml_gives(name, off, finding):
+    given = load_calibration(BAGS / 'robot.yaml')
+    wrong = given.with_values(**{name: given[name][0] + off})
+    found = diagnose(Bag(BAGS / 'drive'), wrong, load_room(BAGS / 'room.yaml'))
+    assert finding in [f.name for f in (*found.errors, *found.warnings)]
 
 
 @pytest.mark.parametrize('recording', ['drive', 'learn'])
@@ -279,9 +299,8 @@ def test_a_good_recording_passes(recording, tmp_path, capsys):
 
 def test_errors_are_refused_in_one_line(tmp_path):
     bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', NAMED['odom +5 s'])
-    mount = load_robot(BAGS / 'robot.yaml')
     with pytest.raises(LandmarkNavError, match=r'odom clock: stamped 5\.0') as refused:
-        checked(Bag(bag), mount, None)
+        checked(Bag(bag), load_calibration(BAGS / 'robot.yaml'), None)
     assert '\n' not in str(refused.value)
 
 
@@ -319,7 +338,7 @@ def test_odometry_may_be_of_the_footprint(frame, fits, tmp_path):
     error = StreamError(('odom',), about, 'frames')
     bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
     mount = load_robot(BAGS / 'robot.yaml')
-    found = diagnose(bag, mount, most_images=QUICK)
+    found = diagnose(bag, Calibration.of_mount(mount), most_images=QUICK)
     assert [f.name for f in (*found.errors, *found.warnings)] == ([] if fits else ['frames'])
     kept = [e for e in sensor_events(bag, mount) if isinstance(e, OdometrySample)]
     whole = [e for e in sensor_events(Bag(BAGS / 'drive'), mount) if isinstance(e, OdometrySample)]
@@ -329,7 +348,7 @@ def test_odometry_may_be_of_the_footprint(frame, fits, tmp_path):
 def test_damaged_messages_are_counted(tmp_path):
     error = StreamError(('joint_states',), each_second(no_number), 'reading')
     bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
-    found = diagnose(bag, load_robot(BAGS / 'robot.yaml'))
+    found = diagnose(bag, load_calibration(BAGS / 'robot.yaml'))
     assert 'reading' in [finding.name for finding in found.warnings]
     assert not found.errors
 
@@ -346,6 +365,60 @@ def test_a_camera_that_is_turned_is_not_laid_to_the_path(drive):
     turned = replace(drive, ahead_rad=-0.3)
     found = {f.name: f for f in motion_findings(turned, linear(turned), None)}
     assert found['camera heading'].values['heading_rad'] == pytest.approx(0.3, abs=0.06)
+
+
+@pytest.mark.parametrize('seed', range(1, 6))
+def test_a_delay_is_laid_to_the_joints_where_undecided(seed, drive):
+    late = replace(drive, pan_clock=Clock(0.05))
+    turns = late.panned() + late.yawed() + late.parallax() @ [1.0 / 3.0, 0.0]
+    rng = np.random.default_rng(seed)
+    measured = replace(drive, turns_rad=turns + rng.normal(0.0, 0.002, len(turns)))
+    assert drive.odometry is not None
+    for share in (1.0, 0.02):
+        # With little yaw, odometry does not show whose clock is off.
+        yaw = drive.odometry.values * [1.0, 1.0, share]
+        given = replace(measured, odometry=replace(drive.odometry, values=yaw))
+        given = replace(given, turns_rad=measured.turns_rad + given.yawed() - measured.yawed())
+        judged = verdict(given)
+        assert (judged.cause.stream, judged.cause.kind) == (JOINTS, 'clock')
+        assert judged.cause.value == pytest.approx(0.05, abs=0.01)
+
+
+def test_on_the_spot_levers_are_as_uncertain_as_they_are_measured(drive):
+    # Centimetres of the pan axis move the camera as much as the robot does.
+    assert drive.odometry is not None
+    slow = drive.odometry.values * [0.1, 0.1, 1.0]
+    spinning = replace(drive, odometry=replace(drive.odometry, values=slow))
+    elsewhere = replace(spinning, axis_xy=(0.12, -0.02))
+    turns = elsewhere.panned() + elsewhere.yawed() + elsewhere.parallax() @ [1.0 / 3.0, 0.0]
+    slopes = linear(replace(spinning, turns_rad=turns))
+    assert abs(slopes.heading_rad.value) < 3.0 * slopes.heading_rad.sigma
+    found = {f.name: f.level for f in motion_findings(spinning, slopes, None)}
+    assert found.get('camera heading', 'ok') == 'ok'
+    assert linear(drive).heading_rad.sigma < np.radians(5.0), 'on its way the robot shows it'
+
+
+@pytest.mark.parametrize(('scale', 'level'), [(1.0, 'ok'), (3.0, 'warning')])
+def test_noise_of_the_twist_is_no_other_unit(scale, level):
+    rng = np.random.default_rng(3)
+    logged = np.arange(0, 20 * 10**9, 5 * 10**7)
+    rate = 0.05 * np.sin(1e-9 * logged)
+    yaw = scale * np.append(0.0, np.cumsum(0.025 * (rate[1:] + rate[:-1])))
+    still = np.zeros(len(logged))
+    twist = np.stack([still, rate + rng.normal(0.0, 0.03, len(logged))], -1)
+    values = np.column_stack([still, still, yaw, twist])
+    (found,) = check_twist(Stream('odom', '', logged, logged, values))
+    assert (found.name, found.level) == ('odom twist, turn', level)
+
+
+@pytest.mark.parametrize(('contrast', 'clear'), [(40.0, True), (2.0, False)])
+def test_images_without_contrast_do_not_show_other_things(contrast, clear):
+    rng = np.random.default_rng(8)
+    view = StripView(CAMERA, PanTiltMount())
+    images = np.clip(rng.normal(60.0, contrast, (2, 24, 32)), 0, 255).astype(np.uint8)
+    first, second = (view.strip(cv2.resize(image, (320, 240))) for image in images)
+    assert np.isnan(view.turn(first, second)[0])
+    assert comparable(first, second) == clear
 
 
 def sweep(pushed_rad, passing=0):

@@ -1,5 +1,7 @@
 """Walls out of points: where there are some, and none where there are none."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,14 @@ def test_outline_of_a_room_is_found(corners, seed):
     away = np.linalg.norm(found[:, None] - corners, axis=-1)
     assert len(found) == len(corners)
     assert away.min(0).max() < 0.03
+
+
+def test_memory_grows_with_the_points_of_many_sweeps_not_with_their_square():
+    points = seen(on_walls(RECTANGLE, np.random.default_rng(6), per_wall=2500))
+    tracemalloc.start()
+    assert len(find_facades(points, CONFIG)) == 4
+    assert tracemalloc.get_traced_memory()[1] < 5000 * len(points)
+    tracemalloc.stop()
 
 
 def test_scattered_points_make_no_facade():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -377,6 +378,14 @@ def test_a_lens_that_folds_back_in_the_corners_is_used_inside_of_that():
     np.testing.assert_allclose(camera.project(rays[inside]), pixels[inside], atol=1e-6)
     # No ray comes back to a pixel beyond the fold.
     assert np.linalg.norm(np.nan_to_num(back) - [254.0, 193.5], axis=1).max() < 0.51 * 570.0
+
+
+@pytest.mark.parametrize(('focal_px', 'distortion'), [(260.0, ()), (200.0, (0.01, -0.003, 0.001))])
+def test_a_fisheye_lens_may_see_more_than_is_used(focal_px, distortion):
+    lens = CameraModel(640, 480, focal_px, focal_px, 320.0, 240.0, 'equidistant', distortion)
+    assert not lens.restriction
+    with pytest.raises(LandmarkNavError, match='folds back'):
+        replace(lens, distortion=(-0.2,))
 
 
 @pytest.mark.parametrize('shift', [0.05, 0.1, 0.13])

@@ -4,6 +4,7 @@ from bag_writers import FACTORY, MOUNT, SECOND, START, write_drive
 import numpy as np
 import pytest
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose
 from landmark_nav.errors import LandmarkNavError
@@ -168,7 +169,9 @@ def test_the_pan_is_that_about_the_axis_of_the_robot(tmp_path):
     found, _ = pans(path, mount, {'joint_states': '/tf:turret'})
     np.testing.assert_allclose(found, PANS, atol=1e-9)
     bag = Bag(path, topics={'joint_states': '/tf:turret'})
-    assert [f.name for f in diagnose(bag, mount).errors] == ['images content']
+    assert [f.name for f in diagnose(bag, Calibration.of_mount(mount)).errors] == [
+        'images content'
+    ]
     with pytest.raises(LandmarkNavError, match='has no frame camera: it has base_link, turret'):
         pans(path, mount, {'joint_states': '/tf:camera'})
     sideways = PanTiltMount(axis_rpy=(1.2, 0.0, 0.0))

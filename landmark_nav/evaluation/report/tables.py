@@ -202,14 +202,18 @@ def learning_verdict(report: Mapping[str, Any], warning: str) -> dict[str, str]:
     """Summarise the number of landmarks, their walls, and the sigmas of the sweeps' poses."""
     walls = report['landmarks_per_wall']
     found = report.get('unmeasured')
-    worst_m = max(float(np.hypot(*sweep['sigma'][:2])) for sweep in report['sweeps'])
+    worst_m, without_m = (
+        max(float(np.hypot(*sweep[sigma][:2])) for sweep in report['sweeps'])
+        for sigma in ('sigma', 'sigma_without_mount')
+    )
     errors = [sweep['error_position_m'] for sweep in report['sweeps'] if 'error' in sweep]
     parts = (
         f'{report["elected"]} landmarks on {len(walls.keys() - {NO_WALL})} walls ('
         + ', '.join(f'{wall} {count}' for wall, count in walls.items())
         + f') of {report["candidates"]} candidates learned from {len(report["sweeps"])} sweeps',
-        f'poses of the sweeps known to {1e3 * worst_m:.1f} mm (sigma'
-        + (', apart from the scale)' if found else ')')
+        f'poses of the sweeps known to {1e3 * worst_m:.1f} mm (sigma, '
+        f'{1e3 * without_m:.1f} mm of it apart from the mount'
+        + (' and the scale)' if found else ')')
         + (f', off by at most {1e3 * max(errors):.1f} mm' if errors else ''),
         f'no room.yaml: scale from {found["scale"]}, good to '
         f'{100 * float(found["scale_sigma"]):.2g} %'

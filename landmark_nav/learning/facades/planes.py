@@ -279,7 +279,9 @@ def on_and_through(
 
 def bare(along: FloatArray, on: FloatArray) -> BoolArray:
     """Which positions (..., n) along a facade have no points (m,) near them."""
-    return np.asarray(np.abs(along[..., None] - on).min(-1, initial=np.inf) > _SUPPORT_M)
+    ends = np.concatenate([[-np.inf], np.sort(on), [np.inf]])
+    after = np.searchsorted(ends[:-1], along)
+    return np.asarray(np.minimum(along - ends[after - 1], ends[after] - along) > _SUPPORT_M)
 
 
 def _line(
@@ -372,19 +374,18 @@ def _best_line(
     """
     xy = points.positions[:, :2]
     best, most = None, 0.0
-    apart = np.linalg.norm(xy[:, None] - xy, axis=-1)
-    partners = (apart > _CELL_M) & (apart < _REACH_M)
     for trial, first in enumerate(rng.integers(len(xy), size=_TRIALS)):
-        near = np.flatnonzero(partners[first])
+        off = xy - xy[first]
+        apart = np.hypot(*off.T)
+        near = np.flatnonzero((apart > _CELL_M) & (apart < _REACH_M))
         if not len(near):
             continue
-        side = xy[rng.choice(near)] - xy[first]
+        side = off[rng.choice(near)]
         angle = np.arctan2(side[1], side[0])
         if common is not None and trial % 2:
             angle -= from_right(angle - common)
         along = np.array([np.cos(angle), np.sin(angle)])
         normal = np.array([-along[1], along[0]])
-        off = xy - xy[first]
         ahead = (points.viewpoints[:, :2] - xy[first]) @ normal
         miss = (off @ normal) ** 2 / _variance(points, normal, config)
         on = (miss < _INLIER_SIGMAS**2) & (np.sign(ahead) == np.sign(ahead[first]))
