@@ -27,7 +27,12 @@ from landmark_nav.learning.facades.planes import (
     SeenPoints,
 )
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
-from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, RelativePoseConfig
+from landmark_nav.learning.relative_pose.epipolar import (
+    center,
+    RayPairs,
+    RelativePoseConfig,
+    STATE,
+)
 from landmark_nav.learning.relative_pose.features import find_features
 from landmark_nav.learning.relative_pose.poses import relative_poses, RelativePoses
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig
@@ -144,7 +149,9 @@ def locate(
         except LandmarkNavError as error:
             _LOG.warning('%s: only what stands for itself is learned', error)
             room = open_room(joined, eyes, config.facades)
-        ties = Ties(joined.positions, [m for _, pairs in matched for m in _measured(pairs, sigma)])
+        measured = [m for _, pairs in matched for m in _measured(pairs, sigma)]
+        doubt = poses.doubt.reshape(len(eyes), STATE, -1)[:, [0, 1, 3, 2]]
+        ties = Ties(joined.positions, measured, doubt.reshape(4 * len(eyes), -1))
     located = [
         replace(
             p, center_map=eye, heading_rad=float(state[2]), covariance=np.diag(RELATIVE_SIGMA**2)
