@@ -31,6 +31,8 @@ from landmark_nav.learning.relative_pose.epipolar import (
 from landmark_nav.learning.relative_pose.features import alike, Features, matches_along, WIDE_BAND
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set, RigidSet
 from landmark_nav.learning.relative_pose.scale import (
+    contradiction,
+    odd_source,
     PlaceSource,
     scale_sigma,
     ScaleShare,
@@ -131,6 +133,14 @@ def relative_poses(
         pairs = [(p.one, p.other) for p in before.pairs]
     fit, sources, pairs_along, doubt = _fitted(start, pairs, features, known, sheets, config)
     shares = tuple(source.share(fit.states) for source in sources)
+    # Given poses are not left out: they define the frame.
+    if (odd := odd_source(shares)) and odd != 'sweep/pose':
+        wrong, *_, right = sorted(shares, key=lambda share: share.name != odd)
+        _LOG.warning('%s; %s is not used', contradiction(wrong, right), odd)
+        known = [chain for chain in known if chain.source != odd]
+        sheets = [[sheet for sheet in views if sheet.kind != odd] for views in sheets]
+        fit, sources, pairs_along, doubt = _fitted(start, pairs, features, known, sheets, config)
+        shares = tuple(source.share(fit.states) for source in sources)
     return RelativePoses(
         fit.states,
         _known_covariance(fit.states, sources, config),
