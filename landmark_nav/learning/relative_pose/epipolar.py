@@ -36,7 +36,7 @@ class RelativePoseConfig(Config):
     tilt_sigma_rad: float = 0.01
     # Prior sigma of the height of a sweep. With a smaller one, a false tilt replaces a height.
     rise_sigma_m: float = 0.02
-    # Sigma of the pan zero, which all sweeps share.
+    # Sigma of the pan zero, which all sweeps share, beyond that of the robot file.
     heading_sigma_rad: float = 1e-3
     # Fewest matches that support a relative pose.
     min_matches: int = 20

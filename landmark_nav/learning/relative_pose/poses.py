@@ -64,6 +64,8 @@ _NO_BASELINE = 0.8
 _FIXED_SIGMA = 1e-6
 _UNKNOWN_SIGMA = (10.0, 10.0, 3.0)
 _ROUNDS = 3
+# Least error of a heading by things that moved that is reported.
+_WORTH_REPORTING_RAD = 1e-3
 _MAD_TO_SIGMA = 1.4826
 
 
@@ -346,7 +348,7 @@ def _doubt(
         pulls.append(flat.T @ (slopes[:, 1] @ found.loading))
     doubt = np.asarray(solve_positive(information, np.hstack(pulls)))
     turns = np.linalg.norm(doubt[2::STATE], axis=1)
-    if turns.max() > config.heading_sigma_rad:
+    if turns.max() > _WORTH_REPORTING_RAD:
         _LOG.warning(
             'things may have moved together between the sweeps: the heading of sweep %d is good '
             'to %.2f deg only, for one: if they did, sweep again',
