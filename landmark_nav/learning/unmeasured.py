@@ -27,7 +27,12 @@ from landmark_nav.learning.facades.planes import (
     SeenPoints,
 )
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
-from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, RelativePoseConfig
+from landmark_nav.learning.relative_pose.epipolar import (
+    center,
+    RayPairs,
+    RelativePoseConfig,
+    STATE,
+)
 from landmark_nav.learning.relative_pose.features import find_features
 from landmark_nav.learning.relative_pose.poses import relative_poses, RelativePoses
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig
@@ -85,6 +90,7 @@ class Located:
     places: FloatArray
     poses: RelativePoses
     ties: Ties
+    heading_sigma_rad: float
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -144,7 +150,9 @@ def locate(
         except LandmarkNavError as error:
             _LOG.warning('%s: only what stands for itself is learned', error)
             room = open_room(joined, eyes, config.facades)
-        ties = Ties(joined.positions, [m for _, pairs in matched for m in _measured(pairs, sigma)])
+        measured = [m for _, pairs in matched for m in _measured(pairs, sigma)]
+        doubt = poses.doubt.reshape(len(eyes), STATE, -1)[:, [0, 1, 3, 2]]
+        ties = Ties(joined.positions, measured, doubt.reshape(4 * len(eyes), -1))
     located = [
         replace(
             p, center_map=eye, heading_rad=float(state[2]), covariance=np.diag(RELATIVE_SIGMA**2)
@@ -152,7 +160,9 @@ def locate(
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
     places = _viewpoints(poses)
-    return Located(tuple(located), room, places, poses, ties)
+    return Located(
+        tuple(located), room, places, poses, ties, config.relative_pose.heading_sigma_rad
+    )
 
 
 def locate_sweeps(
@@ -185,7 +195,10 @@ def locate_sweeps(
     for sweep in sweeps():
         panoramas.append(unplaced_panorama(sweep, given, log))
         stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
-    places = known(stamped)
+    pose = config.relative_pose
+    turn = float(np.hypot(pose.heading_sigma_rad, given.sigmas_from('axis_yaw')[0]))
+    config = replace(config, relative_pose=replace(pose, heading_sigma_rad=turn))
+    places = [_with_turn(chain, turn) for chain in known(stamped)]
     lever = np.array([*given.mount.axis_xyz[:2], panoramas[0].center_map[2]])
     located = locate(panoramas, places, lever, config, log)
     tilts = located.poses.states[:, 4:]
@@ -231,6 +244,14 @@ def learn_located(
     result = learn_from_panoramas(
         located.panoramas, located.room, config, log, located.places, located.ties
     )
+    # The pan zero turns the ways between sweeps against the base; camera and map share its error.
+    panoramas = []
+    for p in result.panoramas:
+        moved = np.zeros(4)
+        way = (p.center_map - result.panoramas[0].center_map)[:2]
+        moved[:2] = located.heading_sigma_rad * rotation(np.pi / 2) @ way
+        panoramas.append(replace(p, covariance=p.covariance + np.outer(moved, moved)))
+    result = replace(result, panoramas=tuple(panoramas))
     return replace(result, map=_turned(result.map, unmeasured.relative_pose.heading_sigma_rad))
 
 
@@ -256,6 +277,14 @@ def _of_axis(chain: PlaceChain, lever: FloatArray) -> PlaceChain:
         poses=se2.compose(chain.poses, axis),
         covariance=by_base @ chain.covariance @ by_base.T,
     )
+
+
+def _with_turn(chain: PlaceChain, sigma_rad: float) -> PlaceChain:
+    """Add the error of the pan zero, which turns the way between panoramas, to given poses."""
+    turned = np.zeros_like(chain.poses)
+    turned[:, :2] = sigma_rad * (chain.poses - chain.poses[0])[:, :2] @ rotation(np.pi / 2).T
+    flat = turned.ravel()
+    return replace(chain, covariance=chain.covariance + np.outer(flat, flat))
 
 
 def _viewpoints(poses: RelativePoses) -> FloatArray:

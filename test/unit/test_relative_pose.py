@@ -13,6 +13,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     misses,
     RayPairs,
     RelativePoseConfig,
+    STATE,
 )
 from landmark_nav.learning.relative_pose.features import Features
 from landmark_nav.learning.relative_pose.poses import relative_poses
@@ -36,12 +37,13 @@ def room_points(rng, count):
 
 
 def features(poses, points, rng, strangers=60, tilt=None):
-    """What panoramas at poses see of points, with noise, and as many features of their own."""
-    looks = rng.normal(size=(len(points), 64))
+    """What panoramas at poses see of points, all of the same or each of its own, with noise."""
+    points = np.broadcast_to(points, (len(poses), *points.shape[-2:]))
+    looks = rng.normal(size=(points.shape[1], 64))
     seen = []
     for k, pose in enumerate(poses):
         eye = np.array([*pose[:2], EYE_M])
-        rays = (points - eye) @ rot_z(pose[2])
+        rays = (points[k] - eye) @ rot_z(pose[2])
         if tilt is not None:
             rays = rays - np.cross(np.append(tilt[k], 0.0), rays)
         own = rng.normal(size=(strangers, 3)) * [1.0, 1.0, 0.3]
@@ -87,6 +89,43 @@ def test_poses_are_recovered_and_scale_is_that_of_odometry(count):
     ways = [np.linalg.norm(p[1:, :2], axis=1) for p in (result.states, poses, longer)]
     assert ways[0] / ways[1] == pytest.approx(ways[2] / ways[1], abs=0.01)
     assert result.scales[0].inflation == 1.0
+
+
+@pytest.mark.parametrize('moved_m', [0.1, 0.2])
+@pytest.mark.parametrize('wall', [False, True])
+@pytest.mark.parametrize('seed', [11, 12])
+def test_things_that_move_together_do_not_make_a_wrong_pose_certain(moved_m, wall, seed):
+    rng = np.random.default_rng(seed)
+    points = room_points(rng, 300)
+    seen, later = np.stack([points, points]), rng.uniform(size=300) < 0.35
+    if wall:
+        later = points[:, 0] > 4.99
+    seen[1, later, 1] += moved_m
+    pair = features(POSES[:2], seen, rng)
+    result = relative_poses(pair, [odometry(POSES[:2])], LEVER, CONFIG)
+    # The noise, and what the pair cannot exclude.
+    heading, course = directions_off(result.states, POSES[:2])[0]
+    sigma = np.hypot(np.radians(0.15), np.linalg.norm(result.doubt[STATE + 2]))
+    assert abs(heading) < 3.0 * sigma
+    way = POSES[1, :2]
+    across = np.array([-way[1], way[0]]) / (way @ way)
+    sigma = np.hypot(np.radians(0.15), np.linalg.norm(across @ result.doubt[STATE : STATE + 2]))
+    assert abs(course) < 3.0 * sigma
+
+
+def test_the_pose_that_most_agree_on_is_found_among_things_that_moved():
+    rng = np.random.default_rng(21)
+    points = room_points(rng, 300)
+    seen, later = np.stack([points, points]), rng.uniform(size=300) < 0.4
+    seen[1, later] += [0.2, 0.1, 0.0]
+    result = relative_poses(features(POSES[:2], seen, rng), [odometry(POSES[:2])], LEVER, CONFIG)
+    assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.3
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_where_nothing_moved_there_is_no_doubt(seed):
+    result = found(POSES[:2], POSES[:2], seed)
+    assert np.linalg.norm(result.doubt[2::STATE], axis=1).max() < CONFIG.heading_sigma_rad
 
 
 def test_heading_that_slipped_is_recovered_with_less_certain_scale():

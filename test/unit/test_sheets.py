@@ -11,7 +11,13 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.se2 import rot_z, rotation
 from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.learning.relative_pose.epipolar import center
-from landmark_nav.learning.relative_pose.scale import PlaceSource, scale_sigma, SheetSource
+from landmark_nav.learning.relative_pose.scale import (
+    odd_source,
+    PlaceSource,
+    scale_sigma,
+    ScaleShare,
+    SheetSource,
+)
 from landmark_nav.learning.relative_pose.sheet_tracks import FINE, sheet_misses, sheet_tracks
 from landmark_nav.learning.relative_pose.two_views import two_views_of, TwoViews
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
@@ -192,6 +198,20 @@ def test_slopes_of_sheets_are_right():
     assert len(off) == 3 * len(track.views)
 
 
+@pytest.mark.parametrize(
+    ('scales', 'odd'),
+    [
+        ((1.0, 1.01, 1.4), 'c'),
+        ((1.0, 1.4, 1.01), 'b'),
+        ((1.0, 1.01, 1.02), ''),
+        ((1.0, 1.3, 1.6), ''),
+        ((1.0, 1.4), ''),
+    ],
+)
+def test_the_one_source_that_contradicts_several_is_known(scales, odd):
+    assert odd_source([ScaleShare('abc'[k], s, 0.02) for k, s in enumerate(scales)]) == odd
+
+
 def test_sources_that_disagree_are_named_with_their_sigmas(caplog):
     def odometry(sigma):
         return PlaceSource(PlaceChain(STATES[:, :3], sigma**2 * np.diag([0, 0, 0, 2, 2, 1.0])))
@@ -202,5 +222,8 @@ def test_sources_that_disagree_are_named_with_their_sigmas(caplog):
     doubtful = [s.share(STATES) for s in (odometry(0.05), large)]
     assert scale_sigma(doubtful) > 0.05
     assert 'by odom the sweeps are' in caplog.text
+    # Neither excludes the other, and either may be right.
+    apart = [s.share(STATES) for s in (odometry(0.1), large)]
+    assert scale_sigma(apart) > abs(apart[0].scale - apart[1].scale) / 3.0
     with pytest.raises(LandmarkNavError, match=r'by odom .* than by papers \(\d'):
         scale_sigma([s.share(STATES) for s in (odometry(0.02), large)])

@@ -173,6 +173,8 @@ def adjust(
     weights = _information(problem, at, noise, influence)
     equations = problem.normal_equations(at, shared, weights)
     covariance = equations.shared_covariance()
+    if ties is not None:
+        covariance[problem.pose_part, problem.pose_part] += ties.doubt @ ties.doubt.T
     root = root_of(covariance)
     shared_loading, rest, axes = _main_factors((-equations.gain @ root)[:count])
     return Adjustment(

@@ -36,7 +36,7 @@ class RelativePoseConfig(Config):
     tilt_sigma_rad: float = 0.01
     # Prior sigma of the height of a sweep. With a smaller one, a false tilt replaces a height.
     rise_sigma_m: float = 0.02
-    # Sigma of the pan zero, which all sweeps share.
+    # Sigma of the pan zero, which all sweeps share, beyond that of the robot file.
     heading_sigma_rad: float = 1e-3
     # Fewest matches that support a relative pose.
     min_matches: int = 20
@@ -48,7 +48,7 @@ class RelativePoseConfig(Config):
 # x and y.
 STATE = 6
 # Scale of the robust weight, in sigmas, in the first and the last step; number of steps.
-_TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH, _STEPS = 16.0, 2.0, 6
+_WIDE_TAIL, TAIL, _STEPS = 16.0, 2.0, 6
 # Greatest residual of an inlier, in sigmas, and its least parallax.
 _AGREES, _LEAST_PARALLAX = 3.0, 1e-4
 _NOTHING = 1e-12
@@ -142,6 +142,7 @@ def fit_poses(
     prior: FloatArray,
     prior_covariance: FloatArray,
     others: Callable[[FloatArray], tuple[FloatArray, FloatArray]] | None = None,
+    first_width: float = _WIDE_TAIL,
 ) -> EpipolarFit:
     """
     Robust fit of the states of sweeps to matches and a prior.
@@ -161,6 +162,8 @@ def fit_poses(
     others : callable, optional
         Other measurements: residuals (m,) in sigmas at states (v, 6), and their derivatives
         (m, 6 v).
+    first_width : float
+        Scale of the robust weight in the first step, in sigmas.
     """
     views = len(start)
     whiten = np.linalg.inv(root_of(prior_covariance))
@@ -171,7 +174,7 @@ def fit_poses(
         off[:, 2] = wrap_rad(off[:, 2])
         return np.asarray(whiten @ off.ravel())
 
-    for width in np.geomspace(_TAIL_WIDTH_AT_FIRST, _TAIL_WIDTH, _STEPS):
+    for width in np.geomspace(first_width, TAIL, _STEPS):
         found = [misses(states, p, sigma_rad) for p in pairs]
         weights = [
             np.where(before, 1.0, 1e-3) / (1.0 + (off / width) ** 2) for off, _, before in found

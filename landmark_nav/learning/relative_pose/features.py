@@ -80,8 +80,9 @@ def _nearest(
     return np.stack([kept, best[kept]], 1), ratio[kept], top[kept]
 
 
-# Half width of the band about the epipolar curve, in sigmas: poses are not yet exact.
-_BAND = 6.0
+# Half width of the band about the epipolar curve, in sigmas: poses are not yet exact, and may be
+# displaced by things that moved.
+_BAND, WIDE_BAND = 6.0, 12.0
 # Least cosine of the descriptors of a match.
 _LEAST_LIKENESS = 0.8
 # Least and greatest range of a match, in lengths of the baseline.
@@ -94,6 +95,7 @@ def matches_along(
     states: FloatArray,
     features: Sequence[Features],
     config: RelativePoseConfig,
+    band_sigmas: float = _BAND,
 ) -> RayPairs:
     """Match the features of two views near their epipolar curves."""
     way = center(states[other]) - center(states[one])
@@ -104,7 +106,7 @@ def matches_along(
     across_w, across_v = (np.stack([-r[:, 1], r[:, 0], 0 * r[:, 0]], 1) for r in (w, v))
     variance = (across_w @ by_w.T) ** 2 + (by_v @ across_v.T) ** 2
     variance += by_w[:, 2] ** 2 + by_v[:, 2:] ** 2
-    band = _BAND * config.direction_sigma_rad
+    band = band_sigmas * config.direction_sigma_rad
     near = off**2 < band**2 * variance
     parallax = np.outer(w[:, 0], v[:, 1]) - np.outer(w[:, 1], v[:, 0])
     ahead = way32[0] * v[:, 1] - way32[1] * v[:, 0]

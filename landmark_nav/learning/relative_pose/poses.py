@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
+import logging
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rotation
-from landmark_nav.learning.least_squares import covariance_of
+from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.relative_pose.epipolar import (
     EpipolarFit,
     fit_poses,
@@ -24,9 +26,13 @@ from landmark_nav.learning.relative_pose.epipolar import (
     RayPairs,
     RelativePoseConfig,
     STATE,
+    TAIL,
 )
-from landmark_nav.learning.relative_pose.features import alike, Features, matches_along
+from landmark_nav.learning.relative_pose.features import alike, Features, matches_along, WIDE_BAND
+from landmark_nav.learning.relative_pose.rigid_sets import rigid_set, RigidSet
 from landmark_nav.learning.relative_pose.scale import (
+    contradiction,
+    odd_source,
     PlaceSource,
     scale_sigma,
     ScaleShare,
@@ -45,6 +51,8 @@ from landmark_nav.learning.relative_pose.two_views import (
 from landmark_nav.learning.sheets import SheetView
 from landmark_nav.types import FloatArray, PlaceChain
 
+_LOG = logging.getLogger(__name__)
+
 # Support by chance is a number of Poisson: so many of its sigmas are no difference.
 _CHANCE_SIGMAS = 3.0
 # Number of nearest sweeps with which each is matched, if their places are known.
@@ -56,6 +64,8 @@ _NO_BASELINE = 0.8
 _FIXED_SIGMA = 1e-6
 _UNKNOWN_SIGMA = (10.0, 10.0, 3.0)
 _ROUNDS = 3
+# Least error of a heading by things that moved that is reported.
+_WORTH_REPORTING_RAD = 1e-3
 _MAD_TO_SIGMA = 1.4826
 
 
@@ -78,6 +88,8 @@ class RelativePoses:
         Relative sigma of the scale by all sources.
     wave_sigma_rad : float
         Sigma of directions of panoramas beyond the noise of features.
+    doubt : ndarray, shape (6 v, q)
+        Errors of the states that many matches share, as things moved together between sweeps.
     """
 
     states: FloatArray
@@ -86,6 +98,7 @@ class RelativePoses:
     scales: tuple[ScaleShare, ...]
     scale_sigma: float
     wave_sigma_rad: float
+    doubt: FloatArray
 
 
 def relative_poses(
@@ -120,8 +133,16 @@ def relative_poses(
     else:
         start = before.states * np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
         pairs = [(p.one, p.other) for p in before.pairs]
-    fit, sources, pairs_along = _fitted(start, pairs, features, known, sheets, config)
+    fit, sources, pairs_along, doubt = _fitted(start, pairs, features, known, sheets, config)
     shares = tuple(source.share(fit.states) for source in sources)
+    # Given poses are not left out: they define the frame.
+    if (odd := odd_source(shares)) and odd != 'sweep/pose':
+        wrong, *_, right = sorted(shares, key=lambda share: share.name != odd)
+        _LOG.warning('%s; %s is not used', contradiction(wrong, right), odd)
+        known = [chain for chain in known if chain.source != odd]
+        sheets = [[sheet for sheet in views if sheet.kind != odd] for views in sheets]
+        fit, sources, pairs_along, doubt = _fitted(start, pairs, features, known, sheets, config)
+        shares = tuple(source.share(fit.states) for source in sources)
     return RelativePoses(
         fit.states,
         _known_covariance(fit.states, sources, config),
@@ -129,6 +150,7 @@ def relative_poses(
         shares,
         scale_sigma(shares),
         _wave_sigma(fit.states, pairs_along, config),
+        doubt,
     )
 
 
@@ -270,8 +292,8 @@ def _fitted(
     known: Sequence[PlaceChain],
     sheets: Sequence[Sequence[SheetView]],
     config: RelativePoseConfig,
-) -> tuple[EpipolarFit, list[Source], list[RayPairs]]:
-    """Fit to all matches and sources of the scale; return these too."""
+) -> tuple[EpipolarFit, list[Source], list[RayPairs], FloatArray]:
+    """Fit to all matches and sources of the scale; return these too, and the doubt (6 v, q)."""
     prior = np.zeros_like(start)
     prior[0, :3], prior[:, 3] = start[0, :3], start[0, 3]
     covariance, states = _prior_covariance(len(start), config), start
@@ -279,6 +301,8 @@ def _fitted(
     # Before the first fit, too: wrong poses would move the panoramas to matches that fit them.
     for source in places:
         source.inflate(states)
+    fitted = partial(fit_poses, prior=prior, prior_covariance=covariance)
+    rigid: list[RigidSet] = []
     for number in range(_ROUNDS):
         poses = {pair: two_views_of(states, *pair) for pair in matched}
         tracks = sheet_tracks(sheets, poses, FINE if number else ROUGH)[0] if sheets else []
@@ -289,13 +313,49 @@ def _fitted(
                 'hang more sheets of the size given, or record odom'
             )
         pairs = [matches_along(i, j, states, features, config) for i, j in matched]
-        fit = fit_poses(
-            states, pairs, config.direction_sigma_rad, prior, covariance, stacked(sources)
-        )
+        others, precise = stacked(sources), config.feature_sigma_rad
+        if number:
+            fit = fitted(states, pairs, precise, others=others, first_width=TAIL)
+        else:
+            states = fitted(states, pairs, config.direction_sigma_rad, others=others).states
+            wide = [matches_along(i, j, states, features, config, WIDE_BAND) for i, j in matched]
+            rigid = [rigid_set(states, p, config) for p in wide]
+            pairs = [p.chosen(k.agrees) for p, k in zip(wide, rigid, strict=True)]
+            fit = fitted(states, pairs, precise, others=others)
         states = fit.states
         for source in places:
             source.inflate(states)
-    return fit, sources, pairs
+    return fit, sources, pairs, _doubt(fit, pairs, rigid, config)
+
+
+def _doubt(
+    fit: EpipolarFit,
+    pairs: Sequence[RayPairs],
+    rigid: Sequence[RigidSet],
+    config: RelativePoseConfig,
+) -> FloatArray:
+    """Errors (6 v, q) of all states by those of each pair."""
+    size = fit.states.size
+    information = solve_positive(_prior_covariance(len(fit.states), config), np.eye(size))
+    pulls = []
+    for p, agrees, found in zip(pairs, fit.agrees, rigid, strict=True):
+        inliers = p.chosen(agrees)
+        _, slopes, _ = misses(fit.states, inliers, config.feature_sigma_rad)
+        jacobian = np.zeros((len(slopes), len(fit.states), STATE))
+        jacobian[:, p.one], jacobian[:, p.other] = slopes[:, 0], slopes[:, 1]
+        flat = jacobian.reshape(len(slopes), size)
+        information += flat.T @ flat
+        pulls.append(flat.T @ (slopes[:, 1] @ found.loading))
+    doubt = np.asarray(solve_positive(information, np.hstack(pulls)))
+    turns = np.linalg.norm(doubt[2::STATE], axis=1)
+    if turns.max() > _WORTH_REPORTING_RAD:
+        _LOG.warning(
+            'things may have moved together between the sweeps: the heading of sweep %d is good '
+            'to %.2f deg only, for one: if they did, sweep again',
+            int(np.argmax(turns)) + 1,
+            np.degrees(turns.max()),
+        )
+    return doubt
 
 
 def _prior_covariance(count: int, config: RelativePoseConfig) -> FloatArray:

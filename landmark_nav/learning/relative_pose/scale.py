@@ -178,26 +178,51 @@ def stacked(sources: Sequence[Source]) -> Callable[[FloatArray], Rows]:
     return rows
 
 
+def odd_source(shares: Sequence[ScaleShare]) -> str:
+    """Name of the only source that contradicts others, which agree; empty if there is none."""
+    pairs = [
+        {one.name, other.name}
+        for one, other in combinations(shares, 2)
+        if _sigmas_apart(one, other) > _MOST_SIGMAS
+    ]
+    odd = set.intersection(*pairs) if pairs and len(shares) > 2 else set()
+    return odd.pop() if len(odd) == 1 else ''
+
+
+def _sigmas_apart(one: ScaleShare, other: ScaleShare) -> float:
+    return float(abs(one.scale - other.scale) / np.hypot(one.sigma, other.sigma))
+
+
+def contradiction(one: ScaleShare, other: ScaleShare) -> str:
+    """Text that compares the scales by two sources."""
+    longer, shorter = sorted((one, other), key=lambda share: -share.scale)
+    return (
+        f'by {longer.name} the sweeps are {100.0 * (longer.scale / shorter.scale - 1.0):.1f} '
+        f'% farther apart than by {shorter.name} ({_sigmas_apart(one, other):.1f} sigma): check '
+        'the sizes given, and whether the wheels slipped'
+    )
+
+
 def scale_sigma(shares: Sequence[ScaleShare]) -> float:
     """
-    Relative sigma of the scale by all sources; at least their disagreement.
+    Relative sigma of the scale by all sources.
+
+    It is at least that by the changes of the scale without each source (jackknife): one may be
+    wrong by more than it states, as a paper of another size is.
 
     Raises `LandmarkNavError`: two sources contradict each other.
     """
-    sigma = float(sum(1.0 / (k.sigma**2 + k.slip**2) for k in shares) ** -0.5)
     for one, other in combinations(shares, 2):
-        apart = abs(one.scale - other.scale)
-        sigmas = apart / np.hypot(one.sigma, other.sigma)
-        if sigmas < _DOUBTFUL_SIGMAS:
-            continue
-        longer, shorter = sorted((one, other), key=lambda share: -share.scale)
-        text = (
-            f'by {longer.name} the sweeps are {100.0 * (longer.scale / shorter.scale - 1.0):.1f} '
-            f'% farther apart than by {shorter.name} ({sigmas:.1f} sigma): check the sizes given, '
-            'and whether the wheels slipped'
-        )
+        sigmas = _sigmas_apart(one, other)
         if sigmas > _MOST_SIGMAS:
-            raise LandmarkNavError(f'{text}; leave out what is wrong')
-        _LOG.warning('%s', text)
-        sigma = max(sigma, apart)
-    return sigma
+            raise LandmarkNavError(f'{contradiction(one, other)}; leave out what is wrong')
+        if sigmas > _DOUBTFUL_SIGMAS:
+            _LOG.warning('%s', contradiction(one, other))
+    scales = np.array([k.scale for k in shares])
+    weights = np.array([1.0 / (k.sigma**2 + k.slip**2) for k in shares])
+    variance, count = 1.0 / weights.sum(), len(shares)
+    if count > 1:
+        without = (weights @ scales - weights * scales) / (weights.sum() - weights)
+        changes = without - np.average(scales, weights=weights)
+        variance = max(variance, (count - 1) / count * float(changes @ changes))
+    return float(np.sqrt(variance))

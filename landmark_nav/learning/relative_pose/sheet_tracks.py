@@ -87,8 +87,14 @@ def sheet_tracks(
     """
     links: list[_Link] = []
     lengths = {}
+    kinds = sorted({seen.kind for view in sheets for seen in view})
     for (i, j), pose in found.items():
-        agreed = _agreed(sheets[i], sheets[j], pose, pose_sigma_rad, (i, j))
+        # Kinds whose given sizes contradict each other are compared once the poses are fitted.
+        agreed = [
+            pair
+            for kind in kinds
+            for pair in _agreed(kind, sheets[i], sheets[j], pose, pose_sigma_rad, (i, j))
+        ]
         if agreed:
             links += [((i, pair.one), (j, pair.other)) for pair in agreed]
             weight = np.array([pair.sigma_m**-2 for pair in agreed])
@@ -108,18 +114,20 @@ def sheet_tracks(
 
 
 def _agreed(
+    kind: str,
     one: Sequence[SheetView],
     other: Sequence[SheetView],
     pose: TwoViews,
     pose_sigma_rad: float,
     views: tuple[int, int],
 ) -> list[_Pair]:
-    """Pairs of views of one sheet each that agree on the baseline, most certain first."""
+    """Pairs of views of one sheet of a kind that agree on the baseline, most certain first."""
     pairs = [
         pair
         for a, first in enumerate(one)
         for b, second in enumerate(other)
-        if (first.kind, first.name) == (second.kind, second.name)
+        if first.kind == second.kind == kind
+        and first.name == second.name
         and (pair := _way(a, b, first, second, pose, pose_sigma_rad)) is not None
     ]
     if not pairs:
