@@ -259,8 +259,10 @@ class LandmarkNode(ManagedNode):
 
         The parameters ``qos_overrides`` of ROS may change its reliability.
         """
-        callback = self._stamped(topic, callback)
         spec = topics.TOPICS[topic]
+        # Parts of maps and panoramas are joined by their stamps, also by those of 0.
+        if spec.qos.durability is not DurabilityPolicy.TRANSIENT_LOCAL:
+            callback = self._stamped(topic, callback)
         with _overriding(topic):
             return self.create_subscription(
                 topics.message_class(spec.type_name),
