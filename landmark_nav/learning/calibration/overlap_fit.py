@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import cv2
@@ -187,8 +188,8 @@ _ITERATIONS = 12
 _CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
 
-# Bias of tracking, which does not decrease with the number of points.
-_BIAS_PX = 0.01
+# Bias of tracking that all matches share, in any pattern: it does not decrease with their number.
+_BIAS_PX = 0.003
 
 # Relative sigma of the range of an object that may stand anywhere between the camera and the wall
 # (uniform), and its size as seen, 0.6 m at 3 m; step of numerical differentiation.
@@ -206,16 +207,19 @@ class Fit:
     The best fit.
 
     `common` (8,) are the values of `COMMON`, with the covariance (8, 8) from the scatter of the
-    matches, zero for fixed terms, and `sigma` (8,), which includes the bias of tracking; `frames`
-    (n, 3) are pan, tilt and roll of each frame, zero without matches; `weight` (m,) are those of
-    the matches.
+    matches and the bias of tracking, zero for fixed terms; `frames` (n, 3) are pan, tilt and roll
+    of each frame, zero without matches; `weight` (m,) are those of the matches.
     """
 
     common: FloatArray
     covariance: FloatArray
-    sigma: FloatArray
     frames: FloatArray
     weight: FloatArray
+
+    @cached_property
+    def sigma(self) -> FloatArray:
+        """Sigmas (8,) of the values."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 class OverlapProblem:
@@ -301,16 +305,13 @@ class OverlapProblem:
                 break
         self._last = x
         chosen = len(free)
-        slope = focal * np.sqrt(np.mean(np.sum(slopes[..., :chosen] ** 2, 1), 0))
         covariance = np.zeros((len(COMMON), len(COMMON)))
         own = index[:chosen]
-        covariance[np.ix_(own, own)] = covariance_of(normal)[:chosen, :chosen]
-        bias = np.zeros(len(COMMON))
-        bias[own] = _BIAS_PX / np.maximum(slope, 1e-9)
-        sigma = np.sqrt(np.diag(covariance) + bias**2)
+        biased = 1.0 + float(weight.sum()) * (_BIAS_PX / sigma_px) ** 2
+        covariance[np.ix_(own, own)] = biased * covariance_of(normal)[:chosen, :chosen]
         every = np.zeros((self._count, 3))
         every[self._used] = x[len(COMMON) :].reshape(-1, 3)
-        return Fit(x[: len(COMMON)], covariance, sigma, every, weight)
+        return Fit(x[: len(COMMON)], covariance, every, weight)
 
     def _stepped(
         self,

@@ -249,6 +249,5 @@ def _effective_focal(fit: Fit) -> tuple[float, float]:
     both = fit.covariance[_FOCAL, _DISTORTION]
     lever = both / fit.covariance[_DISTORTION, _DISTORTION]
     value = fit.common[_FOCAL] - lever * fit.common[_DISTORTION]
-    bias = fit.sigma[_FOCAL] ** 2 - fit.covariance[_FOCAL, _FOCAL]
-    variance = fit.covariance[_FOCAL, _FOCAL] - lever * both + bias
+    variance = fit.covariance[_FOCAL, _FOCAL] - lever * both
     return float(np.expm1(value)), float(np.sqrt(variance))
