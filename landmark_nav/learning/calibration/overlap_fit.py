@@ -207,12 +207,14 @@ class Fit:
     The best fit.
 
     `common` (8,) are the values of `COMMON`, with the covariance (8, 8) from the scatter of the
-    matches and the bias of tracking, zero for fixed terms; `frames` (n, 3) are pan, tilt and roll
-    of each frame, zero without matches; `weight` (m,) are those of the matches.
+    matches and the bias of tracking, zero for fixed terms, and `scatter` (8,), the sigmas by the
+    scatter alone; `frames` (n, 3) are pan, tilt and roll of each frame, zero without matches;
+    `weight` (m,) are those of the matches.
     """
 
     common: FloatArray
     covariance: FloatArray
+    scatter: FloatArray
     frames: FloatArray
     weight: FloatArray
 
@@ -311,7 +313,8 @@ class OverlapProblem:
         covariance[np.ix_(own, own)] = biased * covariance_of(normal)[:chosen, :chosen]
         every = np.zeros((self._count, 3))
         every[self._used] = x[len(COMMON) :].reshape(-1, 3)
-        return Fit(x[: len(COMMON)], covariance, every, weight)
+        scatter = np.sqrt(np.diag(covariance) / biased)
+        return Fit(x[: len(COMMON)], covariance, scatter, every, weight)
 
     def _stepped(
         self,

@@ -201,7 +201,7 @@ def fit_significant(
         found |= {k: (float(fit.common[k]), float(fit.sigma[k])) for k in free}
         worth = {
             k: min(
-                abs(fit.common[k]) / fit.sigma[k] / SIGNIFICANT,
+                abs(fit.common[k]) / fit.scatter[k] / SIGNIFICANT,
                 abs(fit.common[k]) * shift_px[k] / _WORTH_PX,
             )
             for k in free
