@@ -165,14 +165,18 @@ class Calibration:
             return replace(self, intrinsics=intrinsics)
         if np.abs(known - intrinsics).max() < _SAME_LENS:
             return self
+        return replace(self.with_lens(given), intrinsics=intrinsics)
+
+    def with_lens(self, other: Calibration) -> Calibration:
+        """Return a copy with the lens of another calibration, with independent errors."""
         lens = np.isin(NAMES, LENS)
         covariance = np.where(np.logical_or.outer(lens, lens), 0.0, self.covariance)
         return replace(
             self,
-            values=np.where(lens, given.values, self.values),
-            covariance=covariance + np.diag(np.where(lens, given.sigmas**2, 0.0)),
+            values=np.where(lens, other.values, self.values),
+            covariance=covariance + np.diag(np.where(lens, other.sigmas**2, 0.0)),
             by_map=None if self.by_map is None else np.where(lens[:, None], 0.0, self.by_map),
-            intrinsics=intrinsics,
+            intrinsics=other.intrinsics,
         )
 
     def measured(self, name: str, value: float, sigma: float) -> Calibration:

@@ -133,16 +133,16 @@ def _as_exact(known: Calibration) -> Calibration:
 
 def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
     """Calibrate by sweeps; learn a map from them if one is required and not given."""
-    config = work.config
+    config, given = work.config, work.known
     for bag in bags:
-        checked(bag, work.known, room)
-        panoramas, _ = panoramas_of_bag(bag, room, work.known, config, StageLog())
-        work.panoramas += panoramas
-        if panoramas:
-            work.known = panoramas[-1].calibration or work.known
+        checked(bag, given, room)
+        # Sweeps share errors: each bag begins with what is given.
+        work.panoramas += panoramas_of_bag(bag, room, given, config, StageLog())[0]
+    if work.panoramas:
+        work.known = work.panoramas[-1].calibration or given
     if len(work.panoramas) < _LEAST_PANORAMAS or (work.landmarks is not None and mapped):
         return
-    learned = learn_from_panoramas(work.panoramas, room, config).map
+    learned = replace(learn_from_panoramas(work.panoramas, room, config).map, prior=given)
     work.known = learned.calibration or work.known
     work.landmarks = learned
 

@@ -82,7 +82,7 @@ class Located:
 
     `places` (4 v, 4 v) is the joint covariance of the viewpoints by the sources of the scale, for
     a fixed scale: `poses.scale_sigma` is the sigma of the scale of the whole map. `ties` are the
-    features that panoramas share.
+    features that panoramas share. `heading_sigma_rad` is that of the pan zero by ``robot.yaml``.
     """
 
     panoramas: tuple[Panorama, ...]

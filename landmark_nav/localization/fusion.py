@@ -190,7 +190,7 @@ class Fusion:
         _LOG.warning('camera_info has changed: the lens is as uncertain as in robot.yaml again')
         self._may_be, self._trusted = self._prior.widened(_MAY_STEP), None
         if self._line is not None:
-            self._begin(self._line.filter.for_camera(intrinsics, given))
+            self._begin(self._line.filter.with_lens(self._prior))
         if self._anywhere is not None:
             self._test_start()
 

@@ -326,16 +326,18 @@ def test_silence_is_reported():
     assert 'no odometry for' in reason
 
 
-@pytest.mark.parametrize('since', [0, 40])
-def test_a_camera_info_that_changes_restarts_the_estimate_of_the_lens(since):
-    """Since learning (image 0), and while driving."""
+@pytest.mark.parametrize(('since', 'is_learned'), [(0, True), (40, True), (40, False)])
+def test_a_camera_info_that_changes_restarts_the_estimate_of_the_lens(since, is_learned):
+    """Since learning (image 0), and while driving, also after the pose was given anew."""
     before, after = np.array([1.1, 1.1, 0.5, 0.5, 0.0]), np.array([1.122, 1.122, 0.5, 0.5, 0.0])
     exact = Calibration.exact(MOUNT)
     lens = dict(zip(NAMES, np.where(np.isin(NAMES, LENS), DEFAULT_SIGMAS, 0.0), strict=True))
     robot = exact.widened(lens)
     drive = simulated(5, seconds=30.0, prior=exact)
     learned = replace(exact, intrinsics=before)
-    landmarks = replace(drive.landmark_map, prior=robot, calibration=learned)
+    landmarks = replace(
+        drive.landmark_map, prior=robot, calibration=learned if is_learned else robot
+    )
     fusion = Fusion(LandmarkMap(()), robot)
     fusion.change_map(landmarks)
     fusion.initialize(drive.start)
@@ -344,6 +346,8 @@ def test_a_camera_info_that_changes_restarts_the_estimate_of_the_lens(since):
         if isinstance(what, OdometrySample):
             fusion.add_odometry(what)
             continue
+        if images == since - 10:
+            fusion.initialize(fusion.estimate())
         found, joints = what
         camera = after if images >= since else before
         points = found.points * before[0] / camera[0]

@@ -92,7 +92,7 @@ def with_overlaps(known: Calibration, before: Calibration, fit: Fit | None) -> C
     terms = np.array([COMMON.index(term) for term in _QUANTITIES])
     shown = fit.sigma[terms] > 0.0
     names, values = _corrected_values(before, fit.common)
-    covariance = fit.covariance[np.ix_(terms, terms)]
+    covariance = fit.biased[np.ix_(terms, terms)]
     rows = np.array(names)[:, None] == np.array(NAMES)
     return known.observed(
         rows[shown].astype(np.float64), values[shown], covariance[np.ix_(shown, shown)]

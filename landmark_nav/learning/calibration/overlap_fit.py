@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 
 import cv2
@@ -188,8 +187,9 @@ _ITERATIONS = 12
 _CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
 
-# Bias of tracking that all matches share, in any pattern: it does not decrease with their number.
-_BIAS_PX = 0.003
+# Biases of tracking, which do not decrease with the number of points: along a single term, and in
+# any pattern, such as along terms that resemble each other.
+_BIAS_PX, _PATTERN_PX = 0.01, 0.003
 
 # Relative sigma of the range of an object that may stand anywhere between the camera and the wall
 # (uniform), and its size as seen, 0.6 m at 3 m; step of numerical differentiation.
@@ -207,21 +207,17 @@ class Fit:
     The best fit.
 
     `common` (8,) are the values of `COMMON`, with the covariance (8, 8) from the scatter of the
-    matches and the bias of tracking, zero for fixed terms, and `scatter` (8,), the sigmas by the
-    scatter alone; `frames` (n, 3) are pan, tilt and roll of each frame, zero without matches;
-    `weight` (m,) are those of the matches.
+    matches, zero for fixed terms, and `sigma` (8,), which includes the bias of tracking along a
+    single term; `biased` (8, 8) is the covariance with biases in any pattern; `frames` (n, 3) are
+    pan, tilt and roll of each frame, zero without matches; `weight` (m,) are those of the matches.
     """
 
     common: FloatArray
     covariance: FloatArray
-    scatter: FloatArray
+    sigma: FloatArray
+    biased: FloatArray
     frames: FloatArray
     weight: FloatArray
-
-    @cached_property
-    def sigma(self) -> FloatArray:
-        """Sigmas (8,) of the values."""
-        return np.sqrt(np.diag(self.covariance))
 
 
 class OverlapProblem:
@@ -307,14 +303,22 @@ class OverlapProblem:
                 break
         self._last = x
         chosen = len(free)
+        slope = focal * np.sqrt(np.mean(np.sum(slopes[..., :chosen] ** 2, 1), 0))
         covariance = np.zeros((len(COMMON), len(COMMON)))
         own = index[:chosen]
-        biased = 1.0 + float(weight.sum()) * (_BIAS_PX / sigma_px) ** 2
-        covariance[np.ix_(own, own)] = biased * covariance_of(normal)[:chosen, :chosen]
+        spread = covariance_of(normal)
+        covariance[np.ix_(own, own)] = spread[:chosen, :chosen]
+        by_pattern = float(weight.sum()) * (_PATTERN_PX / sigma_px) ** 2
+        biased = covariance.copy()
+        biased[np.ix_(own, own)] += (by_pattern * spread @ (flat.T @ flat) @ spread)[
+            :chosen, :chosen
+        ]
+        bias = np.zeros(len(COMMON))
+        bias[own] = _BIAS_PX / np.maximum(slope, 1e-9)
+        sigma = np.sqrt(np.diag(covariance) + bias**2)
         every = np.zeros((self._count, 3))
         every[self._used] = x[len(COMMON) :].reshape(-1, 3)
-        scatter = np.sqrt(np.diag(covariance) / biased)
-        return Fit(x[: len(COMMON)], covariance, scatter, every, weight)
+        return Fit(x[: len(COMMON)], covariance, sigma, biased, every, weight)
 
     def _stepped(
         self,

@@ -201,7 +201,7 @@ def fit_significant(
         found |= {k: (float(fit.common[k]), float(fit.sigma[k])) for k in free}
         worth = {
             k: min(
-                abs(fit.common[k]) / fit.scatter[k] / SIGNIFICANT,
+                abs(fit.common[k]) / fit.sigma[k] / SIGNIFICANT,
                 abs(fit.common[k]) * shift_px[k] / _WORTH_PX,
             )
             for k in free
@@ -249,5 +249,6 @@ def _effective_focal(fit: Fit) -> tuple[float, float]:
     both = fit.covariance[_FOCAL, _DISTORTION]
     lever = both / fit.covariance[_DISTORTION, _DISTORTION]
     value = fit.common[_FOCAL] - lever * fit.common[_DISTORTION]
-    variance = fit.covariance[_FOCAL, _FOCAL] - lever * both
+    bias = fit.sigma[_FOCAL] ** 2 - fit.covariance[_FOCAL, _FOCAL]
+    variance = fit.covariance[_FOCAL, _FOCAL] - lever * both + bias
     return float(np.expm1(value)), float(np.sqrt(variance))

@@ -137,7 +137,8 @@ def relative_poses(
     shares = tuple(source.share(fit.states) for source in sources)
     # Given poses are not left out: they define the frame.
     if (odd := odd_source(shares)) and odd != 'sweep/pose':
-        wrong, *_, right = sorted(shares, key=lambda share: share.name != odd)
+        wrong, *others = sorted(shares, key=lambda share: share.name != odd)
+        right = max(others, key=lambda share: abs(share.scale - wrong.scale) / share.sigma)
         _LOG.warning('%s; %s is not used', contradiction(wrong, right), odd)
         known = [chain for chain in known if chain.source != odd]
         sheets = [[sheet for sheet in views if sheet.kind != odd] for views in sheets]

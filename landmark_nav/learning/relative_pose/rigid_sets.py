@@ -74,7 +74,9 @@ def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -
     changes = []
     for middle in 2.0 * np.pi * np.arange(_GROUPS) / _GROUPS:
         rest = np.abs(wrap_rad(azimuth - middle)) > np.pi / _SHARE
-        changes.append(search.best(tried, support, rest) - best)
+        # A few matches show no other pose.
+        enough = own @ rest > _SIZE
+        changes.append(search.best(tried, support, rest) - best if enough else 0.0 * best)
     changed = np.sqrt((_SHARE - 1.0) / _GROUPS) * np.array(changes).T
     return RigidSet(best, own > 0.0, search.beyond_noise(changed, best, own > 0.0))
 

@@ -200,9 +200,9 @@ class JointFilter:
         other._state = self._stepped(self._state, self._config.knock)
         return other
 
-    def for_camera(self, intrinsics: FloatArray, given: Calibration) -> JointFilter:
-        """Return the filter where the lens is as in `given`; see `Calibration.for_camera`."""
-        prior = self._prior.for_camera(intrinsics, given)
+    def with_lens(self, given: Calibration) -> JointFilter:
+        """Return the filter where the lens is as in `given`."""
+        prior = self._prior.with_lens(given)
         other, state = copy(self), self._state
         other._prior = prior
         lens = np.isin(NAMES, LENS)
@@ -247,7 +247,7 @@ class JointFilter:
             covariance[[0, 1], [0, 1]] += np.diag(covariance)[CENTER : CENTER + 2].max()
             # A longer focal length brings the camera nearer to what it sees.
             away = self._errors.positions[:, :2] - mean[:2]
-            square = np.sum(away**2) / max(len(away), 1)
+            square = 0.5 * np.sum(away**2) / max(len(away), 1)
             covariance[[0, 1], [0, 1]] += covariance[FOCAL, FOCAL] * square
         by_kept = np.eye(STATES)[:, SCALE:]
         by_kept[:3] = by_mount[:, : STATES - SCALE]

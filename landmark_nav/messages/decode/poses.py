@@ -232,7 +232,7 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
             f'{cylinder.width} x {cylinder.height}'
         )
     n = len(NAMES)
-    calibrated = finite(info_msg.d, 'panorama calibration', stamp, _MAX_CALIBRATION)
+    calibrated = finite(info_msg.d, 'panorama calibration', stamp, _MAX_COORDINATE)
     count = n * (n + 6) + INTRINSICS
     if len(calibrated) not in (0, count):
         raise LandmarkNavError(
