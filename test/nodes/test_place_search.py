@@ -68,7 +68,7 @@ def search(prior, reported, services, ended):
         OdometryNoiseConfig(),
         ImageStagesConfig(),
     )
-    landmark: Any = SimpleNamespace(edge=False)
+    landmark: Any = SimpleNamespace(edge=False, shared_loading=np.zeros((3, 0)))
     made.use(LandmarkMap((landmark,)))
     made.add_odometry(OdometrySample(0, np.zeros(3)))
     return made
