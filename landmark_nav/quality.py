@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Largest number of pans in a message.
-_MAX_LISTED = 4
+# Largest number of pans in a message; sigmas of a correction that is named in a text.
+_MAX_LISTED, _SIGNIFICANT = 4, 4.0
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,11 @@ class CalibrationTerm:
     name: str
     value: float
     sigma: float
-    used: bool
+
+    @property
+    def significant(self) -> bool:
+        """Whether the correction is not just noise."""
+        return abs(self.value) > _SIGNIFICANT * self.sigma
 
     def __str__(self) -> str:
         """Text in degrees, millimetres or per cent."""
@@ -76,6 +80,6 @@ class PanoramaQuality:
             parts.append(
                 f'frames agree to {self.residual_px:.2f} px ({self.before_px:.2f} uncalibrated)'
             )
-        used = [str(term) for term in self.calibration if term.used]
-        parts.append(f'corrected: {", ".join(used)}' if used else 'nothing corrected')
+        words = [str(term) for term in self.calibration if term.significant]
+        parts.append(f'corrected: {", ".join(words)}' if words else 'no significant correction')
         return ', '.join(parts)

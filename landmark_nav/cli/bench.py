@@ -254,11 +254,11 @@ def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
         for frame in sweep.frames:
             cv2.remap(frame.image, _COLUMNS, _ROWS, cv2.INTER_LINEAR)
 
-    reference = 'bare cv2.remap of the same frames'
+    reference, prior = 'bare cv2.remap of the same frames', Calibration.of_mount(_MOUNT)
     for stage, work in (
         ('panorama of 72 frames', lambda: synthesize_cylinder(sweep, _MOUNT)),
         ('exposures evened out', lambda: even_out(sweep, measure_photometry(sweep, _MOUNT))),
-        ('calibration out of a sweep', lambda: calibrate_sweep(sweep, _MOUNT)),
+        ('calibration out of a sweep', lambda: calibrate_sweep(sweep, prior)),
     ):
         yield _Comparison(stage, work, reference, remap)
 

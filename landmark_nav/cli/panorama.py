@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.cli.options import add, open_bag, within, wrapped
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.image_codec import encode_image
+from landmark_nav.learning.calibration.combined import as_calibrated
 from landmark_nav.learning.calibration.sweep_calibration import align_sweep, calibrate_sweep
 from landmark_nav.learning.calibration.turn import check_turn
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
@@ -19,7 +21,7 @@ from landmark_nav.learning.sweep_pipeline import tenengrad
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.bags import read_sweep_folder, read_sweeps
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import Sweep
 
 
@@ -61,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f'--out {args.out}: panoramas are written as .png')
     check_new(args.overwrite, args.out)
     check_writable(args.out)
-    mount = load_robot(args.robot) if args.robot else PanTiltMount()
+    given = load_calibration(args.robot) if args.robot else Calibration.of_mount(PanTiltMount())
+    mount = given.mount
     is_image_folder = (args.sweep / 'frames.csv').is_file()
     if not is_image_folder and any(args.sweep.glob('*.[jpJP][pnPN]*[gG]')):
         raise LandmarkNavError(
@@ -70,20 +73,20 @@ def run(args: argparse.Namespace) -> int:
     if is_image_folder and args.number is not None:
         raise UsageError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
     sweep = read_sweep_folder(args.sweep) if is_image_folder else _sweep(args, mount)
+    raw, sweep = sweep, as_calibrated(sweep, given)
     check_turn(sweep, mount)
     quality = PanoramaQuality(0.0)
     if args.align and is_image_folder:
-        found = align_sweep(sweep, mount)
-        focal = next(t for t in found.quality.calibration if t.name == 'focal_length')
-        given_px, scale = np.median([f.camera.fx for f in sweep.frames]), 1.0 + focal.value
-        scale = scale if focal.used else 1.0
+        given_px = np.median([f.camera.fx for f in sweep.frames])
+        sweep, quality = align_sweep(sweep, mount)
+        focal = next(t for t in quality.calibration if t.name == 'focal_length')
+        scale = 1.0 + focal.value
         print(
             f'focal length {given_px * scale:.2f} +- {given_px * focal.sigma:.2f} px '
             f'({scale:.4f} times the given one), as of a lens without distortion'
         )
-        sweep, quality = found.sweep, found.quality
     elif args.align:
-        found = calibrate_sweep(sweep, mount)
+        found = calibrate_sweep(raw, given)
         sweep, mount = found.sweep, found.mount
         quality = found.quality
     photometry = measure_photometry(sweep, mount)

@@ -98,7 +98,7 @@ def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
     }
     plain = {k: v for k, v in entry.items() if v is None or np.isfinite(v)}
     terms = {
-        term.name: {'value': term.value, 'sigma': term.sigma, 'used': term.used}
+        term.name: {'value': term.value, 'sigma': term.sigma, 'significant': term.significant}
         for term in quality.calibration
     }
     gaps = np.degrees(quality.gaps_rad).round(1).tolist()

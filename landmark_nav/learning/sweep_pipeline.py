@@ -23,7 +23,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.calibration.combined import (
     as_calibrated,
-    as_corrected,
     HEIGHT,
     levelled,
     tilted,
@@ -242,7 +241,7 @@ class _Maker:
         except LandmarkNavError as error:
             why = why_seen_otherwise(sweep, self._room, mount, area)
             raise LandmarkNavError(why or str(error)) from error
-        found, photometry, view = _first_view(sweep, mount, log)
+        found, photometry, view = _first_view(self._sweep, used, log)
         self._papers.add(view, optical_height(found.sweep, found.mount))
 
         def placed(found: SweepCalibration, rough: bool = False) -> SweepPlace:
@@ -253,11 +252,13 @@ class _Maker:
                     raise self._explained(error, sweep, used.mount, area) from error
 
         place = placed(found, rough=True)
-        information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
-        mount, axis_tilt = levelled(mount, place.mount_score, information)
+        tilt_sigma = float(np.hypot(area.horizon_sigma_rad, self._sigmas[1]))
+        level, axis_tilt = levelled(
+            used, place.mount_score, place.mount_information, (area.height_sigma_m, tilt_sigma)
+        )
         with log.measure('calibration'):
             range_m = _range_of_ray(place, found, self._room)
-            refined = calibrate_sweep(sweep, mount, range_m, found)
+            refined = calibrate_sweep(self._sweep, level, range_m, found)
         mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
         off_axis = any(refined.mount.optical_center_offset[:2])
         changed = mount_changed or off_axis or moved_px(found, refined) > _SAME_PX
@@ -270,8 +271,8 @@ class _Maker:
         for warning in filter(None, [place.warning, _wrong_lens(found)]):
             _LOG.warning('%s', warning)
         by_calibration = _by_calibration(place, found)
-        made = as_corrected(used, found.common, found.mount)
-        known = with_overlaps(self._prior, used, found.whole)
+        made = found.calibration
+        known = with_overlaps(self._prior, used, found.fit)
         known = with_papers(
             known,
             made,
@@ -339,20 +340,19 @@ def unplaced_panorama(sweep: Sweep, given: Calibration, log: StageLog) -> Panora
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
-    sweep = as_calibrated(sweep, given)
-    check_turn(sweep, given.mount)
-    found, photometry, view = _first_view(sweep, given.mount, log)
+    check_turn(as_calibrated(sweep, given), given.mount)
+    found, photometry, view = _first_view(sweep, given, log)
     place = SweepPlace(np.zeros(3), optical_height(found.sweep, found.mount), np.eye(4))
     panorama = _panorama(sweep, view, found, place, photometry)
     return replace(panorama, covariance=place.covariance)
 
 
 def _first_view(
-    sweep: Sweep, mount: PanTiltMount, log: StageLog
+    sweep: Sweep, used: Calibration, log: StageLog
 ) -> tuple[SweepCalibration, Photometry, CylinderImage]:
     """Calibrate a sweep without its pose, measure its photometry, and join its frames."""
     with log.measure('calibration'):
-        found = calibrate_sweep(sweep, mount)
+        found = calibrate_sweep(sweep, used)
     with log.measure('panorama'):
         photometry = measure_photometry(found.sweep, found.mount)
         return found, photometry, _view(found, photometry)
@@ -387,10 +387,10 @@ def _wrong_lens(found: SweepCalibration) -> str:
     words = []
     for term in found.quality.calibration:
         value = abs(term.value)
-        if term.name == 'focal_length' and term.used and value > _WORTH_REPORTING:
+        if term.name == 'focal_length' and term.significant and value > _WORTH_REPORTING:
             size = 'small' if term.value > 0.0 else 'large'
             words.append(f'the focal length is {100.0 * value:.1f} % too {size}')
-        elif term.name == 'distortion' and term.used and value * border_px > _BENT_PX:
+        elif term.name == 'distortion' and term.significant and value * border_px > _BENT_PX:
             words.append(f'k1 is off by {-term.value:+.3f}')
     if not words:
         return ''

@@ -114,10 +114,7 @@ def _quality(quality: PanoramaQuality | None) -> dict[str, object]:
         'residual_px': quality.residual_px,
         'vignetting': quality.vignetting,
         'gain_spread': quality.gain_spread,
-        **{
-            f'calibration/{term.name}': f'{term}, {"used" if term.used else "not used"}'
-            for term in quality.calibration
-        },
+        **{f'calibration/{term.name}': str(term) for term in quality.calibration},
     }
 
 

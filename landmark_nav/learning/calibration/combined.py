@@ -11,8 +11,7 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.learning.calibration.overlap_fit import COMMON, Fit
-from landmark_nav.learning.calibration.sweep_calibration import SIGNIFICANT
-from landmark_nav.learning.least_squares import covariance_of, solve_positive
+from landmark_nav.learning.least_squares import covariance_of
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import FloatArray, Sweep
 
@@ -54,11 +53,28 @@ def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
     )
 
 
-def as_corrected(before: Calibration, common: FloatArray, mount: PanTiltMount) -> Calibration:
-    """Calibration of a panorama: the one before, corrected by `common` (8,), and its axis."""
-    axis = dict(zip(('axis_roll', 'axis_pitch', 'axis_yaw'), mount.axis_rpy, strict=True))
+def as_corrected(before: Calibration, common: FloatArray) -> Calibration:
+    """Return the calibration corrected by `common` (8,)."""
     names, values = _corrected_values(before, common)
-    return before.with_values(**axis, **dict(zip(names, values.tolist(), strict=True)))
+    return before.with_values(**dict(zip(names, values.tolist(), strict=True)))
+
+
+def posterior_terms(before: Calibration, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """
+    Terms (8,) and their covariance (8, 8) by the prior `before`, which they correct, and a fit.
+
+    Terms that the fit does not show are zero.
+
+    Raises `LandmarkNavError`: a term contradicts an exact value.
+    """
+    after = with_overlaps(before, before, fit)
+    index = [NAMES.index(_QUANTITIES[term]) for term in COMMON]
+    terms, slope = (after.values - before.values)[index], 1.0 * (np.diag(fit.covariance) > 0.0)
+    for k in (COMMON.index('focal_length'), COMMON.index('pan_scale')):
+        slope[k] /= 1.0 + before.values[index[k]]
+    terms *= slope
+    terms[COMMON.index('focal_length')] = np.log1p(terms[COMMON.index('focal_length')])
+    return terms, after.covariance[np.ix_(index, index)] * np.outer(slope, slope)
 
 
 def _corrected_values(before: Calibration, common: FloatArray) -> tuple[list[str], FloatArray]:
@@ -90,9 +106,9 @@ def with_overlaps(known: Calibration, before: Calibration, fit: Fit | None) -> C
     if fit is None:
         return known
     terms = np.array([COMMON.index(term) for term in _QUANTITIES])
-    shown = fit.sigma[terms] > 0.0
+    covariance = fit.covariance[np.ix_(terms, terms)]
+    shown = np.diag(covariance) > 0.0
     names, values = _corrected_values(before, fit.common)
-    covariance = fit.biased[np.ix_(terms, terms)]
     rows = np.array(names)[:, None] == np.array(NAMES)
     return known.observed(
         rows[shown].astype(np.float64), values[shown], covariance[np.ix_(shown, shown)]
@@ -151,39 +167,35 @@ _LEAST_INFORMATION = 1e-3
 
 
 def levelled(
-    mount: PanTiltMount, score: FloatArray, information: FloatArray
-) -> tuple[PanTiltMount, tuple[CalibrationTerm, ...]]:
+    before: Calibration, score: FloatArray, information: FloatArray, sigmas: tuple[float, float]
+) -> tuple[Calibration, tuple[CalibrationTerm, ...]]:
     """
-    Correct the tilt of the pan axis if it is significant.
+    Correct the tilt of the pan axis by papers.
 
     Parameters
     ----------
-    mount : PanTiltMount
-        Assumed extrinsics.
     score, information : ndarray, shape (3,), (3, 3)
-        Height and small rotations about x and y of the base, in information form: their estimate
-        is ``information^-1 score``.
+        Height and small rotations about x and y of the base by papers, in information form: their
+        estimate is ``information^-1 score``.
+    sigmas : tuple of float
+        Prior sigmas of height, m, and of each rotation, rad.
 
     Returns
     -------
-    mount : PanTiltMount
+    after : Calibration
+        With the posterior of roll and pitch as values; the covariance is the one before.
     terms : tuple of CalibrationTerm
         ``axis_roll`` and ``axis_pitch``; empty if nothing was measured.
     """
     if np.linalg.eigvalsh(information[1:, 1:])[0] < _LEAST_INFORMATION:
-        return mount, ()
-    covariance = covariance_of(information)
-    axis_tilt, covariance = (covariance @ score)[1:], covariance[1:, 1:]
-    significant = float(axis_tilt @ solve_positive(covariance, axis_tilt)) > SIGNIFICANT**2
-    terms = tuple(
-        CalibrationTerm(name, float(value), float(sigma), significant)
-        for name, value, sigma in zip(
-            ('axis_roll', 'axis_pitch'), axis_tilt, np.sqrt(np.diag(covariance)), strict=True
-        )
+        return before, ()
+    height, tilt = sigmas
+    covariance = covariance_of(information + np.diag([height**-2, tilt**-2, tilt**-2]))
+    axis_tilt, sigma = (covariance @ score)[1:], np.sqrt(np.diag(covariance)[1:])
+    roll, pitch, _ = tilted(before.mount, axis_tilt).axis_rpy
+    return before.with_values(axis_roll=roll, axis_pitch=pitch), tuple(
+        map(CalibrationTerm, ('axis_roll', 'axis_pitch'), axis_tilt.tolist(), sigma.tolist())
     )
-    if not significant:
-        return mount, terms
-    return tilted(mount, axis_tilt), terms
 
 
 def tilted(mount: PanTiltMount, tilt_roll_rad: FloatArray) -> PanTiltMount:

@@ -187,9 +187,8 @@ _ITERATIONS = 12
 _CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
 
-# Biases of tracking, which do not decrease with the number of points: along a single term, and in
-# any pattern, such as along terms that resemble each other.
-_BIAS_PX, _PATTERN_PX = 0.01, 0.003
+# Bias of tracking in any pattern, which does not decrease with the number of points.
+_BIAS_PX = 0.003
 
 # Relative sigma of the range of an object that may stand anywhere between the camera and the wall
 # (uniform), and its size as seen, 0.6 m at 3 m; step of numerical differentiation.
@@ -206,16 +205,13 @@ class Fit:
     """
     The best fit.
 
-    `common` (8,) are the values of `COMMON`, with the covariance (8, 8) from the scatter of the
-    matches, zero for fixed terms, and `sigma` (8,), which includes the bias of tracking along a
-    single term; `biased` (8, 8) is the covariance with biases in any pattern; `frames` (n, 3) are
+    `common` (8,) are the values of `COMMON`, with their covariance (8, 8), zero for fixed terms,
+    by the scatter of the matches and by biases of tracking in any pattern; `frames` (n, 3) are
     pan, tilt and roll of each frame, zero without matches; `weight` (m,) are those of the matches.
     """
 
     common: FloatArray
     covariance: FloatArray
-    sigma: FloatArray
-    biased: FloatArray
     frames: FloatArray
     weight: FloatArray
 
@@ -302,23 +298,14 @@ class OverlapProblem:
             if focal * np.abs(x - before).max() < _CONVERGED_PX:
                 break
         self._last = x
-        chosen = len(free)
-        slope = focal * np.sqrt(np.mean(np.sum(slopes[..., :chosen] ** 2, 1), 0))
-        covariance = np.zeros((len(COMMON), len(COMMON)))
-        own = index[:chosen]
         spread = covariance_of(normal)
-        covariance[np.ix_(own, own)] = spread[:chosen, :chosen]
-        by_pattern = float(weight.sum()) * (_PATTERN_PX / sigma_px) ** 2
-        biased = covariance.copy()
-        biased[np.ix_(own, own)] += (by_pattern * spread @ (flat.T @ flat) @ spread)[
-            :chosen, :chosen
-        ]
-        bias = np.zeros(len(COMMON))
-        bias[own] = _BIAS_PX / np.maximum(slope, 1e-9)
-        sigma = np.sqrt(np.diag(covariance) + bias**2)
+        by_pattern = float(weight.sum()) * (_BIAS_PX / sigma_px) ** 2
+        spread += by_pattern * spread @ (flat.T @ flat) @ spread
+        covariance, own = np.zeros((len(COMMON), len(COMMON))), index[: len(free)]
+        covariance[np.ix_(own, own)] = spread[: len(free), : len(free)]
         every = np.zeros((self._count, 3))
         every[self._used] = x[len(COMMON) :].reshape(-1, 3)
-        return Fit(x[: len(COMMON)], covariance, sigma, biased, every, weight)
+        return Fit(x[: len(COMMON)], covariance, every, weight)
 
     def _stepped(
         self,
@@ -454,23 +441,16 @@ def _whitening_share(variance: npt.ArrayLike, square: npt.ArrayLike) -> FloatArr
     return np.asarray((1.0 - 1.0 / np.sqrt(1.0 + np.asarray(variance) * size)) / size)
 
 
-def corrected(
-    sweep: Sweep, mount: PanTiltMount, common: FloatArray, frames: FloatArray | None = None
-) -> tuple[Sweep, PanTiltMount]:
-    """Sweep and mount with corrections of the common terms (8,) and of each frame (n, 3)."""
+def corrected(sweep: Sweep, fit: Fit) -> Sweep:
+    """Return a sweep with lens and joint angles of each frame as fitted."""
     angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in sweep.frames])
-    turned = _angles(angles, common) + (0.0 if frames is None else frames)
-    camera = _camera(sweep.frames[0].camera, common)
-    return (
-        replace(
-            sweep,
-            frames=tuple(
-                replace(frame, camera=camera, pan_rad=pan, tilt_rad=tilt, roll_rad=roll)
-                for frame, (pan, tilt, roll) in zip(sweep.frames, turned.tolist(), strict=True)
-            ),
-        ),
-        _mount(mount, common),
+    turned = _angles(angles, fit.common) + fit.frames
+    camera = _camera(sweep.frames[0].camera, fit.common)
+    frames = (
+        replace(frame, camera=camera, pan_rad=pan, tilt_rad=tilt, roll_rad=roll)
+        for frame, (pan, tilt, roll) in zip(sweep.frames, turned.tolist(), strict=True)
     )
+    return replace(sweep, frames=tuple(frames))
 
 
 def _camera(camera: CameraModel, common: FloatArray) -> CameraModel:

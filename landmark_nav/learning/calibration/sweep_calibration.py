@@ -11,18 +11,19 @@ Observability:
 * the zero of the joint: not at all, it is equivalent to the heading of the base; nor a tilt of the
   axis itself, which rotates the whole panorama.
 
-A term is used only if it is significant and moves pixels by a relevant amount.
+The corrections are the posterior of the prior calibration and the overlaps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.learning.calibration.combined import as_calibrated, as_corrected, posterior_terms
 from landmark_nav.learning.calibration.overlap_fit import (
     COMMON,
     corrected,
@@ -40,17 +41,8 @@ _FOCAL, _DISTORTION, _SCALE, _TILT, _ROLL, _FORWARD, _LEFT, _PRINCIPAL = range(l
 # Fewest matches per link of the chain.
 _LEAST_PER_LINK = 8
 
-# Correlation above which two terms may replace each other.
-_ALIKE = 0.3
-
 # Usual and greatest range of walls in a room; parallax is negligible beyond it.
 _USUAL_RANGE_M, FAR_M = 3.0, 50.0
-
-# Least significance of a term, in sigmas.
-SIGNIFICANT = 4.0
-
-# Least effect of a term in the panorama, pixels.
-_WORTH_PX = 0.3
 
 # Sigmas of pan, tilt and roll of a single frame: of a pan-tilt unit, by encoder steps and
 # elasticity, and of rough angles; rounds in which these are aligned, and matches that this needs.
@@ -61,21 +53,27 @@ _ROUNDS, _LEAST_PER_FRAME = 2, 6
 @dataclass(frozen=True, eq=False)
 class SweepCalibration:
     """
-    A sweep and its mount, corrected by `common` (8,) in the order of `COMMON`.
+    A sweep as calibrated: with corrections `common` (8,) of the prior in the order of `COMMON`.
 
-    `whole` is the fit of all terms, used in the panorama or not.
+    `calibration` has the corrected values, and the covariance of the prior; `fit` is that of the
+    overlaps alone.
     """
 
     sweep: Sweep
-    mount: PanTiltMount
+    calibration: Calibration
     common: FloatArray
     quality: PanoramaQuality
-    whole: Fit | None = None
+    fit: Fit | None = None
+
+    @property
+    def mount(self) -> PanTiltMount:
+        """Corrected extrinsics."""
+        return self.calibration.mount
 
 
 def calibrate_sweep(
     sweep: Sweep,
-    mount: PanTiltMount,
+    prior: Calibration,
     range_m: RangeOfRay | None = None,
     found: SweepCalibration | None = None,
 ) -> SweepCalibration:
@@ -84,8 +82,10 @@ def calibrate_sweep(
 
     Parameters
     ----------
-    mount : PanTiltMount
-        Extrinsics of ``robot.yaml``.
+    sweep : Sweep
+        Sweep with camera and joints as given.
+    prior : Calibration
+        Prior.
     range_m : callable, optional
         Horizontal range from the axis at azimuths and tangents (n,). With it the offset of the
         optical centre is calibrated; without it a usual range is assumed.
@@ -96,35 +96,39 @@ def calibrate_sweep(
     Returns
     -------
     SweepCalibration
-        The unchanged sweep if frames share too little.
+        By the prior alone if frames share too little.
+
+    Raises `LandmarkNavError`: a term contradicts an exact value.
     """
-    seen = (found.sweep, found.mount) if found else (sweep, mount)
+    given, mount = as_calibrated(sweep, prior), prior.mount
+    seen = (found.sweep, found.mount) if found else (given, mount)
     overlaps = track_overlaps(*seen) if len(sweep.frames) > 2 else Overlaps.none()
     links = len(np.unique(overlaps.pair))
     if not links or len(overlaps) < _LEAST_PER_LINK * links or not _one_camera(sweep):
-        return SweepCalibration(sweep, mount, np.zeros(len(COMMON)), PanoramaQuality())
-    camera = sweep.frames[0].camera
-    given = range_m is not None
-    problem = OverlapProblem(overlaps, sweep, mount, range_m or _usual_range, objects=given)
+        return SweepCalibration(given, prior, np.zeros(len(COMMON)), PanoramaQuality())
+    problem = OverlapProblem(
+        overlaps, given, mount, range_m or _usual_range, objects=range_m is not None
+    )
     free = [_FOCAL, _TILT, _ROLL]
     if overlaps.closed:
         free.append(_SCALE)
-    if camera.model != 'equidistant':
+    if given.frames[0].camera.model != 'equidistant':
         free.append(_DISTORTION)
     if range_m is not None:
         free += [_FORWARD, _LEFT, _PRINCIPAL]
-    whole, fit, terms = fit_significant(problem, free, _UNIT_SIGMA_RAD, camera)
-    quality = _quality(problem, overlaps, fit, problem.misfit_px(fit.common), terms)
-    used = corrected(sweep, mount, fit.common)
-    return SweepCalibration(*used, fit.common, quality, whole)
+    fit = problem.fit(sorted(free), _UNIT_SIGMA_RAD)
+    common, covariance = posterior_terms(prior, fit)
+    quality = _quality(problem, overlaps, replace(fit, common=common, covariance=covariance))
+    made = as_corrected(prior, common)
+    return SweepCalibration(as_calibrated(sweep, made), made, common, quality, fit)
 
 
-def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepCalibration:
+def align_sweep(sweep: Sweep, mount: PanTiltMount) -> tuple[Sweep, PanoramaQuality]:
     """
     Correct pan, tilt and roll of each frame, and the common camera, of images at rough angles.
 
-    The given focal length is the median over the frames; the one of `quality` is that of the lens
-    without distortion that gives the same rotations.
+    Their prior is not used. The given focal length is the median over the frames; the one of
+    `quality` is that of the lens without distortion that gives the same rotations.
 
     Raises `LandmarkNavError`: fewer than three frames, or too little texture in the overlaps.
     """
@@ -144,26 +148,23 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> SweepCalibration:
                 'align them: they need to overlap and to show texture'
             )
         problem = OverlapProblem(overlaps, given, mount)
-        _, fit, terms = fit_significant(problem, free, _ROUGH_SIGMA_RAD, camera)
-        aligned, _ = corrected(given, mount, fit.common, fit.frames)
+        fit = problem.fit(free, _ROUGH_SIGMA_RAD)
+        aligned = corrected(given, fit)
     residual_px = problem.misfit_px(fit.common, fit.frames)
-    quality = _quality(problem, overlaps, fit, residual_px, terms)
-    return SweepCalibration(aligned, mount, fit.common, quality)
+    return aligned, replace(_quality(problem, overlaps, fit), residual_px=residual_px)
 
 
-def _quality(
-    problem: OverlapProblem,
-    overlaps: Overlaps,
-    fit: Fit,
-    residual_px: float,
-    terms: tuple[CalibrationTerm, ...],
-) -> PanoramaQuality:
+def _quality(problem: OverlapProblem, overlaps: Overlaps, fit: Fit) -> PanoramaQuality:
+    values, sigmas = fit.common.tolist(), np.sqrt(np.diag(fit.covariance)).tolist()
+    terms = [CalibrationTerm(*term) for term in zip(COMMON, values, sigmas, strict=True)]
+    if sigmas[_DISTORTION]:
+        terms[_FOCAL] = CalibrationTerm('focal_length', *_effective_focal(fit))
     return PanoramaQuality(
         closure_rad=problem.closure_rad(fit),
         gaps_rad=overlaps.gaps_rad,
-        residual_px=residual_px,
+        residual_px=problem.misfit_px(fit.common),
         before_px=problem.misfit_px(np.zeros(len(COMMON))),
-        calibration=terms,
+        calibration=tuple(term for term in terms if term.sigma),
     )
 
 
@@ -171,57 +172,6 @@ def moved_px(one: SweepCalibration, other: SweepCalibration) -> float:
     """Greatest difference of two calibrations of a sweep in its panorama, pixels."""
     shift = _shift_px(one.sweep.frames[0].camera)
     return float(np.max(shift * np.abs(one.common - other.common)))
-
-
-def fit_significant(
-    problem: OverlapProblem, free: Sequence[int], frame_sigma: Sequence[float], camera: CameraModel
-) -> tuple[Fit, Fit, tuple[CalibrationTerm, ...]]:
-    """
-    Fit all terms; then remove the least significant terms until all that remain are significant.
-
-    Parameters
-    ----------
-    free : sequence of int
-        Initial terms, indices in `COMMON`.
-    frame_sigma : sequence of float, shape (3,)
-        Sigmas of pan, tilt and roll of a single frame, rad.
-
-    Returns
-    -------
-    whole, fit : Fit
-        With all terms, and with those that remain.
-    terms : tuple of CalibrationTerm
-        Each by the last fit in which it was free.
-    """
-    free = sorted(free)
-    shift_px = _shift_px(camera)
-    found: dict[int, tuple[float, float]] = {}
-    whole = fit = problem.fit(free, frame_sigma)
-    while True:
-        found |= {k: (float(fit.common[k]), float(fit.sigma[k])) for k in free}
-        worth = {
-            k: min(
-                abs(fit.common[k]) / fit.sigma[k] / SIGNIFICANT,
-                abs(fit.common[k]) * shift_px[k] / _WORTH_PX,
-            )
-            for k in free
-        }
-        weak = [k for k in sorted(free, key=lambda k: worth[k]) if worth[k] <= 1.0]
-        if not weak:
-            break
-        # Of correlated terms only one is removed at a time, as one may replace the other.
-        scale = np.sqrt(np.diag(fit.covariance))
-        gone: list[int] = []
-        for k in weak:
-            alike = [abs(fit.covariance[k, j]) / (scale[k] * scale[j]) for j in gone]
-            if max(alike, default=0.0) < _ALIKE:
-                gone.append(k)
-        free = [k for k in free if k not in gone]
-        fit = problem.fit(free, frame_sigma)
-    if _FOCAL in free and _DISTORTION in free:
-        found[_FOCAL] = _effective_focal(fit)
-    terms = tuple(CalibrationTerm(COMMON[k], *found[k], k in free) for k in sorted(found))
-    return whole, fit, terms
 
 
 def _usual_range(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
@@ -249,6 +199,5 @@ def _effective_focal(fit: Fit) -> tuple[float, float]:
     both = fit.covariance[_FOCAL, _DISTORTION]
     lever = both / fit.covariance[_DISTORTION, _DISTORTION]
     value = fit.common[_FOCAL] - lever * fit.common[_DISTORTION]
-    bias = fit.sigma[_FOCAL] ** 2 - fit.covariance[_FOCAL, _FOCAL]
-    variance = fit.covariance[_FOCAL, _FOCAL] - lever * both + bias
+    variance = fit.covariance[_FOCAL, _FOCAL] - lever * both
     return float(np.expm1(value)), float(np.sqrt(variance))
