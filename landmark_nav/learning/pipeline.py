@@ -116,14 +116,18 @@ def learn_from_panoramas(
         attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
 
+    mounting = None
     if places is None:
-        places = joint_covariance(panoramas, room, config.reference_area)
+        panoramas = [_as_known(p, panoramas[-1].calibration) for p in panoramas]
+        places, mounting = joint_covariance(panoramas, room, config.reference_area)
     joint = places
 
     def adjusted_by(expected: AdjustmentConfig) -> Adjustment:
         start = np.array([patch.position for patch in found.patches])
         seen, walls, normals = found.measurements, found.walls, found.normals
-        return adjust(seen, walls, start, panoramas, joint, room, expected, normals, ties)
+        return adjust(
+            seen, walls, start, panoramas, joint, room, expected, normals, ties, mounting
+        )
 
     with log.measure('stereo'):
         found = reconstruct(panoramas, candidates, room, config.stereo, ties)
@@ -215,18 +219,32 @@ def _calibration(
     if known is None or not len(adjustment.calibration):
         return known
     which = [NAMES.index(name) for name in CALIBRATED]
-    values, covariance = known.values.copy(), known.covariance.copy()
-    values[which] = adjustment.calibration
-    covariance[which] = covariance[:, which] = 0.0
-    covariance[np.ix_(which, which)] = adjustment.calibration_covariance
+    before = known.covariance[np.ix_(which, which)]
+    # What the adjustment does not estimate follows by its correlation.
+    gain = known.covariance[:, which] @ np.linalg.pinv(before, hermitian=True)
+    gain[which] = np.eye(len(which))
+    values = known.values + gain @ (adjustment.calibration - known.values[which])
+    covariance = known.covariance + gain @ (adjustment.calibration_covariance - before) @ gain.T
+    covariance = 0.5 * (covariance + covariance.T)
     if not config.adjustment.tilt_sigma_rad:
         # The tilt of the floor at the panoramas is not part of the mount: its variance is added.
         axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
         floor = config.reference_area.horizon_sigma_rad**2 / len(panoramas)
         covariance[axis_tilt, axis_tilt] += floor
-    by_map = np.zeros((len(NAMES), adjustment.shared_loading.shape[2]))
-    by_map[which] = adjustment.calibration_loading
+    by_map = gain @ adjustment.calibration_loading
     return replace(known, values=values, covariance=covariance, by_map=by_map)
+
+
+def _as_known(panorama: Panorama, known: Calibration | None) -> Panorama:
+    """Return a panorama with its pose by a calibration, not by that it was made with."""
+    if known is None or panorama.by_calibration is None or panorama.made_with is None:
+        return panorama
+    moved = panorama.by_calibration @ (known.values - panorama.made_with)
+    return replace(
+        panorama,
+        center_map=panorama.center_map + moved[:3],
+        heading_rad=float(panorama.heading_rad + moved[3]),
+    )
 
 
 def _check(panoramas: Sequence[Panorama]) -> None:

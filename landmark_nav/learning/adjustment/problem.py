@@ -70,7 +70,10 @@ class AdjustmentConfig(Config):
 # Shared unknowns: x, y, z, heading of each panorama; distance of objects from each wall, then from
 # each section; then the calibration, tilts and waves.
 _POSE = 4
-CALIBRATED = ('center_x', 'center_y', 'camera_tilt', 'focal_scale', 'axis_roll', 'axis_pitch')
+CALIBRATED = (
+    *('center_x', 'center_y', 'camera_tilt', 'focal_scale', 'principal_point'),
+    *('axis_roll', 'axis_pitch'),
+)
 _OFFSET = slice(CALIBRATED.index('center_x'), CALIBRATED.index('center_y') + 1)
 # Highest number of waves per turn of errors of azimuths: lenses, bearings, seams.
 _WAVES = 4
@@ -161,7 +164,8 @@ class Problem:
 
     `own_sigma` (k, 2) are the sigmas of each measurement by matching; `landmark` and `view` (k,)
     are its indices; `section` (n,) is the section of wall of each landmark. Landmarks off the
-    walls, -1, have planes of their own, with `normals` (n, 3) through `start` (n, 3).
+    walls, -1, have planes of their own, with `normals` (n, 3) through `start` (n, 3). `places` is
+    the covariance of the poses, `mounting` (4 views, 16) that with the calibration, None for 0.
     """
 
     def __init__(
@@ -175,6 +179,7 @@ class Problem:
         normals: FloatArray,
         start: FloatArray,
         config: AdjustmentConfig,
+        mounting: FloatArray | None = None,
     ) -> None:
         """Collect all that is constant during the iteration."""
         flat = [(k, s) for k, group in enumerate(measurements) for s in group]
@@ -223,6 +228,10 @@ class Problem:
         self.calibration_part = slice(self._walls.stop, self._walls.stop + len(known))
         self._warped = slice(self.calibration_part.stop, len(self.prior))
         self._places = places
+        which = [NAMES.index(name) for name in CALIBRATED[: len(known)]]
+        self._mounting = np.zeros((len(places), len(which)))
+        if mounting is not None:
+            self._mounting = mounting[:, which]
         self._height = np.arange(poses.size) % _POSE == 2
 
     def off_wall(self, points: FloatArray) -> FloatArray:
@@ -279,8 +288,8 @@ class Problem:
         ahead, left = self._lifted @ [cos, sin], self._lifted @ [-sin, cos]
         out[:, 1, 0], out[:, 0, 1] = (tangent - ahead) / reach, -1.0 / reach
         out[:, 1, 1] = -left / reach
-        out[:, 1, 2], out[:, 1, 3] = -square, tangent
-        out[:, :, 4:] = self._by_turns() @ self._mounted
+        out[:, 1, 2], out[:, 1, 3], out[:, 0, 4] = -square, tangent, -1.0
+        out[:, :, 5:] = self._by_turns() @ self._mounted
         return out
 
     def _by_warps(self) -> FloatArray:
@@ -345,6 +354,9 @@ class Problem:
             (self._warped, self._warp_variance),
         ):
             covariance[part, part] = block
+        both = self._mounting * factor[:, None]
+        covariance[self.pose_part, self.calibration_part] = both
+        covariance[self.calibration_part, self.pose_part] = both.T
         return covariance
 
     def spread_misfit(
