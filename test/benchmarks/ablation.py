@@ -52,7 +52,7 @@ LEARNING: dict[str, dict[str, Any]] = {
         f'{_LEARN}sweep_pipeline:measure_photometry': lambda s, _: Photometry.none(len(s.frames))
     },
     'median': {f'{_LEARN}panorama.synthesis:_MIN_FOR_MEDIAN': 1000},
-    'calibration by overlaps': {f'{_LEARN}calibration.sweep_calibration:_WORTH_PX': BEST},
+    'calibration by overlaps': {f'{_LEARN}calibration.sweep_calibration:_LEAST_PER_LINK': BEST},
     'refusal of what is ambiguous': {f'{_LEARN}attention.selection:refusal': _nothing},
     'symmetry': {f'{_ATTENTION}weight_symmetry': 0.0},
     'corners': {f'{_ATTENTION}weight_corners': 0.0},
