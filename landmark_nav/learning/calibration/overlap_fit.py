@@ -193,8 +193,8 @@ _BIAS_PX = 0.003
 # Relative sigma of the range of an object that may stand anywhere between the camera and the wall
 # (uniform), and its size as seen, 0.6 m at 3 m; step of numerical differentiation.
 _RANGE_SHARE, _OBJECT_RAD, _RANGE_STEP = 12.0**-0.5, 0.2, 1e-3
-# Relative sigma of all ranges: 10 cm in front of the walls, at 3 m.
-_ROOM_SHARE = 0.03
+# Relative sigma of all ranges: 10 cm in front of the walls, at 3 m; of ranges that are a guess.
+_ROOM_SHARE, _GUESS_SHARE = 0.03, 0.5
 
 RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
 Whitening = Callable[[FloatArray], FloatArray]
@@ -226,8 +226,8 @@ class OverlapProblem:
         The given sweep; all frames have one camera.
     range_m : callable, optional
         Horizontal range from the axis at azimuths and tangents (n,).
-    objects : bool
-        Whether objects may be nearer than that, each by itself; a guess is wrong for all alike.
+    guessed : bool
+        Whether the ranges are a guess, not those of walls.
     """
 
     def __init__(
@@ -236,7 +236,7 @@ class OverlapProblem:
         sweep: Sweep,
         mount: PanTiltMount,
         range_m: RangeOfRay | None = None,
-        objects: bool = False,
+        guessed: bool = False,
     ) -> None:
         self._overlaps, self._mount = overlaps, mount
         self._camera = sweep.frames[0].camera
@@ -249,13 +249,13 @@ class OverlapProblem:
         self._last = np.zeros(len(COMMON) + 3 * len(chosen))
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
+        self._room_share = _GUESS_SHARE if guessed else _ROOM_SHARE
         self._object: npt.NDArray[np.intp] | None = None
         if range_m is not None:
             azimuth, tangent = (rays[:, 0] for rays in self._seen(self._last))
             self._range = range_m(azimuth, tangent)
-            if objects:
-                place = np.floor(np.stack([azimuth, tangent], 1) / _OBJECT_RAD)
-                self._object = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+            place = np.floor(np.stack([azimuth, tangent], 1) / _OBJECT_RAD)
+            self._object = np.unique(place, axis=0, return_inverse=True)[1].ravel()
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
@@ -353,7 +353,7 @@ class OverlapProblem:
 
         # The same for one error of all ranges.
         every = by_object(by_range.ravel())
-        common = _whitening_share(_ROOM_SHARE**2, every @ every) * every
+        common = _whitening_share(self._room_share**2, every @ every) * every
 
         def whiten(rows: FloatArray) -> FloatArray:
             own = by_object(rows)

@@ -107,7 +107,7 @@ def calibrate_sweep(
     if not links or len(overlaps) < _LEAST_PER_LINK * links or not _one_camera(sweep):
         return SweepCalibration(given, prior, np.zeros(len(COMMON)), PanoramaQuality())
     problem = OverlapProblem(
-        overlaps, given, mount, range_m or _usual_range, objects=range_m is not None
+        overlaps, given, mount, range_m or _usual_range, guessed=range_m is None
     )
     free = [_FOCAL, _TILT, _ROLL]
     if overlaps.closed:

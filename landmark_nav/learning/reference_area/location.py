@@ -124,7 +124,9 @@ class PaperSearch:
                 'them in room.yaml, or give the pose of each sweep (sweep/pose)'
             )
         fit = self.fit(rough)
-        check_prior(fit, self._room, config, most_sigmas)
+        still_rough = not _fits(fit, self._room)
+        if not still_rough:
+            check_prior(fit, self._room, config, most_sigmas)
         # The misfit inflates the whole covariance, including the part of the prior.
         scatter = max(1.0, fit.misfit)
         of_mount = covariance_of(fit.mount_covariance / scatter)
@@ -136,7 +138,7 @@ class PaperSearch:
             size_warning(fit, config),
             of_mount @ fit.mount / scatter,
             (of_mount - np.diag(prior)) / scatter,
-            not _fits(fit, self._room),
+            still_rough,
             fit,
         )
 
