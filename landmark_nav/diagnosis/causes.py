@@ -48,6 +48,8 @@ _LEAST_DRIFT_S = 0.05
 CLOCKS = ('clock', 'drift', 'step')
 # Least drift: a clock at less than a tenth of its rate would explain a scale.
 _SLOWEST = -0.9
+# Usual sigma of the clock of odometry.
+_ODOMETRY_S = 0.01
 # Greatest sigma with which an offset is refined.
 _POLISH_S = 0.02
 # Least share of the image pairs at whose times the other streams have messages.
@@ -132,13 +134,25 @@ def verdict(
     delayed = (IMAGES, *CLOCKS), (JOINTS, 'filter')
     if any(best.stream == stream and best.kind in kinds for stream, *kinds in delayed):
         # All delay the pan against the images; robot.yaml expects it of the clock of the joints.
-        best = next((c for c in alike if (c.stream, c.kind) == (JOINTS, 'clock')), best)
+        of_joints = (c for c in found if (c.stream, c.kind) == (JOINTS, 'clock'))
+        best = next(
+            (c for c in of_joints if _with_odometry(c, best.score) > best.score - ALIKE), best
+        )
     best = _polished(best)
     # Faults of one clock are not different ones.
     fault = best.stream, best.kind in CLOCKS
     rivals = [c for c in alike if c.kind != 'none' and (c.stream, c.kind in CLOCKS) != fault]
     rivals = [] if best.kind == 'none' else rivals
     return Verdict(best, tuple(rivals), linear(best.motion).quiet)
+
+
+def _with_odometry(cause: Cause, most: float) -> float:
+    """Score of a cause, up to `most`, if odometry has a usual error of its clock as well."""
+    if cause.motion.odometry is None:
+        return cause.score
+    off, sigma = linear(cause.motion).odometry_clock_s
+    better = min(most, cause.score + 0.5 * (off / sigma) ** 2)
+    return max(cause.score, better - 0.5 * off**2 / (sigma**2 + _ODOMETRY_S**2))
 
 
 def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:

@@ -384,6 +384,17 @@ def test_a_delay_is_laid_to_the_joints_where_undecided(seed, drive):
         assert judged.cause.value == pytest.approx(0.05, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ('odometry_s', 'stream'), [(0.0, JOINTS), (0.018, JOINTS), (0.05, IMAGES)]
+)
+def test_odometry_that_is_a_little_late_does_not_speak_for_images(odometry_s, stream, drive):
+    late = replace(drive, pan_clock=Clock(0.05), odometry_clock=Clock(odometry_s))
+    turns = late.panned() + late.yawed() + late.parallax() @ [1.0 / 3.0, 0.0]
+    noise = np.random.default_rng(3).normal(0.0, 0.002, len(turns))
+    cause = verdict(replace(drive, turns_rad=turns + noise)).cause
+    assert (cause.stream, cause.kind) == (stream, 'clock')
+
+
 def test_on_the_spot_levers_are_as_uncertain_as_they_are_measured(drive):
     # Centimetres of the pan axis move the camera as much as the robot does.
     assert drive.odometry is not None
