@@ -20,8 +20,7 @@ from scenes import (
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.learning.stereo.own_plane import match_freely
-from landmark_nav.learning.stereo.reconstruction import reconstruct
+from landmark_nav.learning.stereo.reconstruction import match_freely, reconstruct
 from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
     PatchMeasurement,
