@@ -386,11 +386,9 @@ def smoothed_report(run: Replay, smoothed: Smoothed) -> dict[str, Any]:
     }
 
 
-def write_tum_files(
-    run: Replay, folder: Path, smoothed: Smoothed | None = None
-) -> tuple[Path, ...]:
+def write_tum_files(run: Replay, folder: Path, smoothed: Smoothed | None = None) -> None:
     """
-    Write ``truth.tum``, ``fused.tum``, ``triangulation.tum`` and others; return their paths.
+    Write ``truth.tum``, ``fused.tum``, ``triangulation.tum`` and others.
 
     All are at the stamps of the images, so that other tools compare the same pairs of poses as
     `landmark_nav.evaluation.metrics`; a pose that is unknown at a stamp has no line.
@@ -404,15 +402,12 @@ def write_tum_files(
     }
     if smoothed is not None:
         tracks['smoothed'] = smoothed.stamps_ns, smoothed.poses
-    paths = []
     for name, (at_ns, poses) in tracks.items():
         known = np.flatnonzero(np.isfinite(poses).all(axis=1))
         if len(known):
             # Images may have arrived late.
             known = known[np.argsort(at_ns[known], kind='stable')]
-            paths.append(folder / f'{name}.tum')
-            write_atomically(paths[-1], _lines(at_ns[known], poses[known]))
-    return tuple(paths)
+            write_atomically(folder / f'{name}.tum', _lines(at_ns[known], poses[known]))
 
 
 def _lines(stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> str:

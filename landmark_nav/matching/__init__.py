@@ -7,7 +7,13 @@ localizer matches camera images.
 
 from __future__ import annotations
 
-from landmark_nav.matching.alignment import blur_by, blur_sigmas, blur_to, Match, sigmas_of
-from landmark_nav.matching.correlation import match_template
+from landmark_nav.matching.alignment import (
+    blur_by,
+    blur_sigmas,
+    blur_to,
+    Match,
+    match_template,
+    sigmas_of,
+)
 
 __all__ = ['Match', 'blur_by', 'blur_sigmas', 'blur_to', 'match_template', 'sigmas_of']

@@ -90,7 +90,9 @@ DRIVING: dict[str, dict[str, Any]] = {
             Texture(landmark.patch.astype(np.float32), 1.0)
         ]
     },
-    'one peak (detection)': {f'{_FIND}detection.config:DetectionConfig.max_second_ratio': 1.0},
+    'one peak (detection)': {
+        f'{_FIND}detection.expectation:DetectionConfig.max_second_ratio': 1.0
+    },
     'wrong heights': {f'{_FIND}detection.rows:_WRONG': BEST},
     'blur of the image': {f'{_FIND}detection.correlation:_LOOKS': 1},
     'no measured blur': {
@@ -114,11 +116,11 @@ DRIVING: dict[str, dict[str, Any]] = {
 }
 # As DRIVING, but the place is found from nothing.
 SEARCHING: dict[str, dict[str, Any]] = {
-    'two tolerances of votes': {f'{_FIND}relocalization.hypotheses:_FINE_RAD': 0.07},
+    'two tolerances of votes': {f'{_FIND}relocalization.search:_FINE_RAD': 0.07},
     'further candidates': {f'{_FIND}relocalization.search:_ALL_CANDIDATES': 4},
     'any one may be mistaken': {f'{_FIND}relocalization.search:_MOST_RISK': BEST},
     'camera tilt (search)': {
-        f'{_FIND}relocalization.config:RelocalizationConfig.tilt_sigma_rad': 0.0
+        f'{_FIND}relocalization.search:RelocalizationConfig.tilt_sigma_rad': 0.0
     },
     'roll of the camera': {f'{_FIND}relocalization.verification:_LEAST_SURE': BEST},
     'within a wide prior': {f'{_FIND}observer:is_prior_uncertain': lambda covariance: False},

@@ -28,7 +28,7 @@ import tempfile
 from unittest.mock import patch
 
 import cv2
-from landmark_truth import TrueWalls
+from landmarks import TrueWalls
 import numpy as np
 
 from landmark_nav.cli.main import main as landmark_nav

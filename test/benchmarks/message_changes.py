@@ -136,6 +136,16 @@ def in_microseconds(message: Any) -> Any:
 # Any field
 
 
+def field(name: str, change: Callable[[Any], Any]) -> Change:
+    """Change an array of a message."""
+
+    def altered(message: Any) -> Any:
+        setattr(message, name, change(np.array(getattr(message, name))))
+        return message
+
+    return altered
+
+
 def frozen(name: str) -> Change:
     """The value of a field stays, with new stamps."""
     first: list[Any] = []
@@ -189,12 +199,7 @@ class LowPass:
 
 def joints(change: Callable[[FloatArray], FloatArray]) -> Change:
     """Change the positions of all joints."""
-
-    def altered(message: Any) -> Any:
-        message.position = change(np.array(message.position))
-        return message
-
-    return altered
+    return field('position', change)
 
 
 def angle(change: Callable[[float], float], joint: str = 'pan_joint') -> Change:
@@ -450,26 +455,18 @@ def odometry_filtered(seconds: float) -> Change:
     return change
 
 
-def exchanged(message: Any) -> Any:
-    at = message.pose.pose.position
-    at.x, at.y = at.y, at.x
-    return message
-
-
-def mirrored(message: Any) -> Any:
-    message.pose.pose.position.y *= -1.0
-    return message
-
-
-def path_turned(angle_rad: float) -> Change:
-    """Positions in a frame that is turned, headings as they were."""
+def path(by: list[list[float]] | FloatArray) -> Change:
+    """Multiply positions by a matrix (2, 2); headings stay as they were."""
 
     def change(message: Any) -> Any:
         at = message.pose.pose.position
-        at.x, at.y = (se2.rotation(angle_rad) @ [at.x, at.y]).tolist()
+        at.x, at.y = (np.array(by) @ [at.x, at.y]).tolist()
         return message
 
     return change
+
+
+exchanged, mirrored = path([[0.0, 1.0], [1.0, 0.0]]), path([[1.0, 0.0], [0.0, -1.0]])
 
 
 def quaternion(change: Callable[[float, float, float, float], Any]) -> Change:
@@ -507,13 +504,11 @@ def of_the_camera() -> Change:
 
 
 def pictured(draw: Callable[[Any], Any]) -> Change:
-    def change(message: Any) -> Any:
-        image = cv2.imdecode(np.frombuffer(bytes(message.data), np.uint8), cv2.IMREAD_UNCHANGED)
-        drawn = np.ascontiguousarray(draw(image))
-        message.data = cv2.imencode('.jpg', drawn, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].ravel()
-        return message
+    def drawn(data: Any) -> Any:
+        image = np.ascontiguousarray(draw(cv2.imdecode(data, cv2.IMREAD_UNCHANGED)))
+        return cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].ravel()
 
-    return change
+    return field('data', drawn)
 
 
 def content(source: Callable[[int], int]) -> Change:
@@ -545,9 +540,7 @@ def in_reverse(frames: int) -> Change:
     return where(lambda k: k < frames, change)
 
 
-def cut_off(message: Any) -> Any:
-    message.data = message.data[: len(message.data) // 3]
-    return message
+cut_off = field('data', lambda data: data[: len(data) // 3])
 
 
 def zoomed(scale: float) -> Change:
@@ -581,25 +574,12 @@ def bumped(bag: Bag, turn_deg: tuple[float, float, float]) -> Change:
 
 def lens(fx: float, fy: float, cx: float = 1.0, cy: float = 1.0) -> Change:
     """Calibration with its focal lengths and principal point scaled."""
-
-    def change(message: Any) -> Any:
-        message.k = np.array(message.k) * [fx, 1.0, cx, 1.0, fy, cy, 1.0, 1.0, 1.0]
-        return message
-
-    return change
+    return field('k', lambda k: k * [fx, 1.0, cx, 1.0, fy, cy, 1.0, 1.0, 1.0])
 
 
 def centred(x_px: float, y_px: float) -> Change:
-    def change(message: Any) -> Any:
-        message.k = np.add(message.k, [0, 0, x_px, 0, 0, y_px, 0, 0, 0])
-        return message
-
-    return change
+    return field('k', lambda k: np.add(k, [0, 0, x_px, 0, 0, y_px, 0, 0, 0]))
 
 
 def distorted(scale: float) -> Change:
-    def change(message: Any) -> Any:
-        message.d = scale * np.array(message.d)
-        return message
-
-    return change
+    return field('d', lambda d: scale * d)

@@ -26,7 +26,7 @@ import sys
 
 import cv2
 from harness import as_jpeg, print_row, rms
-from landmark_truth import TrueWalls
+from landmarks import TrueWalls
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError

@@ -231,7 +231,7 @@ def of_drives() -> dict[str, dict[str, StreamError]]:
                 'orientation|not turn|does not|yaw.* 0|twist',
             ),
             'odom path turned by 90 deg': odom(
-                change.path_turned(0.5 * np.pi), '(odom|camera heading)', '90|89|sideways'
+                change.path([[0.0, -1.0], [1.0, 0.0]]), '(odom|camera heading)', '90|89|sideways'
             ),
             'odom twist in degrees': odom(
                 change.twist_times(1.0, DEGREES), 'odom twist', 'degrees'

@@ -1,17 +1,21 @@
 """Nodes as processes start, report, end cleanly and by status; clocks of their timers."""
 
 import os
+from pathlib import Path
 import signal
 import sqlite3
 import subprocess
 import sys
 
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 import pytest
 from rclpy.clock_type import ClockType
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import get_typestore, Stores
 
-from landmark_nav.demo.supervisor import node_command, node_environment
+from landmark_nav.demo.supervisor import node_command, node_commands, node_environment
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
 from landmark_nav.nodes.triplet_selector import TripletSelectorNode
 
@@ -141,3 +145,112 @@ def test_messages_that_cannot_be_read_end_the_playback(tmp_path, domain_id):
     assert 'playback ends early: ' in reported
     assert 'is played' not in reported
     assert 'Traceback' not in reported
+
+
+FUSION, LEARNER = 'odometry_fusion', 'landmark_learner'
+MANAGED = {'autostart': False}
+
+
+class Manager:
+    """What Nav2's lifecycle manager does to a node, without a bond."""
+
+    def __init__(self, client, node):
+        self._client, self._node = client, node
+        made = client._node
+        self._change = made.create_client(ChangeState, f'{node}/change_state')
+        self._state = made.create_client(GetState, f'{node}/get_state')
+        client.wait(self._change.service_is_ready, 60.0, 'the services of the lifecycle')
+        client.wait(self._state.service_is_ready, 60.0, 'the services of the lifecycle')
+
+    def __call__(self, step):
+        request = ChangeState.Request(transition=Transition(id=step))
+        answer = self._change.call_async(request)
+        self._client.wait(answer.done, 30.0, 'the transition')
+        return bool(answer.result().success)
+
+    @property
+    def state(self):
+        answer = self._state.call_async(GetState.Request())
+        self._client.wait(answer.done, 30.0, 'the state')
+        return str(answer.result().current_state.label)
+
+    def publishes(self, topic):
+        known = self._client._node.get_publishers_info_by_topic(topic)
+        return any(one.node_name == self._node for one in known)
+
+
+def test_a_node_is_configured_paused_reset_and_shut_down(start, supervisor, client, setup_files):
+    start(FUSION, robot_file=setup_files['robot_file'], **MANAGED)
+    manager = Manager(client, FUSION)
+    assert manager.state == 'unconfigured'
+    assert not manager.publishes('/odometry/fused')
+    for _ in range(2):
+        assert manager(Transition.TRANSITION_CONFIGURE)
+        assert manager.state == 'inactive'
+        client.wait(lambda: manager.publishes('/odometry/fused'), 30.0, 'its topics')
+        for _ in range(2):
+            assert manager(Transition.TRANSITION_ACTIVATE)
+            assert manager.state == 'active'
+            assert manager(Transition.TRANSITION_DEACTIVATE)
+        assert manager(Transition.TRANSITION_CLEANUP)
+        assert manager.state == 'unconfigured'
+        client.wait(lambda: not manager.publishes('/odometry/fused'), 30.0, 'their end')
+    client.wait(lambda: 'unconfigured' in client.status_of(FUSION).reason, 30.0, 'its report')
+    assert manager(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+    assert manager.state == 'finalized'
+    supervisor.check()
+    assert supervisor.stop(signal.SIGTERM) == {FUSION: 0}
+
+
+def test_a_node_that_cannot_be_configured_says_why_and_can_be_tried_again(
+    start, client, supervisor, tmp_path
+):
+    robot = tmp_path / 'late.yaml'
+    start(FUSION, robot_file=str(robot), **MANAGED)
+    manager = Manager(client, FUSION)
+    assert not manager(Transition.TRANSITION_CONFIGURE)
+    assert manager.state == 'unconfigured'
+    assert 'late.yaml: cannot be read' in (tmp_path / 'logs' / f'{FUSION}.log').read_text()
+    robot.write_text('pan_axis:\n  xyz: [0.08, 0.0, 1.1]\n')
+    assert manager(Transition.TRANSITION_CONFIGURE)
+    assert manager(Transition.TRANSITION_ACTIVATE)
+    client.wait(lambda: 'lifecycle' not in client.status_of(FUSION).reason, 30.0, 'an active node')
+
+
+def test_an_inactive_node_refuses_services_and_keeps_what_comes_once(
+    start, client, setup_files, learned_map
+):
+    start(FUSION, robot_file=setup_files['robot_file'], **MANAGED)
+    manager = Manager(client, FUSION)
+    assert manager(Transition.TRANSITION_CONFIGURE)
+    start(LEARNER, room_file=setup_files['room_file'], map_folder=str(learned_map), **MANAGED)
+    learner = Manager(client, LEARNER)
+    assert learner(Transition.TRANSITION_CONFIGURE)
+    with pytest.raises(LandmarkNavError, match='landmark_learner is inactive: activate it'):
+        client.call('load_map', 30.0)
+    assert learner(Transition.TRANSITION_ACTIVATE)
+    assert 'landmarks loaded' in client.call('load_map', 30.0)
+    # The map comes to an inactive node, and nobody sends it again.
+    client.pause(2.0)
+    assert manager(Transition.TRANSITION_ACTIVATE)
+    client.wait(
+        lambda: int(client.status_of(FUSION).values.get('landmarks', 0)) > 0, 30.0, 'the map'
+    )
+
+
+def test_all_nodes_run_in_one_process(supervisor, client, setup_files, tmp_path):
+    files = {key: Path(value) for key, value in setup_files.items()}
+    apart = node_commands(**files, map_folder=tmp_path / 'map')
+    (name,) = together = node_commands(**files, map_folder=tmp_path / 'map', composed=True)
+    supervisor.start(name, together[name])
+    client.wait(lambda: apart.keys() <= client.status.keys(), 60.0, 'the diagnostics of all')
+    assert supervisor.stop(signal.SIGTERM) == {name: 0}
+    log = (tmp_path / 'logs' / f'{name}.log').read_text()
+    assert 'Traceback' not in log
+    assert all(f'[{node}]: ready' in log for node in apart)
+
+
+def test_one_of_them_that_cannot_be_made_ends_all(supervisor, tmp_path):
+    process = supervisor.start('all_nodes', node_command('all_nodes', robot_file='nowhere.yaml'))
+    assert process.wait(60.0) == 1
+    assert 'nowhere.yaml: cannot be read' in (tmp_path / 'logs' / 'all_nodes.log').read_text()

@@ -10,7 +10,7 @@ from graph import is_right, off
 from harness import BAGS, start_of
 import numpy as np
 import pytest
-from unmeasured_bags import with_odometry
+from unmeasured import with_odometry
 
 from landmark_nav.calibration import NAMES
 from landmark_nav.errors import LandmarkNavError

@@ -1,8 +1,13 @@
 """Learning and localization in a room that another simulator rendered."""
 
+from pathlib import Path
+
 from harness import evaluate, learn, start_of
 import numpy as np
 import pytest
+
+from landmark_nav.cli.main import main
+from landmark_nav.storage.maps import load_map
 
 pytestmark = pytest.mark.usefixtures('undrawn')
 MOUNT = 'xyz: [0.08, 0.0, 1.1]\n  rpy: [0.0, 0.0, 0.0]'
@@ -52,3 +57,22 @@ def test_a_drive_shows_the_pan_zero_of_a_mount_without_sigmas(study, learned, tm
     yaw = report['calibration']['axis_yaw']
     assert yaw['observed']
     assert abs(yaw['value']) <= 3.0 * yaw['sigma'] <= np.radians(0.6)
+
+
+FLAT = Path(__file__).parents[3] / 'shared' / 'data' / 'flat'
+
+
+@pytest.mark.skipif(not FLAT.is_dir(), reason='needs ../shared/data/flat')
+def test_a_flat_is_learned_whatever_matches(tmp_path):
+    wide = tmp_path / 'wide.yaml'
+    # Stereo that takes any match.
+    limits = 'stereo: {max_displaced_px: 8.0}\n'
+    wide.write_text(limits + (FLAT / 'relaxed.yaml').read_text().split('\n', 1)[1])
+    files = ['--room', str(FLAT / 'room.yaml'), '--robot', str(FLAT / 'robot.yaml')]
+    out = tmp_path / 'map'
+    learn = ['learn', str(FLAT / 'learn'), *files, '--config', str(wide), '--out', str(out)]
+    assert main(learn) == 0
+    landmarks = load_map(out).landmarks
+    assert len(landmarks) >= 3
+    assert all(np.linalg.eigvalsh(k.covariance)[0] > 0.0 for k in landmarks)
+    assert max(float(np.abs(k.position).max()) for k in landmarks) < 10.0

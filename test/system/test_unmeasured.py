@@ -5,8 +5,7 @@ import json
 from harness import BAGS, evaluate, start_of
 import numpy as np
 import pytest
-from unmeasured import moved
-from unmeasured_bags import with_odometry
+from unmeasured import moved, with_odometry
 
 from landmark_nav.cli.main import main
 from landmark_nav.evaluation.learning_report import truth_of_bag

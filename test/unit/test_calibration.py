@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import Board, draw_sweep, rectangle_room, smooth_texture, textured_room
+from scenes import Board, draw_sweep, rectangle_room, smooth_texture, textured_room, turn_sweep
 from scipy.special import chdtri
-from turning_camera import turn_sweep
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError

@@ -1,7 +1,7 @@
 from dataclasses import replace
 
+from bare_landmarks import patch_points
 import numpy as np
-from patch_texels import patch_points
 import pytest
 from scenes import draw_panorama, rectangle_room, textured_room
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from turning_camera import turn_sweep
+from scenes import turn_sweep
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2

@@ -1,9 +1,9 @@
 from dataclasses import replace
 import re
 
+from bare_landmarks import patch_points
 import cv2
 import numpy as np
-from patch_texels import patch_points
 import pytest
 
 from landmark_nav.cli.main import main

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -17,7 +16,7 @@ from landmark_nav.types import FloatArray, LandmarkMap
 
 
 def draw_trajectory(
-    run: Replay, landmark_map: LandmarkMap, path: Path | BytesIO, smoothed: Smoothed | None = None
+    run: Replay, landmark_map: LandmarkMap, path: Path, smoothed: Smoothed | None = None
 ) -> None:
     """Draw true, dead reckoned, fused and other trajectories in the plan of the room."""
     figure = style.new_figure(9.0, 6.6)
@@ -52,7 +51,7 @@ def draw_trajectory(
     style.save(figure, path)
 
 
-def draw_errors(run: Replay, errors: RunErrors, path: Path | BytesIO) -> None:
+def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
     """
     Draw the errors ahead, to the left and in heading, with +-3 sigma by the covariance.
 

@@ -46,9 +46,9 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path | BytesIO) -> None:
+def save(figure: Figure, path: Path) -> None:
     """
-    Write a PNG, to a file or to memory.
+    Write a PNG.
 
     It contains no date and no version, so that the same figure gives the same file. A tight box
     is required for axes of equal scale, which do not fill their layout; it draws everything twice.
@@ -62,10 +62,7 @@ def save(figure: Figure, path: Path | BytesIO) -> None:
         # Higher levels halve the size, but take many times as long.
         pil_kwargs={'compress_level': 1},
     )
-    if isinstance(path, Path):
-        write_atomically(path, drawn.getvalue())
-    else:
-        path.write(drawn.getvalue())
+    write_atomically(path, drawn.getvalue())
 
 
 def plain(axes: Axes) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from landmark_nav.localization.detection.config import DetectionConfig
 from landmark_nav.localization.detection.correlation import detect_landmarks, DetectionResult
-from landmark_nav.localization.detection.expectation import View
+from landmark_nav.localization.detection.expectation import DetectionConfig, View
 
 __all__ = ['DetectionConfig', 'DetectionResult', 'View', 'detect_landmarks']

@@ -20,8 +20,13 @@ import numpy.typing as npt
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.detection.appearance import draw
-from landmark_nav.localization.detection.config import DetectionConfig
-from landmark_nav.localization.detection.expectation import expect, Expectation, quadratic, View
+from landmark_nav.localization.detection.expectation import (
+    DetectionConfig,
+    expect,
+    Expectation,
+    quadratic,
+    View,
+)
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals
 from landmark_nav.matching import blur_by, blur_sigmas, Match, match_template, sigmas_of
 from landmark_nav.types import Detections, FloatArray, Landmark, LandmarkMap, Refusal

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from landmark_nav.localization.relocalization.config import RelocalizationConfig
+from landmark_nav.localization.relocalization.search import RelocalizationConfig
 from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 
 __all__ = ['RelocalizationConfig', 'Relocalizer', 'Unseen']

@@ -28,8 +28,7 @@ from landmark_nav.localization.relocalization.candidate_detections import (
     CandidateDetections,
     find_candidate_detections,
 )
-from landmark_nav.localization.relocalization.config import RelocalizationConfig
-from landmark_nav.localization.relocalization.search import locate
+from landmark_nav.localization.relocalization.search import locate, RelocalizationConfig
 from landmark_nav.localization.relocalization.verification import CarriedFrames, PlaceVerifier
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.types import (
