@@ -72,10 +72,14 @@ DETECTIONS = Layout(
 )
 
 # One point: pose of the base with its covariance, speeds of the base, values and sigmas of the
-# calibration.
+# calibration, and the `intrinsics` of the camera that they are for, zero if unknown.
 EXPECTATION = Layout(
     'expectation',
-    _fields('pose:f8*3 covariance:f8*9 speeds:f8*2 tilt_sigma:f8 values:f8*16 sigmas:f8*16'),
+    _fields(
+        'pose:f8*3 covariance:f8*9 speeds:f8*2 tilt_sigma:f8 values:f8*16 sigmas:f8*16 '
+        'intrinsics:f8*5'
+    ),
+    optional=('intrinsics',),
 )
 
 # All three rows repeat the covariance of the predicted fix and the pan to turn to.
