@@ -6,7 +6,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 import logging
-from math import log, sqrt
+from math import hypot, log, sqrt
 
 import numpy as np
 
@@ -172,7 +172,8 @@ class Fusion:
             rate = pan.rate_rad_s
             if pan.track is not None and late.sigma_s:
                 _, rate, bend = pan.track.lagged(late.delay_s, late.sigma_s)
-        # The pan may begin to turn meanwhile.
+            bend = hypot(bend, joints.pan_sigma_rad)
+        # The pan may begin to turn meanwhile, or between joint states.
         bent = np.diag([0.0, 0.0, bend**2])
         found = replace(found, covariance=found.covariance + bent)
         self._place(found, rate)

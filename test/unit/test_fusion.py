@@ -328,7 +328,11 @@ def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():
     start = PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
     prior = Calibration.of_mount(MOUNT, {'axis_yaw': 1e-4})
     sigmas = []
-    for joints in (JointSample(0, 0.0), JointSample(0, 0.0, 0.0, 1.0, pan_track=pans)):
+    for joints in (
+        JointSample(0, 0.0),
+        JointSample(0, 0.0, 0.0, 1.0, pan_track=pans),
+        JointSample(0, 0.0, pan_sigma_rad=0.2),
+    ):
         fusion = Fusion(LandmarkMap(()), prior)
         fusion.place(start, joints)
         estimate, expected = fusion.estimate(), fusion.expectation(0)
@@ -338,6 +342,7 @@ def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():
     assert sigmas[0] < 0.005
     # Half a turn a second of 0.2 s: two sigmas.
     assert sigmas[1] == pytest.approx(0.1, rel=0.1)
+    assert sigmas[2] == pytest.approx(0.2, rel=0.1)
 
 
 def test_the_protection_level_follows_from_the_covariance():
