@@ -229,12 +229,17 @@ def _calibration(
     return replace(known, values=values, covariance=covariance, by_map=by_map)
 
 
-def _check(panoramas: Sequence[Panorama]) -> None:
+def check_number(panoramas: Sequence[Panorama]) -> None:
+    """Raise `LandmarkNavError` if there are fewer than two panoramas."""
     if len(panoramas) < 2:
         raise LandmarkNavError(
             f'learning needs two panoramas from different places, not {len(panoramas)}: '
             'take another sweep 1 to 3 m away'
         )
+
+
+def _check(panoramas: Sequence[Panorama]) -> None:
+    check_number(panoramas)
     for p in panoramas:
         if not np.isfinite([*p.center_map, p.heading_rad]).all():
             raise LandmarkNavError('panorama/pose is not a number: fix its publisher')

@@ -69,6 +69,8 @@ def test_one_stamp_that_is_off_costs_the_learner_no_odometry(graph, setup_files)
     for k in range(2):  # the clock was set back
         take(encode.odometry(ros_factory, OdometrySample((5_000 + k) * 10**8, np.zeros(3))))
     assert len(node._unmeasured._odometry) == 1
+    with pytest.raises(LandmarkNavError, match='two panoramas from different places, not 0'):
+        node._learn()
 
 
 def test_panoramas_without_stamps_do_not_replace_each_other(graph, setup_files):
