@@ -123,8 +123,9 @@ class GlobalPose(PoseEstimate):
     Result of global localization: a pose from images without a prior.
 
     It is the pose of the base at the last image if its joint states are delayed by
-    `joint_delay_s`. `ids` (m,) are the landmarks it was computed from; `pan_rate_rad_s` is the
-    rate of the pan at that image, positive to the left.
+    `joint_delay_s`. The covariance is for an exact mount: the fusion adds the errors of mount, pan
+    and delay, with their correlations. `ids` (m,) are the landmarks it was computed from;
+    `pan_rate_rad_s` is the rate of the pan at that image, positive to the left.
     """
 
     ids: npt.NDArray[np.int64]

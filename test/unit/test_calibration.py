@@ -1,8 +1,6 @@
 """Calibration by a sweep: errors of camera and mount are corrected, right values are kept."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.calibration.combined import with_overlaps
 from landmark_nav.learning.calibration.sweep_calibration import align_sweep, calibrate_sweep
-from landmark_nav.learning.sweep_pipeline import next_prior
 from landmark_nav.types import CameraFrame, Sweep
 
 MOUNT = PanTiltMount((0.1, 0.0, 1.0))
@@ -48,28 +45,6 @@ def reported(sweep, focal=1.0, scale=1.0, tilt=0.0, roll=0.0):
 
 def used(found):
     return {term.name for term in found.quality.calibration if term.used}
-
-
-@pytest.mark.parametrize(
-    ('focal', 'center', 'sigma'),
-    [(0.0, 0.0, 1e-4), (0.0, 1e-3, 1e-3), (0.0, 0.1, 2e-3), (0.1, 0.0, 2e-3)],
-)
-def test_another_camera_at_the_next_sweep_does_not_have_the_lens_of_the_one_before(
-    focal, center, sigma
-):
-    """Unless its camera_info differs by as little as a driver may round it."""
-    given = Calibration.of_mount(MOUNT, {'principal_point': 2e-3})
-    lens, value = np.array([1.0, 1.0, 0.5, 0.5, 0.0]), 0.02
-    found = replace(
-        Calibration.of_mount(MOUNT, {'principal_point': 1e-4}).with_values(principal_point=value),
-        intrinsics=lens,
-    )
-    after: Any = SimpleNamespace(calibration=found)
-    for known in (found, next_prior(given, given, after)):
-        other = known.for_camera(lens + np.array([focal, focal, center, 0.0, 0.0]), given)
-        forgotten = focal + center > 0.01
-        assert other['principal_point'][0] == (0.0 if forgotten else value)
-        assert other['principal_point'][1] >= 0.99 * sigma
 
 
 def test_what_is_right_is_left_alone(turn):
