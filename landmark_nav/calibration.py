@@ -55,6 +55,8 @@ _WORTH_REPORTING = 0.3
 _ROUNDING = 1e-6
 # Least change of `CameraModel.intrinsics` that counts: half the sigma of a lens that was learned.
 _SAME_LENS = 1e-4
+# Greatest change of a lens that is a correction of its intrinsics, in sigmas of the robot file.
+_SAME_SIGMAS = 3.0
 # Least relative decrease of the sigma of an observed quantity.
 _OBSERVED = 0.3
 
@@ -158,13 +160,21 @@ class Calibration:
         """
         Return the calibration for these intrinsics by camera_info.
 
-        If they are not those that the values of the lens correct, these are as in `given` again.
+        If they are not those that the values of the lens correct, these are less certain by the
+        change: a driver that resizes images may round them. After a change that the sigmas of
+        `given` do not explain they are as in `given` again.
         """
         known = self.intrinsics
         if known is None:
             return replace(self, intrinsics=intrinsics)
-        if np.abs(known - intrinsics).max() < _SAME_LENS:
+        off = np.abs(known - intrinsics)
+        if off.max() < _SAME_LENS:
             return self
+        # In the units of `LENS`.
+        steps = [float((off[:2] / known[:2]).max()), float(off[2] / known[0]), float(off[4])]
+        by_lens = dict(zip(LENS, steps, strict=True))
+        if all(step <= _SAME_SIGMAS * given[name][1] for name, step in by_lens.items()):
+            return replace(self.widened(by_lens), intrinsics=intrinsics)
         return replace(self.with_lens(given), intrinsics=intrinsics)
 
     def with_lens(self, other: Calibration) -> Calibration:

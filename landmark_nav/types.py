@@ -310,6 +310,16 @@ class LandmarkMap:
             return known
         return known.widened({k: self.scale_sigma * known[k][0] for k in ('axis_x', 'axis_y')})
 
+    def same_as(self, other: LandmarkMap) -> bool:
+        """Whether landmarks and their errors are equal."""
+        names = ('ids', 'positions', 'covariances', 'shared_loadings')
+        return all(np.array_equal(getattr(self, n), getattr(other, n)) for n in names)
+
+    def shares_with(self, other: LandmarkMap) -> bool:
+        """Whether a landmark of another map is at the same place in this one."""
+        places = [set(map(tuple, one.positions.tolist())) for one in (self, other)]
+        return not places[0].isdisjoint(places[1])
+
     @property
     def scale_sigma(self) -> float:
         """Relative sigma of the map's unit of length; 0 for that of a plan."""

@@ -261,6 +261,7 @@ def panoramas_of_bag(
         if sweep is None:
             break
         try:
+            known = known.for_camera(sweep.frames[0].camera.intrinsics, given)
             panoramas.append(panorama_from_sweep(sweep, room, known, config, log, papers))
         except LandmarkNavError as error:
             cause = _cause(papers, sweeps, known)

@@ -98,9 +98,11 @@ class CameraModel:
             )
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(values)) or min(self.fx, self.fy) <= 0.0:
+            finite = np.isfinite(self.distortion).all()
             raise LandmarkNavError(
                 f'camera_info is not a calibrated camera (fx {self.fx:g}, fy {self.fy:g}, '
-                f'cx {self.cx:g}, cy {self.cy:g}): calibrate it'
+                f'cx {self.cx:g}, cy {self.cy:g}{"" if finite else ", d not a number"}): '
+                'calibrate it'
             )
         if min(self.width, self.height) < 16:
             raise LandmarkNavError(f'camera_info has a {self.width} x {self.height} image')

@@ -248,11 +248,7 @@ def _as_known(panorama: Panorama, known: Calibration | None) -> Panorama:
 
 
 def _check(panoramas: Sequence[Panorama]) -> None:
-    if len(panoramas) < 2:
-        raise LandmarkNavError(
-            f'learning needs two panoramas from different places, not {len(panoramas)}: '
-            'take another sweep 1 to 3 m away'
-        )
+    check_number(panoramas)
     for p in panoramas:
         if not np.isfinite([*p.center_map, p.heading_rad]).all():
             raise LandmarkNavError('panorama/pose is not a number: fix its publisher')
@@ -271,3 +267,12 @@ def _reasons(outcomes: Sequence[Sequence[Landmark | Refusal]]) -> str:
     reasons = [o.reason for group in outcomes for o in group if isinstance(o, Refusal)]
     ranked = sorted(set(reasons), key=lambda r: -reasons.count(r))
     return ', '.join(f'{reasons.count(r)} {r}' for r in ranked)
+
+
+def check_number(panoramas: Sequence[Panorama]) -> None:
+    """Raise `LandmarkNavError` if there are fewer than two panoramas."""
+    if len(panoramas) < 2:
+        raise LandmarkNavError(
+            f'learning needs two panoramas from different places, not {len(panoramas)}: '
+            'take another sweep 1 to 3 m away'
+        )

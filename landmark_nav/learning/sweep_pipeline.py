@@ -180,13 +180,17 @@ def panorama_from_sweep(
 
 def next_prior(given: Calibration, known: Calibration, after: Panorama) -> Calibration:
     """
-    Prior of the calibration for the sweep after a panorama, which was made with `known`.
+    Prior of the calibration after a panorama, which was made with `known`.
+
+    Its lens is that of this camera: use `Calibration.for_camera` with the next sweep.
 
     The values by the panorama are used if they contradict the given ones. Sweeps share the errors
     of tracking and ranges, so that what several show is as uncertain as one of them.
     """
     found = after.calibration
-    return replace(given, values=found.values) if found and found.surprises(given) else known
+    if found is None or not found.surprises(given):
+        return known
+    return replace(given, values=found.values, intrinsics=found.intrinsics)
 
 
 def corrected(given: Calibration, found: MountError) -> Calibration:

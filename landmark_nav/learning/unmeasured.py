@@ -26,7 +26,12 @@ from landmark_nav.learning.facades.planes import (
     placed_matches,
     SeenPoints,
 )
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.learning.pipeline import (
+    check_number,
+    learn_from_panoramas,
+    LearningConfig,
+    LearningResult,
+)
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
     RayPairs,
@@ -128,11 +133,7 @@ def locate(
     before : RelativePoses, optional
         Poses found before the panoramas were levelled by them.
     """
-    if len(panoramas) < 2:
-        raise LandmarkNavError(
-            f'learning needs two panoramas from different places, not {len(panoramas)}: '
-            'take another sweep 1 to 3 m away'
-        )
+    check_number(panoramas)
     log = log or StageLog()
     with log.measure('relative_poses'):
         features = [find_features(p, config.relative_pose.features) for p in panoramas]
@@ -195,6 +196,7 @@ def locate_sweeps(
     for sweep in sweeps():
         panoramas.append(unplaced_panorama(sweep, given, log))
         stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
+    check_number(panoramas)
     pose = config.relative_pose
     turn = float(np.hypot(pose.heading_sigma_rad, given.sigmas_from('axis_yaw')[0]))
     config = replace(config, relative_pose=replace(pose, heading_sigma_rad=turn))

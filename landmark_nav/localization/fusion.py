@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 import logging
-from math import log, sqrt
+from math import hypot, log, sqrt
 
 import numpy as np
 
@@ -68,6 +69,7 @@ _TRUSTED = 4.0
 # Prior log odds that a given start is right: one in a hundred is another place.
 _GIVEN_RIGHT = log(99.0)
 _NO_LANDMARKS = 'no landmarks: call learn_landmarks or load_map'
+_OTHER_MAP = 'no landmark of the new map found yet, whose frame may be another'
 _NO_POSE = 'no pose yet: odom and images give it, or initialpose'
 _NOT_STARTED = Refusal('not initialized', 'give a start pose')
 _WRONG_START = Refusal('the given start is wrong', 'images are not those of that place')
@@ -111,32 +113,35 @@ class Fusion:
         # Values of the mount that contradict their prior.
         self._unlikely: tuple[str, ...] = ()
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
+        # Whether the pose may be in the frame of another map.
+        self._elsewhere = False
+        self._changed_camera = False  # whether that was logged
         self._turned_ns = -_AGAIN_NS
 
     def change_map(self, landmark_map: LandmarkMap) -> None:
         """
         Continue with other landmarks; the pose and its covariance are kept.
 
-        Until an image was used, what learning showed of the robot is the prior.
+        Until an image was used, what learning showed of the robot is the prior. A map without a
+        landmark of the one before may have another frame: then the pose is lost until images
+        confirm it. The same map again changes nothing.
         """
-        # States of before have the factors of the other map.
-        self._map, self._trusted = landmark_map, None
-        if self._used:
-            self._prior = replace(self._prior, by_map=None)
-        else:
+        before, self._map = self._map, landmark_map
+        if landmark_map.same_as(before):
+            return
+        if not self._used:
             self._prior = landmark_map.calibration_from(self._robot)
             self._may_be = self._prior.widened(_MAY_STEP)
-        if self._line is None:
+            self._change(
+                lambda joint: JointFilter(
+                    landmark_map, self._prior, joint.estimate, self._config, self._odometry
+                )
+            )
             return
-        joint = self._line.filter
-        if self._used:
-            joint = joint.on_map(landmark_map)
-        else:
-            start = joint.estimate
-            joint = JointFilter(landmark_map, self._prior, start, self._config, self._odometry)
-        self._begin(joint)
-        if self._anywhere is not None:
-            self._test_start()
+        self._prior = replace(self._prior, by_map=None)
+        self._change(lambda joint: joint.on_map(landmark_map))
+        if landmark_map.landmarks and before.landmarks and not landmark_map.shares_with(before):
+            self._integrity, self._elsewhere = Integrity(), True
 
     def initialize(self, start: PoseEstimate, now_ns: int | None = None) -> None:
         """
@@ -167,7 +172,8 @@ class Fusion:
             rate = pan.rate_rad_s
             if pan.track is not None and late.sigma_s:
                 _, rate, bend = pan.track.lagged(late.delay_s, late.sigma_s)
-        # The pan may begin to turn meanwhile.
+            bend = hypot(bend, joints.pan_sigma_rad)
+        # The pan may begin to turn meanwhile, or between joint states.
         bent = np.diag([0.0, 0.0, bend**2])
         found = replace(found, covariance=found.covariance + bent)
         self._place(found, rate)
@@ -176,23 +182,26 @@ class Fusion:
         """
         Take note of the intrinsics by camera_info (None: unknown) before an image is used.
 
-        If they are not those at learning, or change while driving, errors of the lens that were
-        estimated with the others are forgotten.
+        If they are not those at learning, or change while driving, what was learned of the lens is
+        less certain by the change, or forgotten: `Calibration.for_camera`.
         """
         if intrinsics is None:
             return
         # The robot file of a calibration that came from the map is that at learning.
         robot, before = self._robot, self._prior
-        given = robot if robot.intrinsics is None else self._map.prior or robot
-        self._prior = before.for_camera(intrinsics, given)
+        given, known = robot if robot.intrinsics is None else self._map.prior or robot, intrinsics
+        self._prior = before.for_camera(known, given)
         if self._prior is before or before.intrinsics is None:
             return
-        _LOG.warning('camera_info has changed: the lens is as uncertain as in robot.yaml again')
-        self._may_be, self._trusted = self._prior.widened(_MAY_STEP), None
-        if self._line is not None:
-            self._begin(self._line.filter.with_lens(self._prior))
-        if self._anywhere is not None:
-            self._test_start()
+        if not self._changed_camera:
+            _LOG.warning('camera_info has changed: what was learned of the lens is less certain')
+        self._changed_camera, self._may_be = True, self._prior.widened(_MAY_STEP)
+
+        def changed(joint: JointFilter) -> JointFilter:
+            lens = replace(joint.calibration, intrinsics=before.intrinsics)
+            return joint.with_lens(lens.for_camera(known, given))
+
+        self._change(changed)
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether odometry leads from a time to now, or may still come up to it."""
@@ -242,6 +251,7 @@ class Fusion:
         # From an unknown pose nothing is expected, so that nothing is missed.
         unknown = is_unknown(line.filter.predicted.covariance[:3, :3])
         self._integrity.add(seen.stamp_ns, self._update, 0 if unknown else len(seen.missed))
+        self._elsewhere &= self._integrity.log_ratio < _TRUSTED
         if self._update is not None:
             self._used = True
             self._weigh_start(line, seen, self._update)
@@ -331,7 +341,11 @@ class Fusion:
 
     def expectation(self, stamp_ns: int) -> Expectation | None:
         """Expected pose of the camera at a time; None before a pose is known."""
-        return None if self._line is None else self._line.filter_at(stamp_ns).expectation
+        if self._line is None:
+            return None
+        expected = self._line.filter_at(stamp_ns).expectation
+        known = replace(expected.calibration, intrinsics=self._prior.intrinsics)
+        return replace(expected, calibration=known)
 
     def with_landmarks(self, stamp_ns: int) -> FloatArray:
         """Covariance (3, 2 n) of the pose at a time with x and y of all landmarks."""
@@ -383,6 +397,8 @@ class Fusion:
             reason = f'{names} would be far from robot.yaml: the robot is probably elsewhere'
         if self._start_odds < 0.0:
             status, reason = Status.LOST, str(_WRONG_START)
+        if self._elsewhere:
+            status, reason = Status.LOST, _OTHER_MAP
         name, sigmas = line.filter.contradiction
         if status is Status.OK and sigmas > _CONTRADICTION:
             status = Status.DEGRADED
@@ -397,8 +413,8 @@ class Fusion:
 
     @property
     def _wrong(self) -> bool:
-        """Whether the mount, or the given start, contradicts the pose."""
-        return bool(self._unlikely) or self._start_odds < 0.0
+        """Whether mount or given start contradict the pose, or it may be of another map."""
+        return bool(self._unlikely) or self._start_odds < 0.0 or self._elsewhere
 
     @property
     def _prior_late(self) -> JointDelay:
@@ -421,11 +437,24 @@ class Fusion:
                 # Estimates from a wrong pose are wrong. If the start was right, the pose was wrong
                 # for another reason: the camera may have been turned.
                 joint.restore(self._trusted)
-                if self._start_odds >= 0.0:
+                if self._start_odds >= 0.0 and not self._elsewhere:
                     joint = joint.stepped()
         self._begin(joint.placed(start, pan_rate_rad_s))
-        self._integrity, self._unlikely = Integrity(), ()
+        self._integrity, self._unlikely, self._elsewhere = Integrity(), (), False
         self._anywhere, self._start_odds = None, _GIVEN_RIGHT
+
+    def _change(self, changed: Callable[[JointFilter], JointFilter]) -> None:
+        """Change the filter, and the trusted state with it."""
+        if self._line is None:
+            return
+        joint = self._line.filter
+        if self._trusted is not None:
+            trusted = copy(joint)
+            trusted.restore(self._trusted)
+            self._trusted = changed(trusted).snapshot
+        self._begin(changed(joint))
+        if self._anywhere is not None:
+            self._test_start()
 
     def _begin(self, joint: JointFilter) -> None:
         self._line, self._update = Timeline(joint, self._track, self._config.history_s), None

@@ -72,10 +72,14 @@ DETECTIONS = Layout(
 )
 
 # One point: pose of the base with its covariance, speeds of the base, values and sigmas of the
-# calibration.
+# calibration, and the `intrinsics` of the camera that they are for, zero if unknown.
 EXPECTATION = Layout(
     'expectation',
-    _fields('pose:f8*3 covariance:f8*9 speeds:f8*2 tilt_sigma:f8 values:f8*16 sigmas:f8*16'),
+    _fields(
+        'pose:f8*3 covariance:f8*9 speeds:f8*2 tilt_sigma:f8 values:f8*16 sigmas:f8*16 '
+        'intrinsics:f8*5'
+    ),
+    optional=('intrinsics',),
 )
 
 # All three rows repeat the covariance of the predicted fix and the pan to turn to.
@@ -119,8 +123,9 @@ class GlobalPose(PoseEstimate):
     Result of global localization: a pose from images without a prior.
 
     It is the pose of the base at the last image if its joint states are delayed by
-    `joint_delay_s`. `ids` (m,) are the landmarks it was computed from; `pan_rate_rad_s` is the
-    rate of the pan at that image, positive to the left.
+    `joint_delay_s`. The covariance is for an exact mount: the fusion adds the errors of mount, pan
+    and delay, with their correlations. `ids` (m,) are the landmarks it was computed from;
+    `pan_rate_rad_s` is the rate of the pan at that image, positive to the left.
     """
 
     ids: npt.NDArray[np.int64]

@@ -18,6 +18,7 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.unmeasured import learn_located, locate_sweeps
+from landmark_nav.localization.odometry.track import ClockStep, ClockWatch
 from landmark_nav.localization.sweep_places import carried_on, known_places
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.messages import decode, encode
@@ -55,6 +56,7 @@ class UnmeasuredLearner:
         self._node, self._given, self.config = node, given, config
         self._sweeps: dict[int, RecordedSweep] = {}
         self._odometry: deque[OdometrySample] = deque(maxlen=_MOST_SAMPLES)
+        self._clock = ClockWatch()
         SweepInbox(node, given.mount, 'map', self._on_sweep)
         node.listen('odom', self._on_odometry)
 
@@ -118,8 +120,12 @@ class UnmeasuredLearner:
     def _on_odometry(self, message: Any) -> None:
         sample = decode.odometry(message)
         if self._odometry:
-            ahead_ns = sample.stamp_ns - self._odometry[-1].stamp_ns
-            if ahead_ns < -_SET_BACK_NS:
+            newest_ns = self._odometry[-1].stamp_ns
+            ahead_ns = sample.stamp_ns - newest_ns
+            step = self._clock.judge(sample.stamp_ns, newest_ns, _SET_BACK_NS)
+            if step is ClockStep.OFF:
+                raise LandmarkNavError(f'its stamp is off: {1e-9 * ahead_ns:+.1f} s')
+            if step is ClockStep.BACK and ahead_ns < -_SET_BACK_NS:
                 self._odometry.clear()
             elif ahead_ns < _STEP_NS:
                 return
@@ -204,6 +210,11 @@ class LandmarkLearnerNode(LandmarkNode):
         assert self._room is not None
         decode.check_frame(pose.header, self._room.frame_id, 'give both nodes one room_file')
         view = decode.panorama(image, info, pose)
+        if not view.stamp_ns:
+            # Without stamps only its pixels show whether a panorama came before.
+            if any(np.array_equal(view.image, one.image) for one in self._panoramas.values()):
+                return
+            view = replace(view, stamp_ns=int(self.get_clock().now().nanoseconds))
         self._panoramas[view.stamp_ns] = view
         self.get_logger().info(f'panorama {len(self._panoramas)} received')
 

@@ -88,6 +88,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
         if self._room is None:
             view = sweep_pipeline.unplaced_panorama(sweep, self._known, StageLog())
             return view, 'panorama; its pose comes with learning', self._known.mount.base_frame
+        self._known = self._known.for_camera(sweep.frames[0].camera.intrinsics, self._given)
         view = sweep_pipeline.panorama_from_sweep(
             sweep, self._room, self._known, self._config, papers=self._papers
         )

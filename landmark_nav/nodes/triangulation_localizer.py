@@ -385,6 +385,8 @@ class TriangulationLocalizerNode(LandmarkNode):
         expected = self._expected.at(stamp)
         if isinstance(expected, Refusal):
             raise LandmarkNavError(str(expected))
+        known = expected.calibration.for_camera(frame.camera.intrinsics, self._given)
+        expected = replace(expected, calibration=known)
         return self._observer.look(frame, expected), frame, expected
 
     def _complete(self, message: Any, also: Callable[[int], bool]) -> CameraFrame:

@@ -17,12 +17,14 @@ from std_srvs.srv import Trigger
 from landmark_nav.demo.supervisor import node_command, node_environment
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import encode
+from landmark_nav.nodes.landmark_learner import LandmarkLearnerNode
 from landmark_nav.ros.robot_client import ServiceDiscovery
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import JointSample, LandmarkMap
+from landmark_nav.types import JointSample, LandmarkMap, OdometrySample, Panorama
 
 
 def small_map():
@@ -55,6 +57,32 @@ def test_learner_states_what_is_missing(start, client, setup_files, tmp_path):
     shutil.rmtree(folder)
     assert client.call('save_map', 10.0).startswith('4 landmarks saved')
     assert len(load_map(folder).landmarks) == 4
+
+
+def test_one_stamp_that_is_off_costs_the_learner_no_odometry(graph, setup_files):
+    node = graph.make(LandmarkLearnerNode, robot_file=setup_files['robot_file'])
+    take = node.guarded('odom', node._unmeasured._on_odometry)
+    for k in (*range(20), 5000, *range(20, 40), -5000, *range(40, 60)):
+        take(encode.odometry(ros_factory, OdometrySample((10_000 + k) * 10**8, np.zeros(3))))
+    assert [one.stamp_ns // 10**8 - 10_000 for one in node._unmeasured._odometry] == [*range(60)]
+    assert node._dropped == {'odom': 2}
+    for k in range(2):  # the clock was set back
+        take(encode.odometry(ros_factory, OdometrySample((5_000 + k) * 10**8, np.zeros(3))))
+    assert len(node._unmeasured._odometry) == 1
+    with pytest.raises(LandmarkNavError, match='two panoramas from different places, not 0'):
+        node._learn()
+
+
+def test_panoramas_without_stamps_do_not_replace_each_other(graph, setup_files):
+    node = graph.make(LandmarkLearnerNode, room_file=setup_files['room_file'])
+    shape = (40, 400)
+    for grey in (10, 20, 20):
+        view = Panorama(
+            0, np.full((*shape, 3), grey, np.uint8), np.ones(shape, np.bool_),
+            Cylinder(400, 40, 64.0, 199.5, 20.0), np.zeros(3), 0.0, 1e-4 * np.eye(4),
+        )  # fmt: skip
+        node._on_panorama(*encode.panorama(ros_factory, view, 'map'))
+    assert len(node._panoramas) == 2
 
 
 @pytest.mark.parametrize(

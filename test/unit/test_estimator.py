@@ -88,6 +88,21 @@ def test_derivatives_of_what_is_seen_agree_with_differences(seed):
 
 
 @pytest.mark.parametrize('seed', range(3))
+def test_a_pan_that_is_hardly_known_turns_nothing(seed):
+    """As of joint states that are far apart: each second image."""
+    rng, sigma = np.random.default_rng(seed), np.radians(6.0)
+
+    def changed(k, seen):
+        off = k % 2 * rng.normal(0.0, sigma)
+        return replace(seen, pan_rad=seen.pan_rad + off, pan_sigma_rad=k % 2 * sigma)
+
+    drive = simulated(20 + seed, seconds=20.0)
+    run, exact = driven(drive, changed=changed), driven(drive)
+    assert (run.nees < 31.8).all()
+    assert np.abs(run.errors[:, :2]).max() < 1.5 * np.abs(exact.errors[:, :2]).max()
+
+
+@pytest.mark.parametrize('seed', range(3))
 def test_derivatives_of_the_motion_agree_with_differences(seed):
     state, step = any_state(seed)[:CALIBRATION], 1e-6
     motion = Motion(np.array([0.1, 0.01, -0.05]), 0.1)

@@ -27,6 +27,8 @@ from landmark_nav.types import (
     Refusal,
 )
 
+INTRINSICS = np.array([1.1, 1.1, 0.5, 0.5, 0.0])
+
 
 def arriving(drive, shift_ns=0):
     """A drive as messages bring it: odometry, and what was found in images."""
@@ -82,6 +84,8 @@ def test_messages_lose_nothing():
     drive = simulated(3, seconds=6.0)
     direct, reported = fused(drive), fused(drive)
     for what in arriving(drive):
+        if not isinstance(what, OdometrySample):
+            what = replace(what[0], intrinsics=INTRINSICS), what[1]
         take(direct, what)
         if not isinstance(what, OdometrySample):
             found = decode.detections(over_the_wire(encode.detections(FACTORY, what[0])))
@@ -99,6 +103,7 @@ def test_messages_lose_nothing():
     assert read.covariance == pytest.approx(expected.covariance)
     assert read.calibration.values == pytest.approx(expected.calibration.values)
     assert read.calibration.sigmas == pytest.approx(expected.calibration.sigmas)
+    assert read.calibration.intrinsics == pytest.approx(INTRINSICS)
     assert read.tilt_sigma_rad == pytest.approx(expected.tilt_sigma_rad)
     assert (speeds.linear_m_s, speeds.angular_rad_s) == (0.3, -0.2)
 
@@ -222,6 +227,45 @@ def test_another_map_leaves_the_pose_and_what_was_learned():
     assert np.abs(error(fusion, drive)[:2]).max() < 0.05
 
 
+def test_the_same_map_again_changes_nothing():
+    drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
+    fusion, same = fused(drive), fused(drive)
+    for k, what in enumerate(arriving(drive)):
+        take(fusion, what)
+        take(same, what)
+        if not k % 20:
+            same.change_map(replace(drive.landmark_map))
+    assert same.estimate().covariance == pytest.approx(fusion.estimate().covariance)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize('moved_m', [0.002, 5.0])
+def test_a_pose_is_lost_in_a_map_that_may_have_another_frame_until_images_show_it(moved_m):
+    drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
+    fusion, arrivals = fused(drive), list(arriving(drive))
+    for what in arrivals[:150]:
+        take(fusion, what)
+    learned = fusion.calibration
+    moved = [
+        replace(k, position=k.position + np.array([moved_m, 0.0, 0.0]))
+        for k in drive.landmark_map.landmarks
+    ]
+    fusion.change_map(replace(drive.landmark_map, landmarks=tuple(moved)))
+    assert fusion.status_at()[0] is Status.LOST
+    assert not is_known(fusion.estimate())
+    for what in arrivals[150:]:
+        take(fusion, what)
+    assert (fusion.status_at()[0] is Status.LOST) is (moved_m > 1.0)
+    place = fusion.estimate()
+    assert place is not None
+    right = PoseEstimate(
+        place.stamp_ns, drive.poses[-1] + np.array([moved_m, 0.0, 0.0]), 1e-4 * np.eye(3)
+    )
+    fusion.place(right)
+    assert fusion.status_at()[0] is not Status.LOST
+    # What was learned of the robot by the other map is not forgotten.
+    assert (fusion.calibration.sigmas < 1.1 * learned.sigmas + 1e-9).all()
+
+
 @pytest.mark.parametrize('without', ['joints', 'points'])
 def test_bearings_count_where_joints_or_points_are_missing(without):
     drive = simulated(5, seconds=12.0)
@@ -284,7 +328,11 @@ def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():
     start = PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
     prior = Calibration.of_mount(MOUNT, {'axis_yaw': 1e-4})
     sigmas = []
-    for joints in (JointSample(0, 0.0), JointSample(0, 0.0, 0.0, 1.0, pan_track=pans)):
+    for joints in (
+        JointSample(0, 0.0),
+        JointSample(0, 0.0, 0.0, 1.0, pan_track=pans),
+        JointSample(0, 0.0, pan_sigma_rad=0.2),
+    ):
         fusion = Fusion(LandmarkMap(()), prior)
         fusion.place(start, joints)
         estimate, expected = fusion.estimate(), fusion.expectation(0)
@@ -294,6 +342,7 @@ def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():
     assert sigmas[0] < 0.005
     # Half a turn a second of 0.2 s: two sigmas.
     assert sigmas[1] == pytest.approx(0.1, rel=0.1)
+    assert sigmas[2] == pytest.approx(0.2, rel=0.1)
 
 
 def test_the_protection_level_follows_from_the_covariance():
@@ -324,6 +373,26 @@ def test_silence_is_reported():
     status, reason = fusion.status_at(5 * NS)
     assert status is not Status.OK
     assert 'no odometry for' in reason
+
+
+@pytest.mark.parametrize('width', [320, 640])
+def test_a_principal_point_that_a_driver_rounds_does_not_forget_the_lens(width, caplog):
+    drive = simulated(5, seconds=12.0, prior=Calibration.of_mount(MOUNT))
+    fusion, images = fused(drive), 0
+    rounded = INTRINSICS + 0.5 / width * np.array([0.0, 0.0, 1.0, 1.0, 0.0])
+    for what in arriving(drive):
+        if not isinstance(what, OdometrySample):
+            images += 1
+            camera = rounded if images > 30 and images % 2 else INTRINSICS
+            what = replace(what[0], intrinsics=camera), what[1]
+        before = fusion.calibration
+        take(fusion, what)
+        if images > 30:
+            for name in ('focal_scale', 'distortion'):
+                assert fusion.calibration[name][1] < 1.1 * before[name][1]
+    assert len(caplog.messages) == 1
+    off = fusion.calibration.values - drive.true.values
+    assert (np.abs(off) < 5.0 * fusion.calibration.sigmas + 1e-9).all()
 
 
 @pytest.mark.parametrize(('since', 'is_learned'), [(0, True), (40, True), (40, False)])

@@ -347,6 +347,7 @@ def test_contains_respects_the_margin():
         ({'distortion': (0.1,) * 13}, 'takes 12 distortion coefficients at most'),
         ({'fx': 0.0}, 'not a calibrated camera'),
         ({'cx': float('nan')}, 'not a calibrated camera'),
+        ({'distortion': (0.1, float('nan'))}, 'd not a number'),
         ({'width': 0}, '0 x 384 image'),
         ({'distortion': (-1.5,)}, 'folds back'),
         ({'distortion': (0, 0, 0, 3)}, 'folds back'),

@@ -1,5 +1,7 @@
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,7 +28,7 @@ from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.calibration.combined import tilted
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep_pipeline import next_prior, panorama_from_sweep, PanoramaStages
 from landmark_nav.types import Landmark, PoseEstimate, Refusal, Sweep
 
 CAMERA = CameraModel(
@@ -299,3 +301,25 @@ def test_walls_that_stand_elsewhere_carry_no_landmarks(panoramas):
     # What hangs on the others is where it truly is.
     free = np.array([k.position for k in learned.map.landmarks if not k.wall_id])
     assert np.median(ROOM.wall_distances(free[:, :2]).min(-1)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ('focal', 'center', 'sigma'),
+    [(0.0, 0.0, 1e-4), (0.0, 1e-3, 1e-3), (0.0, 0.1, 2e-3), (0.1, 0.0, 2e-3)],
+)
+def test_another_camera_at_the_next_sweep_does_not_have_the_lens_of_the_one_before(
+    focal, center, sigma
+):
+    """Unless its camera_info differs by as little as a driver may round it."""
+    given = Calibration.of_mount(MOUNT, {'principal_point': 2e-3})
+    lens, value = np.array([1.0, 1.0, 0.5, 0.5, 0.0]), 0.02
+    found = replace(
+        Calibration.of_mount(MOUNT, {'principal_point': 1e-4}).with_values(principal_point=value),
+        intrinsics=lens,
+    )
+    after: Any = SimpleNamespace(calibration=found)
+    for known in (found, next_prior(given, given, after)):
+        other = known.for_camera(lens + np.array([focal, focal, center, 0.0, 0.0]), given)
+        forgotten = focal + center > 0.01
+        assert other['principal_point'][0] == (0.0 if forgotten else value)
+        assert other['principal_point'][1] >= 0.99 * sigma

@@ -102,13 +102,14 @@ def corrected(
         noise += by_scale[:, None] * np.eye(rows)
     unseen_own = errors.own[seen.columns] * new[:, None, None]
     common = pan_sigma_rad**2 + seen.pan_sigma_rad**2 + bend**2
-    mean, looser = prior, np.ones(count)
+    # The error of the pan is estimated with the state: joint states may be far apart.
+    mean, looser, pan_error = prior, np.ones(count), 0.0
     if seen.near is not None:
         mean = np.concatenate([seen.near, prior[3:]])
     for _ in range(_ITERATIONS):
         points = errors.positions[seen.columns] + mean[own]
         points += errors.loadings[seen.columns] @ mean[STATES : errors.end]
-        model = project(mean, points, seen)
+        model = project(mean, points, replace(seen, pan_rad=seen.pan_rad + pan_error))
         parts = np.zeros((count, 2, size))
         parts[:, :, :STATES] = model.by_state
         parts[:, :, STATES : errors.end] = model.by_point @ errors.loadings[seen.columns]
@@ -116,9 +117,10 @@ def corrected(
         jacobian = parts[:, :rows].reshape(count * rows, size)
         offset = prior - mean
         offset[2] = wrap_rad(offset[2])
-        innovation = (seen.points - model.points)[:, :rows].ravel() - jacobian @ offset
-        with_state = state.covariance @ jacobian.T
         by_pan = model.by_pan[:, :rows].ravel()
+        innovation = (seen.points - model.points)[:, :rows].ravel() - jacobian @ offset
+        innovation += by_pan * pan_error
+        with_state = state.covariance @ jacobian.T
         spread = jacobian @ with_state + common * np.outer(by_pan, by_pan)
         # A landmark behind the camera has no information.
         behind = np.where(model.ahead, 0.0, _NO_INFORMATION)
@@ -153,8 +155,9 @@ def corrected(
             pull = precision @ innovation
         after = prior + with_state @ pull
         after[2] = wrap_rad(after[2])
-        change = np.abs(after[:3] - mean[:3]).max()
-        mean = after
+        turned = common * float(by_pan @ pull)
+        change = max(np.abs(after[:3] - mean[:3]).max(), abs(turned - pan_error))
+        mean, pan_error = after, turned
         if change < _CONVERGED:
             break
     gain = with_state @ precision

@@ -110,6 +110,7 @@ def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySam
     first = points[0]
     pose = finite(first['pose'], 'expectation pose', stamp, FARTHEST_M)
     sigmas = finite(first['sigmas'], 'calibration sigma', stamp, _MAX_CALIBRATION, least=0.0)
+    intrinsics = finite(first['intrinsics'], 'intrinsics', stamp, _MAX_COORDINATE)
     linear, angular = finite(first['speeds'], 'expectation speed', stamp, _MAX_SPEED).tolist()
     expected = Expectation(
         stamp,
@@ -119,6 +120,7 @@ def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySam
             finite(first['values'], 'calibration value', stamp, _MAX_CALIBRATION),
             np.diag(sigmas**2),
             mount,
+            intrinsics=intrinsics if intrinsics.any() else None,
         ),
         float(finite(first['tilt_sigma'], 'tilt sigma', stamp, _MAX_CALIBRATION, least=0.0)),
     )

@@ -97,6 +97,7 @@ def expectation(
         expected.tilt_sigma_rad,
         known.values,
         known.sigmas,
+        0.0 if known.intrinsics is None else known.intrinsics,
     )
     points = np.array([point], dtype=clouds.EXPECTATION.fields)
     return pack_cloud(factory, factories.header(factory, expected.stamp_ns, frame_id), points)
