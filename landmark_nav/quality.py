@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Largest number of pans in a message; sigmas of a correction that is named in a text.
-_MAX_LISTED, _SIGNIFICANT = 4, 4.0
+# Largest number of pans in a message.
+_MAX_LISTED = 4
+# Least size of a correction, in sigmas, that is not noise.
+SIGNIFICANT = 4.0
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class CalibrationTerm:
     @property
     def significant(self) -> bool:
         """Whether the correction is not just noise."""
-        return abs(self.value) > _SIGNIFICANT * self.sigma
+        return abs(self.value) > SIGNIFICANT * self.sigma
 
     def __str__(self) -> str:
         """Text in degrees, millimetres or per cent."""

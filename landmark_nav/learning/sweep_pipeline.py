@@ -259,10 +259,8 @@ class _Maker:
                     raise self._explained(error, sweep, used.mount, area) from error
 
         place = placed(found, rough=True)
-        tilt_sigma = float(np.hypot(area.horizon_sigma_rad, self._sigmas[1]))
-        level, axis_tilt = levelled(
-            used, place.mount_score, place.mount_information, (area.height_sigma_m, tilt_sigma)
-        )
+        information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
+        level, axis_tilt = levelled(used, place.mount_score, information)
         with log.measure('calibration'):
             range_m = _range_of_ray(place, found, self._room)
             refined = calibrate_sweep(self._sweep, level, range_m, found)

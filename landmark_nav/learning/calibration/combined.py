@@ -11,8 +11,8 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.learning.calibration.overlap_fit import COMMON, Fit
-from landmark_nav.learning.least_squares import covariance_of
-from landmark_nav.quality import CalibrationTerm
+from landmark_nav.learning.least_squares import covariance_of, solve_positive
+from landmark_nav.quality import CalibrationTerm, SIGNIFICANT
 from landmark_nav.types import FloatArray, Sweep
 
 # The two parts of the camera's height; images show their sum.
@@ -175,35 +175,39 @@ _LEAST_INFORMATION = 1e-3
 
 
 def levelled(
-    before: Calibration, score: FloatArray, information: FloatArray, sigmas: tuple[float, float]
+    before: Calibration, score: FloatArray, information: FloatArray
 ) -> tuple[Calibration, tuple[CalibrationTerm, ...]]:
     """
-    Correct the tilt of the pan axis by papers.
+    Correct the tilt of the pan axis by papers if it is significant.
+
+    Papers measure it to some milliradians. The adjustment estimates smaller tilts: panoramas that
+    were tilted by that noise gave drives that were a third less exact.
 
     Parameters
     ----------
     score, information : ndarray, shape (3,), (3, 3)
-        Height and small rotations about x and y of the base by papers, in information form: their
-        estimate is ``information^-1 score``.
-    sigmas : tuple of float
-        Prior sigmas of height, m, and of each rotation, rad.
+        Height and small rotations about x and y of the base, in information form: their estimate
+        is ``information^-1 score``.
 
     Returns
     -------
     after : Calibration
-        With the posterior of roll and pitch as values; the covariance is the one before.
+        With other values of roll and pitch; the covariance is the one before.
     terms : tuple of CalibrationTerm
         ``axis_roll`` and ``axis_pitch``; empty if nothing was measured.
     """
     if np.linalg.eigvalsh(information[1:, 1:])[0] < _LEAST_INFORMATION:
         return before, ()
-    height, tilt = sigmas
-    covariance = covariance_of(information + np.diag([height**-2, tilt**-2, tilt**-2]))
-    axis_tilt, sigma = (covariance @ score)[1:], np.sqrt(np.diag(covariance)[1:])
-    roll, pitch, _ = tilted(before.mount, axis_tilt).axis_rpy
-    return before.with_values(axis_roll=roll, axis_pitch=pitch), tuple(
+    covariance = covariance_of(information)
+    axis_tilt, covariance = (covariance @ score)[1:], covariance[1:, 1:]
+    sigma = np.sqrt(np.diag(covariance))
+    terms = tuple(
         map(CalibrationTerm, ('axis_roll', 'axis_pitch'), axis_tilt.tolist(), sigma.tolist())
     )
+    if float(axis_tilt @ solve_positive(covariance, axis_tilt)) <= SIGNIFICANT**2:
+        return before, terms
+    roll, pitch, _ = tilted(before.mount, axis_tilt).axis_rpy
+    return before.with_values(axis_roll=roll, axis_pitch=pitch), terms
 
 
 def tilted(mount: PanTiltMount, tilt_roll_rad: FloatArray) -> PanTiltMount:

@@ -11,7 +11,8 @@ Observability:
 * the zero of the joint: not at all, it is equivalent to the heading of the base; nor a tilt of the
   axis itself, which rotates the whole panorama.
 
-The corrections are the posterior of the prior calibration and the overlaps.
+The corrections are the posterior of the prior calibration and the overlaps, if these contradict
+the values of the prior: a calibrated camera would else get the noise of tracking.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
@@ -33,6 +35,7 @@ from landmark_nav.learning.calibration.overlap_fit import (
     RangeOfRay,
     track_overlaps,
 )
+from landmark_nav.learning.least_squares import solve_positive
 from landmark_nav.quality import CalibrationTerm, PanoramaQuality
 from landmark_nav.types import FloatArray, Sweep
 
@@ -40,6 +43,9 @@ _FOCAL, _DISTORTION, _SCALE, _TILT, _ROLL, _FORWARD, _LEFT, _PRINCIPAL = range(l
 
 # Fewest matches per link of the chain.
 _LEAST_PER_LINK = 8
+
+# Probability of a misfit by chance with which a camera is as given.
+_CHANCE = 1e-3
 
 # Usual and greatest range of walls in a room; parallax is negligible beyond it.
 _USUAL_RANGE_M, FAR_M = 3.0, 50.0
@@ -118,7 +124,10 @@ def calibrate_sweep(
         free += [_FORWARD, _LEFT, _PRINCIPAL]
     fit = problem.fit(sorted(free), _UNIT_SIGMA_RAD)
     common, covariance = posterior_terms(prior, fit)
-    quality = _quality(problem, overlaps, replace(fit, common=common, covariance=covariance))
+    terms = _terms(common, covariance)
+    if not _differs(fit):
+        common = np.zeros(len(COMMON))
+    quality = _quality(problem, overlaps, replace(fit, common=common), terms)
     made = as_corrected(prior, common)
     return SweepCalibration(as_calibrated(sweep, made), made, common, quality, fit)
 
@@ -151,20 +160,37 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> tuple[Sweep, PanoramaQuali
         fit = problem.fit(free, _ROUGH_SIGMA_RAD)
         aligned = corrected(given, fit)
     residual_px = problem.misfit_px(fit.common, fit.frames)
-    return aligned, replace(_quality(problem, overlaps, fit), residual_px=residual_px)
+    quality = _quality(problem, overlaps, fit, _terms(fit.common, fit.covariance))
+    return aligned, replace(quality, residual_px=residual_px)
 
 
-def _quality(problem: OverlapProblem, overlaps: Overlaps, fit: Fit) -> PanoramaQuality:
-    values, sigmas = fit.common.tolist(), np.sqrt(np.diag(fit.covariance)).tolist()
+def _differs(fit: Fit) -> bool:
+    """Whether the overlaps contradict the values before (chi-square of all terms together)."""
+    free = np.diag(fit.covariance) > 0.0
+    terms = fit.common[free]
+    misfit = float(terms @ solve_positive(fit.covariance[np.ix_(free, free)], terms))
+    return misfit > float(chdtri(len(terms), _CHANCE))
+
+
+def _terms(common: FloatArray, covariance: FloatArray) -> tuple[CalibrationTerm, ...]:
+    """Free terms with their sigmas."""
+    values, sigmas = common.tolist(), np.sqrt(np.diag(covariance)).tolist()
     terms = [CalibrationTerm(*term) for term in zip(COMMON, values, sigmas, strict=True)]
     if sigmas[_DISTORTION]:
-        terms[_FOCAL] = CalibrationTerm('focal_length', *_effective_focal(fit))
+        focal = _effective_focal(common, covariance)
+        terms[_FOCAL] = CalibrationTerm('focal_length', *focal)
+    return tuple(term for term in terms if term.sigma)
+
+
+def _quality(
+    problem: OverlapProblem, overlaps: Overlaps, fit: Fit, terms: tuple[CalibrationTerm, ...]
+) -> PanoramaQuality:
     return PanoramaQuality(
         closure_rad=problem.closure_rad(fit),
         gaps_rad=overlaps.gaps_rad,
         residual_px=problem.misfit_px(fit.common),
         before_px=problem.misfit_px(np.zeros(len(COMMON))),
-        calibration=tuple(term for term in terms if term.sigma),
+        calibration=terms,
     )
 
 
@@ -189,15 +215,15 @@ def _shift_px(camera: CameraModel) -> FloatArray:
     return camera.fx * np.array([*lens, *angles, *offset, half**2])
 
 
-def _effective_focal(fit: Fit) -> tuple[float, float]:
+def _effective_focal(common: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     """
     Relative correction of the focal length of an equivalent lens without distortion.
 
     It is the combination of focal length and distortion that does not depend on the uncertainty of
     the distortion: to first order the result of a fit without distortion.
     """
-    both = fit.covariance[_FOCAL, _DISTORTION]
-    lever = both / fit.covariance[_DISTORTION, _DISTORTION]
-    value = fit.common[_FOCAL] - lever * fit.common[_DISTORTION]
-    variance = fit.covariance[_FOCAL, _FOCAL] - lever * both
+    both = covariance[_FOCAL, _DISTORTION]
+    lever = both / covariance[_DISTORTION, _DISTORTION]
+    value = common[_FOCAL] - lever * common[_DISTORTION]
+    variance = covariance[_FOCAL, _FOCAL] - lever * both
     return float(np.expm1(value)), float(np.sqrt(variance))
