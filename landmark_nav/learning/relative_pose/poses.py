@@ -60,8 +60,9 @@ from landmark_nav.types import FloatArray, PlaceChain
 
 _LOG = logging.getLogger(__name__)
 
-# A pose is accepted if it is this factor more likely than chance and than any other pose.
-_ODDS = 1e3
+# A pose is accepted if it is these factors more likely than chance, whose matches are not quite
+# independent, and than any other pose.
+_ODDS_OF_CHANCE, _ODDS_OF_RIVALS = 1e5, 1e3
 # Number of nearest sweeps with which each is matched, if their places are known.
 _NEIGHBOURS = 4
 # There is no baseline if a rotation alone explains this share of the inliers.
@@ -197,11 +198,11 @@ def _found(
                 'sweep 1 to 3 m away'
             )
         ranked = along_curves(ranked, alike, config)
-        least = np.log(_ODDS)
-        if not ranked or ranked[0].evidence < BY_CHANCE + least:
+        if not ranked or ranked[0].evidence < BY_CHANCE + np.log(_ODDS_OF_CHANCE):
             continue
         matched[i, j] = alike
-        rivals = [pose for pose in ranked if pose.evidence > ranked[0].evidence - least]
+        least = ranked[0].evidence - np.log(_ODDS_OF_RIVALS)
+        rivals = [pose for pose in ranked if pose.evidence > least]
         if len(rivals) == 1:
             found[i, j] = rivals[0]
         else:
