@@ -60,9 +60,9 @@ from landmark_nav.types import FloatArray, PlaceChain
 
 _LOG = logging.getLogger(__name__)
 
-# A pose is accepted if it is these factors more likely than chance, whose matches are not quite
-# independent, and than any other pose.
-_ODDS_OF_CHANCE, _ODDS_OF_RIVALS = 1e5, 1e3
+# A pose is accepted if it is these factors more likely than chance and than any other pose, and if
+# the evidence of others is a smaller share of its own: matches are not quite independent.
+_ODDS_OF_CHANCE, _ODDS_OF_RIVALS, _SHARE_OF_RIVALS = 1e5, 1e3, 0.7
 # Number of nearest sweeps with which each is matched, if their places are known.
 _NEIGHBOURS = 4
 # There is no baseline if a rotation alone explains this share of the inliers.
@@ -201,7 +201,8 @@ def _found(
         if not ranked or ranked[0].evidence < BY_CHANCE + np.log(_ODDS_OF_CHANCE):
             continue
         matched[i, j] = alike
-        least = ranked[0].evidence - np.log(_ODDS_OF_RIVALS)
+        best = ranked[0].evidence
+        least = min(best - np.log(_ODDS_OF_RIVALS), _SHARE_OF_RIVALS * best)
         rivals = [pose for pose in ranked if pose.evidence > least]
         if len(rivals) == 1:
             found[i, j] = rivals[0]

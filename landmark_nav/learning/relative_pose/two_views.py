@@ -50,7 +50,8 @@ class TwoViews:
     `heading_rad` is that of the second base in the first, `direction_rad` that of the baseline in
     the first, `tilt_rad` (2,) that of the second relative to the first, `slope` the rise of the
     baseline over its length, `support` the number of inliers. `evidence` is the logarithm of the
-    likelihood ratio of this pose to chance, by the distances of matches from epipolar curves.
+    likelihood ratio of this pose to chance, by its tilt and slope, and the distances of matches
+    from epipolar curves.
     """
 
     heading_rad: float
@@ -158,11 +159,12 @@ def _refined(
     found = two_views_of(fit.states, 0, 1)
     off, _, before = misses(fit.states, pairs, config.direction_sigma_rad)
     near = off[before & (np.abs(off) < BAND)]
+    unlikely = 0.5 * float(np.sum(((fit.states[1, 3:] - prior[1, 3:]) / sigma[STATE + 3 :]) ** 2))
     return replace(
         found,
         heading_rad=float(wrap_rad(found.heading_rad)),
         support=int(fit.agrees[0].sum()),
-        evidence=max(evidence(near / scatter, BAND / scatter) for scatter in _SCATTER),
+        evidence=max(evidence(near / s, BAND / s) for s in _SCATTER) - unlikely,
     )
 
 
