@@ -331,19 +331,23 @@ def _fitted(
         states = fit.states
         for source in places:
             source.inflate(states)
-    return fit, sources, pairs, _doubt(fit, pairs, rigid, precise, config)
+    return fit, sources, pairs, _doubt(fit, pairs, rigid, sources, precise, config)
 
 
 def _doubt(
     fit: EpipolarFit,
     pairs: Sequence[RayPairs],
     rigid: Sequence[RigidSet],
+    sources: Sequence[Source],
     sigma_rad: float,
     config: RelativePoseConfig,
 ) -> FloatArray:
     """Errors (6 v, q) of all states by those of each pair."""
     size = fit.states.size
+    # Panoramas show no scale: without its sources it would be in doubt.
+    _, known = stacked(sources)(fit.states)
     information = solve_positive(_prior_covariance(len(fit.states), config), np.eye(size))
+    information += known.T @ known
     pulls = []
     for p, agrees, found in zip(pairs, fit.agrees, rigid, strict=True):
         inliers = p.chosen(agrees)
