@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.arrays import FloatArray
+from landmark_nav.arrays import Float32Array, FloatArray
 from landmark_nav.geometry.angles import wrap_one_rad, wrap_rad
 
 
@@ -26,7 +26,7 @@ def rotation(theta_rad: npt.ArrayLike) -> FloatArray:
     return turned
 
 
-def cross(first: FloatArray, second: FloatArray) -> FloatArray:
+def cross(first: FloatArray | Float32Array, second: FloatArray | Float32Array) -> FloatArray:
     """Cross products (...) in plan of vectors (..., 2) or (..., 3)."""
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 

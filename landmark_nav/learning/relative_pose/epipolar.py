@@ -25,7 +25,7 @@ class RelativePoseConfig(Config):
     """Matching of features between panoramas, and acceptance of a relative pose."""
 
     # Most features per panorama.
-    features: int = 3000
+    features: int = 6000
     # Greatest distance of a match in descriptor space, relative to that of the next best.
     max_ratio: float = 0.85
     # Sigma of the direction of a feature, with the errors of the panorama.
@@ -40,8 +40,9 @@ class RelativePoseConfig(Config):
     heading_sigma_rad: float = 1e-3
     # Fewest matches that support a relative pose.
     min_matches: int = 20
-    # Greatest support of another relative pose, relative to that of the best.
-    max_rival: float = 0.8
+    # Greatest sigma of the heading of a sweep by the scatter of its matches: beyond it patches are
+    # not found again.
+    max_doubt_rad: float = 0.0175
 
 
 # State of a sweep: x, y of the pan axis, heading of the base, height of the viewpoint, tilt about
@@ -52,6 +53,8 @@ _WIDE_TAIL, TAIL, _STEPS = 16.0, 2.0, 6
 # Greatest residual of an inlier, in sigmas, and its least parallax.
 _AGREES, _LEAST_PARALLAX = 3.0, 1e-4
 _NOTHING = 1e-12
+# Shares of right matches that are tried.
+_SHARES = np.linspace(0.0, 0.95, 20)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +132,18 @@ def misses(
     before = (parallax * cross(way, v) > 0.0) & (parallax * cross(way, w) > 0.0)
     before &= np.abs(parallax) > _LEAST_PARALLAX
     return off * scale, jacobian * scale[:, None, None], before
+
+
+def evidence(off: FloatArray, band: float) -> float:
+    """
+    Log-likelihood ratio of a pose to chance by the residuals (m,) of matches, in sigmas.
+
+    Matches by chance are uniform within the band, others have a normal distribution; their share
+    is the most likely one.
+    """
+    density = np.exp(-0.5 * off**2) / np.sqrt(2.0 * np.pi)
+    ratio = np.multiply.outer(2.0 * band * density - 1.0, _SHARES)
+    return float(np.log1p(ratio).sum(axis=0).max())
 
 
 def _across(rays: FloatArray) -> FloatArray:

@@ -7,13 +7,13 @@ SIFT (Lowe, IJCV 60(2), 2004) with the root of its histograms (Arandjelovic and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from landmark_nav.arrays import Float32Array, IndexArray
+from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
+from landmark_nav.geometry.se2 import cross
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
     RayPairs,
@@ -22,9 +22,19 @@ from landmark_nav.learning.relative_pose.epipolar import (
 )
 from landmark_nav.types import FloatArray, Panorama
 
+# Half width of the band about the epipolar curve, in sigmas: poses are not yet exact, and may be
+# displaced by things that moved.
+BAND, WIDE_BAND = 6.0, 12.0
 # Overlap at the seam, and margin to uncovered parts, pixels: the support of a descriptor.
 _SEAM_PX, _MARGIN_PX = 48, 9
 _CONTRAST = 0.01
+# Least cosine of the descriptors of a match, and of those that compete with it; number of
+# features that are compared with all others at once.
+_LEAST_LIKENESS, _ROWS = 0.78, 512
+# Features nearer to each other are at one place, and no rivals.
+_ONE_PLACE_RAD = 0.01
+# Least and greatest range of a match, in lengths of the baseline.
+_NEAREST, _FARTHEST = 0.15, 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,67 +67,91 @@ def find_features(panorama: Panorama, most: int) -> Features:
     return Features(panorama.cylinder.rays(pixels[kept]), np.asarray(root, dtype=np.float32))
 
 
-def alike(one: Features, other: Features, max_ratio: float) -> IndexArray:
-    """Pairs (m, 2) of mutually nearest features that pass the ratio test, most distinct first."""
-    if min(len(one), len(other)) < 2:
-        return np.empty((0, 2), dtype=np.intp)
-    pairs, ratio, _ = _nearest(one.descriptors @ other.descriptors.T, max_ratio)
-    return pairs[np.argsort(ratio, kind='stable')]
+@dataclass(frozen=True, eq=False)
+class LikePairs:
+    """
+    Pairs of features of two panoramas with similar descriptors.
+
+    `rays` and `other_rays` are those of the features of each panorama, `first` and `second` (m,)
+    indices into them, in ascending order of `first`; `likeness` (m,) is the cosine of both
+    descriptors.
+    """
+
+    rays: FloatArray
+    other_rays: FloatArray
+    first: IndexArray
+    second: IndexArray
+    likeness: Float32Array
+
+    def chosen(self, which: BoolArray) -> LikePairs:
+        """Return the pairs selected by `which` (m,)."""
+        parts = self.first[which], self.second[which], self.likeness[which]
+        return LikePairs(self.rays, self.other_rays, *parts)
+
+    def distinct(self, max_ratio: float) -> tuple[FloatArray, FloatArray]:
+        """Rays (k, 3) of mutually nearest features by the ratio test, most distinct first."""
+        if not len(self.first):
+            return np.empty((0, 3)), np.empty((0, 3))
+        starts = np.flatnonzero(np.diff(self.first, prepend=-1))
+        top = np.maximum.reduceat(self.likeness, starts)
+        of_row = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(self.first)))
+        is_top = self.likeness == top[of_row]
+        at = np.flatnonzero(is_top)
+        place = np.empty((len(starts), 3), np.float32)
+        place[of_row[at]] = self.other_rays[self.second[at]]
+        away = np.abs(self.other_rays.astype(np.float32)[self.second] - place[of_row]).max(axis=1)
+        rest = np.where(away < _ONE_PLACE_RAD, np.float32(_LEAST_LIKENESS), self.likeness)
+        second = np.maximum.reduceat(rest, starts)
+        nearest = np.zeros(len(self.other_rays), np.float32)
+        np.maximum.at(nearest, self.second, self.likeness)
+        found = np.flatnonzero(is_top & (self.likeness == nearest[self.second]))
+        # The distance of unit vectors is sqrt(2 - 2 cosine).
+        row = of_row[found]
+        ratio = np.sqrt(np.maximum(1.0 - top[row], 0.0) / np.maximum(1.0 - second[row], 1e-9))
+        order = np.argsort(ratio, kind='stable')
+        found = found[order[: np.count_nonzero(ratio < max_ratio)]]
+        return self.rays[self.first[found]], self.other_rays[self.second[found]]
 
 
-def _nearest(
-    likeness: Float32Array, max_ratio: float
-) -> tuple[IndexArray, Float32Array, Float32Array]:
-    """Pairs (m, 2), their ratios (m,) and likeness (m,) of mutually nearest descriptors."""
-    best, rows = likeness.argmax(1), np.arange(len(likeness))
-    top = likeness[rows, best]
-    mutual = likeness.argmax(0)[best] == rows
-    likeness[rows, best] = -1.0
-    second = np.maximum(likeness.max(1), 0.0)
-    # The distance of unit vectors is sqrt(2 - 2 cosine).
-    ratio = np.sqrt(np.maximum(1.0 - top, 0.0) / np.maximum(1.0 - second, 1e-9))
-    kept = np.flatnonzero(mutual & (ratio < max_ratio))
-    return np.stack([kept, best[kept]], 1), ratio[kept], top[kept]
-
-
-# Half width of the band about the epipolar curve, in sigmas: poses are not yet exact, and may be
-# displaced by things that moved.
-_BAND, WIDE_BAND = 6.0, 12.0
-# Least cosine of the descriptors of a match.
-_LEAST_LIKENESS = 0.8
-# Least and greatest range of a match, in lengths of the baseline.
-_NEAREST, _FARTHEST = 0.15, 30.0
+def like_pairs(one: Features, other: Features) -> LikePairs:
+    """Compare all features of two panoramas."""
+    parts = []
+    for start in range(0, len(one), _ROWS):
+        likeness = one.descriptors[start : start + _ROWS] @ other.descriptors.T
+        first, second = np.nonzero(likeness > _LEAST_LIKENESS)
+        alike = likeness[first, second]
+        parts.append((first.astype(np.int32) + start, second.astype(np.int32), alike))
+    empty = np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.float32)
+    first, second, alike = (np.concatenate(part) for part in zip(empty, *parts, strict=True))
+    return LikePairs(one.rays, other.rays, first, second, alike)
 
 
 def matches_along(
     one: int,
     other: int,
     states: FloatArray,
-    features: Sequence[Features],
+    alike: LikePairs,
     config: RelativePoseConfig,
-    band_sigmas: float = _BAND,
+    band_sigmas: float = BAND,
 ) -> RayPairs:
-    """Match the features of two views near their epipolar curves."""
-    way = center(states[other]) - center(states[one])
-    w, v = (turned(states[k], features[k].rays).astype(np.float32) for k in (one, other))
-    way32 = way.astype(np.float32)
-    by_w, by_v = np.cross(v, way32), np.cross(way32, w)
-    off = by_v @ v.T
-    across_w, across_v = (np.stack([-r[:, 1], r[:, 0], 0 * r[:, 0]], 1) for r in (w, v))
-    variance = (across_w @ by_w.T) ** 2 + (by_v @ across_v.T) ** 2
-    variance += by_w[:, 2] ** 2 + by_v[:, 2:] ** 2
+    """Match the features of two views, those that are alike, near their epipolar curves."""
+    way = (center(states[other]) - center(states[one])).astype(np.float32)
+    w, v = (
+        turned(states[k], rays).astype(np.float32)
+        for k, rays in ((one, alike.rays), (other, alike.other_rays))
+    )
+    by_w, by_v = np.cross(v, way), np.cross(way, w)
+    i, j = alike.first, alike.second
+    off = np.sum(by_v[i] * v[j], axis=1)
+    variance = cross(w[i], by_w[j]) ** 2 + cross(v[j], by_v[i]) ** 2
+    variance += by_w[j, 2] ** 2 + by_v[i, 2] ** 2
     band = band_sigmas * config.direction_sigma_rad
-    near = off**2 < band**2 * variance
-    parallax = np.outer(w[:, 0], v[:, 1]) - np.outer(w[:, 1], v[:, 0])
-    ahead = way32[0] * v[:, 1] - way32[1] * v[:, 0]
-    ahead_there = way32[0] * w[:, 1] - way32[1] * w[:, 0]
+    near = alike.chosen(off**2 < band**2 * variance)
+    i, j = near.first, near.second
+    parallax = cross(w[i], v[j])
+    length, inside = float(np.hypot(way[0], way[1])), np.ones(len(i), bool)
     with np.errstate(divide='ignore', invalid='ignore'):
-        length = float(np.hypot(way[0], way[1]))
-        reach, reach_there = ahead / parallax, ahead_there[:, None] / parallax
-        for distance in (reach, reach_there):
-            near &= (distance > _NEAREST * length) & (distance < _FARTHEST * length)
-    likeness = features[one].descriptors @ features[other].descriptors.T
-    likeness[~near] = -1.0
-    found, _, top = _nearest(likeness, config.max_ratio)
-    found = found[top > _LEAST_LIKENESS]
-    return RayPairs(one, other, features[one].rays[found[:, 0]], features[other].rays[found[:, 1]])
+        for ahead in (cross(way, v)[j], cross(way, w)[i]):
+            distance = ahead / parallax
+            inside &= (distance > _NEAREST * length) & (distance < _FARTHEST * length)
+    return RayPairs(one, other, *near.chosen(inside).distinct(config.max_ratio))

@@ -28,7 +28,13 @@ from landmark_nav.learning.relative_pose.epipolar import (
     STATE,
     TAIL,
 )
-from landmark_nav.learning.relative_pose.features import alike, Features, matches_along, WIDE_BAND
+from landmark_nav.learning.relative_pose.features import (
+    Features,
+    like_pairs,
+    LikePairs,
+    matches_along,
+    WIDE_BAND,
+)
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set, RigidSet
 from landmark_nav.learning.relative_pose.scale import (
     contradiction,
@@ -43,6 +49,7 @@ from landmark_nav.learning.relative_pose.scale import (
 from landmark_nav.learning.relative_pose.sheet_tracks import FINE, ROUGH, sheet_tracks
 from landmark_nav.learning.relative_pose.two_views import (
     along_curves,
+    BY_CHANCE,
     hypotheses,
     turn_support,
     two_views_of,
@@ -53,8 +60,9 @@ from landmark_nav.types import FloatArray, PlaceChain
 
 _LOG = logging.getLogger(__name__)
 
-# Support by chance is a number of Poisson: so many of its sigmas are no difference.
-_CHANCE_SIGMAS = 3.0
+# A pose is accepted if it is these factors more likely than chance and than any other pose, and if
+# the evidence of others is a smaller share of its own: matches are not quite independent.
+_ODDS_OF_CHANCE, _ODDS_OF_RIVALS, _SHARE_OF_RIVALS = 1e5, 1e3, 0.7
 # Number of nearest sweeps with which each is matched, if their places are known.
 _NEIGHBOURS = 4
 # There is no baseline if a rotation alone explains this share of the inliers.
@@ -132,8 +140,10 @@ def relative_poses(
         start, pairs = _found(features, known, lever, config, sheets)
     else:
         start = before.states * np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
-        pairs = [(p.one, p.other) for p in before.pairs]
-    fit, sources, pairs_along, doubt = _fitted(start, pairs, features, known, sheets, config)
+        pairs = {
+            (p.one, p.other): like_pairs(features[p.one], features[p.other]) for p in before.pairs
+        }
+    fit, sources, pairs_along, doubt = _fitted(start, pairs, known, sheets, config)
     shares = tuple(source.share(fit.states) for source in sources)
     # Given poses are not left out: they define the frame.
     if (odd := odd_source(shares)) and odd != 'sweep/pose':
@@ -142,7 +152,7 @@ def relative_poses(
         _LOG.warning('%s; %s is not used', contradiction(wrong, right), odd)
         known = [chain for chain in known if chain.source != odd]
         sheets = [[sheet for sheet in views if sheet.kind != odd] for views in sheets]
-        fit, sources, pairs_along, doubt = _fitted(start, pairs, features, known, sheets, config)
+        fit, sources, pairs_along, doubt = _fitted(start, pairs, known, sheets, config)
         shares = tuple(source.share(fit.states) for source in sources)
     return RelativePoses(
         fit.states,
@@ -171,14 +181,14 @@ def _found(
     lever: FloatArray,
     config: RelativePoseConfig,
     sheets: Sequence[Sequence[SheetView]],
-) -> tuple[FloatArray, list[tuple[int, int]]]:
+) -> tuple[FloatArray, dict[tuple[int, int], LikePairs]]:
     """Initial states (v, 6) by matches of pairs of panoramas, and the pairs that share enough."""
     count = len(features)
     found: dict[tuple[int, int], TwoViews] = {}
-    doubtful = {}
+    doubtful, matched = {}, {}
     for i, j in _neighbours(known[0].poses) if known else combinations(range(count), 2):
-        matches = alike(features[i], features[j], config.max_ratio)
-        pairs = RayPairs(i, j, features[i].rays[matches[:, 0]], features[j].rays[matches[:, 1]])
+        alike = like_pairs(features[i], features[j])
+        pairs = RayPairs(i, j, *alike.distinct(config.max_ratio))
         ranked = hypotheses(pairs, config)
         turn = turn_support(pairs, config.direction_sigma_rad)
         agreed = ranked[0].support if ranked else 0
@@ -187,11 +197,13 @@ def _found(
                 f'the panoramas of sweeps {i + 1} and {j + 1} are from one place: take another '
                 'sweep 1 to 3 m away'
             )
-        if agreed < config.min_matches:
+        ranked = along_curves(ranked, alike, config)
+        if not ranked or ranked[0].evidence < BY_CHANCE + np.log(_ODDS_OF_CHANCE):
             continue
-        rivals = _rivals(ranked, config)
-        if len(rivals) > 1:
-            rivals = _rivals(along_curves(rivals, (features[i], features[j]), config), config)
+        matched[i, j] = alike
+        best = ranked[0].evidence
+        least = min(best - np.log(_ODDS_OF_RIVALS), _SHARE_OF_RIVALS * best)
+        rivals = [pose for pose in ranked if pose.evidence > least]
         if len(rivals) == 1:
             found[i, j] = rivals[0]
         else:
@@ -203,17 +215,7 @@ def _found(
     first = np.zeros(STATE)
     first[:3] = known[0].poses[0] if known else [*lever[:2], 0.0]
     first[3] = lever[2]
-    return _placed(count, found, doubtful, lengths, first), sorted([*found, *doubtful])
-
-
-def _rivals(ranked: Sequence[TwoViews], config: RelativePoseConfig) -> list[TwoViews]:
-    """Relative poses with almost as much support as the first, which may be by chance."""
-    best = ranked[0].support
-    return [
-        pose
-        for pose in ranked
-        if pose.support > min(config.max_rival * best, best - _CHANCE_SIGMAS * pose.support**0.5)
-    ]
+    return _placed(count, found, doubtful, lengths, first), matched
 
 
 def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
@@ -288,8 +290,7 @@ def _why_alone(
 
 def _fitted(
     start: FloatArray,
-    matched: Sequence[tuple[int, int]],
-    features: Sequence[Features],
+    matched: Mapping[tuple[int, int], LikePairs],
     known: Sequence[PlaceChain],
     sheets: Sequence[Sequence[SheetView]],
     config: RelativePoseConfig,
@@ -304,6 +305,7 @@ def _fitted(
         source.inflate(states)
     fitted = partial(fit_poses, prior=prior, prior_covariance=covariance)
     rigid: list[RigidSet] = []
+    precise = config.feature_sigma_rad
     for number in range(_ROUNDS):
         poses = {pair: two_views_of(states, *pair) for pair in matched}
         tracks = sheet_tracks(sheets, poses, FINE if number else ROUGH)[0] if sheets else []
@@ -313,35 +315,43 @@ def _fitted(
                 'nothing gives the scale: sheets that several sweeps show contradict their poses: '
                 'hang more sheets of the size given, or record odom'
             )
-        pairs = [matches_along(i, j, states, features, config) for i, j in matched]
-        others, precise = stacked(sources), config.feature_sigma_rad
+        pairs = [matches_along(*p, states, alike, config) for p, alike in matched.items()]
+        others = stacked(sources)
         if number:
             fit = fitted(states, pairs, precise, others=others, first_width=TAIL)
         else:
             states = fitted(states, pairs, config.direction_sigma_rad, others=others).states
-            wide = [matches_along(i, j, states, features, config, WIDE_BAND) for i, j in matched]
+            wide = [
+                matches_along(*p, states, alike, config, WIDE_BAND) for p, alike in matched.items()
+            ]
             rigid = [rigid_set(states, p, config) for p in wide]
+            precise = max(k.sigma_rad for k in rigid)
             pairs = [p.chosen(k.agrees) for p, k in zip(wide, rigid, strict=True)]
             fit = fitted(states, pairs, precise, others=others)
         states = fit.states
         for source in places:
             source.inflate(states)
-    return fit, sources, pairs, _doubt(fit, pairs, rigid, config)
+    return fit, sources, pairs, _doubt(fit, pairs, rigid, sources, precise, config)
 
 
 def _doubt(
     fit: EpipolarFit,
     pairs: Sequence[RayPairs],
     rigid: Sequence[RigidSet],
+    sources: Sequence[Source],
+    sigma_rad: float,
     config: RelativePoseConfig,
 ) -> FloatArray:
     """Errors (6 v, q) of all states by those of each pair."""
     size = fit.states.size
+    # Panoramas show no scale: without its sources it would be in doubt.
+    _, known = stacked(sources)(fit.states)
     information = solve_positive(_prior_covariance(len(fit.states), config), np.eye(size))
+    information += known.T @ known
     pulls = []
     for p, agrees, found in zip(pairs, fit.agrees, rigid, strict=True):
         inliers = p.chosen(agrees)
-        _, slopes, _ = misses(fit.states, inliers, config.feature_sigma_rad)
+        _, slopes, _ = misses(fit.states, inliers, sigma_rad)
         jacobian = np.zeros((len(slopes), len(fit.states), STATE))
         jacobian[:, p.one], jacobian[:, p.other] = slopes[:, 0], slopes[:, 1]
         flat = jacobian.reshape(len(slopes), size)
@@ -349,12 +359,18 @@ def _doubt(
         pulls.append(flat.T @ (slopes[:, 1] @ found.loading))
     doubt = np.asarray(solve_positive(information, np.hstack(pulls)))
     turns = np.linalg.norm(doubt[2::STATE], axis=1)
+    worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
+    if turns.max() > config.max_doubt_rad:
+        raise LandmarkNavError(
+            f'panoramas leave the heading of sweep {worst} uncertain by {sigma:.1f} deg (sigma): '
+            'take a sweep between it and the others that sees more sides of the room'
+        )
     if turns.max() > _WORTH_REPORTING_RAD:
         _LOG.warning(
             'things may have moved together between the sweeps: the heading of sweep %d is good '
             'to %.2f deg only, for one: if they did, sweep again',
-            int(np.argmax(turns)) + 1,
-            np.degrees(turns.max()),
+            worst,
+            sigma,
         )
     return doubt
 

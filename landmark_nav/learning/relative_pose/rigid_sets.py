@@ -2,10 +2,11 @@
 The largest set of matches of two panoramas that one relative pose explains exactly.
 
 Things that were moved together between two sweeps agree with another pose than all that stayed,
-and within the errors of a whole panorama both agree with a pose in between. So the pose that most
-matches support within the noise of single features is searched (RANSAC: Fischler and Bolles,
-1981), and again without the matches in each direction: what hangs on one wall may have moved
-together (delete-a-group jackknife: Kott, Journal of Official Statistics 17(4), 2001).
+and within the errors of a whole panorama both agree with a pose in between. So the pose and the
+noise of matches, from that of single features up, are searched that explain most of them (RANSAC:
+Fischler and Bolles, 1981), and again without the matches in each direction: what hangs on one
+wall may have moved together (delete-a-group jackknife: Kott, Journal of Official Statistics
+17(4), 2001).
 """
 
 from __future__ import annotations
@@ -18,13 +19,17 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.learning.least_squares import root_of, solve_positive, solve_root
 from landmark_nav.learning.relative_pose.epipolar import (
+    evidence,
     misses,
     RayPairs,
     RelativePoseConfig,
     TAIL,
 )
+from landmark_nav.learning.relative_pose.features import WIDE_BAND
 from landmark_nav.types import FloatArray
 
+# Number of sigmas of matches that are tried.
+_SIGMAS = 3
 # Number of samples, matches in each, and number of the best that are refined.
 _SAMPLES, _SIZE, _REFINED = 300, 6, 4
 # Steps of a refinement, and residual of a match that does not support a pose, sigmas.
@@ -42,7 +47,7 @@ _NOISE_SIGMAS = 4.3
 @dataclass(frozen=True, eq=False)
 class RigidSet:
     """
-    State (6,) of the second view by the matches (m,) that agree with it.
+    State (6,) of the second view by the matches (m,) that agree with it, with their sigma.
 
     `loading` (6, q) are the errors of the state by things that moved together, as factors with
     unit variance.
@@ -51,6 +56,7 @@ class RigidSet:
     state: FloatArray
     agrees: BoolArray
     loading: FloatArray
+    sigma_rad: float
 
 
 def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -> RigidSet:
@@ -64,10 +70,11 @@ def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -
     pairs : RayPairs
         Matches; there may be none.
     """
-    search = _Search(states, pairs, config)
-    tried = search.tried()
-    support = np.array([search.support(state) for state in tried])
-    best = search.best(tried, support, np.ones(len(pairs.rays), bool))
+    # Errors of panoramas may be larger than those of features, and cover what moved little.
+    sigmas = np.geomspace(config.feature_sigma_rad, config.direction_sigma_rad, _SIGMAS)
+    searches = [_Search(states, pairs, config, float(sigma)) for sigma in sigmas]
+    search = max(searches, key=lambda each: each.evidence)
+    tried, support, best = search.tried, search.tried_support, search.state
     own = search.support(best)
     tried, support = np.vstack([tried, best]), np.vstack([support, own])
     azimuth = np.arctan2(pairs.rays[:, 1], pairs.rays[:, 0])
@@ -78,23 +85,33 @@ def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -
         enough = own @ rest > _SIZE
         changes.append(search.best(tried, support, rest) - best if enough else 0.0 * best)
     changed = np.sqrt((_SHARE - 1.0) / _GROUPS) * np.array(changes).T
-    return RigidSet(best, own > 0.0, search.beyond_noise(changed, best, own > 0.0))
+    loading = search.beyond_noise(changed, best, own > 0.0)
+    return RigidSet(best, own > 0.0, loading, search.sigma_rad)
 
 
 class _Search:
     """States of the second view of a pair, and their support."""
 
-    def __init__(self, states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -> None:
+    def __init__(
+        self, states: FloatArray, pairs: RayPairs, config: RelativePoseConfig, sigma_rad: float
+    ) -> None:
         self._pair, self._pairs = states[[pairs.one, pairs.other]], pairs
-        self._sigma = config.feature_sigma_rad
-        self._share_of_noise = config.feature_sigma_rad / config.direction_sigma_rad
+        self.sigma_rad = sigma_rad
+        self._share_of_noise = sigma_rad / config.direction_sigma_rad
         length = float(np.hypot(*(self._pair[1] - self._pair[0])[:2]))
         tilt = np.sqrt(2.0) * config.tilt_sigma_rad
         sigma = [_AROUND * length] * 2 + [_AROUND, config.rise_sigma_m, tilt, tilt]
         self._information = np.diag(np.array(sigma) ** -2.0)
         self._prior = np.array([*self._pair[1, :3], self._pair[0, 3], 0.0, 0.0])
+        self.tried = self._samples()
+        self.tried_support = np.array([self.support(state) for state in self.tried])
+        every = np.ones(len(pairs.rays), bool)
+        self.state = self.best(self.tried, self.tried_support, every)
+        off, _, before = self._misses(self.state)
+        band = WIDE_BAND / self._share_of_noise
+        self.evidence = evidence(off[before & (np.abs(off) < band)], band)
 
-    def tried(self) -> FloatArray:
+    def _samples(self) -> FloatArray:
         """States (n, 6) by random samples of matches, the same each time."""
         rng = np.random.default_rng(0)
         off, jacobian, _ = self._misses(self._pair[1])
@@ -140,4 +157,4 @@ class _Search:
 
     def _misses(self, state: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         pairs = RayPairs(0, 1, self._pairs.rays, self._pairs.other_rays)
-        return misses(np.stack([self._pair[0], state]), pairs, self._sigma)
+        return misses(np.stack([self._pair[0], state]), pairs, self.sigma_rad)

@@ -16,13 +16,15 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
+    evidence,
     fit_poses,
+    misses,
     RayPairs,
     RelativePoseConfig,
     STATE,
     turned,
 )
-from landmark_nav.learning.relative_pose.features import Features, matches_along
+from landmark_nav.learning.relative_pose.features import BAND, LikePairs, matches_along
 from landmark_nav.types import FloatArray
 
 # Grid of headings and directions that is tried, and how far off a match then may be.
@@ -33,6 +35,10 @@ _MOST_TRIED, _REFINED = 600, 10
 _SAME_RAD = 0.07
 # A turn alone explains matches that are off by fewer standard deviations than this.
 _TURN_SIGMAS = 4.0
+# Sigmas of matches that are tried, in those of directions.
+_SCATTER = (0.5, 1.0, 2.0)
+# Evidence that a pose may have by chance: one of those on the grid fits best.
+BY_CHANCE = 2.0 * np.log(_GRID)
 _NOTHING_M = 1e-9
 
 
@@ -43,7 +49,9 @@ class TwoViews:
 
     `heading_rad` is that of the second base in the first, `direction_rad` that of the baseline in
     the first, `tilt_rad` (2,) that of the second relative to the first, `slope` the rise of the
-    baseline over its length, `support` the number of inliers.
+    baseline over its length, `support` the number of inliers. `evidence` is the logarithm of the
+    likelihood ratio of this pose to chance, by its tilt and slope, and the distances of matches
+    from epipolar curves.
     """
 
     heading_rad: float
@@ -51,6 +59,7 @@ class TwoViews:
     tilt_rad: FloatArray
     slope: float
     support: int
+    evidence: float = 0.0
 
 
 def two_views_of(states: FloatArray, one: int, other: int) -> TwoViews:
@@ -84,10 +93,10 @@ def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
 
 
 def along_curves(
-    poses: Sequence[TwoViews], features: Sequence[Features], config: RelativePoseConfig
+    poses: Sequence[TwoViews], alike: LikePairs, config: RelativePoseConfig
 ) -> list[TwoViews]:
     """
-    Relative poses refined with all matches near their epipolar curves; the best pose first.
+    Refine relative poses with all matches near their epipolar curves; that of most evidence first.
 
     These are many more than the distinct ones, and poses that differ little may become one.
     """
@@ -96,9 +105,9 @@ def along_curves(
         states = np.zeros((2, STATE))
         way = np.cos(pose.direction_rad), np.sin(pose.direction_rad)
         states[1] = *way, pose.heading_rad, pose.slope, *pose.tilt_rad
-        pairs = matches_along(0, 1, states, features, config)
+        pairs = matches_along(0, 1, states, alike, config)
         refined.append(_refined(pairs, pose.heading_rad, pose.direction_rad, config))
-    refined.sort(key=lambda pose: -pose.support)
+    refined.sort(key=lambda pose: -pose.evidence)
     return [p for k, p in enumerate(refined) if not any(_same(p, o) for o in refined[:k])]
 
 
@@ -139,16 +148,23 @@ def _refined(
     prior[1, :3] = np.cos(direction), np.sin(direction), heading
     rise, tilt = config.rise_sigma_m, config.tilt_sigma_rad
     sigma = np.array([[1e-6] * STATE, [1.0, 1.0, 10.0, rise, tilt, tilt]]).ravel()
+    pairs = RayPairs(0, 1, pairs.rays, pairs.other_rays)
     fit = fit_poses(
         prior,
-        [RayPairs(0, 1, pairs.rays, pairs.other_rays)],
+        [pairs],
         config.direction_sigma_rad,
         prior,
         np.diag(sigma**2),
     )
     found = two_views_of(fit.states, 0, 1)
+    off, _, before = misses(fit.states, pairs, config.direction_sigma_rad)
+    near = off[before & (np.abs(off) < BAND)]
+    unlikely = 0.5 * float(np.sum(((fit.states[1, 3:] - prior[1, 3:]) / sigma[STATE + 3 :]) ** 2))
     return replace(
-        found, heading_rad=float(wrap_rad(found.heading_rad)), support=int(fit.agrees[0].sum())
+        found,
+        heading_rad=float(wrap_rad(found.heading_rad)),
+        support=int(fit.agrees[0].sum()),
+        evidence=max(evidence(near / s, BAND / s) for s in _SCATTER) - unlikely,
     )
 
 
