@@ -125,11 +125,10 @@ def calibrate_sweep(
     fit = problem.fit(sorted(free), _UNIT_SIGMA_RAD)
     common, covariance = posterior_terms(prior, fit)
     terms = _terms(common, covariance)
-    if not _differs(fit):
-        common = np.zeros(len(COMMON))
-    quality = _quality(problem, overlaps, replace(fit, common=common), terms)
-    made = as_corrected(prior, common)
-    return SweepCalibration(as_calibrated(sweep, made), made, common, quality, fit)
+    used = replace(fit, common=common) if _differs(fit) else problem.fit([], _UNIT_SIGMA_RAD)
+    quality = _quality(problem, overlaps, used, terms)
+    made = as_corrected(prior, used.common)
+    return SweepCalibration(as_calibrated(sweep, made), made, used.common, quality, fit)
 
 
 def align_sweep(sweep: Sweep, mount: PanTiltMount) -> tuple[Sweep, PanoramaQuality]:
