@@ -160,7 +160,7 @@ def _use_drive(work: _Work, bag: Bag) -> None:
     if late.joints_s:
         delay_s = known['joint_delay'][0] + late.joints_s
         known = known.measured('joint_delay', delay_s, max(late.pan_sigma_s, 1e-3))
-    events = sensor_events(bag, known.mount, late.images_s, late.odometry_s)
+    events = sensor_events(bag, known.mount, 0.0, late.images_s, late.odometry_s)
     total = bag.counts[bag.require('odom')]
     shown_events = progress(events, 'calibrating', 2 * total)
     with inside(bag.path):

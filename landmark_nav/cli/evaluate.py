@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     delay_s = calibration['joint_delay'][0] + late.joints_s
     calibration = calibration.with_values(joint_delay=delay_s)
     calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
-    events = sensor_events(bag, mount, late.images_s, late.odometry_s)
+    events = sensor_events(bag, mount, 0.0, late.images_s, late.odometry_s)
     events = progress(events, 'localizing', total)
     strip = FrameStrip()
     if args.report or args.video:

@@ -38,7 +38,6 @@ from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.sweep_pipeline import next_prior, panorama_from_sweep, PanoramaStages
-from landmark_nav.localization.joint_delay import in_time
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
@@ -176,11 +175,8 @@ class DrawnRoom:
 
     def events(self, drive: Drive) -> list[SensorEvent]:
         """Return what is sensed in the drive."""
-        late_s = self.true['joint_delay'][0]
-        return [
-            self._as_given(in_time(e, -late_s)) if isinstance(e, CameraFrame) else e
-            for e in sensor_events(drive.bag, drive.mount)
-        ]
+        delayed = sensor_events(drive.bag, drive.mount, -self.true['joint_delay'][0])
+        return [self._as_given(e) if isinstance(e, CameraFrame) else e for e in delayed]
 
 
 def most_sigmas(off: FloatArray, sigmas: FloatArray) -> str:

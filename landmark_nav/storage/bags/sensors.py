@@ -65,6 +65,7 @@ SensorEvent = CameraFrame | Detections | OdometrySample | PoseEstimate
 def sensor_events(
     bag: Bag,
     mount: PanTiltMount,
+    joint_delay_s: float = 0.0,
     image_delay_s: float = 0.0,
     odometry_delay_s: float = 0.0,
 ) -> Iterator[SensorEvent]:
@@ -73,7 +74,7 @@ def sensor_events(
 
     Images follow other data of the same log time, but newer odometry, as nodes wait for the data
     that belong to an image. Images are grey, with pan and tilt interpolated at their stamps.
-    Stamps of images and odometry are corrected by their known delays. The ground
+    Stamps of joint states, images and odometry are corrected by their known delays. The ground
     truth, if there is one, is yielded as `PoseEstimate`. Messages that cannot be used, such as
     those with a value that is not a number, are left out and reported by ``bag.warn``. A bag
     without images may hold ``detections`` instead, of this package or another sensor.
@@ -88,10 +89,12 @@ def sensor_events(
     cameras = CameraInfos.read(bag, 'camera/camera_info')
     joints = JointLog.read(bag, mount)
     truth = bag.find('ground_truth/odom')
-    late_image, late_odometry = round(1e9 * image_delay_s), round(1e9 * odometry_delay_s)
+    late_joints, late_image, late_odometry = (
+        round(delay_s * 1e9) for delay_s in (joint_delay_s, image_delay_s, odometry_delay_s)
+    )
     depth = decode.BitDepth()
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
-        images: lambda entry: _frame(bag, entry, cameras, joints, late_image, depth),
+        images: lambda entry: _frame(bag, entry, cameras, joints, late_joints, late_image, depth),
         odometry: lambda entry: _earlier(decode.odometry(entry.message), late_odometry),
     }
     if truth is not None:
@@ -167,13 +170,14 @@ def _frame(
     entry: BagMessage,
     cameras: CameraInfos,
     joints: JointLog,
+    late_joints_ns: int,
     late_image_ns: int,
     depth: decode.BitDepth,
 ) -> CameraFrame:
     stamped = decode.stamp_ns(entry.message.header)
     stamp = stamped - late_image_ns
     pixels, camera = decode.camera_image(entry.message, cameras.at(stamped), True, depth)
-    sample = joints.at(stamp, entry.stamp_ns)
+    sample = joints.at(stamp + late_joints_ns, entry.stamp_ns)
     if isinstance(sample, Refusal):
         raise LandmarkNavError(
             f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it '
