@@ -55,7 +55,7 @@ _WORTH_REPORTING = 0.3
 _ROUNDING = 1e-6
 # Least change of `CameraModel.intrinsics` that counts: half the sigma of a lens that was learned.
 _SAME_LENS = 1e-4
-# Greatest change of a lens that is a correction of its intrinsics, in sigmas of the robot file.
+# Greatest sigma of a lens whose intrinsics were changed, in sigmas of the robot file.
 _SAME_SIGMAS = 3.0
 # Least relative decrease of the sigma of an observed quantity.
 _OBSERVED = 0.3
@@ -161,8 +161,9 @@ class Calibration:
         Return the calibration for these intrinsics by camera_info.
 
         If they are not those that the values of the lens correct, these are less certain by the
-        change: a driver that resizes images may round them. After a change that the sigmas of
-        `given` do not explain they are as in `given` again.
+        change, as a driver that resizes images may round them, and so is the tilt, which the
+        images do not tell from the height of the principal point. If the lens would be far less
+        certain than in `given`, it is as there again.
         """
         known = self.intrinsics
         if known is None:
@@ -172,10 +173,17 @@ class Calibration:
             return self
         # In the units of `LENS`.
         steps = [float((off[:2] / known[:2]).max()), float(off[2] / known[0]), float(off[4])]
-        by_lens = dict(zip(LENS, steps, strict=True))
-        if all(step <= _SAME_SIGMAS * given[name][1] for name, step in by_lens.items()):
-            return replace(self.widened(by_lens), intrinsics=intrinsics)
-        return replace(self.with_lens(given), intrinsics=intrinsics)
+        tilted = self.widened({'camera_tilt': float(off[3] / known[1])})
+        changed = tilted.widened(dict(zip(LENS, steps, strict=True)))
+        if any(changed[name][1] > _SAME_SIGMAS * given[name][1] for name in LENS):
+            changed = tilted.with_lens(given)
+        return replace(changed, intrinsics=intrinsics)
+
+    def same_camera(self, other: Calibration) -> bool:
+        """Whether the values of the lens correct the same intrinsics, or one is of any camera."""
+        if self.intrinsics is None or other.intrinsics is None:
+            return True
+        return bool(np.abs(self.intrinsics - other.intrinsics).max() < _SAME_LENS)
 
     def with_lens(self, other: Calibration) -> Calibration:
         """Return a copy with the lens of another calibration, with independent errors."""

@@ -13,7 +13,7 @@ import logging
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration, LENS, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
@@ -239,9 +239,15 @@ def _as_known(panorama: Panorama, known: Calibration | None) -> Panorama:
     """Return a panorama with its pose by a calibration, not by that it was made with."""
     if known is None or panorama.by_calibration is None or panorama.made_with is None:
         return panorama
-    moved = panorama.by_calibration @ (known.values - panorama.made_with)
+    own = panorama.calibration
+    made_with = panorama.made_with
+    if own is not None and not own.same_camera(known):
+        # The values of this lens say nothing of another.
+        made_with = np.where(np.isin(NAMES, LENS), known.values, made_with)
+    moved = panorama.by_calibration @ (known.values - made_with)
     return replace(
         panorama,
+        made_with=made_with,
         center_map=panorama.center_map + moved[:3],
         heading_rad=float(panorama.heading_rad + moved[3]),
     )

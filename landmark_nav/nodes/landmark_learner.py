@@ -214,7 +214,9 @@ class LandmarkLearnerNode(LandmarkNode):
             # Without stamps only its pixels show whether a panorama came before.
             if any(np.array_equal(view.image, one.image) for one in self._panoramas.values()):
                 return
-            view = replace(view, stamp_ns=int(self.get_clock().now().nanoseconds))
+            newest_ns = max(self._panoramas, default=0)
+            now_ns = int(self.get_clock().now().nanoseconds)
+            view = replace(view, stamp_ns=max(now_ns, newest_ns + 1))
         self._panoramas[view.stamp_ns] = view
         self.get_logger().info(f'panorama {len(self._panoramas)} received')
 

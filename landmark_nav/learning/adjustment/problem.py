@@ -354,9 +354,8 @@ class Problem:
             (self._warped, self._warp_variance),
         ):
             covariance[part, part] = block
-        both = self._mounting * factor[:, None]
-        covariance[self.pose_part, self.calibration_part] = both
-        covariance[self.calibration_part, self.pose_part] = both.T
+        covariance[self.pose_part, self.calibration_part] = self._mounting
+        covariance[self.calibration_part, self.pose_part] = self._mounting.T
         return covariance
 
     def spread_misfit(

@@ -148,16 +148,16 @@ def with_papers(
     shows = size > _ROUNDING * size[-1]
     size = np.where(shows, size, _ROUNDING * size[-1])
     covariance = (axes / size) @ axes.T
-    shown = (axes * shows) @ axes.T
-    score = shown @ score
+    gain = covariance @ (axes * shows) @ axes.T
     rows = np.zeros((3, len(NAMES)))
     rows[0, [NAMES.index(name) for name in HEIGHT]] = 1.0
     axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
     rows[1:, axis_tilt] = tilt_axes(used)
-    # The measurement is off by the errors of the quantities with which papers were measured.
-    rows -= covariance @ shown @ by_calibration
-    values = rows @ used.values + covariance @ score
+    values = rows @ used.values + gain @ score
     covariance[1:, 1:] += floor_rad**2 * np.eye(2)
+    # The measurement is off by the errors of the quantities with which papers were measured.
+    by_errors = gain @ by_calibration
+    covariance += by_errors @ known.covariance @ by_errors.T
     # Expressed in roll and pitch.
     turn = np.eye(3)
     turn[1:, 1:] = tilt_axes(used).T

@@ -124,9 +124,8 @@ def calibrate_sweep(
         free += [_FORWARD, _LEFT, _PRINCIPAL]
     fit = problem.fit(sorted(free), _UNIT_SIGMA_RAD)
     common, covariance = posterior_terms(prior, fit)
-    terms = _terms(common, covariance)
     used = replace(fit, common=common) if _differs(fit) else problem.fit([], _UNIT_SIGMA_RAD)
-    quality = _quality(problem, overlaps, used, terms)
+    quality = _quality(problem, overlaps, used, _terms(used.common, covariance))
     made = as_corrected(prior, used.common)
     return SweepCalibration(as_calibrated(sweep, made), made, used.common, quality, fit)
 

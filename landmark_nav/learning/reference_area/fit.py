@@ -162,7 +162,9 @@ class PaperFitter:
             model.project(fit.state, at.frame, at.paper, at.points)
             for model in (self._model, other)
         )
-        return np.asarray(-fit.gain[:SIZE] @ np.sum((there - here) * at.normal, 1))
+        # At the rim of the lens a point may have no pixel.
+        moved = np.nan_to_num(there - here)
+        return np.asarray(-fit.gain[:SIZE] @ np.sum(moved * at.normal, 1))
 
     def _measure(self, state: FloatArray, most: int, reach_px: float) -> _Measured | None:
         """Measure the edges of papers in the frames that show them; None if there are none."""
