@@ -289,7 +289,7 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
                 patches.append(patch)
                 measurements.append([own_measurement(patch, panoramas[k]), found])
     start = np.array([patch.position for patch in patches])
-    covariance, _ = joint_covariance(panoramas, room, ReferenceAreaConfig())
+    covariance = joint_covariance(panoramas, room, ReferenceAreaConfig())
     walls = [patch.wall for patch in patches]
     run = partial(
         adjust, measurements, walls, start, panoramas, covariance, room, AdjustmentConfig()

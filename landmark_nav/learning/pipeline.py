@@ -13,7 +13,7 @@ import logging
 
 import numpy as np
 
-from landmark_nav.calibration import Calibration, LENS, NAMES
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
@@ -116,18 +116,14 @@ def learn_from_panoramas(
         attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
 
-    mounting = None
     if places is None:
-        panoramas = [_as_known(p, panoramas[-1].calibration) for p in panoramas]
-        places, mounting = joint_covariance(panoramas, room, config.reference_area)
+        places = joint_covariance(panoramas, room, config.reference_area)
     joint = places
 
     def adjusted_by(expected: AdjustmentConfig) -> Adjustment:
         start = np.array([patch.position for patch in found.patches])
         seen, walls, normals = found.measurements, found.walls, found.normals
-        return adjust(
-            seen, walls, start, panoramas, joint, room, expected, normals, ties, mounting
-        )
+        return adjust(seen, walls, start, panoramas, joint, room, expected, normals, ties)
 
     with log.measure('stereo'):
         found = reconstruct(panoramas, candidates, room, config.stereo, ties)
@@ -233,24 +229,6 @@ def _calibration(
         covariance[axis_tilt, axis_tilt] += floor
     by_map = gain @ adjustment.calibration_loading
     return replace(known, values=values, covariance=covariance, by_map=by_map)
-
-
-def _as_known(panorama: Panorama, known: Calibration | None) -> Panorama:
-    """Return a panorama with its pose by a calibration, not by that it was made with."""
-    if known is None or panorama.by_calibration is None or panorama.made_with is None:
-        return panorama
-    own = panorama.calibration
-    made_with = panorama.made_with
-    if own is not None and not own.same_camera(known):
-        # The values of this lens say nothing of another.
-        made_with = np.where(np.isin(NAMES, LENS), known.values, made_with)
-    moved = panorama.by_calibration @ (known.values - made_with)
-    return replace(
-        panorama,
-        made_with=made_with,
-        center_map=panorama.center_map + moved[:3],
-        heading_rad=float(panorama.heading_rad + moved[3]),
-    )
 
 
 def _check(panoramas: Sequence[Panorama]) -> None:

@@ -25,7 +25,6 @@ from landmark_nav.learning.calibration.combined import (
     as_calibrated,
     HEIGHT,
     levelled,
-    SWEPT,
     tilted,
     with_overlaps,
     with_papers,
@@ -116,8 +115,6 @@ _LEAST_VARIANCE = 1e-10
 # Greatest error of height and tilt of the camera, in sigmas of the configuration; beyond it the
 # panorama is made again with the sigmas of the robot file.
 _WIDER_SIGMAS = 2.0
-# Step of numerical differentiation by the calibration.
-_STEP = 1e-4
 # Greatest shift of pixels between two calibrations for which the panorama is not made again.
 _SAME_PX = 0.2
 
@@ -275,7 +272,7 @@ class _Maker:
         found = refined
         for warning in filter(None, [place.warning, _wrong_lens(found)]):
             _LOG.warning('%s', warning)
-        by_calibration, by_score = self._by_calibration(view, place, found, area)
+        by_calibration = _by_calibration(place, found)
         made = found.calibration
         known = with_overlaps(self._prior, used, found.fit)
         known = with_papers(
@@ -283,7 +280,6 @@ class _Maker:
             made,
             place.mount_score,
             place.mount_information,
-            by_score,
             self._area.horizon_sigma_rad,
         )
         panorama = _panorama(sweep, view, found, place, photometry, axis_tilt)
@@ -313,32 +309,11 @@ class _Maker:
         covariance = np.zeros((4, 4))
         covariance[plane] = _given_covariance(known)
         place = SweepPlace(known.pose, optical_height(sweep, mount), covariance)
-        mounted = _by_mount(place)
+        mounted = _by_calibration(place, found)
         uncertain = covariance + mounted @ self._prior.covariance @ mounted.T
         papers.check_agreement(known.pose, uncertain[plane])
         covariance[2, 2] = area.height_sigma_m**2
         return place
-
-    def _by_calibration(
-        self,
-        view: CylinderImage,
-        place: SweepPlace,
-        found: SweepCalibration,
-        area: ReferenceAreaConfig,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives (4, 16) of the viewpoint, (3, 16) of `mount_score`, by the calibration."""
-        by_score = np.zeros((3, len(NAMES)))
-        if place.fit is None:
-            return _by_mount(place), by_score
-        papers = PaperSearch(found.sweep, view, self._room, found.mount, area)
-        by_place = np.zeros((4, len(NAMES)))
-        for name in SWEPT:
-            k = NAMES.index(name)
-            other = found.calibration.with_values(**{name: found.calibration.values[k] + _STEP})
-            sweep = as_calibrated(self._sweep, other)
-            change = papers.by_setup(place.fit, sweep, other.mount) / _STEP
-            by_place[[0, 1, 3, 2], k], by_score[:, k] = change[:4], change[4:]
-        return _by_base(place, found.mount) @ by_place, by_score
 
     def _explained(
         self, error: LandmarkNavError, sweep: Sweep, mount: PanTiltMount, area: ReferenceAreaConfig
@@ -478,12 +453,13 @@ def _range_of_ray(
     return range_m
 
 
-def _by_mount(place: SweepPlace) -> FloatArray:
-    """Derivative (4, 16) of the viewpoint by the calibration, for a given pose of the base."""
+def _by_calibration(place: SweepPlace, found: SweepCalibration) -> FloatArray:
+    """Derivative (4, 16) of the viewpoint by the calibration; 0 if papers locate the camera."""
     jacobian = np.zeros((4, len(NAMES)))
-    jacobian[:2, :2] = se2.rotation(place.pose_map_base[2])
-    jacobian[3, NAMES.index('axis_yaw')] = 1.0
-    jacobian[2, [NAMES.index(name) for name in HEIGHT]] = 1.0
+    if found.sweep.pose_map_base is not None:
+        jacobian[:2, :2] = se2.rotation(place.pose_map_base[2])
+        jacobian[3, NAMES.index('axis_yaw')] = 1.0
+        jacobian[2, [NAMES.index(name) for name in HEIGHT]] = 1.0
     return jacobian
 
 
@@ -502,13 +478,7 @@ def _axis(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
 
 
 def _axis_covariance(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
-    jacobian = _by_base(place, mount)
-    return np.asarray(jacobian @ place.covariance @ jacobian.T)
-
-
-def _by_base(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
-    """Derivative (4, 4) of the viewpoint by pose and height of the base."""
     jacobian = np.eye(4)
     lever = se2.rotation(place.pose_map_base[2]) @ np.asarray(mount.axis_xyz[:2])
     jacobian[0, 3], jacobian[1, 3] = -lever[1], lever[0]
-    return jacobian
+    return np.asarray(jacobian @ place.covariance @ jacobian.T)

@@ -115,7 +115,7 @@ def adjusted(
 
 
 def places_of(panoramas: list[Panorama]) -> FloatArray:
-    return joint_covariance(panoramas, ROOM, ReferenceAreaConfig())[0]
+    return joint_covariance(panoramas, ROOM, ReferenceAreaConfig())
 
 
 def given_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> FloatArray:

@@ -420,7 +420,7 @@ def test_what_sweeps_err_together_is_not_taken_for_agreement():
         ]
         measurements = measurements_of(world, rng)
         for room, found in ((MARKED, of_poses), (replace(MARKED, papers=()), if_apart)):
-            places, _ = common_errors.joint_covariance(panoramas, room, BY_PAPERS)
+            places = common_errors.joint_covariance(panoramas, room, BY_PAPERS)
             done = adjust(
                 measurements, world.walls, world.points, panoramas, places, MARKED, AS_EXPECTED
             )
@@ -432,7 +432,7 @@ def test_what_sweeps_err_together_is_not_taken_for_agreement():
 
 @pytest.mark.parametrize('papers', [(), PAPERS[:1], PAPERS[:2]])
 def test_without_three_papers_only_the_height_is_shared(papers):
-    places, _ = common_errors.joint_covariance(
+    places = common_errors.joint_covariance(
         panoramas_at(POSES), replace(MARKED, papers=papers), BY_PAPERS
     )
     apart = places[:4, 4:].copy()

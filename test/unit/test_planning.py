@@ -318,7 +318,7 @@ def test_landmark_errors_are_those_of_the_adjustment():
     spread, by_papers = errors_at(eye)
     config = AdjustmentConfig(camera_weight=1e9, place_weight=1e9, room_weight=1e9)
     views = panoramas(poses, spread)
-    places, _ = joint_covariance(views, LARGE_ROOM, DEFAULT.reference_area)
+    places = joint_covariance(views, LARGE_ROOM, DEFAULT.reference_area)
     done = adjust(measurements, list(walls), points, views, places, LARGE_ROOM, config)
     own, loading = landmark_errors(
         azimuth,

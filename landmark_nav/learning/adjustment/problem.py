@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.calibration import NAMES
+from landmark_nav.calibration import LENS, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Room
@@ -164,8 +164,7 @@ class Problem:
 
     `own_sigma` (k, 2) are the sigmas of each measurement by matching; `landmark` and `view` (k,)
     are its indices; `section` (n,) is the section of wall of each landmark. Landmarks off the
-    walls, -1, have planes of their own, with `normals` (n, 3) through `start` (n, 3). `places` is
-    the covariance of the poses, `mounting` (4 views, 16) that with the calibration, None for 0.
+    walls, -1, have planes of their own, with `normals` (n, 3) through `start` (n, 3).
     """
 
     def __init__(
@@ -179,7 +178,6 @@ class Problem:
         normals: FloatArray,
         start: FloatArray,
         config: AdjustmentConfig,
-        mounting: FloatArray | None = None,
     ) -> None:
         """Collect all that is constant during the iteration."""
         flat = [(k, s) for k, group in enumerate(measurements) for s in group]
@@ -228,10 +226,6 @@ class Problem:
         self.calibration_part = slice(self._walls.stop, self._walls.stop + len(known))
         self._warped = slice(self.calibration_part.stop, len(self.prior))
         self._places = places
-        which = [NAMES.index(name) for name in CALIBRATED[: len(known)]]
-        self._mounting = np.zeros((len(places), len(which)))
-        if mounting is not None:
-            self._mounting = mounting[:, which]
         self._height = np.arange(poses.size) % _POSE == 2
 
     def off_wall(self, points: FloatArray) -> FloatArray:
@@ -354,8 +348,6 @@ class Problem:
             (self._warped, self._warp_variance),
         ):
             covariance[part, part] = block
-        covariance[self.pose_part, self.calibration_part] = self._mounting
-        covariance[self.calibration_part, self.pose_part] = self._mounting.T
         return covariance
 
     def spread_misfit(
@@ -436,9 +428,12 @@ def _calibration(
     no calibration.
     """
     known, made_with = panoramas[-1].calibration, [p.made_with for p in panoramas]
-    made = np.array([values for values in made_with if values is not None])
-    if known is None or len(made) < len(panoramas):
+    if known is None or any(values is None for values in made_with):
         return np.eye(2), np.zeros(2), np.zeros(0), np.zeros((0, 0)), np.zeros((len(panoramas), 0))
+    # The lens of another camera says nothing of this one.
+    other = [p.calibration is not None and not p.calibration.same_camera(known) for p in panoramas]
+    lens = np.logical_and.outer(other, np.isin(NAMES, LENS))
+    made = np.where(lens, known.values, np.array(made_with, np.float64))
     which = [NAMES.index(name) for name in CALIBRATED]
     covariance = known.covariance[np.ix_(which, which)] + _LEAST_ERROR**2 * np.eye(len(which))
     normal = rotation_rpy(known.mount.axis_rpy)[:, 2]

@@ -105,7 +105,6 @@ def adjust(
     config: AdjustmentConfig,
     normals: FloatArray | None = None,
     ties: Ties | None = None,
-    mounting: FloatArray | None = None,
 ) -> Adjustment:
     """
     Adjust landmarks and panorama poses to all measurements.
@@ -128,8 +127,6 @@ def adjust(
         Normals of the landmarks; those on walls have that of their wall.
     ties : Ties, optional
         Tie points: they constrain the poses and are no landmarks.
-    mounting : ndarray, shape (4 * views, 16), optional
-        Covariance of the poses with the calibration.
     """
     if normals is None:
         normals = room.normals[np.asarray(walls, dtype=np.intp)]
@@ -141,7 +138,7 @@ def adjust(
         normals = np.concatenate([normals, np.tile([1.0, 0.0, 0.0], (len(ties.positions), 1))])
     section = wall_sections(start, walls, room, config.hanging_length_m)
     problem = Problem(
-        measurements, walls, section, panoramas, places, room, normals, start, config, mounting
+        measurements, walls, section, panoramas, places, room, normals, start, config
     )
     expected = np.array(
         [

@@ -28,8 +28,6 @@ _QUANTITIES = {
     'principal_point': 'principal_point',
     'distortion': 'distortion',
 }
-# Quantities that overlaps show, and with which papers are measured.
-SWEPT = tuple(_QUANTITIES.values())
 # Smaller information, relative to the largest, is rounding.
 _ROUNDING = 1e-9
 
@@ -122,7 +120,6 @@ def with_papers(
     used: Calibration,
     score: FloatArray,
     information: FloatArray,
-    by_calibration: FloatArray,
     floor_rad: float,
 ) -> Calibration:
     """
@@ -136,8 +133,6 @@ def with_papers(
         Calibration with which papers were measured.
     score, information : ndarray, shape (3,), (3, 3)
         Height and small rotations about x and y of the base, in information form.
-    by_calibration : ndarray, shape (3, 16)
-        Derivative of `score` by the calibration, with which papers were measured.
     floor_rad : float
         Sigma of the tilt of the base by the floor.
     """
@@ -148,16 +143,13 @@ def with_papers(
     shows = size > _ROUNDING * size[-1]
     size = np.where(shows, size, _ROUNDING * size[-1])
     covariance = (axes / size) @ axes.T
-    gain = covariance @ (axes * shows) @ axes.T
+    score = axes @ (shows * (axes.T @ score))
     rows = np.zeros((3, len(NAMES)))
     rows[0, [NAMES.index(name) for name in HEIGHT]] = 1.0
     axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
     rows[1:, axis_tilt] = tilt_axes(used)
-    values = rows @ used.values + gain @ score
+    values = rows @ used.values + covariance @ score
     covariance[1:, 1:] += floor_rad**2 * np.eye(2)
-    # The measurement is off by the errors of the quantities with which papers were measured.
-    by_errors = gain @ by_calibration
-    covariance += by_errors @ known.covariance @ by_errors.T
     # Expressed in roll and pitch.
     turn = np.eye(3)
     turn[1:, 1:] = tilt_axes(used).T

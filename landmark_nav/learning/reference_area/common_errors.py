@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
 
-from landmark_nav.calibration import NAMES
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, root_of, solve_root
 from landmark_nav.learning.reference_area.model import (
@@ -96,7 +95,7 @@ def pose_errors(
 
 def joint_covariance(
     panoramas: Sequence[Panorama], room: Room, config: ReferenceAreaConfig
-) -> tuple[FloatArray, FloatArray]:
+) -> FloatArray:
     """
     Joint covariance of poses of sweeps that were estimated separately.
 
@@ -112,10 +111,8 @@ def joint_covariance(
 
     Returns
     -------
-    joint : ndarray, shape (4 v, 4 v)
+    ndarray, shape (4 v, 4 v)
         Covariance of x, y, z, heading of each.
-    by_calibration : ndarray, shape (4 v, 16)
-        Covariance of these with the calibration.
     """
     alone = [p.covariance + 1e-12 * np.eye(4) for p in panoramas]
     loading = [
@@ -125,11 +122,7 @@ def joint_covariance(
     rest = [c - part @ part.T for c, part in zip(alone, loading, strict=True)]
     height = _COMMON * min(1.0 / covariance_of(c)[2, 2] for c in rest)
     up = np.sqrt(height) * np.array([[0.0], [0.0], [1.0], [0.0]])
-    joint = joined(np.stack(alone), np.stack([np.hstack([part, up]) for part in loading]))
-    known, count = panoramas[-1].calibration, len(NAMES)
-    if known is None:
-        return joint, np.zeros((len(joint), count))
-    return joint, np.concatenate(loading)[:, :count] @ root_of(known.covariance).T
+    return joined(np.stack(alone), np.stack([np.hstack([part, up]) for part in loading]))
 
 
 def joined(alone: FloatArray, loading: FloatArray) -> FloatArray:
@@ -149,8 +142,8 @@ def joined(alone: FloatArray, loading: FloatArray) -> FloatArray:
 def _loading(
     panorama: Panorama, covariance: FloatArray, room: Room, config: ReferenceAreaConfig
 ) -> FloatArray:
-    """Loadings of a sweep by the shared factors: calibration (16), papers (1 + 2 k)."""
-    mounted = np.zeros((4, len(NAMES)))
+    """Loadings of a sweep by the shared factors: mount (c), papers (1 + 2 k)."""
+    mounted = np.zeros((4, 0))
     if panorama.by_calibration is not None and panorama.calibration is not None:
         known = panorama.calibration
         mounted = panorama.by_calibration @ root_of(known.covariance)

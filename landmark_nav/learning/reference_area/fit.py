@@ -19,7 +19,6 @@ from landmark_nav.learning.reference_area.model import (
     EDGES,
     GAMMA,
     PaperModel,
-    PLACE,
     ReferenceAreaConfig,
     RISE,
     SHIFT,
@@ -61,8 +60,7 @@ class PaperFit:
     and rotations of the pan axis about x and y of the base (rad) relative to the given ones,
     `mount_covariance` (3, 3) is their covariance, including the prior. `size` is the relative
     excess of the sizes of all papers over the given ones, `size_sigma` its sigma, including the
-    prior. `misfit` is the mean squared residual, in sigmas. `edges` is what was measured of the
-    edges, and `gain` (7, n) is the derivative by it of pose, `mount` and `size`, at `state`.
+    prior. `misfit` is the mean squared residual, in sigmas.
     """
 
     pose_map_base: FloatArray
@@ -75,9 +73,6 @@ class PaperFit:
     size: float
     size_sigma: float
     misfit: float
-    edges: _Measured
-    gain: FloatArray
-    state: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,26 +140,6 @@ class PaperFitter:
                 except LandmarkNavError:
                     return None  # the fit diverges
         return fit
-
-    def by_setup(self, fit: PaperFit, sweep: Sweep, mount: PanTiltMount) -> FloatArray:
-        """
-        Change (6,) of a fit, as pose of the base and `mount`, with another calibration.
-
-        Parameters
-        ----------
-        sweep : Sweep
-            The same sweep with slightly different camera and joints.
-        mount : PanTiltMount
-            A slightly different mount.
-        """
-        other, at = PaperModel(sweep, self._room, mount, _PARTS * PROFILES), fit.edges
-        here, there = (
-            model.project(fit.state, at.frame, at.paper, at.points)
-            for model in (self._model, other)
-        )
-        # At the rim of the lens a point may have no pixel.
-        moved = np.nan_to_num(there - here)
-        return np.asarray(-fit.gain[:SIZE] @ np.sum(moved * at.normal, 1))
 
     def _measure(self, state: FloatArray, most: int, reach_px: float) -> _Measured | None:
         """Measure the edges of papers in the frames that show them; None if there are none."""
@@ -272,9 +247,8 @@ class PaperFitter:
         usual[:3] = state[:3]
         chi = np.sum(weight * left**2) + np.sum(prior * (state - usual) ** 2)
         misfit = float(chi / max(1.0, np.sum(weight * m.sigma_px**2) - 3.0))
-        gain = (covariance @ (jacobian.T * weight))[:PLACE]
         return state, self._agreement(
-            m, squared_misfit, state, covariance * max(1.0, misfit), misfit, gain
+            m, squared_misfit, state, covariance * max(1.0, misfit), misfit
         )
 
     def _agreement(
@@ -284,7 +258,6 @@ class PaperFitter:
         state: FloatArray,
         covariance: FloatArray,
         misfit: float,
-        gain: FloatArray,
     ) -> PaperFit:
         """Fit of a solution; `squared_misfit` (n,) are the squared residuals of the edges."""
         model, by_color = self._model, m.bright == 0
@@ -302,9 +275,6 @@ class PaperFitter:
             float(state[SIZE]),
             float(np.sqrt(covariance[SIZE, SIZE])),
             misfit,
-            m,
-            gain,
-            state,
         )
 
 

@@ -67,7 +67,7 @@ class SweepPlace:
     (4, 4) that of x, y, z, heading. `mount_score` (3,) and `mount_information` (3, 3) are errors
     of height and of the tilt of the pan axis about x and y of the base in information form, by
     papers alone. `warning` is set if sizes and distances of papers contradict each other. `rough`:
-    not all edges of the papers fit yet. `fit` is that of the papers, None for a given pose.
+    not all edges of the papers fit yet.
     """
 
     pose_map_base: FloatArray
@@ -77,7 +77,6 @@ class SweepPlace:
     mount_score: FloatArray = field(default_factory=lambda: np.zeros(3))
     mount_information: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     rough: bool = False
-    fit: PaperFit | None = None
 
 
 class PaperSearch:
@@ -139,19 +138,7 @@ class PaperSearch:
             of_mount @ fit.mount / scatter,
             (of_mount - np.diag(prior)) / scatter,
             still_rough,
-            fit,
         )
-
-    def by_setup(self, fit: PaperFit, sweep: Sweep, mount: PanTiltMount) -> FloatArray:
-        """
-        Change of a fit with a slightly different calibration.
-
-        Pose of the base and height (4,), then `mount_score` (3,).
-        """
-        change = self._fitter.by_setup(fit, sweep, mount)
-        scatter = max(1.0, fit.misfit)
-        of_mount = covariance_of(fit.mount_covariance / scatter)
-        return np.append(change[:4], of_mount @ change[3:] / scatter)
 
     def check_agreement(self, pose_map_base: FloatArray, covariance: FloatArray) -> None:
         """

@@ -157,7 +157,7 @@ EDGE_SHARE = 0.88
 # x, y, heading of the base; height and two tilts of the axis; relative error of the size of all
 # papers; gamma of colours, which JPEG blurs once more after the camera wrote them, and of
 # brightness; shift of colours, two pixels.
-RISE, SIZE, PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 7, 7, 9, 11
+RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 7, 7, 9, 11
 
 # Usual response to light, between linear and that of sRGB, and its sigma.
 _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
@@ -241,7 +241,7 @@ class PaperModel:
         """Derivative (n, size) of `project` along `normal` (n, 2), by finite differences."""
         here = self.project(state, frame, paper, points)
         rows = np.arange(len(points))
-        columns = [np.full(len(points), k) for k in range(PLACE)]
+        columns = [np.full(len(points), k) for k in range(_PLACE)]
         columns += [_COMMON + 2 * paper + k for k in (0, 1)]
         columns += [self._frame + 2 * frame + k for k in (0, 1)]
         jacobian = np.zeros((len(points), self.size))
@@ -256,7 +256,7 @@ class PaperModel:
     def prior(self, config: ReferenceAreaConfig, angle_sigma_rad: float) -> FloatArray:
         """Information (size,) of the unknowns; `angle_sigma_rad` of pan and tilt of a frame."""
         sigma = np.ones(self.size)
-        sigma[RISE:PLACE] = (
+        sigma[RISE:_PLACE] = (
             config.height_sigma_m,
             config.horizon_sigma_rad,
             config.horizon_sigma_rad,
