@@ -226,7 +226,7 @@ def test_a_calibration_that_is_off_is_found_and_errs_as_it_states():
             for p in panoramas_at(given_poses(world, rng))
         ]
         found = adjusted(world, measurements, world.points, views)
-        off = found.calibration - prior.values[which] - [forward, left, *[0.0] * 5]
+        off = found.calibration - prior.values[which] - [forward, left, 0.0, 0.0, 0.0, 0.0]
         errors.append(off[:2] / np.sqrt(np.diag(found.calibration_covariance)[:2]))
         error = found.positions - world.points
         of_landmarks.append(nees(error, total_covariance(found)).mean())

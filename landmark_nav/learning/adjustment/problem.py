@@ -70,10 +70,7 @@ class AdjustmentConfig(Config):
 # Shared unknowns: x, y, z, heading of each panorama; distance of objects from each wall, then from
 # each section; then the calibration, tilts and waves.
 _POSE = 4
-CALIBRATED = (
-    *('center_x', 'center_y', 'camera_tilt', 'focal_scale', 'principal_point'),
-    *('axis_roll', 'axis_pitch'),
-)
+CALIBRATED = ('center_x', 'center_y', 'camera_tilt', 'focal_scale', 'axis_roll', 'axis_pitch')
 _OFFSET = slice(CALIBRATED.index('center_x'), CALIBRATED.index('center_y') + 1)
 # Highest number of waves per turn of errors of azimuths: lenses, bearings, seams.
 _WAVES = 4
@@ -282,8 +279,8 @@ class Problem:
         ahead, left = self._lifted @ [cos, sin], self._lifted @ [-sin, cos]
         out[:, 1, 0], out[:, 0, 1] = (tangent - ahead) / reach, -1.0 / reach
         out[:, 1, 1] = -left / reach
-        out[:, 1, 2], out[:, 1, 3], out[:, 0, 4] = -square, tangent, -1.0
-        out[:, :, 5:] = self._by_turns() @ self._mounted
+        out[:, 1, 2], out[:, 1, 3] = -square, tangent
+        out[:, :, 4:] = self._by_turns() @ self._mounted
         return out
 
     def _by_warps(self) -> FloatArray:
