@@ -35,6 +35,8 @@ class RefusalCode(Enum):
     """The landmarks that should be in view from the hypotheses are not found."""
     LOW_CORRELATION = auto()
     """The correlation of a template is below the threshold."""
+    WRONG_SIZE = auto()
+    """The size of a patch contradicts its distance."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from landmark_nav.learning.stereo.wall_patch import (
     WallPatch,
 )
 from landmark_nav.learning.stereo.wall_stereo import compare, hypothesize, match_in
-from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama, Refusal
+from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama, Refusal, RefusalCode
 
 # Azimuths in the base frame, tangents and horizontal distances (n,) of points in a panorama.
 Depths = tuple[FloatArray, FloatArray, FloatArray]
@@ -52,8 +52,9 @@ _LEAST_COSINE = 0.35
 _SLACK_RAD = 5e-3
 # Range of the search once the depth is known, m.
 _NEAR_M, _MARGIN_M = 0.1, 0.01
-# Greatest relative disagreement of sizes and depth, beyond this number of sigmas.
-_MAX_SIZE, _SIZE_SIGMAS = 0.05, 3.0
+# Relative sigma of a size by surfaces that are not flat, and greatest disagreement of sizes and
+# depth, in sigmas.
+_SIZE_SIGMA, _SIZE_SIGMAS = 0.02, 3.0
 
 
 def match_freely(
@@ -266,12 +267,15 @@ class _Search:
         """Score and patch with the distance and rotation of the best correlation."""
         distance, near_m, _ = at
         best: tuple[float, float, float, WallPatch] | None = None
+        wrong_size, sized = False, True
         turns: tuple[float, ...] = _TURNS
         for finer in (*_FINER, None):
             for turn in turns:
                 patch = self._patch(distance, turn)
                 found = patch and self.near(patch, near_m)
                 if patch is None or not isinstance(found, PatchMeasurement):
+                    code = found.code if isinstance(found, Refusal) else None
+                    wrong_size |= code is RefusalCode.WRONG_SIZE
                     continue
                 exact = self._distance(patch, found)
                 worth = found.score - _TURN_PRICE * abs(turn)
@@ -280,12 +284,14 @@ class _Search:
                     position = center + share * (patch.position - center)
                     patch = replace(patch, position=position, texel_m=share * patch.texel_m)
                     best = worth, turn, exact, patch
+                    sized = bool(np.isfinite(found.sigma_log_nearer))
             if best is None or finer is None:
                 break
             _, turn, distance, _ = best
             near_m = _NEAR_M
             turns = (turn - finer, turn + finer)
-        return best and (best[0], best[3])
+        # What repeats may match in another size; a rotation at which none is measured hides it.
+        return None if wrong_size and not sized else best and (best[0], best[3])
 
     def near(self, patch: WallPatch, near_m: float = _NEAR_M) -> PatchMeasurement | Refusal:
         """Find a patch in the other panorama, with its plane nearly known."""
@@ -304,8 +310,9 @@ class _Search:
             return found
         ratio = patch.reach_m(self._here) / patch.reach_m(self._there)
         missed = abs(found.log_nearer - float(np.log(ratio)))
-        if missed > _MAX_SIZE + _SIZE_SIGMAS * found.sigma_log_nearer:
-            return Refusal('size contradicts depth', f'by {100.0 * missed:.0f} %')
+        if missed > _SIZE_SIGMAS * np.hypot(_SIZE_SIGMA, found.sigma_log_nearer):
+            detail = f'by {100.0 * missed:.0f} %'
+            return Refusal('size contradicts depth', detail, RefusalCode.WRONG_SIZE)
         return found
 
     def _distance(self, patch: WallPatch, seen: PatchMeasurement) -> float | None:
