@@ -12,7 +12,7 @@ Observability:
   axis itself, which rotates the whole panorama.
 
 The corrections are the posterior of the prior calibration and the overlaps, if these contradict
-the values of the prior: a calibrated camera would else get the noise of tracking.
+the values of the prior: otherwise a calibrated camera would get the noise of tracking.
 """
 
 from __future__ import annotations
