@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from threading import Event, Thread
 import time
 from typing import Any
@@ -116,10 +117,7 @@ class BagPlayerNode(LandmarkNode):
         self._clock_publisher.publish(ros_factory('rosgraph_msgs/msg/Clock', clock=stamp))
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(BagPlayerNode)
-
+main = partial(run_node, BagPlayerNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

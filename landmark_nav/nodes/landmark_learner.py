@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 import time
 from typing import Any
 
@@ -25,7 +26,6 @@ from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory
@@ -163,7 +163,7 @@ class LandmarkLearnerNode(LandmarkNode):
                 self._given = calibration_of(self, self._config)
             self._room = load_room(self._config.room_file)
             panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
-            listen_together(self, panorama, self._on_panorama)
+            self.listen_together(panorama, self._on_panorama)
         else:
             self._given = calibration_of(self, self._config)
             self._unmeasured = UnmeasuredLearner(self, self._given, self._config)
@@ -295,11 +295,8 @@ class LandmarkLearnerNode(LandmarkNode):
             output.publish(message)
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    # One thread learns, another waits for the frames of a sweep, and the third receives them.
-    return run_node(LandmarkLearnerNode, threads=3)
-
+# One thread learns, another waits for the frames of a sweep, and the third receives them.
+main = partial(run_node, LandmarkLearnerNode, threads=3)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,6 @@ from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.live_pose import LivePose
 from landmark_nav.ros.camera_frames import CameraFrames
 from landmark_nav.ros.health import Health, Latency, Level
-from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
@@ -79,7 +79,7 @@ class OdometryFusionNode(LandmarkNode):
         self.listen('detections', self._on_detections)
         self.listen('initialpose', self._on_initial_pose)
         self.listen('global_localization/pose', self._on_global_pose)
-        listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
+        self.listen_together(('landmarks', 'landmarks/atlas'), self._on_landmarks)
         self.offer('calibrate', self._calibrate)
 
     def _reconfigure(self, config: Configuration) -> None:
@@ -292,10 +292,7 @@ def _calibration_values(fusion: Fusion) -> dict[str, str]:
     return values
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(OdometryFusionNode)
-
+main = partial(run_node, OdometryFusionNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

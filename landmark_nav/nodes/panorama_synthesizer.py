@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 import time
 from typing import Any
 
@@ -119,10 +120,7 @@ def _quality(quality: PanoramaQuality | None) -> dict[str, object]:
     }
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(PanoramaSynthesizerNode, threads=2)
-
+main = partial(run_node, PanoramaSynthesizerNode, threads=2)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -156,10 +156,7 @@ def _build(config: Configuration, mount: PanTiltMount, start_ns: int) -> RobotWo
     )
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(RoomSimulatorNode)
-
+main = partial(run_node, RoomSimulatorNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 import hashlib
 import logging
 from threading import Condition
@@ -299,10 +300,7 @@ class SweepCaptureNode(LandmarkNode):
         self._runner.add_joints(sample)
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(SweepCaptureNode, threads=3)
-
+main = partial(run_node, SweepCaptureNode, threads=3)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
+from functools import partial
 import time
 from typing import Any
 
@@ -27,7 +28,6 @@ from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.nodes.live_pose import LiveView
 from landmark_nav.ros.camera_frames import CameraFrames, image_topics, ImageSource
 from landmark_nav.ros.health import Health, Latency, Level
-from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import LatestOnlyWorker, run_node
 from landmark_nav.ros.topics import ros_factory
@@ -266,7 +266,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self.listen('odometry/fused', self._on_fused)
         self.listen('triplet', self._on_triplet)
         self.listen('expectation', self._frames.waking(self._on_expectation))
-        listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
+        self.listen_together(('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def _reconfigure(self, config: Configuration) -> None:
         """Use changed parameters from the next image or search on."""
@@ -415,10 +415,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         return Health(Level.OK, f'{len(found)} landmarks found', values)
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(TriangulationLocalizerNode)
-
+main = partial(run_node, TriangulationLocalizerNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
 import time
 from typing import Any
 
@@ -18,7 +19,6 @@ from landmark_nav.messages.clouds import pack_cloud
 from landmark_nav.nodes.configured import calibration_of, configured
 from landmark_nav.ros.camera_frames import CameraFrames, listen_for_pan, PanCommander
 from landmark_nav.ros.health import Health, Level, own_clock
-from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import message_class, RELIABLE, ros_factory
@@ -69,7 +69,7 @@ class TripletSelectorNode(LandmarkNode):
         self.listen('expectation', self._on_expectation, depth=1)
         self.listen('detections', self._on_detections)
         listen_for_pan(self, self._mount, command.type, self._on_command)
-        listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
+        self.listen_together(('landmarks', 'landmarks/atlas'), self._on_landmarks)
         self.create_timer(_PERIOD_S, self._choose, clock=own_clock(self))
         self.create_timer(_DWELL_TIME_S, self._look_around, clock=own_clock(self))
 
@@ -182,10 +182,7 @@ def _why_others_lost(ranking: Ranking) -> dict[str, str]:
     return lines | {'excluded': excluded or 'none'}
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(TripletSelectorNode)
-
+main = partial(run_node, TripletSelectorNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
+from functools import partial
 import logging
 import re
 import traceback
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import (
+    CallbackGroup,
+    MutuallyExclusiveCallbackGroup,
+    ReentrantCallbackGroup,
+)
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind
+from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -27,7 +34,7 @@ from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.messages import decode
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros import topics
-from landmark_nav.ros.health import Health, Level, publish_health
+from landmark_nav.ros.health import Health, Level, steady_clock
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
 from landmark_nav.ros.parameters import declare
 
@@ -53,7 +60,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
     """
 
     def __init__(self, name: str, **options: Any) -> None:
-        self._foundation: dict[str, list[Any]] = {}
+        self._foundation: list[tuple[str, Any]] = []
         self._closing: list[Callable[[], None]] = []
         self._failure: Exception | None = None
         self._destroyed = False
@@ -132,15 +139,14 @@ class ManagedNode(LifecycleNodeMixin, Node):
         # Otherwise the node stays in the graph until garbage collection.
         self._state_machine.destroy_when_not_in_use()
 
-    def _made(self) -> dict[str, list[Any]]:
-        return {kind: list(getattr(self, f'{kind}s')) for kind in _KINDS}
+    def _made(self) -> list[tuple[str, Any]]:
+        return [(kind, one) for kind in _KINDS for one in getattr(self, f'{kind}s')]
 
     def _take_down(self) -> None:
         self._close()
-        for kind, made in self._made().items():
-            for one in made:
-                if one not in self._foundation[kind]:
-                    getattr(self, f'destroy_{kind}')(one)
+        for kind, one in self._made():
+            if (kind, one) not in self._foundation:
+                getattr(self, f'destroy_{kind}')(one)
 
     def _close(self) -> None:
         while self._closing:
@@ -153,6 +159,9 @@ _FILES = ('_file', '_folder', 'bag')
 _OF_RCLPY = ('/rosout', '/parameter_events', '/diagnostics')
 # Largest number of different warnings of a node.
 _MOST_LOGGED = 200
+# Largest number of incomplete sets of messages; the first that arrived is dropped, whatever its
+# stamp.
+_MAX_WAITING = 8
 
 # Over a lossy link, only reliable transport delivers large messages.
 _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.RELIABILITY,))
@@ -179,7 +188,16 @@ class LandmarkNode(ManagedNode):
         self._log = logging.getLogger(f'{__name__}.{self.get_name()}')
         self.ended: Future[None] = Future()
         self.calls_that_wait = self._calls = 0
-        publish_health(self, subcomponent, self._checked_health)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', topics.RELIABLE)
+        # Not `LandmarkNode.create_timer`: diagnostics are published in every lifecycle state, by a
+        # clock that runs even if ``/clock`` has stopped.
+        Node.create_timer(
+            self,
+            1.0,
+            partial(self._publish_health, subcomponent),
+            callback_group=ReentrantCallbackGroup(),
+            clock=steady_clock(),
+        )
         self.start()
 
     def health(self) -> Health:
@@ -188,12 +206,10 @@ class LandmarkNode(ManagedNode):
 
     def end(self, failure: LandmarkNavError | None = None) -> None:
         """Make `run_node` end the process; running callbacks see `ended`."""
-        if self.ended.done():
-            return
-        if failure is None:
-            self.ended.set_result(None)
-        else:
+        if failure is not None and not self.ended.done():
             self.ended.set_exception(failure)
+        elif not self.ended.done():
+            self.ended.set_result(None)
 
     @property
     def is_idle(self) -> bool:
@@ -238,13 +254,9 @@ class LandmarkNode(ManagedNode):
     def advertise(self, topic: str) -> Publisher[Any]:
         """Create the publisher of a public topic; ``qos_overrides`` may change its reliability."""
         spec = topics.TOPICS[topic]
+        kind, qos = topics.message_class(spec.type_name), copy(spec.qos)  # overriding changes it
         with _overriding(topic):
-            return self.create_publisher(
-                topics.message_class(spec.type_name),
-                topic,
-                topics.with_depth(spec.qos, spec.qos.depth),
-                qos_overriding_options=_OVERRIDABLE,
-            )
+            return self.create_publisher(kind, topic, qos, qos_overriding_options=_OVERRIDABLE)
 
     def listen(
         self,
@@ -253,33 +265,58 @@ class LandmarkNode(ManagedNode):
         *,
         depth: int | None = None,
         group: CallbackGroup | None = None,
+        raw: bool = False,
     ) -> Subscription[Any]:
         """
         Subscribe to a public topic; `depth` replaces the length of its queue.
 
-        The parameters ``qos_overrides`` of ROS may change its reliability.
+        `raw` messages are serialised. Others without a stamp get the time of arrival. The
+        parameters ``qos_overrides`` of ROS may change the reliability.
         """
         spec = topics.TOPICS[topic]
-        # Parts of maps and panoramas are joined by their stamps, also by those of 0.
-        if spec.qos.durability is not DurabilityPolicy.TRANSIENT_LOCAL:
-            callback = self._stamped(topic, callback)
+
+        def stamped(message: Any) -> None:
+            # Parts of maps and panoramas are joined by their stamps, also by those of 0.
+            if decode.is_unstamped(message) and not spec.is_latched:
+                decode.set_stamp(message, self.get_clock().now().nanoseconds)
+                self.note(f'{topic} has stamps of 0: the time of arrival is taken')
+            callback(message)
+
+        qos = copy(spec.qos)  # overriding changes it
+        qos.depth = qos.depth if depth is None else depth
         with _overriding(topic):
             return self.create_subscription(
                 topics.message_class(spec.type_name),
                 topic,
-                callback,
-                topics.with_depth(spec.qos, spec.qos.depth if depth is None else depth),
+                stamped,
+                qos,
                 callback_group=group,
+                raw=raw,
                 qos_overriding_options=_OVERRIDABLE,
             )
+
+    def listen_together(self, names: Sequence[str], callback: Callable[..., None]) -> None:
+        """Call back with one message of each topic, in order, when all of a stamp arrived."""
+        waiting: dict[int, dict[str, Any]] = {}
+
+        def take(topic: str, message: Any) -> None:
+            stamp = decode.stamp_ns(message.header)
+            waiting.setdefault(stamp, {})[topic] = message
+            if len(waiting[stamp]) == len(names):
+                found = waiting.pop(stamp)
+                callback(*(found[name] for name in names))
+            elif len(waiting) > _MAX_WAITING:
+                del waiting[next(iter(waiting))]
+
+        for topic in names:
+            self.listen(topic, partial(take, topic))
 
     def create_subscription(  # type: ignore[override]
         self, msg_type: Any, topic: str, callback: Callable[[Any], None], *args: Any, **given: Any
     ) -> Subscription[Any]:
         """Subscribe as in rclpy; the callback is guarded and registered in `inputs`."""
         source = self.inputs.expect(topic)
-        spec = topics.TOPICS.get(topic)
-        comes_once = spec is not None and spec.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL
+        comes_once = topic in topics.TOPICS and topics.TOPICS[topic].is_latched
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             source.arrived(message, info)
@@ -319,17 +356,6 @@ class LandmarkNode(ManagedNode):
 
         return super().create_timer(timer_period_sec, tick, *args, **given)
 
-    def _stamped(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Wrap a callback: messages without a stamp get the time of arrival."""
-
-        def stamped(message: Any) -> None:
-            if decode.is_unstamped(message):
-                decode.set_stamp(message, self.get_clock().now().nanoseconds)
-                self.note(f'{topic} has stamps of 0: the time of arrival is taken')
-            callback(message)
-
-        return stamped
-
     def offer(
         self,
         service: str,
@@ -350,8 +376,13 @@ class LandmarkNode(ManagedNode):
                 if not self.is_active:
                     raise LandmarkNavError(f'{self.get_name()} is {self.state}: activate it')
                 done = action()
-                response.message = done if isinstance(done, str) else await self._awaited(done)
-                response.success = True
+                if not isinstance(done, str):
+                    self.calls_that_wait += 1
+                    try:
+                        done = await done
+                    finally:
+                        self.calls_that_wait -= 1
+                response.message, response.success = done, True
             except LandmarkNavError as error:
                 response.message = str(error)
                 self._log.warning('%s refused: %s', service, error)
@@ -362,13 +393,6 @@ class LandmarkNode(ManagedNode):
             return response
 
         self.create_service(Trigger, service, answer, callback_group=group)
-
-    async def _awaited(self, action: Awaitable[str]) -> str:
-        self.calls_that_wait += 1
-        try:
-            return await action
-        finally:
-            self.calls_that_wait -= 1
 
     def drop(self, what: str, error: object) -> None:
         """Report that something, such as a message of a topic, was dropped, and why."""
@@ -426,7 +450,24 @@ class LandmarkNode(ManagedNode):
         self._logged.add(words)
         return True
 
+    def _publish_health(self, subcomponent: str) -> None:
+        health = self._checked_health()
+        status = DiagnosticStatus(
+            level=health.level.value,
+            name=f'{self.get_name()}: {subcomponent}',
+            message=health.reason,
+            hardware_id=self.get_fully_qualified_name(),
+            values=[
+                KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
+                for key, value in health.values.items()
+            ],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
     def _checked_health(self) -> Health:
+        """State of the node with the problems of its inputs."""
         if not self.is_active:
             return Health(Level.DEGRADED, f'{self.state}: a lifecycle manager activates it')
         try:

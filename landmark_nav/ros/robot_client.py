@@ -20,9 +20,9 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.joining import join_ros, listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.topics import message_class, ros_factory, TOPICS, with_depth
+from landmark_nav.ros.run import join_ros
+from landmark_nav.ros.topics import ros_factory, TOPICS
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.bags.transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
@@ -150,7 +150,7 @@ class RobotClient:
         self._node.listen('odometry/fused', self._on_fused)
         self._node.listen('triangulation/pose', self._on_fix)
         panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
-        listen_together(self._node, panorama, self._on_panorama)
+        self._node.listen_together(panorama, self._on_panorama)
 
     def __enter__(self) -> RobotClient:
         """Return itself."""
@@ -260,24 +260,16 @@ class RobotClient:
         with BagWriter(path) as bag:
 
             def writer(topic: str) -> Callable[[Any], None]:
-                kind = TOPICS[topic].type_name
-
                 def write(data: bytes) -> None:
                     now_ns = time.time_ns()
-                    bag.write_serialized(topic, kind, data, now_ns)
+                    bag.write_serialized(topic, TOPICS[topic].type_name, data, now_ns)
                     if transforms is not None and topic in transforms.topics:
                         kept.append((topic, data, now_ns))
 
                 return write
 
             subscriptions = [
-                self._node.create_subscription(
-                    message_class(TOPICS[topic].type_name),
-                    topic,
-                    writer(topic),
-                    with_depth(TOPICS[topic].qos, _RECORDED_DEPTH),
-                    raw=True,
-                )
+                self._node.listen(topic, writer(topic), depth=_RECORDED_DEPTH, raw=True)
                 for topic in topics
             ]
             try:
