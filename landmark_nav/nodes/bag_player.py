@@ -12,9 +12,8 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.nodes.configured import configured
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import message_class, RELIABLE, ros_factory, TOPICS
 from landmark_nav.storage.bags import Bag
@@ -28,7 +27,7 @@ _LAST_WORDS_S = 2.0
 _START_DELAY_S = 3.0
 
 
-class BagPlayerNode(LandmarkNode):
+class BagPlayerNode(ConfiguredNode):
     """Publishes the serialised messages unchanged, and shuts down at the end of the bag."""
 
     def __init__(self, **options: Any) -> None:
@@ -36,7 +35,7 @@ class BagPlayerNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'bag_player')
+        super().set_up()
         self._bag = Bag(self.required('bag', self._config.bag))
         self._players = {
             topic: self._advertise(topic, kind) for topic, kind in self._bag.types.items()

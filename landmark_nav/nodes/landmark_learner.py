@@ -23,7 +23,7 @@ from landmark_nav.localization.odometry.track import ClockStep, ClockWatch
 from landmark_nav.localization.sweep_places import carried_on, known_places
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.messages import decode, encode
-from landmark_nav.nodes.configured import calibration_of, configured
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -137,7 +137,7 @@ _NOT_SAVED = 'not saved yet: call save_map'
 _SAME_WALL_M = 0.3
 
 
-class LandmarkLearnerNode(LandmarkNode):
+class LandmarkLearnerNode(ConfiguredNode):
     """
     Turns ``panorama/*`` into ``landmarks`` by `learning.pipeline.learn_from_panoramas`.
 
@@ -149,7 +149,7 @@ class LandmarkLearnerNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'landmark_learner', self._reconfigure)
+        super().set_up()
         self._outputs = [
             self.advertise(name) for name in ('landmarks', 'landmarks/atlas', 'landmarks/markers')
         ]
@@ -160,12 +160,12 @@ class LandmarkLearnerNode(LandmarkNode):
         self._given: Calibration | None = None
         if self._config.room_file:
             if self._config.robot_file:
-                self._given = calibration_of(self, self._config)
+                self._given = self._robot()
             self._room = load_room(self._config.room_file)
             panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
             self.listen_together(panorama, self._on_panorama)
         else:
-            self._given = calibration_of(self, self._config)
+            self._given = self._robot()
             self._unmeasured = UnmeasuredLearner(self, self._given, self._config)
             self._start = self.advertise('initialpose')
         # Services exclude each other, but panoramas still arrive.

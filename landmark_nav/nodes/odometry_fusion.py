@@ -20,11 +20,10 @@ from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import GlobalPose
-from landmark_nav.nodes.configured import calibration_of, configured
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.nodes.live_pose import LivePose
-from landmark_nav.ros.camera_frames import CameraFrames
+from landmark_nav.ros.camera_frames import CameraFrames, listen_for_map
 from landmark_nav.ros.health import Health, Latency, Level
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.storage.robot_files import save_calibration
@@ -46,7 +45,7 @@ _BEYOND_DOUBT = 5.0
 _START_SIGMA_M, _START_SIGMA_RAD = 0.3, 0.2
 
 
-class OdometryFusionNode(LandmarkNode):
+class OdometryFusionNode(ConfiguredNode):
     """Fuses ``odom`` and ``detections`` to ``odometry/fused`` by `Fusion`."""
 
     def __init__(self, **options: Any) -> None:
@@ -54,8 +53,8 @@ class OdometryFusionNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'odometry_fusion', self._reconfigure)
-        calibration = calibration_of(self, self._config)
+        super().set_up()
+        calibration = self._robot()
         self._mount = calibration.mount
         self._fused = self.advertise('odometry/fused')
         self._live = LivePose(self, self._config.map_frame)
@@ -79,7 +78,7 @@ class OdometryFusionNode(LandmarkNode):
         self.listen('detections', self._on_detections)
         self.listen('initialpose', self._on_initial_pose)
         self.listen('global_localization/pose', self._on_global_pose)
-        self.listen_together(('landmarks', 'landmarks/atlas'), self._on_landmarks)
+        listen_for_map(self, self._config.map_frame, self._on_map)
         self.offer('calibrate', self._calibrate)
 
     def _reconfigure(self, config: Configuration) -> None:
@@ -123,10 +122,8 @@ class OdometryFusionNode(LandmarkNode):
                 names.append(f'{name} by {factor * value:+.2f} {unit}')
         return f'; robot.yaml is off, which is put right: {", ".join(names)}' if names else ''
 
-    def _on_landmarks(self, points: Any, atlas: Any) -> None:
+    def _on_map(self, landmarks: LandmarkMap) -> None:
         """Change the map and keep the pose."""
-        decode.check_frame(points.header, self._config.map_frame, 'set map_frame to it')
-        landmarks = decode.landmark_map(points, atlas)
         self._fusion.change_map(landmarks)
         self._landmarks = len(landmarks.landmarks)
         self.get_logger().info(f'{self._landmarks} landmarks received')

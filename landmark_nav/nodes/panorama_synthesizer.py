@@ -14,18 +14,17 @@ from landmark_nav.learning import sweep_pipeline
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.messages import decode, encode
-from landmark_nav.nodes.configured import calibration_of, configured
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama, Sweep
 
 
-class PanoramaSynthesizerNode(LandmarkNode):
+class PanoramaSynthesizerNode(ConfiguredNode):
     """
     Turns ``sweep/*`` into ``panorama/*`` by `learning.sweep_pipeline.panorama_from_sweep`.
 
@@ -37,8 +36,8 @@ class PanoramaSynthesizerNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'panorama_synthesizer')
-        self._given = self._known = calibration_of(self, self._config)
+        super().set_up()
+        self._given = self._known = self._robot()
         self._room = load_room(self._config.room_file) if self._config.room_file else None
         self._outputs = [
             self.advertise(name)

@@ -9,17 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.configuration import Configuration
 from landmark_nav.localization.triplet import CameraState
 from landmark_nav.localization.triplet.look_around import is_known, LookAround
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.nodes.configured import calibration_of, configured
-from landmark_nav.ros.camera_frames import CameraFrames, listen_for_pan, PanCommander
+from landmark_nav.nodes.configured import ConfiguredNode
+from landmark_nav.ros.camera_frames import (
+    CameraFrames,
+    listen_for_map,
+    listen_for_pan,
+    PanCommander,
+)
 from landmark_nav.ros.health import Health, Level, own_clock
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import message_class, RELIABLE, ros_factory
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
@@ -37,7 +40,7 @@ _DWELL_TIME_S = 0.1
 _ECHOES = 8
 
 
-class TripletSelectorNode(LandmarkNode):
+class TripletSelectorNode(ConfiguredNode):
     """Turns ``odometry/fused`` into ``triplet`` and commands of the pan by `ActiveCamera`."""
 
     def __init__(self, **options: Any) -> None:
@@ -45,8 +48,8 @@ class TripletSelectorNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'triplet_selector', self._reconfigure)
-        self._given = calibration_of(self, self._config)
+        super().set_up()
+        self._given = self._robot()
         self._mount = self._calibrated = self._given.mount
         self._publisher = self.advertise('triplet')
         cloud = message_class('sensor_msgs/msg/PointCloud2')
@@ -69,13 +72,9 @@ class TripletSelectorNode(LandmarkNode):
         self.listen('expectation', self._on_expectation, depth=1)
         self.listen('detections', self._on_detections)
         listen_for_pan(self, self._mount, command.type, self._on_command)
-        self.listen_together(('landmarks', 'landmarks/atlas'), self._on_landmarks)
+        listen_for_map(self, self._config.map_frame, self._on_map)
         self.create_timer(_PERIOD_S, self._choose, clock=own_clock(self))
         self.create_timer(_DWELL_TIME_S, self._look_around, clock=own_clock(self))
-
-    def _reconfigure(self, config: Configuration) -> None:
-        """Use changed parameters."""
-        self._config = config
 
     def health(self) -> Health:
         """Last choice, or the missing input; independent of a stopped clock."""
@@ -96,9 +95,8 @@ class TripletSelectorNode(LandmarkNode):
         if self._camera is not None:
             self._camera.mount = self._calibrated
 
-    def _on_landmarks(self, points: Any, atlas: Any) -> None:
-        decode.check_frame(points.header, self._config.map_frame, 'set map_frame to it')
-        self._map = decode.landmark_map(points, atlas)
+    def _on_map(self, landmarks: LandmarkMap) -> None:
+        self._map = landmarks
         # Until the fusion estimates it.
         self._calibrated = self._map.calibration_from(self._given).mount
         self._camera = ActiveCamera(self._map, self._calibrated, self._config.triplet)

@@ -274,26 +274,29 @@ class LandmarkNode(ManagedNode):
         parameters ``qos_overrides`` of ROS may change the reliability.
         """
         spec = topics.TOPICS[topic]
-
-        def stamped(message: Any) -> None:
-            # Parts of maps and panoramas are joined by their stamps, also by those of 0.
-            if decode.is_unstamped(message) and not spec.is_latched:
-                decode.set_stamp(message, self.get_clock().now().nanoseconds)
-                self.note(f'{topic} has stamps of 0: the time of arrival is taken')
-            callback(message)
-
+        # Parts of maps and panoramas are joined by their stamps, also by those of 0.
+        take = callback if spec.is_latched else self._stamped(topic, callback)
         qos = copy(spec.qos)  # overriding changes it
         qos.depth = qos.depth if depth is None else depth
         with _overriding(topic):
             return self.create_subscription(
                 topics.message_class(spec.type_name),
                 topic,
-                stamped,
+                take,
                 qos,
                 callback_group=group,
                 raw=raw,
                 qos_overriding_options=_OVERRIDABLE,
             )
+
+    def _stamped(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def stamped(message: Any) -> None:
+            if decode.is_unstamped(message):
+                decode.set_stamp(message, self.get_clock().now().nanoseconds)
+                self.note(f'{topic} has stamps of 0: the time of arrival is taken')
+            callback(message)
+
+        return stamped
 
     def listen_together(self, names: Sequence[str], callback: Callable[..., None]) -> None:
         """Call back with one message of each topic, in order, when all of a stamp arrived."""

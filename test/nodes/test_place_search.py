@@ -13,10 +13,9 @@ import pytest
 from rclpy.task import Future
 
 from landmark_nav.calibration import Calibration
+from landmark_nav.configuration import Configuration
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.expected_poses import ExpectedPoses
-from landmark_nav.localization.image_stages import ImageStagesConfig
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
 from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.triangulation_localizer import PlaceSearch
@@ -62,11 +61,8 @@ def search(prior, reported, services, ended):
     made = PlaceSearch(
         node,
         Calibration.of_mount(PanTiltMount()),
-        RelocalizationConfig(search_s=0.2),
-        'map',
+        replace(Configuration(), relocalization=RelocalizationConfig(search_s=0.2)),
         prior.recent,
-        OdometryNoiseConfig(),
-        ImageStagesConfig(),
     )
     landmark: Any = SimpleNamespace(edge=False, shared_loading=np.zeros((3, 0)))
     made.use(LandmarkMap((landmark,)))
