@@ -36,7 +36,7 @@ class BagPlayerNode(ConfiguredNode):
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
         super().set_up()
-        self._bag = Bag(self.required('bag', self._config.bag))
+        self._bag = Bag(self.required('bag', self.config.bag))
         self._players = {
             topic: self._advertise(topic, kind) for topic, kind in self._bag.types.items()
         }
@@ -107,7 +107,7 @@ class BagPlayerNode(ConfiguredNode):
 
     def _wait_until(self, begin: float, bag_ns: int) -> bool:
         """Wait for the time of a message; return whether the node ends meanwhile."""
-        left_s = begin + bag_ns * 1e-9 / self._config.rate - time.monotonic()
+        left_s = begin + bag_ns * 1e-9 / self.config.rate - time.monotonic()
         return self._stop.wait(left_s) if left_s > 0.0 else self._stop.is_set()
 
     def _tick(self, now_ns: int) -> None:

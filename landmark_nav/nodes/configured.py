@@ -13,7 +13,7 @@ from landmark_nav.storage.robot_files import load_calibration
 
 
 class ConfiguredNode(LandmarkNode):
-    """A node that reads the parameters of the executable `name`, and `robot_file`."""
+    """A node with the parameters that the executable `name` reads, in `config`."""
 
     def __init__(self, name: str, subcomponent: str, **options: Any) -> None:
         self._executable = name
@@ -29,14 +29,14 @@ class ConfiguredNode(LandmarkNode):
         live = LIVE.get(self._executable, ())
         config = declare(self, Configuration(), READS[self._executable], live)
         config = replace(config, former_robot=former_robot)
-        self._config = with_robot(config) if config.robot_file else config
-        self.close_with(follow(self, self._config, live, self._reconfigure))
+        self.config = with_robot(config) if config.robot_file else config
+        self.close_with(follow(self, self.config, live, self._reconfigure))
 
     def _reconfigure(self, config: Configuration) -> None:
         """Use changed parameters of `LIVE`."""
-        self._config = config
+        self.config = config
 
     def _robot(self) -> Calibration:
         """Calibration in the robot file; `LandmarkNavError` without one."""
-        path = self.required('robot_file', self._config.robot_file)
-        return load_calibration(path, self._config.former_robot)
+        path = self.required('robot_file', self.config.robot_file)
+        return load_calibration(path, self.config.former_robot)

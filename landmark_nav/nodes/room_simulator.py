@@ -49,7 +49,7 @@ class RoomSimulatorNode(ConfiguredNode):
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
         super().set_up()
-        config = self._config
+        config = self.config
         self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
         self._began_s = time.monotonic()
         self._world = _build(config, self._mount, time.time_ns())

@@ -54,7 +54,7 @@ class SweepCaptureNode(ConfiguredNode):
         """Read parameters and files; create topics and services."""
         super().set_up()
         self._mount = self._robot().mount
-        command = self._config.command
+        command = self.config.command
         self._commander = PanCommander(self, self._mount, command.type, command.with_tilt)
         self._images = self.advertise('sweep/image')
         self._compressed = self.advertise('sweep/image/compressed')
@@ -74,7 +74,7 @@ class SweepCaptureNode(ConfiguredNode):
         self._tilt_rad: float | None = None
         listen_for_joints(self, self._mount, self._on_joints, self._on_tilt)
         self.listen('camera/camera_info', self._on_camera_info)
-        self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
+        self.inputs.expect(*image_topics('camera/image_raw', self.config.image_transport))
         self.listen('odom', self._on_odometry)
         # A call during another one interrupts that one.
         self.offer('capture_sweep', self._capture, group=ReentrantCallbackGroup())
@@ -115,12 +115,12 @@ class SweepCaptureNode(ConfiguredNode):
         start = time.monotonic()
         while self._lacks_input:
             why = self._stopped or ('the node ends' if self.ended.done() else '')
-            if why or time.monotonic() - start > self._config.capture.step_timeout_s:
+            if why or time.monotonic() - start > self.config.capture.step_timeout_s:
                 why = why or '; '.join([self.inputs.waits(), *self.inputs.problems()])
                 raise LandmarkNavError(f'no sweep: {why}')
             time.sleep(_POLL_S)
         camera = decode.camera_model(self._camera_info)
-        transport = self._config.image_transport
+        transport = self.config.image_transport
         images = ImageSource(self, 'camera/image_raw', self._on_image, transport, depth=2)
         try:
             sweep, note = self._run()
@@ -142,7 +142,7 @@ class SweepCaptureNode(ConfiguredNode):
         Raises `LandmarkNavError`: the sweep was interrupted; the message says by what.
         """
         with self._progress:
-            config, now_ns = self._config.capture, self._now_ns()
+            config, now_ns = self.config.capture, self._now_ns()
             sweep, note = begin_or_resume(self._sweep, config, self._inspect, now_ns)
             self._sweep, self._running = sweep, True
             self.get_logger().info(f'sweep {note or "begun"}')

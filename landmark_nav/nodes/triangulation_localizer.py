@@ -14,7 +14,6 @@ import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.localization.expected_poses import ExpectedPoses
 from landmark_nav.localization.joint_delay import JointDelay, PanMotion
@@ -27,7 +26,6 @@ from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.nodes.live_pose import LiveView
 from landmark_nav.ros.camera_frames import CameraFrames, image_topics, ImageSource
 from landmark_nav.ros.health import Health, Latency, Level
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import LatestOnlyWorker, run_node
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import (
@@ -76,23 +74,21 @@ class PlaceSearch:
 
     def __init__(
         self,
-        node: LandmarkNode,
+        node: ConfiguredNode,
         calibration: Calibration,
-        config: Configuration,
         fused: Callable[[int, float], PoseEstimate | None],
     ) -> None:
-        # The current estimate and configuration, which are updated from outside.
-        self.calibration, self.config = calibration, config
-        self._fused = fused
+        # The current estimate, which is updated from outside.
+        self.calibration = calibration
+        self._node, self._fused = node, fused
         self._moves = False
         self.landmarks = LandmarkMap(())
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._relocalizer: Relocalizer | None = None
-        self._unseen = Unseen(config.relocalization.unseen_s)
+        self._unseen = Unseen(node.config.relocalization.unseen_s)
         self._call: _Call | None = None
         self._published_ns = -_FUSED_NS
         self._place = node.advertise('global_localization/pose')
-        self._ended = node.ended
         node.offer('relocalize', self._search, group=ReentrantCallbackGroup())
 
     def use(self, landmarks: LandmarkMap) -> None:
@@ -119,7 +115,9 @@ class PlaceSearch:
         A pose at which no landmark has been detected for some time counts as unknown. Without
         odometry no search is started, as the fusion could not use its result.
         """
-        wanted = self.config.relocalization.when_lost and self._moves and self.landmarks.landmarks
+        wanted = (
+            self._node.config.relocalization.when_lost and self._moves and self.landmarks.landmarks
+        )
         on_its_way = 0 <= stamp_ns - self._published_ns < _FUSED_NS
         if not wanted or on_its_way:
             return
@@ -169,13 +167,15 @@ class PlaceSearch:
                 relocalizer.landmark_ids,
                 PanMotion.of(frame, self.calibration.base).rate_rad_s,
             )
-            self._place.publish(encode.global_pose(ros_factory, place, self.config.map_frame))
+            self._place.publish(
+                encode.global_pose(ros_factory, place, self._node.config.map_frame)
+            )
         if call is not None:
             call.outcome = outcome
         return outcome
 
     def _restart(self) -> None:
-        config, self._odometry = self.config, deque(maxlen=_BACKLOG)
+        config, self._odometry = self._node.config, deque(maxlen=_BACKLOG)
         self._relocalizer = Relocalizer(
             self.landmarks, self.calibration.mount, config.relocalization, config.odometry, config
         )
@@ -183,13 +183,13 @@ class PlaceSearch:
     async def _search(self) -> str:
         if not self.landmarks.landmarks:
             raise LandmarkNavError('there are no landmarks: call learn_landmarks or load_map')
-        search_s = self.config.relocalization.search_s
+        search_s = self._node.config.relocalization.search_s
         call = self._call
         if call is None:
             call = self._call = _Call(time.monotonic() + search_s)
             self._restart()
         while isinstance(call.outcome, Refusal) and time.monotonic() < call.until_s:
-            if self._ended.done():
+            if self._node.ended.done():
                 raise LandmarkNavError('the search ends with this node: call again once it runs')
             await _pause()
         outcome = call.outcome
@@ -228,12 +228,12 @@ class TriangulationLocalizerNode(ConfiguredNode):
         self._mount = self._given.mount
         self._detections = self.advertise('detections')
         self._fix = self.advertise('triangulation/pose')
-        self._live = LiveView(self, self._config.map_frame)
+        self._live = LiveView(self, self.config.map_frame)
         self._frames = CameraFrames(self, self._mount)
         self._fused = ExpectedPoses[PoseEstimate](_MAX_PRIOR_AGE_S)
         self._expected = ExpectedPoses[Expectation](_MAX_PRIOR_AGE_S)
-        self._search = PlaceSearch(self, self._given, self._config, self._fused.recent)
-        self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
+        self._search = PlaceSearch(self, self._given, self._fused.recent)
+        self.inputs.expect(*image_topics('camera/image_raw', self.config.image_transport))
         self._observer: Observer | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None
@@ -253,10 +253,6 @@ class TriangulationLocalizerNode(ConfiguredNode):
         self.listen('triplet', self._on_triplet)
         self.listen('expectation', self._frames.waking(self._on_expectation))
         self.listen_together(('landmarks', 'landmarks/atlas'), self._on_landmarks)
-
-    def _reconfigure(self, config: Configuration) -> None:
-        """Use changed parameters from the next image or search on."""
-        self._config = self._search.config = config
 
     def health(self) -> Health:
         """Result of the last image, or a report that images are missing or take too long."""
@@ -287,7 +283,7 @@ class TriangulationLocalizerNode(ConfiguredNode):
         self._delay_s = late.delay_s if late.matters else 0.0
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
-        config = self._config
+        config = self.config
         try:
             decode.check_frame(points.header, config.map_frame, 'set map_frame to it')
         except LandmarkNavError as error:
@@ -301,7 +297,7 @@ class TriangulationLocalizerNode(ConfiguredNode):
         self._search.use(landmarks)
         if self._source is None:
             self._health = Health(Level.DEGRADED, 'no image yet')
-            transport = self._config.image_transport
+            transport = self.config.image_transport
             self._source = ImageSource(
                 self, 'camera/image_raw', self._on_arrival, transport, depth=1
             )
@@ -321,7 +317,7 @@ class TriangulationLocalizerNode(ConfiguredNode):
 
     def _use(self, message: Any) -> None:
         age_s, stamp = 1e-9 * self._age_ns(message), decode.stamp_ns(message.header)
-        if self._config.max_age_s < age_s < _OTHER_CLOCK_S:
+        if self.config.max_age_s < age_s < _OTHER_CLOCK_S:
             self._stale += 1
             late = f'images arrive {age_s:.1f} s late'
             self._health = Health(Level.DEGRADED, late, {'stale': self._stale})
@@ -339,7 +335,7 @@ class TriangulationLocalizerNode(ConfiguredNode):
         self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
         self._latency.note(self._age_ns(message))
         if self._fix.get_subscription_count() and isinstance(seen.fix, PoseEstimate):
-            self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
+            self._fix.publish(encode.pose(ros_factory, seen.fix, self.config.map_frame))
         self._health = self._judged(seen, time.monotonic() - start)
         self._live.show(
             frame,

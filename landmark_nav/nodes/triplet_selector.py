@@ -56,14 +56,14 @@ class TripletSelectorNode(ConfiguredNode):
         self._triplet_scores = self.create_publisher(cloud, '~/triplet_scores', RELIABLE)
         self._landmark_visibility = self.create_publisher(cloud, '~/landmark_visibility', RELIABLE)
         self._frames = CameraFrames(self, self._mount)
-        command = self._config.command
+        command = self.config.command
         self._commander = PanCommander(self, self._mount, command.type, command.with_tilt)
         self._map: LandmarkMap | None = None
         self._fused: PoseEstimate | None = None
         self._fused_s = 0.0
         self._camera: ActiveCamera | None = None
         self._limits = self._mount.pan_limits_rad
-        self._around = LookAround(self._config.look_around, self._limits)
+        self._around = LookAround(self.config.look_around, self._limits)
         self._looks_at: float | None = None
         self._commanded: deque[float] = deque(maxlen=_ECHOES)
         self._yield_until = 0.0
@@ -72,7 +72,7 @@ class TripletSelectorNode(ConfiguredNode):
         self.listen('expectation', self._on_expectation, depth=1)
         self.listen('detections', self._on_detections)
         listen_for_pan(self, self._mount, command.type, self._on_command)
-        listen_for_map(self, self._config.map_frame, self._on_map)
+        listen_for_map(self, self.config.map_frame, self._on_map)
         self.create_timer(_PERIOD_S, self._choose, clock=own_clock(self))
         self.create_timer(_DWELL_TIME_S, self._look_around, clock=own_clock(self))
 
@@ -86,7 +86,7 @@ class TripletSelectorNode(ConfiguredNode):
         return Health(Level.DEGRADED, words, health.values)
 
     def _on_fused(self, message: Any) -> None:
-        decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
+        decode.check_frame(message.header, self.config.map_frame, 'set map_frame to it')
         self._fused, self._fused_s = decode.pose_estimate(message), time.monotonic()
 
     def _on_expectation(self, message: Any) -> None:
@@ -99,7 +99,7 @@ class TripletSelectorNode(ConfiguredNode):
         self._map = landmarks
         # Until the fusion estimates it.
         self._calibrated = self._map.calibration_from(self._given).mount
-        self._camera = ActiveCamera(self._map, self._calibrated, self._config.triplet)
+        self._camera = ActiveCamera(self._map, self._calibrated, self.config.triplet)
 
     def _on_detections(self, message: Any) -> None:
         """Count found and missed landmarks of those that should be in view."""
@@ -109,7 +109,7 @@ class TripletSelectorNode(ConfiguredNode):
     def _on_command(self, pan_rad: float) -> None:
         """Yield the camera for a while if another node, such as a sweep, commands the pan."""
         if not any(abs(pan_rad - own) <= 1e-6 for own in self._commanded):
-            self._yield_until = time.monotonic() + self._config.yield_s
+            self._yield_until = time.monotonic() + self.config.yield_s
             self._commanded.clear()
             self._commanded.append(pan_rad)
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 import logging
 import re
+import time
 import traceback
 from typing import Any
 
@@ -327,9 +328,9 @@ class LandmarkNode(ManagedNode):
                 return
             try:
                 if self._attempt(topic, callback, message):
-                    source.used()
+                    source.used_s = time.monotonic()
             except IrrelevantError as why:
-                source.of_no_use(str(why))
+                source.irrelevant = str(why)
 
         if former := topics.FORMER_NAMES.get(topic):
             late = topics.hear_former(self, topic, callback, self._warn_once)

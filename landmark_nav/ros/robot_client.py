@@ -48,11 +48,9 @@ class ServiceDiscovery:
         self._next_s = 0.0
 
     def __enter__(self) -> ServiceDiscovery:
-        """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Destroy the client."""
         if self._client is not None:
             self._node.destroy_client(self._client)
 
@@ -153,11 +151,9 @@ class RobotClient:
         self._node.listen_together(panorama, self._on_panorama)
 
     def __enter__(self) -> RobotClient:
-        """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Leave the graph."""
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
@@ -284,15 +280,11 @@ class RobotClient:
 
     def _last_heard(self) -> str:
         """Text: the last reports of the nodes, which often hold the reason; the worst first."""
-        rank = {level: k for k, level in enumerate(reversed(_LEVELS.values()))}
-        words = [
-            f'{name}: {status.reason}'
-            for name, status in sorted(
-                self.status.items(), key=lambda one: (rank.get(one[1].level, -1), one[0])
-            )
-            if name != self.name
-        ]
-        return '; '.join(words) or 'nothing of any node: is ROS_DOMAIN_ID theirs?'
+        rank = {level: -k for k, level in enumerate(_LEVELS.values())}
+        others = [(name, status) for name, status in self.status.items() if name != self.name]
+        others.sort(key=lambda one: (rank.get(one[1].level, -len(rank)), one[0]))
+        reasons = [f'{name}: {status.reason}' for name, status in others]
+        return '; '.join(reasons) or 'nothing of any node: is ROS_DOMAIN_ID theirs?'
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:

@@ -57,13 +57,13 @@ def search(prior, reported, services, ended):
     def offer(service, action, **_):
         services[service] = action
 
-    node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=offer, ended=ended)
-    made = PlaceSearch(
-        node,
-        Calibration.of_mount(PanTiltMount()),
-        replace(Configuration(), relocalization=RelocalizationConfig(search_s=0.2)),
-        prior.recent,
+    node: Any = SimpleNamespace(
+        advertise=lambda _name: publisher,
+        offer=offer,
+        ended=ended,
+        config=replace(Configuration(), relocalization=RelocalizationConfig(search_s=0.2)),
     )
+    made = PlaceSearch(node, Calibration.of_mount(PanTiltMount()), prior.recent)
     landmark: Any = SimpleNamespace(edge=False, shared_loading=np.zeros((3, 0)))
     made.use(LandmarkMap((landmark,)))
     made.add_odometry(OdometrySample(0, np.zeros(3)))
