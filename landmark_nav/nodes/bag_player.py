@@ -12,6 +12,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.messages.factory import time_message
 from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.run import run_node
@@ -38,7 +39,7 @@ class BagPlayerNode(ConfiguredNode):
         super().set_up()
         self._bag = Bag(self.required('bag', self.config.bag))
         self._players = {
-            topic: self._advertise(topic, kind) for topic, kind in self._bag.types.items()
+            topic: self._publisher(topic, kind) for topic, kind in self._bag.types.items()
         }
         clock = message_class('rosgraph_msgs/msg/Clock')
         self._clock_publisher = self.create_publisher(clock, '/clock', 10)
@@ -63,7 +64,7 @@ class BagPlayerNode(ConfiguredNode):
         played_s = self._played_ns * 1e-9
         return Health(Level.OK, f'{played_s:.1f} s of {self._bag.duration_s:.1f} s')
 
-    def _advertise(self, topic: str, type_name: str) -> Publisher[Any]:
+    def _publisher(self, topic: str, type_name: str) -> Publisher[Any]:
         try:
             kind = message_class(type_name)
         except (ImportError, AttributeError, ValueError) as error:
@@ -95,6 +96,7 @@ class BagPlayerNode(ConfiguredNode):
         first_ns = next_clock_ns = self._bag.start_ns
         begin = time.monotonic()
         for entry in self._bag.messages():
+            # Ticks of the clock up to the message, then its own time.
             while next_clock_ns <= entry.stamp_ns:
                 if self._wait_until(begin, next_clock_ns - first_ns):
                     return
@@ -111,9 +113,8 @@ class BagPlayerNode(ConfiguredNode):
         return self._stop.wait(left_s) if left_s > 0.0 else self._stop.is_set()
 
     def _tick(self, now_ns: int) -> None:
-        sec, nanosec = divmod(now_ns, 1_000_000_000)
-        stamp = ros_factory('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
-        self._clock_publisher.publish(ros_factory('rosgraph_msgs/msg/Clock', clock=stamp))
+        clock = ros_factory('rosgraph_msgs/msg/Clock', clock=time_message(ros_factory, now_ns))
+        self._clock_publisher.publish(clock)
 
 
 main = partial(run_node, BagPlayerNode)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
@@ -65,6 +64,8 @@ class ManagedNode(LifecycleNodeMixin, Node):
         self._closing: list[Callable[[], None]] = []
         self._failure: Exception | None = None
         self._destroyed = False
+        # Service calls under way, and those among them that wait for other callbacks.
+        self._calls = self.calls_that_wait = 0
         Node.__init__(self, name, **options)
         # An own group, so that the manager is answered while callbacks run.
         LifecycleNodeMixin.__init__(self, callback_group=MutuallyExclusiveCallbackGroup())
@@ -86,11 +87,6 @@ class ManagedNode(LifecycleNodeMixin, Node):
     def is_active(self) -> bool:
         """Whether the node handles messages."""
         return self.state == 'active'
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether cleanup is possible now; overridden."""
-        return True
 
     def start(self) -> None:
         """
@@ -119,7 +115,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take down, unless a service call is running."""
-        if not self.is_idle:
+        if self._calls:
             self.get_logger().warning('not cleaned up: a service is at work')
             return TransitionCallbackReturn.FAILURE
         self._take_down()
@@ -188,7 +184,6 @@ class LandmarkNode(ManagedNode):
         super().__init__(name, **options)
         self._log = logging.getLogger(f'{__name__}.{self.get_name()}')
         self.ended: Future[None] = Future()
-        self.calls_that_wait = self._calls = 0
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', topics.RELIABLE)
         # Not `LandmarkNode.create_timer`: diagnostics are published in every lifecycle state, by a
         # clock that runs even if ``/clock`` has stopped.
@@ -211,11 +206,6 @@ class LandmarkNode(ManagedNode):
             self.ended.set_exception(failure)
         elif not self.ended.done():
             self.ended.set_result(None)
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether no service call is running."""
-        return not self._calls
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Log inputs and outputs of the node, if it is in an executor already."""
@@ -254,10 +244,8 @@ class LandmarkNode(ManagedNode):
 
     def advertise(self, topic: str) -> Publisher[Any]:
         """Create the publisher of a public topic; ``qos_overrides`` may change its reliability."""
-        spec = topics.TOPICS[topic]
-        kind, qos = topics.message_class(spec.type_name), copy(spec.qos)  # overriding changes it
-        with _overriding(topic):
-            return self.create_publisher(kind, topic, qos, qos_overriding_options=_OVERRIDABLE)
+        publisher: Publisher[Any] = self._public(self.create_publisher, topic)
+        return publisher
 
     def listen(
         self,
@@ -274,21 +262,31 @@ class LandmarkNode(ManagedNode):
         `raw` messages are serialised. Others without a stamp get the time of arrival. The
         parameters ``qos_overrides`` of ROS may change the reliability.
         """
-        spec = topics.TOPICS[topic]
         # Parts of maps and panoramas are joined by their stamps, also by those of 0.
-        take = callback if spec.is_latched else self._stamped(topic, callback)
-        qos = copy(spec.qos)  # overriding changes it
+        is_latched = topics.TOPICS[topic].is_latched
+        take = callback if is_latched else self._stamped(topic, callback)
+        listen = partial(self._public, self.create_subscription, topic, take)
+        subscription: Subscription[Any] = listen(depth=depth, callback_group=group, raw=raw)
+        return subscription
+
+    def _public(
+        self, create: Any, topic: str, *callback: Any, depth: int | None = None, **options: Any
+    ) -> Any:
+        """Create a publisher or a subscription of a public topic."""
+        spec = topics.TOPICS[topic]
+        kind, qos = topics.message_class(spec.type_name), copy(spec.qos)
         qos.depth = qos.depth if depth is None else depth
-        with _overriding(topic):
-            return self.create_subscription(
-                topics.message_class(spec.type_name),
-                topic,
-                take,
-                qos,
-                callback_group=group,
-                raw=raw,
-                qos_overriding_options=_OVERRIDABLE,
+        try:
+            return create(
+                kind, topic, *callback, qos, qos_overriding_options=_OVERRIDABLE, **options
             )
+        except (RuntimeError, InvalidParameterTypeException) as error:
+            raise LandmarkNavError(
+                one_line(
+                    f'qos_overrides of {topic}: give reliable or best_effort as reliability: '
+                    f'{error}'
+                )
+            ) from error
 
     def _stamped(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         def stamped(message: Any) -> None:
@@ -322,20 +320,23 @@ class LandmarkNode(ManagedNode):
         source = self.inputs.expect(topic)
         comes_once = topic in topics.TOPICS and topics.TOPICS[topic].is_latched
 
-        def take(message: Any, info: Mapping[str, Any]) -> None:
-            source.arrived(message, info)
-            if not self.is_active and not comes_once:
-                return
+        def use(message: Any) -> None:
             try:
-                if self._attempt(topic, callback, message):
-                    source.used_s = time.monotonic()
+                callback(message)
+                source.used_s = time.monotonic()
             except IrrelevantError as why:
                 source.irrelevant = str(why)
 
+        guarded = self.guarded(topic, use)
+
+        def take(message: Any, info: Mapping[str, Any]) -> None:
+            source.arrived(message, info)
+            if self.is_active or comes_once:
+                guarded(message)
+
         if former := topics.FORMER_NAMES.get(topic):
-            late = topics.hear_former(self, topic, callback, self._warn_once)
-            guarded = self.guarded(former, late)
-            super().create_subscription(msg_type, former, guarded, *args, **given)
+            late = self.guarded(former, topics.hear_former(self, topic, callback, self._warn_once))
+            super().create_subscription(msg_type, former, late, *args, **given)
         return super().create_subscription(msg_type, topic, take, *args, **given)
 
     def create_publisher(
@@ -425,23 +426,14 @@ class LandmarkNode(ManagedNode):
         """Wrap a callback: errors are reported, and do not end the node."""
 
         def guarded(*given: Any) -> None:
-            self._attempt(what, callback, *given)
+            try:
+                callback(*given)
+            except LandmarkNavError as error:
+                self.drop(what, error)
+            except Exception as error:
+                self.drop(what, self.fault(what, error))
 
         return guarded
-
-    def _attempt(self, what: str, action: Callable[..., None], *given: Any) -> bool:
-        """Call back; return whether there was no error."""
-        try:
-            action(*given)
-        except IrrelevantError:
-            raise
-        except LandmarkNavError as error:
-            self.drop(what, error)
-        except Exception as error:
-            self.drop(what, self.fault(what, error))
-        else:
-            return True
-        return False
 
     def _warn_once(self, words: str) -> None:
         if self._is_new(re.sub(r'[-+.\d]+', '#', words)):
@@ -493,13 +485,3 @@ class LandmarkNode(ManagedNode):
         reason = '; '.join(filter(None, [health.reason, *problems, waits]))
         dropped = {f'dropped: {what}': count for what, count in self._dropped.items()}
         return Health(level, reason, {**health.values, **dropped, **self.inputs.values()})
-
-
-@contextmanager
-def _overriding(topic: str) -> Iterator[None]:
-    """Convert errors of rclpy about ``qos_overrides`` to `LandmarkNavError`."""
-    try:
-        yield
-    except (RuntimeError, InvalidParameterTypeException) as error:
-        words = f'qos_overrides of {topic}: give reliable or best_effort as reliability: {error}'
-        raise LandmarkNavError(one_line(words)) from error
