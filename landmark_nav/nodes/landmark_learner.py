@@ -14,7 +14,6 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.unmeasured import learn_located, locate_sweeps
@@ -26,7 +25,8 @@ from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.topics import ros_factory
+from landmark_nav.ros.topics import PANORAMA_TOPICS, ros_factory
+from landmark_nav.storage.bags.definitions import MAP_TOPICS
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import (
@@ -147,22 +147,17 @@ class LandmarkLearnerNode(ConfiguredNode):
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
         super().set_up()
-        self._outputs = [
-            self.advertise(name) for name in ('landmarks', 'landmarks/atlas', 'landmarks/markers')
-        ]
+        self._outputs = [*map(self.advertise, MAP_TOPICS)]
         self._panoramas: dict[int, Panorama] = {}
         self._map: LandmarkMap | None = None
         self._on_disk = False
-        self._room: Room | None = None
-        self._given: Calibration | None = None
-        if self.config.room_file:
-            if self.config.robot_file:
-                self._given = self._robot()
-            self._room = load_room(self.config.room_file)
-            panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
-            self.listen_together(panorama, self._on_panorama)
+        room_file, robot_file = self.config.room_file, self.config.robot_file
+        self._room = load_room(room_file) if room_file else None
+        self._given = self._robot() if robot_file or not room_file else None
+        if self._room is not None:
+            self.listen_together(PANORAMA_TOPICS, self._on_panorama)
         else:
-            self._given = self._robot()
+            assert self._given is not None, 'it is read without a room'
             self._unmeasured = UnmeasuredLearner(self, self._given)
             self._start = self.advertise('initialpose')
         # Services exclude each other, but panoramas still arrive.

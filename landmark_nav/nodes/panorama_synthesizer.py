@@ -19,7 +19,7 @@ from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.topics import ros_factory
+from landmark_nav.ros.topics import PANORAMA_TOPICS, ros_factory
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama, Sweep
 
@@ -39,10 +39,7 @@ class PanoramaSynthesizerNode(ConfiguredNode):
         super().set_up()
         self._given = self._known = self._robot()
         self._room = load_room(self.config.room_file) if self.config.room_file else None
-        self._outputs = [
-            self.advertise(name)
-            for name in ('panorama/image', 'panorama/camera_info', 'panorama/pose')
-        ]
+        self._outputs = [*map(self.advertise, PANORAMA_TOPICS)]
         self._depth = decode.BitDepth()
         self._papers = PaperRecord(self._room, self.config.reference_area) if self._room else None
         self._health = Health(Level.OK, 'waiting for a sweep')
@@ -55,8 +52,8 @@ class PanoramaSynthesizerNode(ConfiguredNode):
 
     def _on_sweep(self, recorded: RecordedSweep) -> None:
         self._health = Health(Level.OK, 'at work on a sweep')
+        start = time.monotonic()
         try:
-            start = time.monotonic()
             sweep = recorded.decoded(self._depth, self.drop)
             view, place, frame_id = self._panorama(sweep)
             warning = self._papers.faults().text if self._papers else ''
@@ -70,18 +67,16 @@ class PanoramaSynthesizerNode(ConfiguredNode):
         parts = encode.panorama(ros_factory, view, frame_id)
         for output, part in zip(self._outputs, parts, strict=True):
             output.publish(part)
-        lacks = describe_coverage(
-            [frame.pan_rad for frame in sweep.frames], sweep.frames[0].camera.half_fov_rad
-        )
         if warning:
             self.get_logger().warning(warning)
+        pans = [frame.pan_rad for frame in sweep.frames]
+        lacks = describe_coverage(pans, sweep.frames[0].camera.half_fov_rad)
         self._health = Health(
             Level.DEGRADED if warning else Level.OK,
             '; '.join(filter(None, [place, lacks, warning])),
             (_sigmas(view) if self._room else {}) | _quality(view.quality),
         )
-        took_s = time.monotonic() - start
-        self.get_logger().info(f'{self._health.reason} in {took_s:.1f} s')
+        self.get_logger().info(f'{self._health.reason} in {time.monotonic() - start:.1f} s')
 
     def _panorama(self, sweep: Sweep) -> tuple[Panorama, str, str]:
         """Panorama, description of its pose, and frame of the pose."""

@@ -22,7 +22,7 @@ from landmark_nav.messages import decode, encode
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import join_ros
-from landmark_nav.ros.topics import ros_factory, TOPICS
+from landmark_nav.ros.topics import PANORAMA_TOPICS, ros_factory, TOPICS
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.bags.transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
@@ -147,8 +147,7 @@ class RobotClient:
         self._node.listen('odom', self._on_odometry)
         self._node.listen('odometry/fused', self._on_fused)
         self._node.listen('triangulation/pose', self._on_fix)
-        panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
-        self._node.listen_together(panorama, self._on_panorama)
+        self._node.listen_together(PANORAMA_TOPICS, self._on_panorama)
 
     def __enter__(self) -> RobotClient:
         return self

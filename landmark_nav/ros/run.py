@@ -38,34 +38,6 @@ from landmark_nav.ros.node import LandmarkNode
 _SIGEV_THREAD = 2
 
 
-class ExitTimer:
-    """
-    Ends the process with status 0, `after_s` after `start`, without the interpreter lock.
-
-    Nodes that leave at the same time may hold that lock for tens of seconds: Fast DDS waits for a
-    callback whose mutex it takes repeatedly (its issue 6513).
-    """
-
-    def __init__(self, after_s: float) -> None:
-        self._libc = ctypes.CDLL(None)
-        # An itimerspec: no interval, seconds and nanoseconds.
-        self._after = struct.pack('4l', 0, 0, int(after_s), int(after_s % 1.0 * 1e9))
-        self._id = ctypes.c_void_p()
-        at_once = ctypes.cast(self._libc._exit, ctypes.c_void_p).value
-        # A sigevent: value, signal, kind, function, and space for its other fields.
-        event = struct.pack('PiiP40x', 0, 0, _SIGEV_THREAD, at_once)
-        if self._libc.timer_create(time.CLOCK_MONOTONIC, event, ctypes.byref(self._id)):
-            raise OSError('timer_create failed')
-
-    def start(self) -> None:
-        """Start the timer."""
-        self._libc.timer_settime(self._id, 0, self._after, None)
-
-    def stop(self) -> None:
-        """Delete the timer."""
-        self._libc.timer_delete(self._id)
-
-
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -75,16 +47,25 @@ class ShutdownGuard:
 
     A separate thread waits for the signal and calls `on_signal`: handlers of Python do not run
     while the main thread is in C code, and a KeyboardInterrupt may be lost in a callback. If the
-    block has not ended `grace_s` later, the process ends with status 0.
+    block has not ended `grace_s` later, the process ends with status 0. This timer does without
+    the interpreter lock, which nodes that leave at the same time may hold for tens of seconds:
+    Fast DDS waits for a callback whose mutex it takes repeatedly (its issue 6513).
     """
 
     def __init__(self, on_signal: Callable[[], None], grace_s: float) -> None:
         self._on_signal = on_signal
-        self._timer = ExitTimer(grace_s)
+        self._libc = ctypes.CDLL(None)
+        # An itimerspec: no interval, seconds and nanoseconds.
+        self._grace = struct.pack('4l', 0, 0, int(grace_s), int(grace_s % 1.0 * 1e9))
+        self._timer = ctypes.c_void_p()
+        at_once = ctypes.cast(self._libc._exit, ctypes.c_void_p).value
+        # A sigevent: value, signal, kind, function, and space for its other fields.
+        event = struct.pack('PiiP40x', 0, 0, _SIGEV_THREAD, at_once)
+        if self._libc.timer_create(time.CLOCK_MONOTONIC, event, ctypes.byref(self._timer)):
+            raise OSError('timer_create failed')
         self._thread = Thread(target=self._watch, name='end signals', daemon=True)
 
     def __enter__(self) -> ShutdownGuard:
-        """Replace the handlers of the signals."""
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         self._wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
@@ -93,18 +74,17 @@ class ShutdownGuard:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Restore the handlers of the signals."""
         signal.set_wakeup_fd(self._wakeup)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         os.close(self._writer)
         self._thread.join()
         os.close(self._reader)
-        self._timer.stop()
+        self._libc.timer_delete(self._timer)
 
     def expect_end(self) -> None:
         """Start the time limit for the end of the block."""
-        self._timer.start()
+        self._libc.timer_settime(self._timer, 0, self._grace, None)
 
     def _watch(self) -> None:
         if os.read(self._reader, 1):

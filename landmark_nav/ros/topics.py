@@ -21,7 +21,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
 
 from landmark_nav.messages import encode
-from landmark_nav.storage.bags.definitions import MAP_TOPICS, TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import (
+    DRIVE_IMAGES,
+    MAP_TOPICS,
+    SWEEP_IMAGES,
+    TOPIC_TYPES,
+)
 
 
 @cache
@@ -76,16 +81,16 @@ class Topic:
         return self.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
 
+PANORAMA_TOPICS = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
+_SENSOR_TOPICS = (
+    *('joint_states', 'odom', 'ground_truth/odom', 'camera/camera_info', *DRIVE_IMAGES),
+    'triangulation_localizer/debug_image/compressed',
+)
 # Profiles of the topics that are not RELIABLE.
 _PROFILES = {
-    **dict.fromkeys(
-        ('joint_states', 'odom', 'ground_truth/odom', 'camera/camera_info', 'camera/image_raw'),
-        SENSOR_DATA,
-    ),
-    'camera/image_raw/compressed': SENSOR_DATA,
-    'triangulation_localizer/debug_image/compressed': SENSOR_DATA,
-    **dict.fromkeys(('sweep/image', 'sweep/image/compressed', 'sweep/camera_info'), SWEEP),
-    **dict.fromkeys(('panorama/image', 'panorama/camera_info', 'panorama/pose'), PANORAMAS),
+    **dict.fromkeys(_SENSOR_TOPICS, SENSOR_DATA),
+    **dict.fromkeys((*SWEEP_IMAGES, 'sweep/camera_info'), SWEEP),
+    **dict.fromkeys(PANORAMA_TOPICS, PANORAMAS),
     **dict.fromkeys(MAP_TOPICS, LATCHED),
 }
 TOPICS = {

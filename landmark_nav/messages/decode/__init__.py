@@ -2,7 +2,8 @@
 Messages -> types.
 
 Every function accepts any object with the fields of the message, from rosbags or rclpy. Numeric
-arrays may be NumPy arrays, array.array, bytes or lists.
+arrays may be NumPy arrays, array.array, bytes or lists. It raises `LandmarkNavError` if a field is
+missing or of another type, or a value is not a number or not within its bounds.
 """
 
 from landmark_nav.messages.decode.cameras import camera_info, camera_model, CameraInfo

@@ -137,11 +137,7 @@ def camera_info(msg: Any) -> CameraInfo:
 
 
 def camera_model(msg: Any) -> CameraModel:
-    """
-    Camera of a sensor_msgs/CameraInfo, in the pixels of the image that it describes.
-
-    Raises `LandmarkNavError`: see `camera_info` and `CameraInfo.for_image`.
-    """
+    """Camera of a sensor_msgs/CameraInfo, in the pixels of the image that it describes."""
     return camera_info(msg).camera
 
 

@@ -17,12 +17,7 @@ _ROUNDING = 1e-6
 
 
 def time_ns(value: Any) -> int:
-    """
-    Convert a builtin_interfaces Time or Duration to integer nanoseconds.
-
-    Raises `LandmarkNavError`: it is negative or not a number, or its nanoseconds are not below
-    1e9.
-    """
+    """Convert a builtin_interfaces Time or Duration, not negative, to integer nanoseconds."""
     try:
         sec, nanosec = int(value.sec), int(value.nanosec)
     except (TypeError, ValueError, OverflowError):
@@ -36,7 +31,7 @@ def time_ns(value: Any) -> int:
 
 
 def stamp_ns(header: Any) -> int:
-    """Stamp of a std_msgs/Header, integer nanoseconds; `LandmarkNavError` as in `time_ns`."""
+    """Stamp of a std_msgs/Header, integer nanoseconds."""
     return time_ns(header.stamp)
 
 
@@ -103,9 +98,6 @@ def covariances(values: Any, what: str, stamp: int, size: int) -> FloatArray:
     Return covariances (..., size, size), symmetric and positive semidefinite.
 
     Zero stands for "unknown" in some messages and for "exact" in others, so it is valid.
-
-    Raises `LandmarkNavError`: a variance is negative, or a matrix is not symmetric or not positive
-    semidefinite.
     """
     matrices = finite(values, what, stamp).reshape(-1, size, size)
     variances = np.diagonal(matrices, axis1=1, axis2=2)
@@ -129,26 +121,20 @@ def nonzero(values: FloatArray) -> FloatArray | None:
 
 
 class Points:
-    """
-    The points of a PointCloud2 in a layout; fields are checked when they are read.
-
-    Raises `LandmarkNavError`: as `unpack_cloud` and `stamp_ns`.
-    """
+    """The points of a PointCloud2 in a layout; fields are checked when they are read."""
 
     def __init__(self, msg: Any, layout: Layout) -> None:
         self.layout, self.raw = layout, unpack_cloud(msg, layout)
         self.stamp = stamp_ns(msg.header)
 
     def __len__(self) -> int:
-        """Return the number of points."""
         return len(self.raw)
 
     def __call__(self, *names: str, rows: Any = slice(None)) -> FloatArray:
         """
         Values of a field, (n, ...), or of several side by side, within the bounds of the first.
 
-        Fields named ``covariance`` are matrices. Raises `LandmarkNavError`: see `finite` and
-        `covariances`.
+        Fields named ``covariance`` are matrices.
         """
         first, chosen = names[0], self.raw[rows]
         what, found = f'{self.layout.topic} {first}', chosen[first]
@@ -181,7 +167,7 @@ def yaw_rad(quaternion: Any, what: str, stamp: int) -> float:
     """
     Heading of a geometry_msgs/Quaternion, radians; it need not be exactly normalised.
 
-    Raises `LandmarkNavError`: the quaternion is zero, or z is tilted by 90 degrees or more.
+    A rotation that tilts z by 90 degrees or more is an error.
     """
     turn = [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
     x, y, z, w = finite(turn, what, stamp, count=4).tolist()

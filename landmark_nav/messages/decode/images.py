@@ -108,9 +108,6 @@ def image(msg: Any, grey: bool = False, depth: BitDepth | None = None) -> ImageA
 
     With `grey`, colour images are converted to grey; a JPEG is then decoded in two thirds of the
     time. `depth` belongs to the stream of the image; without it, the image is decoded on its own.
-
-    Raises `LandmarkNavError`: unknown encoding, sizes that contradict each other, or bytes that
-    are not an image.
     """
     return (depth or BitDepth()).to_bytes(_pixels(msg, grey, 1))
 
@@ -121,9 +118,8 @@ def camera_image(
     """
     Pixels of an image as in `image`, reduced to the size of `CameraModel.reduced`, and its camera.
 
-    Pixels are averaged by area. The size is checked before anything is decoded.
-
-    Raises `LandmarkNavError`: see `image`; or the calibration is for images of another size.
+    Pixels are averaged by area. The size is checked before anything is decoded. Raises
+    `LandmarkNavError` also if the calibration is for images of another size.
     """
     width, height = published_size(msg)
     full = info.for_image(width, height)
@@ -140,11 +136,7 @@ def camera_image(
 
 
 def image_bgra(msg: Any) -> ImageArray:
-    """
-    Pixels of a sensor_msgs/Image with alpha, (h, w, 4).
-
-    Raises `LandmarkNavError`: the encoding is not ``bgra8``, or the sizes contradict each other.
-    """
+    """Pixels of a sensor_msgs/Image ``bgra8``, with alpha, (h, w, 4)."""
     if msg.encoding != 'bgra8':
         raise LandmarkNavError(f'panorama image is {msg.encoding!r}: publish it as bgra8')
     return np.asarray(_buffer(msg)[0], dtype=np.uint8)

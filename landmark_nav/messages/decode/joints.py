@@ -78,11 +78,7 @@ def _is_prefixed(name: str, joint: str) -> bool:
 
 
 def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
-    """
-    Pan and tilt in a sensor_msgs/JointState; None if it does not hold the pan joint.
-
-    Raises `LandmarkNavError`: names without positions, or positions that are not numbers.
-    """
+    """Pan and tilt in a sensor_msgs/JointState; None if it does not hold the pan joint."""
     pan_rad, tilt_rad = _angles(msg, mount)
     return None if pan_rad is None else JointSample(stamp_ns(msg.header), pan_rad, tilt_rad or 0.0)
 
@@ -92,8 +88,6 @@ def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
     Stamp, ns, and tilt, rad, in a sensor_msgs/JointState of a tilt joint with its own driver.
 
     None if the message also holds the pan, or has no tilt joint.
-
-    Raises `LandmarkNavError`: names without positions, or positions that are not numbers.
     """
     pan_rad, tilt_rad = _angles(msg, mount)
     if pan_rad is not None or tilt_rad is None:
@@ -107,14 +101,8 @@ def sweep_trajectory(
     """
     Measured angles at the frames of a sweep, out of a trajectory_msgs/JointTrajectory.
 
-    Raises `LandmarkNavError`: the pan joint is missing, two frames have one stamp, or no point can
-    be used.
-
-    Parameters
-    ----------
-    drop : callable, optional
-        Called with the reason if a point cannot be used, such as an angle that is not a number;
-        without it, this is an error, too.
+    `drop` is called with the reason if a point cannot be used; without it, this is an error, too.
+    Raises `LandmarkNavError`: two frames have one stamp, or no point can be used.
     """
     names = list(msg.joint_names)
     joints = JointNames(mount)

@@ -21,12 +21,7 @@ _MIN_WALL_M, _ROUNDING = 1e-3, 1e-3
 
 
 def landmark_map(landmarks_msg: Any, atlas_msg: Any) -> LandmarkMap:
-    """
-    Map out of ``landmarks`` and ``landmarks/atlas``; of its provenance they hold the scale only.
-
-    Raises `LandmarkNavError`: fields are missing, values are not numbers, or a patch lies outside
-    the atlas.
-    """
+    """Map out of ``landmarks`` and ``landmarks/atlas``; of its provenance only the scale."""
     points = Points(landmarks_msg, LANDMARKS)
     frame_id = str(landmarks_msg.header.frame_id)
     if not len(points):

@@ -38,11 +38,7 @@ _MAX_PX, _MAX_CALIBRATION = 1e6, 1e3
 
 
 def odometry(msg: Any) -> OdometrySample:
-    """
-    Wheel odometry of a nav_msgs/Odometry.
-
-    Raises `LandmarkNavError`: a position, heading or speed is not a number or out of bounds.
-    """
+    """Wheel odometry of a nav_msgs/Odometry."""
     stamp, twist = stamp_ns(msg.header), msg.twist.twist
     speeds = [twist.linear.x, twist.angular.z]
     forward, turn = finite(speeds, 'odometry speed', stamp, _MAX_SPEED).tolist()
@@ -50,11 +46,7 @@ def odometry(msg: Any) -> OdometrySample:
 
 
 def pose_estimate(msg: Any) -> PoseEstimate:
-    """
-    Planar pose of a geometry_msgs/PoseWithCovarianceStamped or a nav_msgs/Odometry.
-
-    Raises `LandmarkNavError`: a value is not a number or out of bounds.
-    """
+    """Planar pose of a geometry_msgs/PoseWithCovarianceStamped or a nav_msgs/Odometry."""
     stamp = stamp_ns(msg.header)
     pose = _planar(msg.pose.pose, 'pose', stamp)
     return PoseEstimate(stamp, pose, _covariance(msg, PLANAR, 'pose covariance', stamp))
@@ -72,12 +64,7 @@ def _planar(pose: Any, what: str, stamp: int) -> FloatArray:
 
 
 def global_pose(msg: Any) -> clouds.GlobalPose:
-    """
-    Result of global localization, out of ``global_localization/pose``.
-
-    Raises `LandmarkNavError`: fields are missing or of another type, there is no point, or values
-    are not numbers.
-    """
+    """Result of global localization, out of ``global_localization/pose``."""
     points = Points(msg, clouds.GLOBAL_POSE)
     if not len(points):
         raise LandmarkNavError(f'{points.layout.topic} names no landmark')
@@ -85,12 +72,7 @@ def global_pose(msg: Any) -> clouds.GlobalPose:
 
 
 def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySample]:
-    """
-    Expected pose and calibration, and the speeds of the base, out of ``expectation``.
-
-    Raises `LandmarkNavError`: fields are missing or of another type, the number of points is not
-    1, or values are not numbers.
-    """
+    """Expected pose and calibration, and the speeds of the base, out of ``expectation``."""
     points = Points(msg, clouds.EXPECTATION)
     if len(points) != 1:
         raise LandmarkNavError(f'expectation has {len(points)} points, not 1')
@@ -102,12 +84,7 @@ def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySam
 
 
 def detections(msg: Any) -> Detections:
-    """
-    Landmarks found in one image, and those missed in it, out of ``detections``.
-
-    Raises `LandmarkNavError`: fields are missing or of another type, or values are not numbers
-    within bounds.
-    """
+    """Landmarks found in one image, and those missed in it, out of ``detections``."""
     points = Points(msg, clouds.DETECTIONS)
     # Other sensors may detect a landmark twice at a time.
     ids = points.ids(unique=False)
@@ -138,12 +115,7 @@ def detections(msg: Any) -> Detections:
 
 
 def triplet(msg: Any) -> Triplet:
-    """
-    The chosen landmarks, out of ``triplet``.
-
-    Raises `LandmarkNavError`: fields are missing or of another type, the number of points is not
-    3, or values are not numbers.
-    """
+    """The chosen landmarks, out of ``triplet``."""
     points = Points(msg, clouds.TRIPLET)
     if len(points) != 3:
         raise LandmarkNavError(f'triplet has {len(points)} points, not 3')
