@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from math import isfinite
 from threading import Condition
 from typing import Any, TypeVar
@@ -75,7 +76,7 @@ class ImageSource:
         """Subscribe to all topics."""
         for name in self._topics:
             if name not in self._subscriptions:
-                take = self._only(name)
+                take = partial(self._take, name)
                 self._subscriptions[name] = self._node.listen(name, take, depth=self._depth)
 
     def _look(self) -> None:
@@ -84,16 +85,14 @@ class ImageSource:
             self._listen()
         self._compressed_came = False
 
-    def _only(self, name: str) -> Callable[[Any], None]:
-        def take(message: Any) -> None:
-            if name in self._subscriptions and message != self._last:
-                if name != self._raw:
-                    self._compressed_came = True
-                    self._keep(name)
-                self._last = message
-                self._callback(message)
-
-        return take
+    def _take(self, name: str, message: Any) -> None:
+        if name not in self._subscriptions or message == self._last:
+            return
+        if name != self._raw:
+            self._compressed_came = True
+            self._keep(name)
+        self._last = message
+        self._callback(message)
 
     def _keep(self, name: str) -> None:
         """End the subscriptions to other topics."""

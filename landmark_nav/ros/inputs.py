@@ -84,14 +84,18 @@ class Input:
         known = self._stamp_ns and self._silent_s() < _SILENCE_S
         return (self.arrived_s, 1e-9 * self._stamp_ns) if known else None
 
+    @property
+    def why_silent(self) -> str:
+        """Text: why nothing arrives; '' while messages arrive."""
+        if not self._count:
+            return self._why_none()
+        if self.is_stream and self._silent_s() >= _SILENCE_S and self._is_open():
+            return f'silent for {self._silent_s():.1f} s'
+        return ''
+
     def waits(self) -> str:
         """Text: the topic, and why nothing arrives; '' while messages arrive."""
-        why = ''
-        if not self._count:
-            why = self._why_none()
-        elif self.is_stream and self._silent_s() >= _SILENCE_S and self._is_open():
-            why = f'silent for {self._silent_s():.1f} s'
-        return f'{self.name} ({why})' if why else ''
+        return f'{self.name} ({why})' if (why := self.why_silent) else ''
 
     def problems(self) -> Iterator[str]:
         """Yield texts about problems of the messages that arrive."""
@@ -117,8 +121,8 @@ class Input:
         now_s = time.monotonic()
         rate_hz = (self._count - self._reported) / max(now_s - self._reported_s, 1e-3)
         self._reported, self._reported_s = self._count, now_s
-        if waits := self.waits():
-            return f'waits: {waits[len(self.name) + 2 : -1]}'
+        if why := self.why_silent:
+            return f'waits: {why}'
         if not self._is_open():
             return 'not listened to now'
         amount = f'{rate_hz:.1f} Hz' if self.is_stream else f'{self._count} messages'

@@ -136,12 +136,12 @@ class Points:
 
         Fields named ``covariance`` are matrices.
         """
-        first, chosen = names[0], self.raw[rows]
-        what, found = f'{self.layout.topic} {first}', chosen[first]
+        first = names[0]
+        what, found = f'{self.layout.topic} {first}', self.raw[first][rows]
         if first.endswith('covariance'):
             return covariances(found, what, self.stamp, isqrt(found.shape[1]))
         if len(names) > 1:
-            found = np.stack([chosen[name] for name in names], -1)
+            found = np.stack([self.raw[name][rows] for name in names], -1)
         least, most = self.layout.bounds[first]
         return finite(found, what, self.stamp, most, least=least)
 
