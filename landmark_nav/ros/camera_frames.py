@@ -133,11 +133,12 @@ def listen_for_joints(
     def take(message: Any) -> None:
         if taken := names.add(message.name):
             node.get_logger().info(f'joint_states: {taken}')
-        if (sample := decode.joint_sample(message, names.mount)) is not None:
-            on_sample(sample)
+        stamp_ns, pan_rad, tilt_rad = decode.joint_angles(message, names.mount)
+        if pan_rad is not None:
+            on_sample(JointSample(stamp_ns, pan_rad, tilt_rad or 0.0))
             return
-        if (tilt := decode.lone_tilt(message, names.mount)) is not None:
-            on_tilt(*tilt)
+        if tilt_rad is not None:
+            on_tilt(stamp_ns, tilt_rad)
         raise IrrelevantError(one_line(names.missing))
 
     node.listen('joint_states', take, depth=depth)

@@ -16,9 +16,8 @@ from landmark_nav.messages.decode.headers import (
 )
 from landmark_nav.messages.decode.images import BitDepth, camera_image, image, published_size
 from landmark_nav.messages.decode.joints import (
-    joint_sample,
+    joint_angles,
     JointNames,
-    lone_tilt,
     matching_name,
     sweep_trajectory,
 )

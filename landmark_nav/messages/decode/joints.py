@@ -77,22 +77,10 @@ def _is_prefixed(name: str, joint: str) -> bool:
     return name.endswith(tuple(f'{separator}{joint}' for separator in '/_.:-'))
 
 
-def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
-    """Pan and tilt in a sensor_msgs/JointState; None if it does not hold the pan joint."""
-    pan_rad, tilt_rad = _angles(msg, mount)
-    return None if pan_rad is None else JointSample(stamp_ns(msg.header), pan_rad, tilt_rad or 0.0)
-
-
-def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
-    """
-    Stamp, ns, and tilt, rad, in a sensor_msgs/JointState of a tilt joint with its own driver.
-
-    None if the message also holds the pan, or has no tilt joint.
-    """
-    pan_rad, tilt_rad = _angles(msg, mount)
-    if pan_rad is not None or tilt_rad is None:
-        return None
-    return stamp_ns(msg.header), tilt_rad
+def joint_angles(msg: Any, mount: PanTiltMount) -> tuple[int, float | None, float | None]:
+    """Stamp, ns, pan and tilt, rad, of a sensor_msgs/JointState; None for a joint it lacks."""
+    stamp = stamp_ns(msg.header)
+    return stamp, *_angles(list(msg.name), msg.position, stamp, mount, 'joint_states position')
 
 
 def sweep_trajectory(
@@ -117,7 +105,7 @@ def sweep_trajectory(
             with inside('time_from_start of the sweep trajectory'):
                 stamp = start + time_ns(point.time_from_start)
             where = 'sweep trajectory position'
-            pan_rad, tilt_rad = _read(names, point.positions, stamp, joints.mount, where)
+            pan_rad, tilt_rad = _angles(names, point.positions, stamp, joints.mount, where)
             assert pan_rad is not None, 'pan_arrives'
         except LandmarkNavError as error:
             errors.append(error)
@@ -136,16 +124,9 @@ def sweep_trajectory(
     return tuple(samples.values())
 
 
-_Angles = tuple[float | None, float | None]
-
-
-def _angles(msg: Any, mount: PanTiltMount) -> _Angles:
-    """Pan and tilt in a JointState; None if it does not hold the joint."""
-    names, stamp = list(msg.name), stamp_ns(msg.header)
-    return _read(names, msg.position, stamp, mount, 'joint_states position')
-
-
-def _read(names: list[str], positions: Any, stamp: int, mount: PanTiltMount, what: str) -> _Angles:
+def _angles(
+    names: list[str], positions: Any, stamp: int, mount: PanTiltMount, what: str
+) -> tuple[float | None, float | None]:
     joints = mount.pan_joint, mount.tilt_joint
     if len(positions) < len(names) and not {*joints}.isdisjoint(names):
         raise LandmarkNavError(
