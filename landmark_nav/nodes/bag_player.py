@@ -41,8 +41,7 @@ class BagPlayerNode(ConfiguredNode):
         self._players = {
             topic: self._publisher(topic, kind) for topic, kind in self._bag.types.items()
         }
-        clock = message_class('rosgraph_msgs/msg/Clock')
-        self._clock_publisher = self.create_publisher(clock, '/clock', 10)
+        self._ticks = self.create_publisher(message_class('rosgraph_msgs/msg/Clock'), '/clock', 10)
         self._played_ns = 0
         self._stop = Event()
         self._player = Thread(target=self._play, daemon=True)
@@ -100,7 +99,8 @@ class BagPlayerNode(ConfiguredNode):
             while next_clock_ns <= entry.stamp_ns:
                 if self._wait_until(begin, next_clock_ns - first_ns):
                     return
-                self._tick(next_clock_ns)
+                clock = time_message(ros_factory, next_clock_ns)
+                self._ticks.publish(ros_factory('rosgraph_msgs/msg/Clock', clock=clock))
                 next_clock_ns += _CLOCK_PERIOD_NS
             if self._wait_until(begin, entry.stamp_ns - first_ns):
                 return
@@ -111,10 +111,6 @@ class BagPlayerNode(ConfiguredNode):
         """Wait for the time of a message; return whether the node ends meanwhile."""
         left_s = begin + bag_ns * 1e-9 / self.config.rate - time.monotonic()
         return self._stop.wait(left_s) if left_s > 0.0 else self._stop.is_set()
-
-    def _tick(self, now_ns: int) -> None:
-        clock = ros_factory('rosgraph_msgs/msg/Clock', clock=time_message(ros_factory, now_ns))
-        self._clock_publisher.publish(clock)
 
 
 main = partial(run_node, BagPlayerNode)
