@@ -166,7 +166,7 @@ def _started(name: str, files: dict[str, str]) -> Any:
         for value in vars(module).values()
         if isinstance(value, type)
         and issubclass(value, LandmarkNode)
-        and value is not LandmarkNode
+        and value.__module__ == module.__name__
     )
     given = [Parameter(key, value=value) for key, value in files.items() if key in READS[name]]
     return kind(parameter_overrides=given)

@@ -6,65 +6,30 @@ Launch file of the simulated robot with all nodes that learn and localize.
 """
 
 from pathlib import Path
+import runpy
 
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+
+BRINGUP = Path(__file__).with_name('bringup.launch.py')
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the simulator and the nodes of bringup.launch.py."""
-    share = Path(get_package_share_directory('landmark_nav'))
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, default, text in (
-            (
-                'params_file',
-                str(share / 'config' / 'landmark_nav.yaml'),
-                'parameters of all nodes',
-            ),
-            ('seed', '1', 'draws the room'),
-            ('robot_file', None, 'robot.yaml: where the camera sits'),
-            ('room_file', '', 'room.yaml: walls and reference area; empty: drawn, and not given'),
-            ('map_folder', 'map', 'folder of the map'),
-            ('load_on_start', 'false', 'load that map at once'),
-            ('namespace', '', 'of all nodes'),
-            (
-                'use_sim_time',
-                'false',
-                'take the time from /clock, which the simulator does not publish',
-            ),
-            ('rviz', 'false', 'show all of it in RViz (package rviz2)'),
-            ('autostart', 'true', 'false: a lifecycle manager starts them'),
-            ('composed', 'false', 'all nodes in one process'),
-        )
-    ]
+    common = runpy.run_path(str(BRINGUP))
+    arguments = common['ARGUMENTS'] | {
+        'seed': ('1', 'draws the room'),
+        'room_file': ('', 'room.yaml: walls and reference area; empty: drawn, and not given'),
+        'use_sim_time': ('false', 'from /clock, which the simulator does not publish'),
+    }
     # An include must pass on all arguments without a default.
     bringup = IncludeLaunchDescription(
-        PythonLaunchDescriptionSource(str(share / 'launch' / 'bringup.launch.py')),
-        launch_arguments={
-            argument.name: LaunchConfiguration(argument.name)
-            for argument in arguments
-            if argument.name != 'seed'
-        }.items(),
+        PythonLaunchDescriptionSource(str(BRINGUP)),
+        launch_arguments={name: LaunchConfiguration(name) for name in common['ARGUMENTS']}.items(),
     )
-    types = {'seed': int, 'robot_file': str, 'room_file': str}
-    simulator = Node(
-        package='landmark_nav',
-        executable='room_simulator',
-        name='room_simulator',
-        namespace=LaunchConfiguration('namespace'),
-        output='screen',
-        parameters=[
-            LaunchConfiguration('params_file'),
-            {
-                key: ParameterValue(LaunchConfiguration(key), value_type=kind)
-                for key, kind in types.items()
-            },
-        ],
+    simulator = common['node'](
+        'room_simulator', 'seed', 'robot_file', 'room_file', name='room_simulator'
     )
-    return LaunchDescription([*arguments, bringup, simulator])
+    return LaunchDescription([*common['declared'](arguments), bringup, simulator])

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import re
 from typing import Any
 
@@ -14,49 +13,82 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.types import PoseEstimate
 
-# Indices of (x, y, heading) and (x, y, z, heading) in ROS' covariance of (x, y, z, roll, pitch,
-# yaw).
-PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
-UPRIGHT = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
+# Bound of any length, angle, rate or variance; publishers use smaller values for "unknown".
+MAX_VALUE = 1e12
+# A field is ``name:type``, with ``*count`` for several values and ``[most]`` or ``[least,most]``
+# for bounds; ``=attribute`` follows the name where the type of the package calls it otherwise.
+_FIELD = re.compile(r'(\w+)(?:=(\w+))?:(\w+)(?:\*(\d+))?(?:\[(?:(.+),)?(.+)\])?')
 
 
-@dataclass(frozen=True, eq=False)
 class Layout:
     """
     Fields of the points of a topic, as written; other widths of the same kind are read too.
 
-    `optional` fields are missing in older recordings, and are then read as zero. Lengths of
-    `repeated` fields vary between messages: by element type, and the number of which the length is
-    a multiple. A missing one has length 0.
+    Values of `common` fields are the same in all rows. `optional` fields are missing in older
+    recordings, and are then read as zero. Lengths of `repeated` fields vary between messages, by
+    multiples of their count; a missing one has length 0. `kinds`, `attributes` and `bounds` (least
+    and greatest value) are by name of a field.
     """
 
-    topic: str
-    fields: np.dtype[np.void]
-    optional: tuple[str, ...] = ()
-    repeated: Mapping[str, tuple[str, int]] = field(default_factory=dict)
-
-    def columns(self) -> Iterator[tuple[str, np.dtype[np.generic], int]]:
-        """Name and type of each field, and the divisor of its length; 0: the length is fixed."""
-        for name in self.fields.names or ():
-            yield name, self.fields[name], 0
-        for name, (scalar, multiple) in self.repeated.items():
-            yield name, np.dtype((scalar, (0,))), multiple
+    def __init__(
+        self,
+        topic: str,
+        fields: str,
+        *,
+        optional: str = '',
+        repeated: str = '',
+        common: tuple[str, ...] = (),
+    ) -> None:
+        self.topic, self.common = topic, common
+        self.kinds: dict[str, np.dtype[np.generic]] = {}
+        self.attributes: dict[str, str] = {}
+        self.bounds: dict[str, tuple[float, float]] = {}
+        self._add(fields)
+        self.optional = self._add(optional)
+        self.fields = np.dtype(list(self.kinds.items()))
+        self.repeated = self._add(repeated)
 
     def sized(self, **lengths: int) -> np.dtype[np.void]:
         """Type of a point with these lengths of the repeated fields; without those of length 0."""
-        fixed = [(name, kind) for name, kind, multiple in self.columns() if not multiple]
-        repeated = [(name, self.repeated[name][0], (n,)) for name, n in lengths.items() if n]
-        return np.dtype([*fixed, *repeated])
+        fixed = [(name, self.fields[name]) for name in self.fields.names or ()]
+        return np.dtype(
+            [*fixed, *((k, self.kinds[k].base, (n,)) for k, n in lengths.items() if n)]
+        )
+
+    def rows(self, value: Any, count: int, others: int = 0) -> npt.NDArray[np.void]:
+        """
+        Points (count + others,) with the attributes of a value; those that it lacks are zero.
+
+        The last rows have only common values.
+        """
+        points = np.zeros(count + others, dtype=self.fields)
+        for name in self.fields.names or ():
+            given = getattr(value, self.attributes[name], None)
+            if given is not None and np.size(given):
+                target = points[name] if name in self.common else points[name][:count]
+                target[...] = np.reshape(given, (-1, *self.fields[name].shape))
+        return points
+
+    def _add(self, text: str) -> tuple[str, ...]:
+        """Add fields; return their names."""
+        names = []
+        for field in text.split():
+            match = _FIELD.fullmatch(field)
+            assert match is not None, field
+            name, attribute, scalar, count, least, most = match.groups()
+            limit = float(most or MAX_VALUE)
+            self.kinds[name] = np.dtype((f'<{scalar}', (int(count),) if count else ()))
+            self.attributes[name] = attribute or name
+            self.bounds[name] = (float(least) if least else -limit, limit)
+            names.append(name)
+        return tuple(names)
 
 
-def _fields(text: str) -> np.dtype[np.void]:
-    """Type of a point from words ``name:type`` and, for several values, ``name:type*count``."""
-    fields = [re.split('[:*]', word) for word in text.split()]
-    return np.dtype(
-        [(name, f'<{kind}', *((int(count),) for count in more)) for name, kind, *more in fields]
-    )
-
-
+# Bounds: coordinates of 2e7 m (half the circumference of the earth, more than any UTM coordinate),
+# speeds of 1e3 m/s or rad/s, delays of 10 s, bearings of 1e4 rad (they may be unwrapped) with
+# variances from 1e-14 rad^2, and normalised image coordinates of 1e3 (a ray 89.9 degrees from the
+# optical axis).
+#
 # `point` and the `size` of the template are in normalised image coordinates by camera_info,
 # `by_lens` its derivatives by focal scale, principal point and distortion, row by row; a
 # covariance of zero means that there is none. All rows repeat the joint delay that the node
@@ -64,30 +96,36 @@ def _fields(text: str) -> np.dtype[np.void]:
 # zero without a search; and the `intrinsics` of the camera, zero if unknown.
 DETECTIONS = Layout(
     'detections',
-    _fields(
-        'id:u4 bearing:f8 bearing_variance:f8 score:f4 u:f4 v:f4 joint_delay:f8 point:f8*2 '
-        'point_covariance:f8*4 size:f8*2 by_lens:f8*6 near:f8*3 intrinsics:f8*5'
-    ),
-    optional=('joint_delay', 'point', 'point_covariance', 'size', 'by_lens', 'near', 'intrinsics'),
+    'id=ids:u4 bearing=bearing_rad:f8[1e4] bearing_variance=variance_rad2:f8[1e-14,1e12] score:f4 '
+    'u:f4 v:f4',
+    optional='point=points:f8*2[1e3] point_covariance:f8*4 size=sizes:f8*2[0,1e3] '
+    'by_lens:f8*6[1e3] joint_delay=joint_delay_s:f8[10] near:f8*3[2e7] intrinsics:f8*5[1e3]',
+    common=('joint_delay', 'near', 'intrinsics'),
 )
 
 # One point: pose of the base with its covariance, speeds of the base, values and sigmas of the
 # calibration, and the `intrinsics` of the camera that they are for, zero if unknown.
 EXPECTATION = Layout(
     'expectation',
-    _fields(
-        'pose:f8*3 covariance:f8*9 speeds:f8*2 tilt_sigma:f8 values:f8*16 sigmas:f8*16 '
-        'intrinsics:f8*5'
-    ),
-    optional=('intrinsics',),
+    'pose:f8*3[2e7] covariance:f8*9 speeds:f8*2[1e3] tilt_sigma=tilt_sigma_rad:f8[0,100] '
+    'values:f8*16[100] sigmas:f8*16[0,100]',
+    optional='intrinsics:f8*5[1e3]',
 )
 
 # All three rows repeat the covariance of the predicted fix and the pan to turn to.
-TRIPLET = Layout('triplet', _fields('id:u4 bearing:f8 bearing_sigma:f8 pan:f8 covariance:f8*9'))
+TRIPLET = Layout(
+    'triplet',
+    'id=ids:u4 bearing=bearing_rad:f8[1e4] bearing_sigma=sigma_rad:f8[0,1e12] pan=pan_rad:f8[1e4] '
+    'covariance:f8*9',
+    common=('pan', 'covariance'),
+)
 
-# One row for each landmark; all fields but `id` are repeated.
+# One row for each landmark.
 GLOBAL_POSE = Layout(
-    'global_pose', _fields('id:u4 pose:f8*3 covariance:f8*9 pan_rate:f8 joint_delay:f8')
+    'global_localization/pose',
+    'id=ids:u4 pose:f8*3[2e7] covariance:f8*9 pan_rate=pan_rate_rad_s:f8[1e3] '
+    'joint_delay=joint_delay_s:f8[10]',
+    common=('pose', 'covariance', 'pan_rate', 'joint_delay'),
 )
 
 # x, y, z must be float32: RViz draws no other point clouds.
@@ -101,19 +139,11 @@ GLOBAL_POSE = Layout(
 # intrinsics of the camera, covariance with the shared factors).
 LANDMARKS = Layout(
     'landmarks',
-    _fields(
-        'id:u4 x:f4 y:f4 z:f4 normal_x:f4 normal_y:f4 normal_z:f4 width:f4 height:f4 '
-        'viewpoint_x:f4 viewpoint_y:f4 viewpoint_z:f4 threshold:f4 saliency:f4 atlas_x:u4 '
-        'atlas_y:u4 atlas_width:u4 atlas_height:u4 wall:i4 covariance:f8*9'
-    ),
-    repeated={
-        'shared_loading': ('<f8', 3),
-        'walls': ('<f8', 5),
-        'wall_names': ('u1', 1),
-        'viewpoints': ('<f4', 3),
-        'views': ('<u4', 4),
-        'learned': ('<f8', 1),
-    },
+    'id:u4 x:f4[2e7] y:f4 z:f4 normal_x:f4[1.001] normal_y:f4 normal_z:f4 width:f4[0,100] '
+    'height:f4 viewpoint_x:f4[2e7] viewpoint_y:f4 viewpoint_z:f4 threshold:f4[1e3] saliency:f4 '
+    'atlas_x:u4 atlas_y:u4 atlas_width:u4 atlas_height:u4 wall:i4 covariance:f8*9',
+    repeated='shared_loading:f8*3[1e3] walls:f8*5[2e7] wall_names:u1*1 viewpoints:f4*3[2e7] '
+    'views:u4*4 learned:f8*1[1e3]',
 )
 
 
@@ -166,19 +196,17 @@ def pack_cloud(
 
     `dense`: all points are valid, none holds NaN.
     """
-    fields = []
-    layout: Mapping[str, Any] = points.dtype.fields or {}
-    for name, (scalar, offset, *_) in layout.items():
-        base, shape = scalar.subdtype or (scalar, (1,))
-        fields.append(
-            factory(
-                'sensor_msgs/msg/PointField',
-                name=name,
-                offset=int(offset),
-                datatype=_CODES[base.str[1:]],
-                count=int(np.prod(shape)),
-            )
+    layout: Any = points.dtype.fields or {}
+    fields = [
+        factory(
+            'sensor_msgs/msg/PointField',
+            name=name,
+            offset=int(offset),
+            datatype=_CODES[kind.base.str[1:]],
+            count=int(np.prod(kind.shape)),
         )
+        for name, (kind, offset, *_) in layout.items()
+    ]
     size = points.dtype.itemsize
     return factory(
         'sensor_msgs/msg/PointCloud2',
@@ -214,10 +242,11 @@ def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
         )
     sent = _types_sent(msg, layout, where)
     # 64 bits hold every value that a field of a point cloud can have.
-    wide = [
-        (name, 'f8' if kind.base.kind == 'f' else 'i8', sent.get(name, (kind, 0))[0].shape)
-        for name, kind, _ in layout.columns()
-    ]
+    wide = []
+    for name, kind in layout.kinds.items():
+        missing = (0,) if name in layout.repeated else kind.shape
+        shape = sent[name][0].shape if name in sent else missing
+        wide.append((name, 'f8' if kind.base.kind == 'f' else 'i8', shape))
     count, size = width * height, sum(8 * int(np.prod(shape)) for _, _, shape in wide)
     if count > _MAX_POINTS or max(1, count) * max(step, size) > _MAX_BYTES:
         raise LandmarkNavError(
@@ -225,13 +254,9 @@ def unpack_cloud(msg: Any, layout: Layout) -> npt.NDArray[np.void]:
         )
     points = np.zeros(count, dtype=wide)
     if count:
+        kinds, offsets = zip(*sent.values(), strict=True)
         as_sent = np.dtype(
-            {
-                'names': list(sent),
-                'formats': [kind for kind, _ in sent.values()],
-                'offsets': [offset for _, offset in sent.values()],
-                'itemsize': step,
-            }
+            {'names': list(sent), 'formats': kinds, 'offsets': offsets, 'itemsize': step}
         )
         rows = data[: height * row_step].reshape(height, row_step)[:, : width * step]
         raw = np.ascontiguousarray(rows).reshape(-1).view(as_sent)
@@ -251,9 +276,9 @@ def _types_sent(
     if len(given) < len(msg.fields):
         raise LandmarkNavError(f'{where} has two fields of one name: its publisher is broken')
     sent: dict[str, tuple[np.dtype[np.generic], int]] = {}
-    for name, kind, multiple in layout.columns():
+    for name, kind in layout.kinds.items():
         if name not in given:
-            if not multiple and name not in layout.optional:
+            if name not in (*layout.optional, *layout.repeated):
                 raise LandmarkNavError(
                     f'{where} lacks the field {name} (it has {", ".join(given)!r:.60}): '
                     'publish it from landmark_nav'
@@ -262,17 +287,16 @@ def _types_sent(
         # Some publishers leave the count of a scalar at 0.
         count, offset = max(1, int(given[name].count)), int(given[name].offset)
         scalar = np.dtype(order + _TYPES.get(int(given[name].datatype), 'V0'))
-        wanted = max(1, int(np.prod(kind.shape)))
+        wanted = int(np.prod(kind.shape))
         if (
             (scalar.kind == 'f') != (kind.base.kind == 'f')
             or not scalar.itemsize
-            or (count % multiple if multiple else count != wanted)
+            or (count % wanted if name in layout.repeated else count != wanted)
             or offset + count * scalar.itemsize > min(int(msg.point_step), _MAX_BYTES)
         ):
             raise LandmarkNavError(
                 f'{where}: field {name} is {count} of type {scalar.name} at byte {offset} of '
-                f'{msg.point_step}, not {multiple or wanted} of {kind.base.name}: '
-                'publish it from landmark_nav'
+                f'{msg.point_step}, not {wanted} of {kind.base.name}: publish it from landmark_nav'
             )
         sent[name] = np.dtype((scalar, (count,) if kind.shape else ())), offset
     return sent

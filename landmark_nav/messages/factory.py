@@ -66,22 +66,24 @@ def _scalar_type(name: str) -> Any:
     return {'bool': np.bool_, 'byte': np.uint8, 'char': np.uint8}.get(name) or getattr(np, name)
 
 
-_SECOND_NS = 1_000_000_000
+# Indices of (x, y, heading) and (x, y, z, heading) in ROS' covariance of (x, y, z, roll, pitch,
+# yaw).
+PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+UPRIGHT = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 # Variance of what is not estimated, as in robot_localization and others: 0 would mean exact.
 UNKNOWN_VARIANCE = 1e6
 
 
+def time_message(factory: MessageFactory, time_ns: int, kind: str = 'Time') -> Any:
+    """Build a builtin_interfaces message `kind` (Time, Duration)."""
+    sec, nanosec = divmod(time_ns, 10**9)
+    return factory(f'builtin_interfaces/msg/{kind}', sec=sec, nanosec=nanosec)
+
+
 def header(factory: MessageFactory, stamp_ns: int, frame_id: str) -> Any:
     """Build a std_msgs/Header."""
-    sec, nanosec = divmod(stamp_ns, _SECOND_NS)
-    stamp = factory('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
+    stamp = time_message(factory, stamp_ns)
     return factory('std_msgs/msg/Header', stamp=stamp, frame_id=frame_id)
-
-
-def duration(factory: MessageFactory, span_ns: int) -> Any:
-    """Build a builtin_interfaces/Duration."""
-    sec, nanosec = divmod(span_ns, _SECOND_NS)
-    return factory('builtin_interfaces/msg/Duration', sec=sec, nanosec=nanosec)
 
 
 def vector(factory: MessageFactory, kind: str, x: float, y: float, z: float = 0.0) -> Any:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from landmark_nav.nodes.landmark_learner import LandmarkLearnerNode
 from landmark_nav.nodes.odometry_fusion import OdometryFusionNode
 from landmark_nav.nodes.panorama_synthesizer import PanoramaSynthesizerNode
 from landmark_nav.nodes.sweep_capture import SweepCaptureNode
 from landmark_nav.nodes.triangulation_localizer import TriangulationLocalizerNode
 from landmark_nav.nodes.triplet_selector import TripletSelectorNode
-from landmark_nav.ros.run import run_nodes
+from landmark_nav.ros.run import run_node
 
 _NODES = (
     SweepCaptureNode,
@@ -19,13 +21,7 @@ _NODES = (
     OdometryFusionNode,
 )
 # Sum of the threads of the nodes as separate processes.
-_THREADS = 3 + 2 + 3 + 1 + 1 + 1
-
-
-def main() -> int:
-    """Entry point of the executable."""
-    return run_nodes(_NODES, _THREADS)
-
+main = partial(run_node, *_NODES, threads=3 + 2 + 3 + 1 + 1 + 1)
 
 if __name__ == '__main__':
     raise SystemExit(main())

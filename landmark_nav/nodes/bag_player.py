@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from threading import Event, Thread
 import time
 from typing import Any
@@ -11,9 +12,9 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.nodes.configured import configured
+from landmark_nav.messages.factory import time_message
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import message_class, RELIABLE, ros_factory, TOPICS
 from landmark_nav.storage.bags import Bag
@@ -27,7 +28,7 @@ _LAST_WORDS_S = 2.0
 _START_DELAY_S = 3.0
 
 
-class BagPlayerNode(LandmarkNode):
+class BagPlayerNode(ConfiguredNode):
     """Publishes the serialised messages unchanged, and shuts down at the end of the bag."""
 
     def __init__(self, **options: Any) -> None:
@@ -35,13 +36,12 @@ class BagPlayerNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'bag_player')
-        self._bag = Bag(self.required('bag', self._config.bag))
+        super().set_up()
+        self._bag = Bag(self.required('bag', self.config.bag))
         self._players = {
-            topic: self._advertise(topic, kind) for topic, kind in self._bag.types.items()
+            topic: self._publisher(topic, kind) for topic, kind in self._bag.types.items()
         }
-        clock = message_class('rosgraph_msgs/msg/Clock')
-        self._clock_publisher = self.create_publisher(clock, '/clock', 10)
+        self._ticks = self.create_publisher(message_class('rosgraph_msgs/msg/Clock'), '/clock', 10)
         self._played_ns = 0
         self._stop = Event()
         self._player = Thread(target=self._play, daemon=True)
@@ -63,7 +63,7 @@ class BagPlayerNode(LandmarkNode):
         played_s = self._played_ns * 1e-9
         return Health(Level.OK, f'{played_s:.1f} s of {self._bag.duration_s:.1f} s')
 
-    def _advertise(self, topic: str, type_name: str) -> Publisher[Any]:
+    def _publisher(self, topic: str, type_name: str) -> Publisher[Any]:
         try:
             kind = message_class(type_name)
         except (ImportError, AttributeError, ValueError) as error:
@@ -95,10 +95,12 @@ class BagPlayerNode(LandmarkNode):
         first_ns = next_clock_ns = self._bag.start_ns
         begin = time.monotonic()
         for entry in self._bag.messages():
+            # Ticks of the clock up to the message, then its own time.
             while next_clock_ns <= entry.stamp_ns:
                 if self._wait_until(begin, next_clock_ns - first_ns):
                     return
-                self._tick(next_clock_ns)
+                clock = time_message(ros_factory, next_clock_ns)
+                self._ticks.publish(ros_factory('rosgraph_msgs/msg/Clock', clock=clock))
                 next_clock_ns += _CLOCK_PERIOD_NS
             if self._wait_until(begin, entry.stamp_ns - first_ns):
                 return
@@ -107,19 +109,11 @@ class BagPlayerNode(LandmarkNode):
 
     def _wait_until(self, begin: float, bag_ns: int) -> bool:
         """Wait for the time of a message; return whether the node ends meanwhile."""
-        left_s = begin + bag_ns * 1e-9 / self._config.rate - time.monotonic()
+        left_s = begin + bag_ns * 1e-9 / self.config.rate - time.monotonic()
         return self._stop.wait(left_s) if left_s > 0.0 else self._stop.is_set()
 
-    def _tick(self, now_ns: int) -> None:
-        sec, nanosec = divmod(now_ns, 1_000_000_000)
-        stamp = ros_factory('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
-        self._clock_publisher.publish(ros_factory('rosgraph_msgs/msg/Clock', clock=stamp))
 
-
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(BagPlayerNode)
-
+main = partial(run_node, BagPlayerNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

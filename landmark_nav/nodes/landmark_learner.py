@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 import time
 from typing import Any
 
@@ -12,9 +13,7 @@ import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.unmeasured import learn_located, locate_sweeps
@@ -22,13 +21,12 @@ from landmark_nav.localization.odometry.track import ClockStep, ClockWatch
 from landmark_nav.localization.sweep_places import carried_on, known_places
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.messages import decode, encode
-from landmark_nav.nodes.configured import calibration_of, configured
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.joining import listen_together
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.topics import ros_factory
+from landmark_nav.ros.topics import PANORAMA_TOPICS, ros_factory
+from landmark_nav.storage.bags.definitions import MAP_TOPICS
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import (
@@ -52,8 +50,8 @@ _MAX_BYTES = 2**29
 class UnmeasuredLearner:
     """Learns a map from ``sweep/*`` and ``odom`` by `learning.unmeasured`."""
 
-    def __init__(self, node: LandmarkNode, given: Calibration, config: Configuration) -> None:
-        self._node, self._given, self.config = node, given, config
+    def __init__(self, node: ConfiguredNode, given: Calibration) -> None:
+        self._node, self._given = node, given
         self._sweeps: dict[int, RecordedSweep] = {}
         self._odometry: deque[OdometrySample] = deque(maxlen=_MOST_SAMPLES)
         self._clock = ClockWatch()
@@ -80,10 +78,10 @@ class UnmeasuredLearner:
             depth = decode.BitDepth()
             return (sweep.decoded(depth, self._node.drop) for sweep in recorded)
 
+        config, odometry = self._node.config, list(self._odometry)
         given = [sweep.pose_map_base for sweep in recorded]
         spans = [sweep.span_ns for sweep in recorded]
-        odometry = list(self._odometry)
-        sheets = self.config.unmeasured.sheets
+        sheets = config.unmeasured.sheets
         if not (any(given) or odometry or sheets.has_papers or sheets.has_markers):
             raise LandmarkNavError(
                 'nothing gives the scale: connect odom and sweep again, publish sweep/pose, hang '
@@ -91,11 +89,10 @@ class UnmeasuredLearner:
             )
 
         def known(_stamped: Sequence[Sweep]) -> list[PlaceChain]:
-            return known_places(given, spans, odometry, self.config.odometry)
+            return known_places(given, spans, odometry, config.odometry)
 
-        unmeasured = self.config.unmeasured
-        located = locate_sweeps(sweeps, known, self._given, self.config, unmeasured, StageLog())
-        result = learn_located(located, self.config, unmeasured)
+        located = locate_sweeps(sweeps, known, self._given, config, config.unmeasured, StageLog())
+        result = learn_located(located, config, config.unmeasured)
         return replace(result, map=replace(result.map, provenance=located.provenance))
 
     def place_now(self, result: LearningResult) -> PoseEstimate | None:
@@ -103,7 +100,7 @@ class UnmeasuredLearner:
         if not self._odometry:
             return None
         place = base_from_axis(result.map.panorama_poses[-1], self._given.mount)
-        return carried_on(place, list(self._odometry), self.config.odometry)
+        return carried_on(place, list(self._odometry), self._node.config.odometry)
 
     def _on_sweep(self, sweep: RecordedSweep) -> None:
         if not sweep.frames:
@@ -137,7 +134,7 @@ _NOT_SAVED = 'not saved yet: call save_map'
 _SAME_WALL_M = 0.3
 
 
-class LandmarkLearnerNode(LandmarkNode):
+class LandmarkLearnerNode(ConfiguredNode):
     """
     Turns ``panorama/*`` into ``landmarks`` by `learning.pipeline.learn_from_panoramas`.
 
@@ -149,24 +146,19 @@ class LandmarkLearnerNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'landmark_learner', self._reconfigure)
-        self._outputs = [
-            self.advertise(name) for name in ('landmarks', 'landmarks/atlas', 'landmarks/markers')
-        ]
+        super().set_up()
+        self._outputs = [*map(self.advertise, MAP_TOPICS)]
         self._panoramas: dict[int, Panorama] = {}
         self._map: LandmarkMap | None = None
         self._on_disk = False
-        self._room: Room | None = None
-        self._given: Calibration | None = None
-        if self._config.room_file:
-            if self._config.robot_file:
-                self._given = calibration_of(self, self._config)
-            self._room = load_room(self._config.room_file)
-            panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
-            listen_together(self, panorama, self._on_panorama)
+        room_file, robot_file = self.config.room_file, self.config.robot_file
+        self._room = load_room(room_file) if room_file else None
+        self._given = self._robot() if robot_file or not room_file else None
+        if self._room is not None:
+            self.listen_together(PANORAMA_TOPICS, self._on_panorama)
         else:
-            self._given = calibration_of(self, self._config)
-            self._unmeasured = UnmeasuredLearner(self, self._given, self._config)
+            assert self._given is not None, 'it is read without a room'
+            self._unmeasured = UnmeasuredLearner(self, self._given)
             self._start = self.advertise('initialpose')
         # Services exclude each other, but panoramas still arrive.
         group = MutuallyExclusiveCallbackGroup()
@@ -175,18 +167,12 @@ class LandmarkLearnerNode(LandmarkNode):
         self.offer('save_map', self._save, group=group)
         self.offer('load_map', self._load, group=group)
         self._why_none = 'no map yet'
-        if self._config.load_on_start:
+        if self.config.load_on_start:
             try:
                 self.get_logger().info(self._load())
             except LandmarkNavError as error:  # a map can still be learned
                 self._why_none = f'no map loaded ({error})'
                 self.get_logger().warning(self._why_none)
-
-    def _reconfigure(self, config: Configuration) -> None:
-        """Use changed parameters from the next service call on."""
-        self._config = config
-        if self._room is None:
-            self._unmeasured.config = config
 
     def health(self) -> Health:
         """Degraded without a map or with one of another room; else OK."""
@@ -226,7 +212,7 @@ class LandmarkLearnerNode(LandmarkNode):
             result = self._unmeasured.learn()
         else:
             panoramas = [self._panoramas[stamp] for stamp in sorted(self._panoramas)]
-            result = learn_from_panoramas(panoramas, self._room, self._config)
+            result = learn_from_panoramas(panoramas, self._room, self.config)
         result = replace(result, map=replace(result.map, prior=self._given))
         self._publish(result.map, on_disk=False)
         walls = len({landmark.wall_id for landmark in result.map.landmarks} - {''})
@@ -258,12 +244,12 @@ class LandmarkLearnerNode(LandmarkNode):
     def _save(self) -> str:
         if self._map is None:
             raise LandmarkNavError('there is no map to save: call learn_landmarks first')
-        save_map(self._map, self._config.map_folder)
+        save_map(self._map, self.config.map_folder)
         self._on_disk = True
         return self._report(f'{len(self._map.landmarks)} landmarks saved in', self._map)
 
     def _load(self) -> str:
-        loaded = load_map(self._config.map_folder)
+        loaded = load_map(self.config.map_folder)
         self._publish(loaded, on_disk=True)
         return self._report(f'{len(loaded.landmarks)} landmarks loaded from', loaded)
 
@@ -272,11 +258,11 @@ class LandmarkLearnerNode(LandmarkNode):
         warning = self._why_foreign(landmarks)
         if warning:
             self.get_logger().warning(warning)
-        return '; '.join(filter(None, [f'{done} {self._config.map_folder}', warning]))
+        return '; '.join(filter(None, [f'{done} {self.config.map_folder}', warning]))
 
     def _why_foreign(self, landmarks: LandmarkMap) -> str:
         """Reason why a map and the room file are of different rooms; empty if they are not."""
-        room, files = self._room, f'{self._config.map_folder} and {self._config.room_file}'
+        room, files = self._room, f'{self.config.map_folder} and {self.config.room_file}'
         if room is None:
             return ''
         if landmarks.frame_id != room.frame_id:
@@ -295,11 +281,8 @@ class LandmarkLearnerNode(LandmarkNode):
             output.publish(message)
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    # One thread learns, another waits for the frames of a sweep, and the third receives them.
-    return run_node(LandmarkLearnerNode, threads=3)
-
+# One thread learns, another waits for the frames of a sweep, and the third receives them.
+main = partial(run_node, LandmarkLearnerNode, threads=3)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -23,7 +23,7 @@ from landmark_nav.types import (
     Triplet,
 )
 
-# Least time between two publications.
+# Least time between two publications; a debug image takes the detection thread 10 ms.
 _PERIOD_S = 0.2
 # Least initial distance of two points of a path, and greatest number of points.
 _STEP_M, _MOST_POINTS = 0.05, 1000
@@ -32,13 +32,22 @@ _CLOCK_STEP_NS = 10**9
 
 
 class ThinnedPath:
-    """A nav_msgs/Path of bounded length: when it is full, every other point is removed."""
+    """
+    Publisher of a nav_msgs/Path of bounded length to subscribers.
 
-    def __init__(self, frame_id: str) -> None:
-        self._frame_id, self._step_m = frame_id, _STEP_M
-        self._last_xy = (math.inf, math.inf)
+    When the path is full, every other point is removed.
+    """
+
+    def __init__(self, node: LandmarkNode, topic: str, frame_id: str) -> None:
+        self.output, self._frame_id = node.advertise(topic), frame_id
+        self._subscribers = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Remove all points."""
+        self._step_m, self._last_xy = _STEP_M, (math.inf, math.inf)
         self._poses: list[Any] = []
-        self.changed = False
+        self._changed = False
 
     def add(self, stamp_ns: int, pose: FloatArray) -> None:
         """Append a pose (3,) if it is at least a step away from the last one."""
@@ -48,11 +57,17 @@ class ThinnedPath:
         if len(self._poses) >= _MOST_POINTS:
             self._poses, self._step_m = self._poses[::2], 2.0 * self._step_m
         self._poses.append(encode.pose_stamped(ros_factory, stamp_ns, pose, self._frame_id))
-        self._last_xy, self.changed = (x, y), True
+        self._last_xy, self._changed = (x, y), True
+
+    def publish(self) -> None:
+        """Publish the path if it has changed, or for a new subscriber."""
+        before, self._subscribers = self._subscribers, self.output.get_subscription_count()
+        if self._subscribers > before or (self._subscribers and self._changed):
+            self._changed = False
+            self.output.publish(self.message())
 
     def message(self) -> Any:
         """Return the path, with the stamp of its last pose."""
-        self.changed = False
         return ros_factory('nav_msgs/msg/Path', header=self._poses[-1].header, poses=self._poses)
 
 
@@ -67,14 +82,14 @@ class LivePose:
         self._frame_id = frame_id
         self._markers = node.advertise('odometry_fusion/markers')
         topics = ('odometry_fusion/path', 'odometry_fusion/odometry_path')
-        self._outputs = [node.advertise(topic) for topic in topics]
-        self._subscribers = [0 for _ in topics]
+        self._paths = [ThinnedPath(node, topic, frame_id) for topic in topics]
         self._published_s = -math.inf
         self.restart()
 
     def restart(self) -> None:
         """Restart both paths."""
-        self._paths = [ThinnedPath(self._frame_id) for _ in self._outputs]
+        for path in self._paths:
+            path.restart()
         self._map_from_odom: FloatArray | None = None
         self._stamp_ns = 0
 
@@ -97,18 +112,14 @@ class LivePose:
         if now_s - self._published_s < _PERIOD_S:
             return
         self._published_s = now_s
-        for k, (path, output) in enumerate(zip(self._paths, self._outputs, strict=True)):
-            before, self._subscribers[k] = self._subscribers[k], output.get_subscription_count()
-            # A new subscriber receives the path even if the robot does not move.
-            if self._subscribers[k] > before or (self._subscribers[k] and path.changed):
-                output.publish(path.message())
+        for path in self._paths:
+            path.publish()
         if self._markers.get_subscription_count():
             drawn = encode.pose_markers(ros_factory, estimate, level(), self._frame_id)
             self._markers.publish(drawn)
 
 
 _JPEG_QUALITY = 75
-# Least time between two debug images, which take the detection thread 10 ms each.
 
 
 class LiveView:

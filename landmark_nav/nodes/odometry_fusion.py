@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +20,16 @@ from landmark_nav.localization.odometry.track import Distrusted
 from landmark_nav.localization.start import with_sigmas
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import GlobalPose
-from landmark_nav.nodes.configured import calibration_of, configured
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.nodes.live_pose import LivePose
-from landmark_nav.ros.camera_frames import CameraFrames
+from landmark_nav.ros.camera_frames import CameraFrames, listen_for_map
 from landmark_nav.ros.health import Health, Latency, Level
-from landmark_nav.ros.joining import listen_together
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.storage.robot_files import save_calibration
 from landmark_nav.types import (
     Detections,
+    JointSample,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -46,7 +46,7 @@ _BEYOND_DOUBT = 5.0
 _START_SIGMA_M, _START_SIGMA_RAD = 0.3, 0.2
 
 
-class OdometryFusionNode(LandmarkNode):
+class OdometryFusionNode(ConfiguredNode):
     """Fuses ``odom`` and ``detections`` to ``odometry/fused`` by `Fusion`."""
 
     def __init__(self, **options: Any) -> None:
@@ -54,14 +54,14 @@ class OdometryFusionNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'odometry_fusion', self._reconfigure)
-        calibration = calibration_of(self, self._config)
+        super().set_up()
+        calibration = self._robot()
         self._mount = calibration.mount
         self._fused = self.advertise('odometry/fused')
-        self._live = LivePose(self, self._config.map_frame)
+        self._live = LivePose(self, self.config.map_frame)
         self._transform = TransformBroadcaster(self)
-        self._spread = SpreadCorrection(self._config.correction_time_s)
-        config = self._config
+        self._spread = SpreadCorrection(self.config.correction_time_s)
+        config = self.config
         self._fusion = Fusion(LandmarkMap(()), calibration, config.estimator, config.odometry)
         self._expectation = self.advertise('expectation')
         self._level = self.advertise('odometry_fusion/protection_level')
@@ -79,12 +79,12 @@ class OdometryFusionNode(LandmarkNode):
         self.listen('detections', self._on_detections)
         self.listen('initialpose', self._on_initial_pose)
         self.listen('global_localization/pose', self._on_global_pose)
-        listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
+        listen_for_map(self, self.config.map_frame, self._on_map)
         self.offer('calibrate', self._calibrate)
 
     def _reconfigure(self, config: Configuration) -> None:
         """Use changed parameters."""
-        self._config, self._spread.time_constant_s = config, config.correction_time_s
+        self.config, self._spread.time_constant_s = config, config.correction_time_s
 
     def health(self) -> Health:
         """Status of the fusion."""
@@ -123,10 +123,8 @@ class OdometryFusionNode(LandmarkNode):
                 names.append(f'{name} by {factor * value:+.2f} {unit}')
         return f'; robot.yaml is off, which is put right: {", ".join(names)}' if names else ''
 
-    def _on_landmarks(self, points: Any, atlas: Any) -> None:
+    def _on_map(self, landmarks: LandmarkMap) -> None:
         """Change the map and keep the pose."""
-        decode.check_frame(points.header, self._config.map_frame, 'set map_frame to it')
-        landmarks = decode.landmark_map(points, atlas)
         self._fusion.change_map(landmarks)
         self._landmarks = len(landmarks.landmarks)
         self.get_logger().info(f'{self._landmarks} landmarks received')
@@ -141,7 +139,7 @@ class OdometryFusionNode(LandmarkNode):
                 'the drive has shown nothing of the calibration yet: find the pose, then drive a '
                 'metre straight on and turn on the spot'
             )
-        file = Path(self._config.robot_file)
+        file = Path(self.config.robot_file)
         written = file.with_name(f'{file.stem}_calibrated.yaml')
         save_calibration(found, written)
         off = found.surprises(given) or 'nothing is off'
@@ -149,7 +147,7 @@ class OdometryFusionNode(LandmarkNode):
         return f'{words}; not observed: {", ".join(hidden)}' if hidden else words
 
     def _on_initial_pose(self, message: Any) -> None:
-        decode.check_frame(message.header, self._config.map_frame, 'give it there')
+        decode.check_frame(message.header, self.config.map_frame, 'give it there')
         start = decode.pose_estimate(message)
         start = with_sigmas(start, _START_SIGMA_M, _START_SIGMA_RAD)
         self._fusion.initialize(start, self._now_ns())
@@ -158,7 +156,7 @@ class OdometryFusionNode(LandmarkNode):
         self._waiting = deque(one for one in self._waiting if isinstance(one, Detections))
 
     def _on_global_pose(self, message: Any) -> None:
-        decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
+        decode.check_frame(message.header, self.config.map_frame, 'set map_frame to it')
         place = decode.global_pose(message)
         if not self._fusion.reaches(place.stamp_ns):
             raise LandmarkNavError('it is of an image far off the odometry that is kept')
@@ -196,7 +194,7 @@ class OdometryFusionNode(LandmarkNode):
             self._publish(estimate, sample)
             # Only here, as a transform must not be published twice for one stamp.
             pose = self._spread.at(sample.stamp_ns, estimate.pose, sample.pose_odom_base)
-            frames = (self._config.map_frame, self._odom_frame)
+            frames = (self.config.map_frame, self._odom_frame)
             self._transform.send(sample.stamp_ns, [encode.planar_transform(*frames, pose)])
 
     def _on_detections(self, message: Any) -> None:
@@ -212,9 +210,7 @@ class OdometryFusionNode(LandmarkNode):
             elif not self._fusion.reaches(found.stamp_ns):
                 self.note('global_localization/pose dropped: its image is far off the odometry')
             else:
-                joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
-                known = None if isinstance(joints, Refusal) else joints
-                self._fusion.place(found, known)
+                self._fusion.place(found, self._joints_of(found))
                 self._started(found, 'found')
 
     def _waits(self, found: Detections | GlobalPose) -> bool:
@@ -230,10 +226,13 @@ class OdometryFusionNode(LandmarkNode):
             return False
         return not self._frames.reaches(found.stamp_ns + round(1e9 * ahead_s))
 
-    def _use(self, found: Detections) -> None:
+    def _joints_of(self, found: Detections | GlobalPose) -> JointSample | None:
+        """Angles at the stamp of an image and the assumed delay, if they are known."""
         joints = self._frames.joints_at(found.stamp_ns + round(1e9 * found.joint_delay_s))
-        known = None if isinstance(joints, Refusal) else joints
-        update = self._fusion.add_detections(found, known)
+        return None if isinstance(joints, Refusal) else joints
+
+    def _use(self, found: Detections) -> None:
+        update = self._fusion.add_detections(found, self._joints_of(found))
         if isinstance(update, Refusal):
             self.note(f'detections dropped: {update}')
             return
@@ -258,16 +257,16 @@ class OdometryFusionNode(LandmarkNode):
 
     def _publish(self, estimate: PoseEstimate, sample: OdometrySample) -> None:
         fused = replace(sample, pose_odom_base=estimate.pose)
-        frames = {'frame_id': self._config.map_frame, 'child_frame_id': self._mount.base_frame}
+        frames = {'frame_id': self.config.map_frame, 'child_frame_id': self._mount.base_frame}
         # Before the pose, so that a node that has received the pose has the expectation too.
         expected = self._fusion.expectation(estimate.stamp_ns)
         if expected is not None:
             self._expectation.publish(
-                encode.expectation(ros_factory, expected, sample, self._config.map_frame)
+                encode.expectation(ros_factory, expected, sample, self.config.map_frame)
             )
         if self._level.get_subscription_count():
             level = self._protection_level(estimate)
-            self._level.publish(encode.pose(ros_factory, level, self._config.map_frame))
+            self._level.publish(encode.pose(ros_factory, level, self.config.map_frame))
         self._fused.publish(encode.odometry(ros_factory, fused, estimate.covariance, **frames))
         self._live.show(estimate, sample, lambda: self._protection_level(estimate))
 
@@ -292,10 +291,7 @@ def _calibration_values(fusion: Fusion) -> dict[str, str]:
     return values
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(OdometryFusionNode)
-
+main = partial(run_node, OdometryFusionNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 import time
 from typing import Any
 
@@ -13,18 +14,17 @@ from landmark_nav.learning import sweep_pipeline
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.messages import decode, encode
-from landmark_nav.nodes.configured import calibration_of, configured
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.nodes.recorded_sweeps import RecordedSweep, SweepInbox
 from landmark_nav.quality import PanoramaQuality
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
-from landmark_nav.ros.topics import ros_factory
+from landmark_nav.ros.topics import PANORAMA_TOPICS, ros_factory
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama, Sweep
 
 
-class PanoramaSynthesizerNode(LandmarkNode):
+class PanoramaSynthesizerNode(ConfiguredNode):
     """
     Turns ``sweep/*`` into ``panorama/*`` by `learning.sweep_pipeline.panorama_from_sweep`.
 
@@ -36,15 +36,12 @@ class PanoramaSynthesizerNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'panorama_synthesizer')
-        self._given = self._known = calibration_of(self, self._config)
-        self._room = load_room(self._config.room_file) if self._config.room_file else None
-        self._outputs = [
-            self.advertise(name)
-            for name in ('panorama/image', 'panorama/camera_info', 'panorama/pose')
-        ]
+        super().set_up()
+        self._given = self._known = self._robot()
+        self._room = load_room(self.config.room_file) if self.config.room_file else None
+        self._outputs = [*map(self.advertise, PANORAMA_TOPICS)]
         self._depth = decode.BitDepth()
-        self._papers = PaperRecord(self._room, self._config.reference_area) if self._room else None
+        self._papers = PaperRecord(self._room, self.config.reference_area) if self._room else None
         self._health = Health(Level.OK, 'waiting for a sweep')
         frame = self._room.frame_id if self._room else 'map'
         SweepInbox(self, self._known.mount, frame, self._on_sweep)
@@ -55,8 +52,8 @@ class PanoramaSynthesizerNode(LandmarkNode):
 
     def _on_sweep(self, recorded: RecordedSweep) -> None:
         self._health = Health(Level.OK, 'at work on a sweep')
+        start = time.monotonic()
         try:
-            start = time.monotonic()
             sweep = recorded.decoded(self._depth, self.drop)
             view, place, frame_id = self._panorama(sweep)
             warning = self._papers.faults().text if self._papers else ''
@@ -70,18 +67,16 @@ class PanoramaSynthesizerNode(LandmarkNode):
         parts = encode.panorama(ros_factory, view, frame_id)
         for output, part in zip(self._outputs, parts, strict=True):
             output.publish(part)
-        lacks = describe_coverage(
-            [frame.pan_rad for frame in sweep.frames], sweep.frames[0].camera.half_fov_rad
-        )
         if warning:
             self.get_logger().warning(warning)
+        pans = [frame.pan_rad for frame in sweep.frames]
+        lacks = describe_coverage(pans, sweep.frames[0].camera.half_fov_rad)
         self._health = Health(
             Level.DEGRADED if warning else Level.OK,
             '; '.join(filter(None, [place, lacks, warning])),
             (_sigmas(view) if self._room else {}) | _quality(view.quality),
         )
-        took_s = time.monotonic() - start
-        self.get_logger().info(f'{self._health.reason} in {took_s:.1f} s')
+        self.get_logger().info(f'{self._health.reason} in {time.monotonic() - start:.1f} s')
 
     def _panorama(self, sweep: Sweep) -> tuple[Panorama, str, str]:
         """Panorama, description of its pose, and frame of the pose."""
@@ -90,7 +85,7 @@ class PanoramaSynthesizerNode(LandmarkNode):
             return view, 'panorama; its pose comes with learning', self._known.mount.base_frame
         self._known = self._known.for_camera(sweep.frames[0].camera.intrinsics, self._given)
         view = sweep_pipeline.panorama_from_sweep(
-            sweep, self._room, self._known, self._config, papers=self._papers
+            sweep, self._room, self._known, self.config, papers=self._papers
         )
         self._known = sweep_pipeline.next_prior(self._given, self._known, view)
         x, y, heading = *view.center_map[:2], np.degrees(view.heading_rad)
@@ -119,10 +114,7 @@ def _quality(quality: PanoramaQuality | None) -> dict[str, object]:
     }
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(PanoramaSynthesizerNode, threads=2)
-
+main = partial(run_node, PanoramaSynthesizerNode, threads=2)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -66,8 +66,8 @@ class RecordedSweep:
                 pixels, camera = decode.camera_image(image, info, depth=depth)
             except LandmarkNavError as error:
                 drop('sweep/image', error)
-                continue
-            views[stamp] = pixels, camera, depth.bits
+            else:
+                views[stamp] = pixels, camera, depth.bits
         lowered = {
             stamp: (depth.lowered(pixels, bits), camera)
             for stamp, (pixels, camera, bits) in views.items()

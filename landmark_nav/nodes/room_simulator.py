@@ -14,10 +14,9 @@ from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import encode
-from landmark_nav.nodes.configured import configured
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.ros.camera_frames import listen_for_pan
 from landmark_nav.ros.health import Health, Level, steady_clock
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.simulation.furnishing import generate_scene
@@ -41,7 +40,7 @@ _IMAGE_PERIOD_NS, _JPEG_QUALITY = 100_000_000, 92
 _COMMAND_TIMEOUT_S = 0.5
 
 
-class RoomSimulatorNode(LandmarkNode):
+class RoomSimulatorNode(ConfiguredNode):
     """`simulation.world.RobotWorld` on topics, in system time even with `use_sim_time`."""
 
     def __init__(self, **options: Any) -> None:
@@ -49,7 +48,8 @@ class RoomSimulatorNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = config = configured(self, 'room_simulator')
+        super().set_up()
+        config = self.config
         self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
         self._began_s = time.monotonic()
         self._world = _build(config, self._mount, time.time_ns())
@@ -156,10 +156,7 @@ def _build(config: Configuration, mount: PanTiltMount, start_ns: int) -> RobotWo
     )
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(RoomSimulatorNode)
-
+main = partial(run_node, RoomSimulatorNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

@@ -5,30 +5,27 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
+from functools import partial
 import time
+from types import coroutine
 from typing import Any
 
 import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.localization.expected_poses import ExpectedPoses
-from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.joint_delay import JointDelay, PanMotion
 from landmark_nav.localization.observer import Observation, Observer, straight
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
+from landmark_nav.localization.relocalization import Relocalizer, Unseen
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import GlobalPose
-from landmark_nav.nodes.configured import calibration_of, configured
+from landmark_nav.nodes.configured import ConfiguredNode
 from landmark_nav.nodes.live_pose import LiveView
 from landmark_nav.ros.camera_frames import CameraFrames, image_topics, ImageSource
 from landmark_nav.ros.health import Health, Latency, Level
-from landmark_nav.ros.joining import listen_together
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import LatestOnlyWorker, run_node
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import (
@@ -52,12 +49,11 @@ _LATE_S = 2.0
 _FUSED_NS = 10**9
 
 
-class _Pause:
-    """Short pause of a coroutine, during which the executor runs other callbacks."""
-
-    def __await__(self) -> Generator[None, None, None]:
-        time.sleep(_PAUSE_S)
-        yield
+@coroutine
+def _pause() -> Generator[None, None, None]:
+    """Let the executor run other callbacks for a moment."""
+    time.sleep(_PAUSE_S)
+    yield
 
 
 @dataclass
@@ -73,39 +69,33 @@ class PlaceSearch:
     Localizes globally on request or if lost, and publishes on ``global_localization/pose``.
 
     `fused` returns the newest fused pose, or None if its time differs from a stamp [ns] by more
-    than a limit [s]; `stages` are for the search for expected landmarks.
+    than a limit [s].
     """
 
     def __init__(
         self,
-        node: LandmarkNode,
+        node: ConfiguredNode,
         calibration: Calibration,
-        config: RelocalizationConfig,
-        map_frame: str,
         fused: Callable[[int, float], PoseEstimate | None],
-        odometry: OdometryNoiseConfig,
-        stages: ImageStagesConfig,
     ) -> None:
         # The current estimate, which is updated from outside.
         self.calibration = calibration
-        self.config, self._map_frame = config, map_frame
-        self._fused, self._noise, self._stages = fused, odometry, stages
+        self._node, self._fused = node, fused
         self._moves = False
         self.landmarks = LandmarkMap(())
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._relocalizer: Relocalizer | None = None
-        self._unseen = Unseen(config.unseen_s)
+        self._unseen = Unseen(node.config.relocalization.unseen_s)
         self._call: _Call | None = None
         self._published_ns = -_FUSED_NS
         self._place = node.advertise('global_localization/pose')
-        self._ended = node.ended
         node.offer('relocalize', self._search, group=ReentrantCallbackGroup())
 
     def use(self, landmarks: LandmarkMap) -> None:
         """Search these landmarks from now on."""
         self.landmarks = landmarks
         if self.active:
-            self._relocalizer = self._new_relocalizer()
+            self._restart()
 
     @property
     def active(self) -> bool:
@@ -125,7 +115,9 @@ class PlaceSearch:
         A pose at which no landmark has been detected for some time counts as unknown. Without
         odometry no search is started, as the fusion could not use its result.
         """
-        wanted = self.config.when_lost and self._moves and self.landmarks.landmarks
+        wanted = (
+            self._node.config.relocalization.when_lost and self._moves and self.landmarks.landmarks
+        )
         on_its_way = 0 <= stamp_ns - self._published_ns < _FUSED_NS
         if not wanted or on_its_way:
             return
@@ -136,8 +128,7 @@ class PlaceSearch:
         if fused is not None and is_known(fused) and not self._unseen.lasts:
             self._relocalizer = None
         elif self._relocalizer is None:
-            self._odometry = deque(maxlen=_BACKLOG)
-            self._relocalizer = self._new_relocalizer()
+            self._restart()
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Keep odometry for the next image if a search runs."""
@@ -176,33 +167,37 @@ class PlaceSearch:
                 relocalizer.landmark_ids,
                 PanMotion.of(frame, self.calibration.base).rate_rad_s,
             )
-            self._place.publish(encode.global_pose(ros_factory, place, self._map_frame))
+            self._place.publish(
+                encode.global_pose(ros_factory, place, self._node.config.map_frame)
+            )
         if call is not None:
             call.outcome = outcome
         return outcome
 
-    def _new_relocalizer(self) -> Relocalizer:
-        mount = self.calibration.mount
-        return Relocalizer(self.landmarks, mount, self.config, self._noise, self._stages)
+    def _restart(self) -> None:
+        config, self._odometry = self._node.config, deque(maxlen=_BACKLOG)
+        self._relocalizer = Relocalizer(
+            self.landmarks, self.calibration.mount, config.relocalization, config.odometry, config
+        )
 
     async def _search(self) -> str:
         if not self.landmarks.landmarks:
             raise LandmarkNavError('there are no landmarks: call learn_landmarks or load_map')
+        search_s = self._node.config.relocalization.search_s
         call = self._call
         if call is None:
-            call = self._call = _Call(time.monotonic() + self.config.search_s)
-            self._odometry = deque(maxlen=_BACKLOG)
-            self._relocalizer = self._new_relocalizer()
+            call = self._call = _Call(time.monotonic() + search_s)
+            self._restart()
         while isinstance(call.outcome, Refusal) and time.monotonic() < call.until_s:
-            if self._ended.done():
+            if self._node.ended.done():
                 raise LandmarkNavError('the search ends with this node: call again once it runs')
-            await _Pause()
+            await _pause()
         outcome = call.outcome
         if self._call is call:
             self._relocalizer = self._call = None
         if isinstance(outcome, Refusal):
             raise LandmarkNavError(
-                f'place not found within {self.config.search_s:g} s ({outcome}): call again and '
+                f'place not found within {search_s:g} s ({outcome}): call again and '
                 'turn the camera or drive meanwhile, or publish initialpose'
             )
         x, y, heading = outcome.pose
@@ -220,7 +215,7 @@ _MAX_WAIT_S = 0.3
 _MAX_PRIOR_AGE_S = 0.5
 
 
-class TriangulationLocalizerNode(LandmarkNode):
+class TriangulationLocalizerNode(ConfiguredNode):
     """Turns images into ``detections`` and ``triangulation/pose`` by an `Observer`."""
 
     def __init__(self, **options: Any) -> None:
@@ -228,26 +223,17 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'triangulation_localizer', self._reconfigure)
-        self._given = self._calibration = calibration_of(self, self._config)
+        super().set_up()
+        self._given = self._calibration = self._robot()
         self._mount = self._given.mount
         self._detections = self.advertise('detections')
         self._fix = self.advertise('triangulation/pose')
-        self._live = LiveView(self, self._config.map_frame)
+        self._live = LiveView(self, self.config.map_frame)
         self._frames = CameraFrames(self, self._mount)
         self._fused = ExpectedPoses[PoseEstimate](_MAX_PRIOR_AGE_S)
         self._expected = ExpectedPoses[Expectation](_MAX_PRIOR_AGE_S)
-        search = self._config.relocalization
-        self._search = PlaceSearch(
-            self,
-            self._calibration,
-            search,
-            self._config.map_frame,
-            self._fused.recent,
-            self._config.odometry,
-            self._config,
-        )
-        self.inputs.expect(*image_topics('camera/image_raw', self._config.image_transport))
+        self._search = PlaceSearch(self, self._given, self._fused.recent)
+        self.inputs.expect(*image_topics('camera/image_raw', self.config.image_transport))
         self._observer: Observer | None = None
         self._odometry: deque[OdometrySample] = deque(maxlen=_BACKLOG)
         self._triplet: Triplet | None = None
@@ -266,11 +252,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self.listen('odometry/fused', self._on_fused)
         self.listen('triplet', self._on_triplet)
         self.listen('expectation', self._frames.waking(self._on_expectation))
-        listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
-
-    def _reconfigure(self, config: Configuration) -> None:
-        """Use changed parameters from the next image or search on."""
-        self._config, self._search.config = config, config.relocalization
+        self.listen_together(('landmarks', 'landmarks/atlas'), self._on_landmarks)
 
     def health(self) -> Health:
         """Result of the last image, or a report that images are missing or take too long."""
@@ -301,7 +283,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._delay_s = late.delay_s if late.matters else 0.0
 
     def _on_landmarks(self, points: Any, atlas: Any) -> None:
-        config = self._config
+        config = self.config
         try:
             decode.check_frame(points.header, config.map_frame, 'set map_frame to it')
         except LandmarkNavError as error:
@@ -315,7 +297,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._search.use(landmarks)
         if self._source is None:
             self._health = Health(Level.DEGRADED, 'no image yet')
-            transport = self._config.image_transport
+            transport = self.config.image_transport
             self._source = ImageSource(
                 self, 'camera/image_raw', self._on_arrival, transport, depth=1
             )
@@ -335,7 +317,7 @@ class TriangulationLocalizerNode(LandmarkNode):
 
     def _use(self, message: Any) -> None:
         age_s, stamp = 1e-9 * self._age_ns(message), decode.stamp_ns(message.header)
-        if self._config.max_age_s < age_s < _OTHER_CLOCK_S:
+        if self.config.max_age_s < age_s < _OTHER_CLOCK_S:
             self._stale += 1
             late = f'images arrive {age_s:.1f} s late'
             self._health = Health(Level.DEGRADED, late, {'stale': self._stale})
@@ -353,7 +335,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         self._detections.publish(encode.detections(ros_factory, found, self._mount.base_frame))
         self._latency.note(self._age_ns(message))
         if self._fix.get_subscription_count() and isinstance(seen.fix, PoseEstimate):
-            self._fix.publish(encode.pose(ros_factory, seen.fix, self._config.map_frame))
+            self._fix.publish(encode.pose(ros_factory, seen.fix, self.config.map_frame))
         self._health = self._judged(seen, time.monotonic() - start)
         self._live.show(
             frame,
@@ -415,10 +397,7 @@ class TriangulationLocalizerNode(LandmarkNode):
         return Health(Level.OK, f'{len(found)} landmarks found', values)
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(TriangulationLocalizerNode)
-
+main = partial(run_node, TriangulationLocalizerNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

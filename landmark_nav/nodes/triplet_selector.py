@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
 import time
 from typing import Any
 
 import numpy as np
 
-from landmark_nav.configuration import Configuration
 from landmark_nav.localization.triplet import CameraState
 from landmark_nav.localization.triplet.look_around import is_known, LookAround
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.nodes.configured import calibration_of, configured
-from landmark_nav.ros.camera_frames import CameraFrames, listen_for_pan, PanCommander
+from landmark_nav.nodes.configured import ConfiguredNode
+from landmark_nav.ros.camera_frames import (
+    CameraFrames,
+    listen_for_map,
+    listen_for_pan,
+    PanCommander,
+)
 from landmark_nav.ros.health import Health, Level, own_clock
-from landmark_nav.ros.joining import listen_together
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import message_class, RELIABLE, ros_factory
 from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
@@ -37,7 +40,7 @@ _DWELL_TIME_S = 0.1
 _ECHOES = 8
 
 
-class TripletSelectorNode(LandmarkNode):
+class TripletSelectorNode(ConfiguredNode):
     """Turns ``odometry/fused`` into ``triplet`` and commands of the pan by `ActiveCamera`."""
 
     def __init__(self, **options: Any) -> None:
@@ -45,22 +48,22 @@ class TripletSelectorNode(LandmarkNode):
 
     def set_up(self) -> None:
         """Read parameters and files; create topics and services."""
-        self._config = configured(self, 'triplet_selector', self._reconfigure)
-        self._given = calibration_of(self, self._config)
+        super().set_up()
+        self._given = self._robot()
         self._mount = self._calibrated = self._given.mount
         self._publisher = self.advertise('triplet')
         cloud = message_class('sensor_msgs/msg/PointCloud2')
         self._triplet_scores = self.create_publisher(cloud, '~/triplet_scores', RELIABLE)
         self._landmark_visibility = self.create_publisher(cloud, '~/landmark_visibility', RELIABLE)
         self._frames = CameraFrames(self, self._mount)
-        command = self._config.command
+        command = self.config.command
         self._commander = PanCommander(self, self._mount, command.type, command.with_tilt)
         self._map: LandmarkMap | None = None
         self._fused: PoseEstimate | None = None
         self._fused_s = 0.0
         self._camera: ActiveCamera | None = None
         self._limits = self._mount.pan_limits_rad
-        self._around = LookAround(self._config.look_around, self._limits)
+        self._around = LookAround(self.config.look_around, self._limits)
         self._looks_at: float | None = None
         self._commanded: deque[float] = deque(maxlen=_ECHOES)
         self._yield_until = 0.0
@@ -69,13 +72,9 @@ class TripletSelectorNode(LandmarkNode):
         self.listen('expectation', self._on_expectation, depth=1)
         self.listen('detections', self._on_detections)
         listen_for_pan(self, self._mount, command.type, self._on_command)
-        listen_together(self, ('landmarks', 'landmarks/atlas'), self._on_landmarks)
+        listen_for_map(self, self.config.map_frame, self._on_map)
         self.create_timer(_PERIOD_S, self._choose, clock=own_clock(self))
         self.create_timer(_DWELL_TIME_S, self._look_around, clock=own_clock(self))
-
-    def _reconfigure(self, config: Configuration) -> None:
-        """Use changed parameters."""
-        self._config = config
 
     def health(self) -> Health:
         """Last choice, or the missing input; independent of a stopped clock."""
@@ -87,7 +86,7 @@ class TripletSelectorNode(LandmarkNode):
         return Health(Level.DEGRADED, words, health.values)
 
     def _on_fused(self, message: Any) -> None:
-        decode.check_frame(message.header, self._config.map_frame, 'set map_frame to it')
+        decode.check_frame(message.header, self.config.map_frame, 'set map_frame to it')
         self._fused, self._fused_s = decode.pose_estimate(message), time.monotonic()
 
     def _on_expectation(self, message: Any) -> None:
@@ -96,12 +95,11 @@ class TripletSelectorNode(LandmarkNode):
         if self._camera is not None:
             self._camera.mount = self._calibrated
 
-    def _on_landmarks(self, points: Any, atlas: Any) -> None:
-        decode.check_frame(points.header, self._config.map_frame, 'set map_frame to it')
-        self._map = decode.landmark_map(points, atlas)
+    def _on_map(self, landmarks: LandmarkMap) -> None:
+        self._map = landmarks
         # Until the fusion estimates it.
         self._calibrated = self._map.calibration_from(self._given).mount
-        self._camera = ActiveCamera(self._map, self._calibrated, self._config.triplet)
+        self._camera = ActiveCamera(self._map, self._calibrated, self.config.triplet)
 
     def _on_detections(self, message: Any) -> None:
         """Count found and missed landmarks of those that should be in view."""
@@ -111,7 +109,7 @@ class TripletSelectorNode(LandmarkNode):
     def _on_command(self, pan_rad: float) -> None:
         """Yield the camera for a while if another node, such as a sweep, commands the pan."""
         if not any(abs(pan_rad - own) <= 1e-6 for own in self._commanded):
-            self._yield_until = time.monotonic() + self._config.yield_s
+            self._yield_until = time.monotonic() + self.config.yield_s
             self._commanded.clear()
             self._commanded.append(pan_rad)
 
@@ -182,10 +180,7 @@ def _why_others_lost(ranking: Ranking) -> dict[str, str]:
     return lines | {'excluded': excluded or 'none'}
 
 
-def main() -> int:
-    """Entry point of the executable."""
-    return run_node(TripletSelectorNode)
-
+main = partial(run_node, TripletSelectorNode)
 
 if __name__ == '__main__':
     raise SystemExit(main())

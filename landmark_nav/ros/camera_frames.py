@@ -1,4 +1,4 @@
-"""Subscriptions to images, joint states and camera_info, frames, pan commands."""
+"""Subscriptions to images, joint states and camera_info, frames, maps, pan commands."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from math import isfinite
 from threading import Condition
-from typing import Any
+from typing import Any, TypeVar
 
 from builtin_interfaces.msg import Duration
 import numpy as np
@@ -25,7 +25,9 @@ from landmark_nav.ros.inputs import IrrelevantError
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import RELIABLE
 from landmark_nav.storage.bags.timelines import JointHistory, too_fast
-from landmark_nav.types import CameraFrame, ImageArray, JointSample, Refusal
+from landmark_nav.types import CameraFrame, ImageArray, JointSample, LandmarkMap, Refusal
+
+T = TypeVar('T')
 
 
 def image_topics(topic: str, transport: str) -> list[str]:
@@ -56,51 +58,60 @@ class ImageSource:
         *,
         depth: int | None = None,
     ) -> None:
-        self._node = node
+        self._node, self._callback, self._depth = node, callback, depth
         self._last: Any = None
-        self._raw = topic
+        self._topics, self._raw = image_topics(topic, transport), topic
         self._compressed_came = False
         self._subscriptions: dict[str, Subscription[Any]] = {}
-        self._open = {
-            name: partial(node.listen, name, self._only(name, callback), depth=depth)
-            for name in image_topics(topic, transport)
-        }
-        self._open_all()
+        self._listen()
         self._timer = node.create_timer(_SILENCE_S, self._look, clock=steady_clock())
 
     def close(self) -> None:
         """End the subscription."""
-        self._open.clear()
+        self._topics = []
         self._node.destroy_timer(self._timer)
-        self._keep(None)
+        self._keep('')
 
-    def _open_all(self) -> None:
-        for name, listen in list(self._open.items()):
+    def _listen(self) -> None:
+        """Subscribe to all topics."""
+        for name in self._topics:
             if name not in self._subscriptions:
-                self._subscriptions[name] = listen()
+                take = partial(self._take, name)
+                self._subscriptions[name] = self._node.listen(name, take, depth=self._depth)
 
     def _look(self) -> None:
         """Take raw images again if no compressed one came since the last look."""
         if not self._compressed_came:
-            self._open_all()
+            self._listen()
         self._compressed_came = False
 
-    def _only(self, name: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        def take(message: Any) -> None:
-            if name in self._subscriptions and message != self._last:
-                if name != self._raw:
-                    self._compressed_came = True
-                    self._keep(name)
-                self._last = message
-                callback(message)
+    def _take(self, name: str, message: Any) -> None:
+        if name not in self._subscriptions or message == self._last:
+            return
+        if name != self._raw:
+            self._compressed_came = True
+            self._keep(name)
+        self._last = message
+        self._callback(message)
 
-        return take
-
-    def _keep(self, name: str | None) -> None:
+    def _keep(self, name: str) -> None:
+        """End the subscriptions to other topics."""
         for other in list(self._subscriptions):
             # Another thread may close it at the same time.
             if other != name and (ended := self._subscriptions.pop(other, None)) is not None:
                 self._node.destroy_subscription(ended)
+
+
+def listen_for_map(
+    node: LandmarkNode, frame_id: str, callback: Callable[[LandmarkMap], None]
+) -> None:
+    """Call back with each map; one in another frame is dropped."""
+
+    def take(points: Any, atlas: Any) -> None:
+        decode.check_frame(points.header, frame_id, 'set map_frame to it')
+        callback(decode.landmark_map(points, atlas))
+
+    node.listen_together(('landmarks', 'landmarks/atlas'), take)
 
 
 def listen_for_joints(
@@ -122,12 +133,12 @@ def listen_for_joints(
     def take(message: Any) -> None:
         if taken := names.add(message.name):
             node.get_logger().info(f'joint_states: {taken}')
-        sample = decode.joint_sample(message, names.mount)
-        if sample is not None:
-            on_sample(sample)
+        stamp_ns, pan_rad, tilt_rad = decode.joint_angles(message, names.mount)
+        if pan_rad is not None:
+            on_sample(JointSample(stamp_ns, pan_rad, tilt_rad or 0.0))
             return
-        if (tilt := decode.lone_tilt(message, names.mount)) is not None:
-            on_tilt(*tilt)
+        if tilt_rad is not None:
+            on_tilt(stamp_ns, tilt_rad)
         raise IrrelevantError(one_line(names.missing))
 
     node.listen('joint_states', take, depth=depth)
@@ -147,8 +158,8 @@ class CameraFrames:
     def __init__(self, node: LandmarkNode, mount: PanTiltMount) -> None:
         self._node = node
         self._news = Condition()
-        self._joints: deque[JointSample] = deque()
-        # Stamps and tilts of a tilt joint with its own driver.
+        # By stamp: the joints, and tilts of a tilt joint with its own driver.
+        self._joints: deque[tuple[int, JointSample]] = deque()
         self._tilts: deque[tuple[int, float]] = deque()
         joints, tilt = self.waking(self._on_joints), self.waking(self._on_tilt)
         listen_for_joints(node, mount, joints, tilt, depth=50)
@@ -164,28 +175,28 @@ class CameraFrames:
     @property
     def pan_rad(self) -> float | None:
         """The last measured pan; None before the first."""
-        return self._joints[-1].pan_rad if self._joints else None
+        return self._joints[-1][1].pan_rad if self._joints else None
 
     @property
     def tilt_rad(self) -> float:
         """The last measured tilt; 0 before the first."""
         if self._tilts:
             return self._tilts[-1][1]
-        return self._joints[-1].tilt_rad if self._joints else 0.0
+        return self._joints[-1][1].tilt_rad if self._joints else 0.0
 
     @property
     def pan_range_rad(self) -> float:
         """Range of the pan in the joint states that are kept."""
         kept = tuple(self._joints)
-        pans_rad = unwrap_joint([s.stamp_ns for s in kept], [s.pan_rad for s in kept])
+        pans_rad = unwrap_joint([stamp for stamp, _ in kept], [s.pan_rad for _, s in kept])
         return float(np.ptp(pans_rad)) if kept else 0.0
 
     def reaches(self, stamp_ns: int) -> bool:
         """Whether there are joint states with this stamp or later."""
-        if not self._joints or self._joints[-1].stamp_ns < stamp_ns:
+        if not self._joints or self._joints[-1][0] < stamp_ns:
             return False
         tilt_ns = self._tilts[-1][0] if self._tilts else stamp_ns
-        return tilt_ns >= stamp_ns or tilt_ns < self._joints[-1].stamp_ns - _TILT_BEHIND_NS
+        return tilt_ns >= stamp_ns or tilt_ns < self._joints[-1][0] - _TILT_BEHIND_NS
 
     def waking(self, take: Callable[..., None]) -> Callable[..., None]:
         """Wrap a callback of messages that an image may wait for: it wakes the waiting image."""
@@ -199,7 +210,7 @@ class CameraFrames:
 
     def joints_at(self, stamp_ns: int) -> JointSample | Refusal:
         """Angles at a stamp, interpolated; or why they are unknown."""
-        samples = tuple(self._joints)
+        samples = tuple(sample for _, sample in tuple(self._joints))
         return too_fast(samples) or JointHistory(samples, tuple(self._tilts)).at(stamp_ns)
 
     def complete(
@@ -214,9 +225,11 @@ class CameraFrames:
         Raises `LandmarkNavError`: no camera_info of its size, or no joint states near its stamp.
         """
         stamp = decode.stamp_ns(message.header)
+        joints_ns = stamp + max(0, round(1e9 * late_s))
         # Decoded first, since joint states arrive meanwhile.
         view = self._view(message)
-        self._wait(stamp, seconds, also, late_s)
+        with self._news:
+            self._news.wait_for(lambda: self.reaches(joints_ns) and also(stamp), seconds)
         joints = self.joints_at(stamp)
         if isinstance(joints, Refusal):
             why = self._node.inputs.why_none('joint_states')
@@ -236,25 +249,16 @@ class CameraFrames:
         )
 
     def _on_joints(self, sample: JointSample) -> None:
-        if self._joints and sample.stamp_ns < self._joints[-1].stamp_ns - _CLOCK_STEP_NS:
-            # Replaced, not cleared: the thread of the images may read it at the same time.
-            self._joints = deque([sample])
-            return
-        if len(self._joints) > 1 and 0 <= sample.stamp_ns - self._joints[-2].stamp_ns < _STEP_NS:
+        stamp_ns = sample.stamp_ns
+        if len(self._joints) > 1 and 0 <= stamp_ns - self._joints[-2][0] < _STEP_NS:
             # The newest one is always kept, for `reaches`.
-            self._joints[-1] = max(sample, self._joints[-1], key=lambda known: known.stamp_ns)
-            return
-        self._joints.append(sample)
-        while self._joints[0].stamp_ns < sample.stamp_ns - _HISTORY_NS:
-            self._joints.popleft()
+            if stamp_ns >= self._joints[-1][0]:
+                self._joints[-1] = stamp_ns, sample
+        else:
+            self._joints = _remembered(self._joints, stamp_ns, sample)
 
     def _on_tilt(self, stamp_ns: int, tilt_rad: float) -> None:
-        if self._tilts and stamp_ns < self._tilts[-1][0] - _CLOCK_STEP_NS:
-            self._tilts = deque([(stamp_ns, tilt_rad)])
-            return
-        self._tilts.append((stamp_ns, tilt_rad))
-        while self._tilts[0][0] < stamp_ns - _HISTORY_NS:
-            self._tilts.popleft()
+        self._tilts = _remembered(self._tilts, stamp_ns, tilt_rad)
 
     def _view(self, message: Any) -> tuple[ImageArray, CameraModel] | None:
         """Pixels and camera of an image message; None before the first camera_info."""
@@ -265,13 +269,16 @@ class CameraFrames:
     def _on_camera_info(self, message: Any) -> None:
         self._info = decode.camera_info(message)
 
-    def _wait(
-        self, stamp_ns: int, seconds: float, also: Callable[[int], bool], late_s: float
-    ) -> None:
-        """Block until joint states reach the image and `also` is true, or the time is over."""
-        joints_ns = stamp_ns + max(0, round(1e9 * late_s))
-        with self._news:
-            self._news.wait_for(lambda: self.reaches(joints_ns) and also(stamp_ns), seconds)
+
+def _remembered(known: deque[tuple[int, T]], stamp_ns: int, value: T) -> deque[tuple[int, T]]:
+    """Add a value; forget old ones, and all after the clock was set back."""
+    if known and stamp_ns < known[-1][0] - _CLOCK_STEP_NS:
+        # Replaced, not cleared: the thread of the images may read it at the same time.
+        return deque([(stamp_ns, value)])
+    known.append((stamp_ns, value))
+    while known[0][0] < stamp_ns - _HISTORY_NS:
+        known.popleft()
+    return known
 
 
 _TOPIC = 'pan_tilt/command'
@@ -297,12 +304,11 @@ class PanCommander:
     def command(self, pan_rad: float, from_pan_rad: float | None = None) -> None:
         """Turn to `pan_rad`; `from_pan_rad`, if known, determines the duration of the move."""
         positions = [pan_rad, 0.0][: len(self._joints)]
-        stamp = self._node.get_clock().now().to_msg()
         if self._kind == 'Float64MultiArray':
             message: Any = Float64MultiArray(data=positions)
         elif self._kind == 'JointState':
             message = JointState(name=self._joints, position=positions)
-            message.header.stamp = stamp
+            message.header.stamp = self._node.get_clock().now().to_msg()
         else:
             way = abs(pan_rad - from_pan_rad) if from_pan_rad is not None else 0.0
             seconds = max(way / self._rate_rad_s, _MIN_DURATION_S)
@@ -324,14 +330,15 @@ def listen_for_pan(
         if kind == 'Float64MultiArray':
             names, positions = [mount.pan_joint], message.data
         elif kind == 'JointState':
-            names, positions = list(message.name), message.position
+            names, positions = message.name, message.position
         else:
-            names = list(message.joint_names)
+            names = message.joint_names
             positions = message.points[-1].positions if message.points else []
-        if mount.pan_joint in names and names.index(mount.pan_joint) < len(positions):
-            pan_rad = float(positions[names.index(mount.pan_joint)])
-            if not isfinite(pan_rad):
-                raise LandmarkNavError('the pan is not a finite number')
-            callback(pan_rad)
+        # Further positions have no name, and names without a position no value.
+        pan_rad = dict(zip(names, positions, strict=False)).get(mount.pan_joint)
+        if pan_rad is not None and not isfinite(pan_rad):
+            raise LandmarkNavError('the pan is not a finite number')
+        if pan_rad is not None:
+            callback(float(pan_rad))
 
     return node.create_subscription(_CLASSES[kind], _TOPIC, take, RELIABLE)

@@ -1,20 +1,17 @@
-"""``/diagnostics`` once a second: OK, degraded or lost, with the reason; clocks and latency."""
+"""State of a node for ``/diagnostics``: OK, degraded or lost, with the reason; clocks, latency."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-
-from landmark_nav.ros.topics import TOPICS
 
 
 def steady_clock() -> Clock:
@@ -42,33 +39,6 @@ class Health:
     level: Level
     reason: str
     values: Mapping[str, object] = field(default_factory=dict)
-
-
-def publish_health(node: Node, subcomponent: str, report: Callable[[], Health]) -> None:
-    """Publish `report()` once a second by the steady clock, even if ``/clock`` has stopped."""
-    topic = '/diagnostics'
-    publisher = node.create_publisher(DiagnosticArray, topic, TOPICS[topic].qos)
-
-    def publish() -> None:
-        health = report()
-        status = DiagnosticStatus(
-            level=health.level.value,
-            name=f'{node.get_name()}: {subcomponent}',
-            message=health.reason,
-            hardware_id=node.get_fully_qualified_name(),
-            values=[
-                KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
-                for key, value in health.values.items()
-            ],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = node.get_clock().now().to_msg()
-        publisher.publish(array)
-
-    # Not `LandmarkNode.create_timer`: diagnostics are published in every lifecycle state.
-    Node.create_timer(
-        node, 1.0, publish, callback_group=ReentrantCallbackGroup(), clock=steady_clock()
-    )
 
 
 # Number of recent latencies: some seconds of images.

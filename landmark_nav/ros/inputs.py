@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping
 from difflib import SequenceMatcher
+import math
 import time
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
+from rclpy.qos import qos_check_compatible, QoSCompatibility
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.topics import SENSOR_DATA, Topic, TOPICS
@@ -51,11 +52,11 @@ class Input:
         self.name = next(iter(self._topics))
         self.is_stream = any(spec and spec.qos is SENSOR_DATA for spec in self._topics.values())
         self.is_awaited = self.is_stream or any(name in _AWAITED for name in topics)
+        # Why the last message was of no use; when the last one was used.
+        self.irrelevant, self.used_s = '', -math.inf
+        self.arrived_s = -math.inf
         self._count = self._reported = 0
         self._reported_s = time.monotonic()
-        self._arrived_s: float | None = None
-        self._used_s: float | None = None
-        self._irrelevant = ''
         self._stamp_ns = 0
         self._last_source = b''
         self._names: dict[bytes, str] = {}
@@ -64,56 +65,44 @@ class Input:
     def arrived(self, message: Any, info: Mapping[str, Any]) -> None:
         """Register a message before it is used."""
         self._count += 1
-        self._arrived_s = time.monotonic()
+        self.arrived_s = time.monotonic()
         source = bytes((info.get('publisher_gid') or {}).get('data', b''))
         if source != self._last_source:
             self._last_source = source
-            self._changes.append((self._arrived_s, source))
+            self._changes.append((self.arrived_s, source))
         header = getattr(message, 'header', None)
         if self.is_stream and header is not None:
             self._stamp_ns = int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
-    def used(self) -> None:
-        """Register that the last message was used."""
-        self._used_s = time.monotonic()
-
-    def of_no_use(self, why: str) -> None:
-        """Register that the last message was irrelevant."""
-        self._irrelevant = why
-
     @property
     def publisher(self) -> str:
         """Name of the node that published the last message; '' before the first."""
-        return self._name_of(self._last_source) if self._arrived_s is not None else ''
-
-    @property
-    def never_came(self) -> bool:
-        """Whether no message arrived yet."""
-        return self._arrived_s is None
+        return self._name_of(self._last_source) if self._count else ''
 
     def moment(self) -> tuple[float, float] | None:
         """Arrival and stamp of the newest message, s; None if the stream is silent."""
-        at_work = self._arrived_s is not None and self._silent_s() < _SILENCE_S
-        return (
-            (self._arrived_s or 0.0, 1e-9 * self._stamp_ns) if at_work and self._stamp_ns else None
-        )
+        known = self._stamp_ns and self._silent_s() < _SILENCE_S
+        return (self.arrived_s, 1e-9 * self._stamp_ns) if known else None
+
+    @property
+    def why_silent(self) -> str:
+        """Text: why nothing arrives; '' while messages arrive."""
+        if not self._count:
+            return self._why_none()
+        if self.is_stream and self._silent_s() >= _SILENCE_S and self._is_open():
+            return f'silent for {self._silent_s():.1f} s'
+        return ''
 
     def waits(self) -> str:
         """Text: the topic, and why nothing arrives; '' while messages arrive."""
-        if self._arrived_s is None:
-            why = self._why_none()
-        elif not self.is_stream or self._silent_s() < _SILENCE_S or not self._is_open():
-            return ''
-        else:
-            why = f'silent for {self._silent_s():.1f} s'
-        return f'{self.name} ({why})' if why else ''
+        return f'{self.name} ({why})' if (why := self.why_silent) else ''
 
     def problems(self) -> Iterator[str]:
         """Yield texts about problems of the messages that arrive."""
         now_s = time.monotonic()
-        unused_s = now_s - self._used_s if self._used_s is not None else _SILENCE_S
-        if self._irrelevant and unused_s >= _SILENCE_S and self._silent_s() < _SILENCE_S:
-            yield f'{self.name}: {self._irrelevant}'
+        is_unused = now_s - self.used_s >= _SILENCE_S
+        if self.irrelevant and is_unused and self._silent_s() < _SILENCE_S:
+            yield f'{self.name}: {self.irrelevant}'
         names = self._sources(now_s) if self.is_stream else []
         if len(names) > 1:
             yield f'{self.name} comes from two publishers, {" and ".join(names)}: stop one of them'
@@ -132,15 +121,15 @@ class Input:
         now_s = time.monotonic()
         rate_hz = (self._count - self._reported) / max(now_s - self._reported_s, 1e-3)
         self._reported, self._reported_s = self._count, now_s
-        if waits := self.waits():
-            return f'waits: {waits[len(self.name) + 2 : -1]}'
+        if why := self.why_silent:
+            return f'waits: {why}'
         if not self._is_open():
             return 'not listened to now'
         amount = f'{rate_hz:.1f} Hz' if self.is_stream else f'{self._count} messages'
         return f'{amount} from {self.publisher}'
 
     def _silent_s(self) -> float:
-        return float('inf') if self._arrived_s is None else time.monotonic() - self._arrived_s
+        return time.monotonic() - self.arrived_s
 
     def _is_open(self) -> bool:
         """Whether the node has a subscription now."""
@@ -148,10 +137,8 @@ class Input:
 
     def _why_none(self) -> str:
         """Text: why nothing has arrived yet."""
-        publishers = {
-            topic: self._node.get_publishers_info_by_topic(topic) for topic in self._topics
-        }
-        if not any(publishers.values()):
+        ends = self._endpoints()
+        if not ends:
             alike = _listed(self._alike()) if self.is_stream else ''
             joints = any(spec and spec.type_name == _JOINTS for spec in self._topics.values())
             if not alike and joints and self._node.count_publishers('/tf'):
@@ -159,16 +146,15 @@ class Input:
             return 'nobody publishes it' + (f'; of its type there is {alike}' if alike else '')
         # QoS of the subscriptions, which `qos_overrides` may have changed.
         asked = {sub.topic_name: sub.qos_profile for sub in self._node.subscriptions}
-        for topic, found in publishers.items():
-            spec = self._topics[topic]
-            for one in found:
-                who = _full_name(one)
+        for topic, spec in self._topics.items():
+            for one in self._node.get_publishers_info_by_topic(topic):
                 if spec is not None and one.topic_type != spec.type_name:
+                    who = _full_name(one)
                     return f'{who} publishes it as {one.topic_type}, not {spec.type_name}'
-                if spec is not None and not _fits(one.qos_profile, asked.get(topic, spec.qos)):
-                    return f'the quality of service that {who} offers does not suffice'
-        who = _listed(_full_name(one) for found in publishers.values() for one in found)
-        return f'nothing came from {who} yet' if self._is_open() else ''
+                offered, wanted = one.qos_profile, asked.get(topic, spec and spec.qos)
+                if wanted and qos_check_compatible(offered, wanted)[0] == QoSCompatibility.ERROR:
+                    return f'the quality of service that {_full_name(one)} offers does not suffice'
+        return f'nothing came from {_listed(map(_full_name, ends))} yet' if self._is_open() else ''
 
     def _alike(self) -> list[str]:
         """Other published topics of its type, by similarity of their names."""
@@ -220,7 +206,7 @@ class Inputs:
     def origin(self, topic: str) -> str:
         """`` from NODE``: publisher of the last message of a topic; '' if it is unknown."""
         known = self._by_topic.get(self._node.resolve_topic_name(topic))
-        return f' from {known.publisher}' if known is not None and known.publisher else ''
+        return f' from {name}' if known is not None and (name := known.publisher) else ''
 
     def __iter__(self) -> Iterator[Input]:
         """Iterate over the inputs."""
@@ -254,7 +240,7 @@ class Inputs:
     def _clocks(self) -> Iterator[str]:
         """Yield texts: a missing clock, and streams with stamps of another clock than most."""
         clock = self._by_topic.get(_CLOCK)
-        if clock is not None and clock.never_came and (words := clock.waits()):
+        if clock is not None and clock.arrived_s < 0.0 and (words := clock.waits()):
             yield f'use_sim_time is set and no time comes on {words}'
         moments = {one.name: moment for one in self if (moment := one.moment()) is not None}
         # Between two streams, the clock of the node decides.
@@ -287,10 +273,6 @@ def _same_clock(one: tuple[float, float], other: tuple[float, float]) -> bool:
     """Whether two pairs of arrival and stamp, s, can be by the same clock."""
     apart_s = abs(one[0] - other[0])
     return abs(one[1] - other[1]) < _CLOCK_S + _FASTEST_PLAY * apart_s
-
-
-def _fits(offered: QoSProfile, asked: QoSProfile) -> bool:
-    return bool(qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR)
 
 
 def _full_name(endpoint: Any) -> str:

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import partial
 import logging
 import re
+import time
 import traceback
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import (
+    CallbackGroup,
+    MutuallyExclusiveCallbackGroup,
+    ReentrantCallbackGroup,
+)
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind
+from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -27,7 +34,7 @@ from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.messages import decode
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.ros import topics
-from landmark_nav.ros.health import Health, Level, publish_health
+from landmark_nav.ros.health import Health, Level, steady_clock
 from landmark_nav.ros.inputs import Inputs, IrrelevantError
 from landmark_nav.ros.parameters import declare
 
@@ -53,10 +60,12 @@ class ManagedNode(LifecycleNodeMixin, Node):
     """
 
     def __init__(self, name: str, **options: Any) -> None:
-        self._foundation: dict[str, list[Any]] = {}
+        self._foundation: list[tuple[str, Any]] = []
         self._closing: list[Callable[[], None]] = []
         self._failure: Exception | None = None
         self._destroyed = False
+        # Service calls under way, and those among them that wait for other callbacks.
+        self._calls = self.calls_that_wait = 0
         Node.__init__(self, name, **options)
         # An own group, so that the manager is answered while callbacks run.
         LifecycleNodeMixin.__init__(self, callback_group=MutuallyExclusiveCallbackGroup())
@@ -78,11 +87,6 @@ class ManagedNode(LifecycleNodeMixin, Node):
     def is_active(self) -> bool:
         """Whether the node handles messages."""
         return self.state == 'active'
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether cleanup is possible now; overridden."""
-        return True
 
     def start(self) -> None:
         """
@@ -111,7 +115,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take down, unless a service call is running."""
-        if not self.is_idle:
+        if self._calls:
             self.get_logger().warning('not cleaned up: a service is at work')
             return TransitionCallbackReturn.FAILURE
         self._take_down()
@@ -132,15 +136,14 @@ class ManagedNode(LifecycleNodeMixin, Node):
         # Otherwise the node stays in the graph until garbage collection.
         self._state_machine.destroy_when_not_in_use()
 
-    def _made(self) -> dict[str, list[Any]]:
-        return {kind: list(getattr(self, f'{kind}s')) for kind in _KINDS}
+    def _made(self) -> list[tuple[str, Any]]:
+        return [(kind, one) for kind in _KINDS for one in getattr(self, f'{kind}s')]
 
     def _take_down(self) -> None:
         self._close()
-        for kind, made in self._made().items():
-            for one in made:
-                if one not in self._foundation[kind]:
-                    getattr(self, f'destroy_{kind}')(one)
+        for kind, one in self._made():
+            if (kind, one) not in self._foundation:
+                getattr(self, f'destroy_{kind}')(one)
 
     def _close(self) -> None:
         while self._closing:
@@ -153,6 +156,9 @@ _FILES = ('_file', '_folder', 'bag')
 _OF_RCLPY = ('/rosout', '/parameter_events', '/diagnostics')
 # Largest number of different warnings of a node.
 _MOST_LOGGED = 200
+# Largest number of incomplete sets of messages; the first that arrived is dropped, whatever its
+# stamp.
+_MAX_WAITING = 8
 
 # Over a lossy link, only reliable transport delivers large messages.
 _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.RELIABILITY,))
@@ -178,8 +184,16 @@ class LandmarkNode(ManagedNode):
         super().__init__(name, **options)
         self._log = logging.getLogger(f'{__name__}.{self.get_name()}')
         self.ended: Future[None] = Future()
-        self.calls_that_wait = self._calls = 0
-        publish_health(self, subcomponent, self._checked_health)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', topics.RELIABLE)
+        # Not `LandmarkNode.create_timer`: diagnostics are published in every lifecycle state, by a
+        # clock that runs even if ``/clock`` has stopped.
+        Node.create_timer(
+            self,
+            1.0,
+            partial(self._publish_health, subcomponent),
+            callback_group=ReentrantCallbackGroup(),
+            clock=steady_clock(),
+        )
         self.start()
 
     def health(self) -> Health:
@@ -188,17 +202,10 @@ class LandmarkNode(ManagedNode):
 
     def end(self, failure: LandmarkNavError | None = None) -> None:
         """Make `run_node` end the process; running callbacks see `ended`."""
-        if self.ended.done():
-            return
-        if failure is None:
-            self.ended.set_result(None)
-        else:
+        if failure is not None and not self.ended.done():
             self.ended.set_exception(failure)
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether no service call is running."""
-        return not self._calls
+        elif not self.ended.done():
+            self.ended.set_result(None)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Log inputs and outputs of the node, if it is in an executor already."""
@@ -237,14 +244,8 @@ class LandmarkNode(ManagedNode):
 
     def advertise(self, topic: str) -> Publisher[Any]:
         """Create the publisher of a public topic; ``qos_overrides`` may change its reliability."""
-        spec = topics.TOPICS[topic]
-        with _overriding(topic):
-            return self.create_publisher(
-                topics.message_class(spec.type_name),
-                topic,
-                topics.with_depth(spec.qos, spec.qos.depth),
-                qos_overriding_options=_OVERRIDABLE,
-            )
+        publisher: Publisher[Any] = self._public(self.create_publisher, topic)
+        return publisher
 
     def listen(
         self,
@@ -253,48 +254,89 @@ class LandmarkNode(ManagedNode):
         *,
         depth: int | None = None,
         group: CallbackGroup | None = None,
+        raw: bool = False,
     ) -> Subscription[Any]:
         """
         Subscribe to a public topic; `depth` replaces the length of its queue.
 
-        The parameters ``qos_overrides`` of ROS may change its reliability.
+        `raw` messages are serialised. Others without a stamp get the time of arrival. The
+        parameters ``qos_overrides`` of ROS may change the reliability.
         """
-        spec = topics.TOPICS[topic]
         # Parts of maps and panoramas are joined by their stamps, also by those of 0.
-        if spec.qos.durability is not DurabilityPolicy.TRANSIENT_LOCAL:
-            callback = self._stamped(topic, callback)
-        with _overriding(topic):
-            return self.create_subscription(
-                topics.message_class(spec.type_name),
-                topic,
-                callback,
-                topics.with_depth(spec.qos, spec.qos.depth if depth is None else depth),
-                callback_group=group,
-                qos_overriding_options=_OVERRIDABLE,
+        is_latched = topics.TOPICS[topic].is_latched
+        take = callback if is_latched else self._stamped(topic, callback)
+        listen = partial(self._public, self.create_subscription, topic, take)
+        subscription: Subscription[Any] = listen(depth=depth, callback_group=group, raw=raw)
+        return subscription
+
+    def _public(
+        self, create: Any, topic: str, *callback: Any, depth: int | None = None, **options: Any
+    ) -> Any:
+        """Create a publisher or a subscription of a public topic."""
+        spec = topics.TOPICS[topic]
+        kind, qos = topics.message_class(spec.type_name), copy(spec.qos)
+        qos.depth = qos.depth if depth is None else depth
+        try:
+            return create(
+                kind, topic, *callback, qos, qos_overriding_options=_OVERRIDABLE, **options
             )
+        except (RuntimeError, InvalidParameterTypeException) as error:
+            raise LandmarkNavError(
+                one_line(
+                    f'qos_overrides of {topic}: give reliable or best_effort as reliability: '
+                    f'{error}'
+                )
+            ) from error
+
+    def _stamped(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def stamped(message: Any) -> None:
+            if decode.is_unstamped(message):
+                decode.set_stamp(message, self.get_clock().now().nanoseconds)
+                self.note(f'{topic} has stamps of 0: the time of arrival is taken')
+            callback(message)
+
+        return stamped
+
+    def listen_together(self, names: Sequence[str], callback: Callable[..., None]) -> None:
+        """Call back with one message of each topic, in order, when all of a stamp arrived."""
+        waiting: dict[int, dict[str, Any]] = {}
+
+        def take(topic: str, message: Any) -> None:
+            stamp = decode.stamp_ns(message.header)
+            waiting.setdefault(stamp, {})[topic] = message
+            if len(waiting[stamp]) == len(names):
+                found = waiting.pop(stamp)
+                callback(*(found[name] for name in names))
+            elif len(waiting) > _MAX_WAITING:
+                del waiting[next(iter(waiting))]
+
+        for topic in names:
+            self.listen(topic, partial(take, topic))
 
     def create_subscription(  # type: ignore[override]
         self, msg_type: Any, topic: str, callback: Callable[[Any], None], *args: Any, **given: Any
     ) -> Subscription[Any]:
         """Subscribe as in rclpy; the callback is guarded and registered in `inputs`."""
         source = self.inputs.expect(topic)
-        spec = topics.TOPICS.get(topic)
-        comes_once = spec is not None and spec.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL
+        comes_once = topic in topics.TOPICS and topics.TOPICS[topic].is_latched
+
+        def use(message: Any) -> None:
+            try:
+                callback(message)
+                source.used_s = time.monotonic()
+            except IrrelevantError as why:
+                source.irrelevant = str(why)
+
+        guarded = self.guarded(topic, use)
 
         def take(message: Any, info: Mapping[str, Any]) -> None:
             source.arrived(message, info)
-            if not self.is_active and not comes_once:
-                return
-            try:
-                if self._attempt(topic, callback, message):
-                    source.used()
-            except IrrelevantError as why:
-                source.of_no_use(str(why))
+            if self.is_active or comes_once:
+                guarded(message)
 
         if former := topics.FORMER_NAMES.get(topic):
-            late = topics.hear_former(self, topic, callback, self._warn_once)
-            guarded = self.guarded(former, late)
-            super().create_subscription(msg_type, former, guarded, *args, **given)
+            late = self.guarded(former, topics.hear_former(self, topic, callback, self._warn_once))
+            super().create_subscription(msg_type, former, late, *args, **given)
         return super().create_subscription(msg_type, topic, take, *args, **given)
 
     def create_publisher(
@@ -319,17 +361,6 @@ class LandmarkNode(ManagedNode):
 
         return super().create_timer(timer_period_sec, tick, *args, **given)
 
-    def _stamped(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Wrap a callback: messages without a stamp get the time of arrival."""
-
-        def stamped(message: Any) -> None:
-            if decode.is_unstamped(message):
-                decode.set_stamp(message, self.get_clock().now().nanoseconds)
-                self.note(f'{topic} has stamps of 0: the time of arrival is taken')
-            callback(message)
-
-        return stamped
-
     def offer(
         self,
         service: str,
@@ -350,8 +381,13 @@ class LandmarkNode(ManagedNode):
                 if not self.is_active:
                     raise LandmarkNavError(f'{self.get_name()} is {self.state}: activate it')
                 done = action()
-                response.message = done if isinstance(done, str) else await self._awaited(done)
-                response.success = True
+                if not isinstance(done, str):
+                    self.calls_that_wait += 1
+                    try:
+                        done = await done
+                    finally:
+                        self.calls_that_wait -= 1
+                response.message, response.success = done, True
             except LandmarkNavError as error:
                 response.message = str(error)
                 self._log.warning('%s refused: %s', service, error)
@@ -362,13 +398,6 @@ class LandmarkNode(ManagedNode):
             return response
 
         self.create_service(Trigger, service, answer, callback_group=group)
-
-    async def _awaited(self, action: Awaitable[str]) -> str:
-        self.calls_that_wait += 1
-        try:
-            return await action
-        finally:
-            self.calls_that_wait -= 1
 
     def drop(self, what: str, error: object) -> None:
         """Report that something, such as a message of a topic, was dropped, and why."""
@@ -397,23 +426,14 @@ class LandmarkNode(ManagedNode):
         """Wrap a callback: errors are reported, and do not end the node."""
 
         def guarded(*given: Any) -> None:
-            self._attempt(what, callback, *given)
+            try:
+                callback(*given)
+            except LandmarkNavError as error:
+                self.drop(what, error)
+            except Exception as error:
+                self.drop(what, self.fault(what, error))
 
         return guarded
-
-    def _attempt(self, what: str, action: Callable[..., None], *given: Any) -> bool:
-        """Call back; return whether there was no error."""
-        try:
-            action(*given)
-        except IrrelevantError:
-            raise
-        except LandmarkNavError as error:
-            self.drop(what, error)
-        except Exception as error:
-            self.drop(what, self.fault(what, error))
-        else:
-            return True
-        return False
 
     def _warn_once(self, words: str) -> None:
         if self._is_new(re.sub(r'[-+.\d]+', '#', words)):
@@ -426,7 +446,24 @@ class LandmarkNode(ManagedNode):
         self._logged.add(words)
         return True
 
+    def _publish_health(self, subcomponent: str) -> None:
+        health = self._checked_health()
+        status = DiagnosticStatus(
+            level=health.level.value,
+            name=f'{self.get_name()}: {subcomponent}',
+            message=health.reason,
+            hardware_id=self.get_fully_qualified_name(),
+            values=[
+                KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
+                for key, value in health.values.items()
+            ],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
     def _checked_health(self) -> Health:
+        """State of the node with the problems of its inputs."""
         if not self.is_active:
             return Health(Level.DEGRADED, f'{self.state}: a lifecycle manager activates it')
         try:
@@ -448,13 +485,3 @@ class LandmarkNode(ManagedNode):
         reason = '; '.join(filter(None, [health.reason, *problems, waits]))
         dropped = {f'dropped: {what}': count for what, count in self._dropped.items()}
         return Health(level, reason, {**health.values, **dropped, **self.inputs.values()})
-
-
-@contextmanager
-def _overriding(topic: str) -> Iterator[None]:
-    """Convert errors of rclpy about ``qos_overrides`` to `LandmarkNavError`."""
-    try:
-        yield
-    except (RuntimeError, InvalidParameterTypeException) as error:
-        words = f'qos_overrides of {topic}: give reliable or best_effort as reliability: {error}'
-        raise LandmarkNavError(one_line(words)) from error

@@ -23,7 +23,11 @@ from landmark_nav.parameters import changed, is_of, leaves, unit_hint, unit_of
 
 T = TypeVar('T')
 
-_LARGEST_INTEGER = 2**63 - 1
+# Type of a parameter -> field of its descriptor, type of its range, largest value.
+_RANGES: dict[type, tuple[str, Any, float]] = {
+    int: ('integer_range', IntegerRange, 2**63 - 1),
+    float: ('floating_point_range', FloatingPointRange, sys.float_info.max),
+}
 
 
 def settle(node: Node, config: Any) -> Mapping[str, Any]:
@@ -105,52 +109,34 @@ def _plain(value: Any) -> Any:
 def _declared(
     node: Node, name: str, field: dataclasses.Field[Any], default: Any, is_live: bool
 ) -> Any:
+    if node.has_parameter(name):
+        return _plain(node.get_parameter(name).value)
     example = list(default) if isinstance(default, tuple) else default
+    descriptor = _descriptor(name, field, default, is_live)
+    where = f'parameter {name} of {node.get_name()}'
     try:
-        value = (
-            node.get_parameter(name)
-            if node.has_parameter(name)
-            else node.declare_parameter(name, example, _descriptor(name, field, default, is_live))
-        ).value
+        return _plain(node.declare_parameter(name, example, descriptor).value)
     except InvalidParameterTypeException as error:
-        raise LandmarkNavError(
-            f'parameter {name} of {node.get_name()} has the wrong type: write it like {example!r}'
-        ) from error
+        raise LandmarkNavError(f'{where} has the wrong type: write it like {example!r}') from error
     except InvalidParameterValueException as error:
-        raise LandmarkNavError(
-            f'parameter {name} of {node.get_name()}: {" ".join(str(error).split())}'
-            f'{unit_hint(name)}'
-        ) from error
-    return _plain(value)
+        words = f'{where}: {" ".join(str(error).split())}{unit_hint(name)}'
+        raise LandmarkNavError(words) from error
 
 
 def _descriptor(
     name: str, field: dataclasses.Field[Any], default: Any, is_live: bool
 ) -> ParameterDescriptor:
-    choices = field.metadata['choices']
-    low, high = field.metadata['minimum'], field.metadata['maximum']
-    unit = unit_of(name)
+    choices, unit = field.metadata['choices'], unit_of(name)
     descriptor = ParameterDescriptor(
         description=field.metadata['description'] + (f' [{unit}]' if unit else ''),
         additional_constraints=f'one of {", ".join(choices)}' if choices else '',
         read_only=not is_live,
     )
-    if (low is None and high is None) or isinstance(default, bool):
+    low, high = field.metadata['minimum'], field.metadata['maximum']
+    kind: Any = type(default)
+    if kind not in _RANGES or (low is None and high is None):
         return descriptor
-    if isinstance(default, int):
-        descriptor.integer_range = [
-            IntegerRange(
-                from_value=-_LARGEST_INTEGER if low is None else int(low),
-                to_value=_LARGEST_INTEGER if high is None else int(high),
-                step=0,
-            )
-        ]
-    elif isinstance(default, float):
-        descriptor.floating_point_range = [
-            FloatingPointRange(
-                from_value=-sys.float_info.max if low is None else float(low),
-                to_value=sys.float_info.max if high is None else float(high),
-                step=0.0,
-            )
-        ]
+    range_of, make, largest = _RANGES[kind]
+    low, high = (-largest if low is None else low), (largest if high is None else high)
+    setattr(descriptor, range_of, [make(from_value=kind(low), to_value=kind(high))])
     return descriptor

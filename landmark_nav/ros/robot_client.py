@@ -20,9 +20,9 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.joining import join_ros, listen_together
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.topics import message_class, ros_factory, TOPICS, with_depth
+from landmark_nav.ros.run import join_ros
+from landmark_nav.ros.topics import PANORAMA_TOPICS, ros_factory, TOPICS
 from landmark_nav.storage.bags import BagWriter
 from landmark_nav.storage.bags.transforms import RobotTransforms
 from landmark_nav.types import OdometrySample, Panorama, PoseEstimate
@@ -48,11 +48,9 @@ class ServiceDiscovery:
         self._next_s = 0.0
 
     def __enter__(self) -> ServiceDiscovery:
-        """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Destroy the client."""
         if self._client is not None:
             self._node.destroy_client(self._client)
 
@@ -149,15 +147,12 @@ class RobotClient:
         self._node.listen('odom', self._on_odometry)
         self._node.listen('odometry/fused', self._on_fused)
         self._node.listen('triangulation/pose', self._on_fix)
-        panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
-        listen_together(self._node, panorama, self._on_panorama)
+        self._node.listen_together(PANORAMA_TOPICS, self._on_panorama)
 
     def __enter__(self) -> RobotClient:
-        """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Leave the graph."""
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
@@ -260,24 +255,16 @@ class RobotClient:
         with BagWriter(path) as bag:
 
             def writer(topic: str) -> Callable[[Any], None]:
-                kind = TOPICS[topic].type_name
-
                 def write(data: bytes) -> None:
                     now_ns = time.time_ns()
-                    bag.write_serialized(topic, kind, data, now_ns)
+                    bag.write_serialized(topic, TOPICS[topic].type_name, data, now_ns)
                     if transforms is not None and topic in transforms.topics:
                         kept.append((topic, data, now_ns))
 
                 return write
 
             subscriptions = [
-                self._node.create_subscription(
-                    message_class(TOPICS[topic].type_name),
-                    topic,
-                    writer(topic),
-                    with_depth(TOPICS[topic].qos, _RECORDED_DEPTH),
-                    raw=True,
-                )
+                self._node.listen(topic, writer(topic), depth=_RECORDED_DEPTH, raw=True)
                 for topic in topics
             ]
             try:
@@ -292,15 +279,11 @@ class RobotClient:
 
     def _last_heard(self) -> str:
         """Text: the last reports of the nodes, which often hold the reason; the worst first."""
-        rank = {level: k for k, level in enumerate(reversed(_LEVELS.values()))}
-        words = [
-            f'{name}: {status.reason}'
-            for name, status in sorted(
-                self.status.items(), key=lambda one: (rank.get(one[1].level, -1), one[0])
-            )
-            if name != self.name
-        ]
-        return '; '.join(words) or 'nothing of any node: is ROS_DOMAIN_ID theirs?'
+        rank = {level: -k for k, level in enumerate(_LEVELS.values())}
+        others = [(name, status) for name, status in self.status.items() if name != self.name]
+        others.sort(key=lambda one: (rank.get(one[1].level, -len(rank)), one[0]))
+        reasons = [f'{name}: {status.reason}' for name, status in others]
+        return '; '.join(reasons) or 'nothing of any node: is ROS_DOMAIN_ID theirs?'
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:

@@ -1,4 +1,4 @@
-"""`main` of the nodes: spin until SIGINT or SIGTERM, forward logs to ROS, shut down."""
+"""`main` of the nodes: join ROS, spin until SIGINT or SIGTERM, forward logs, shut down."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import logging
 import os
 from pathlib import Path
 import signal
+import struct
 import sys
 from threading import Condition, Event, Thread
 import time
@@ -17,6 +18,7 @@ from types import FrameType
 from typing import Any
 
 import rclpy
+from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import (
     Executor,
@@ -25,62 +27,15 @@ from rclpy.executors import (
     TimeoutException,
 )
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future, Task
 from rclpy.utilities import remove_ros_args
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.ros.joining import join_ros
+from landmark_nav.ros import chosen_domain
 from landmark_nav.ros.node import LandmarkNode
 
 _SIGEV_THREAD = 2
-
-
-class _SigEvent(ctypes.Structure):
-    _fields_ = (
-        ('value', ctypes.c_size_t),
-        ('signal', ctypes.c_int),
-        ('notify', ctypes.c_int),
-        ('function', ctypes.c_void_p),
-        ('attribute', ctypes.c_void_p),
-        ('_rest', ctypes.c_byte * 32),
-    )
-
-
-class _TimerSpec(ctypes.Structure):
-    _fields_ = (
-        ('interval_s', ctypes.c_long),
-        ('interval_ns', ctypes.c_long),
-        ('value_s', ctypes.c_long),
-        ('value_ns', ctypes.c_long),
-    )
-
-
-class ExitTimer:
-    """
-    Ends the process with status 0, `after_s` after `start`, without the interpreter lock.
-
-    Nodes that leave at the same time may hold that lock for tens of seconds: Fast DDS waits for a
-    callback whose mutex it takes repeatedly (its issue 6513).
-    """
-
-    def __init__(self, after_s: float) -> None:
-        self._libc = ctypes.CDLL(None)
-        self._after = _TimerSpec(0, 0, int(after_s), int(after_s % 1.0 * 1e9))
-        self._id = ctypes.c_void_p()
-        at_once = ctypes.cast(self._libc._exit, ctypes.c_void_p)
-        event = _SigEvent(0, 0, _SIGEV_THREAD, at_once)
-        if self._libc.timer_create(
-            time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(self._id)
-        ):
-            raise OSError('timer_create failed')
-
-    def start(self) -> None:
-        """Start the timer."""
-        self._libc.timer_settime(self._id, 0, ctypes.byref(self._after), None)
-
-    def stop(self) -> None:
-        """Delete the timer."""
-        self._libc.timer_delete(self._id)
 
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -92,16 +47,25 @@ class ShutdownGuard:
 
     A separate thread waits for the signal and calls `on_signal`: handlers of Python do not run
     while the main thread is in C code, and a KeyboardInterrupt may be lost in a callback. If the
-    block has not ended `grace_s` later, the process ends with status 0.
+    block has not ended `grace_s` later, the process ends with status 0. This timer does without
+    the interpreter lock, which nodes that leave at the same time may hold for tens of seconds:
+    Fast DDS waits for a callback whose mutex it takes repeatedly (its issue 6513).
     """
 
     def __init__(self, on_signal: Callable[[], None], grace_s: float) -> None:
         self._on_signal = on_signal
-        self._timer = ExitTimer(grace_s)
+        self._libc = ctypes.CDLL(None)
+        # An itimerspec: no interval, seconds and nanoseconds.
+        self._grace = struct.pack('4l', 0, 0, int(grace_s), int(grace_s % 1.0 * 1e9))
+        self._timer = ctypes.c_void_p()
+        at_once = ctypes.cast(self._libc._exit, ctypes.c_void_p).value
+        # A sigevent: value, signal, kind, function, and space for its other fields.
+        event = struct.pack('PiiP40x', 0, 0, _SIGEV_THREAD, at_once)
+        if self._libc.timer_create(time.CLOCK_MONOTONIC, event, ctypes.byref(self._timer)):
+            raise OSError('timer_create failed')
         self._thread = Thread(target=self._watch, name='end signals', daemon=True)
 
     def __enter__(self) -> ShutdownGuard:
-        """Replace the handlers of the signals."""
         self._reader, self._writer = os.pipe()
         os.set_blocking(self._writer, False)
         self._wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
@@ -110,18 +74,17 @@ class ShutdownGuard:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Restore the handlers of the signals."""
         signal.set_wakeup_fd(self._wakeup)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         os.close(self._writer)
         self._thread.join()
         os.close(self._reader)
-        self._timer.stop()
+        self._libc.timer_delete(self._timer)
 
     def expect_end(self) -> None:
         """Start the time limit for the end of the block."""
-        self._timer.start()
+        self._libc.timer_settime(self._timer, 0, self._grace, None)
 
     def _watch(self) -> None:
         if os.read(self._reader, 1):
@@ -193,27 +156,22 @@ class LatestOnlyWorker:
     """
     Passes messages to `work`, which must not raise, in a thread of its own, one at a time.
 
-    A waiting message is replaced by a newer one, so there is no queue.
+    A waiting message is replaced by a newer one, so there is no queue; `dropped` counts these.
     """
 
     def __init__(self, work: Callable[[Any], None]) -> None:
         self._work = work
         self._waiting: Any = None
         self._changed = Condition()
-        self._dropped = 0
+        self.dropped = 0
         self._closed = False
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    @property
-    def dropped(self) -> int:
-        """Number of messages that were replaced."""
-        return self._dropped
-
     def take(self, message: Any) -> None:
         """Hand over a message and return at once."""
         with self._changed:
-            self._dropped += self._waiting is not None
+            self.dropped += self._waiting is not None
             self._waiting = message
             self._changed.notify()
 
@@ -248,6 +206,7 @@ class _Forwarder(logging.Handler):
         """Log at the nearest ROS severity, by the node whose name ends the record's name."""
         logger = self._loggers.get(record.name.rpartition('.')[2], self._first)
         text = self.format(record)
+        # rclpy refuses other severities at the same place of a file.
         if record.levelno >= logging.ERROR:
             logger.error(text)
         elif record.levelno >= logging.WARNING:
@@ -256,6 +215,23 @@ class _Forwarder(logging.Handler):
             logger.info(text)
         else:
             logger.debug(text)
+
+
+def join_ros(context: Context | None = None, domain_id: int | None = None) -> int:
+    """
+    Initialise ROS by the command line, without signal handlers; return the domain.
+
+    Context and domain are by default those of the process and the environment. Raises
+    `LandmarkNavError`: ROS refuses the arguments, a parameter file or the environment.
+    """
+    domain_id = (chosen_domain() or 0) if domain_id is None else domain_id
+    try:
+        rclpy.init(
+            context=context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO
+        )
+    except RuntimeError as error:  # RCLError, UnknownROSArgsError
+        raise LandmarkNavError(' '.join(str(error).split())) from error
+    return domain_id
 
 
 # Time after a signal at which the process ends in any case. A stage such as learning takes seconds
@@ -267,12 +243,7 @@ usage: {name} [--ros-args [--params-file F.yaml] [-p PARAMETER:=VALUE ...]]
 Parameters: config/landmark_nav.yaml; all, with ranges: docs/reference/parameters.md"""
 
 
-def run_node(make_node: Callable[[], LandmarkNode], threads: int = 1) -> int:
-    """Run one node in this process; see `run_nodes`."""
-    return run_nodes([make_node], threads)
-
-
-def run_nodes(make_nodes: Sequence[Callable[[], LandmarkNode]], threads: int) -> int:
+def run_node(*make_nodes: Callable[[], LandmarkNode], threads: int = 1) -> int:
     """
     Run nodes in this process with one executor; the end of one node ends all.
 

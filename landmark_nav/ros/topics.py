@@ -18,16 +18,15 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    qos_profile_sensor_data,
-    QoSProfile,
-    ReliabilityPolicy,
-)
+from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
 
 from landmark_nav.messages import encode
-from landmark_nav.storage.bags.definitions import MAP_TOPICS, TOPIC_TYPES
+from landmark_nav.storage.bags.definitions import (
+    DRIVE_IMAGES,
+    MAP_TOPICS,
+    SWEEP_IMAGES,
+    TOPIC_TYPES,
+)
 
 
 @cache
@@ -58,23 +57,15 @@ def ros_factory(type_name: str, **fields: Any) -> Any:
     return message_class(type_name)(**fields)
 
 
-def _reliable(depth: int, durability: DurabilityPolicy) -> QoSProfile:
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=durability,
-    )
-
-
 SENSOR_DATA = qos_profile_sensor_data
-RELIABLE = _reliable(10, DurabilityPolicy.VOLATILE)
+# Profiles are reliable by default.
+RELIABLE = QoSProfile(depth=10)
 # Maps, by REP-2003: later subscribers get the last message.
-LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Learning needs several panoramas, so that one must not replace the one before.
-PANORAMAS = _reliable(8, DurabilityPolicy.TRANSIENT_LOCAL)
+PANORAMAS = QoSProfile(depth=8, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Deep enough for all frames of a sweep, if a bag delivers them at once.
-SWEEP = _reliable(400, DurabilityPolicy.VOLATILE)
+SWEEP = QoSProfile(depth=400)
 
 
 @dataclass(frozen=True)
@@ -84,17 +75,22 @@ class Topic:
     type_name: str
     qos: QoSProfile
 
+    @property
+    def is_latched(self) -> bool:
+        """Whether later subscribers get the last messages."""
+        return self.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
+
+PANORAMA_TOPICS = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
+_SENSOR_TOPICS = (
+    *('joint_states', 'odom', 'ground_truth/odom', 'camera/camera_info', *DRIVE_IMAGES),
+    'triangulation_localizer/debug_image/compressed',
+)
 # Profiles of the topics that are not RELIABLE.
 _PROFILES = {
-    **dict.fromkeys(
-        ('joint_states', 'odom', 'ground_truth/odom', 'camera/camera_info', 'camera/image_raw'),
-        SENSOR_DATA,
-    ),
-    'camera/image_raw/compressed': SENSOR_DATA,
-    'triangulation_localizer/debug_image/compressed': SENSOR_DATA,
-    **dict.fromkeys(('sweep/image', 'sweep/image/compressed', 'sweep/camera_info'), SWEEP),
-    **dict.fromkeys(('panorama/image', 'panorama/camera_info', 'panorama/pose'), PANORAMAS),
+    **dict.fromkeys(_SENSOR_TOPICS, SENSOR_DATA),
+    **dict.fromkeys((*SWEEP_IMAGES, 'sweep/camera_info'), SWEEP),
+    **dict.fromkeys(PANORAMA_TOPICS, PANORAMAS),
     **dict.fromkeys(MAP_TOPICS, LATCHED),
 }
 TOPICS = {
@@ -104,16 +100,6 @@ TOPICS = {
 }
 TOPICS['/clock'] = Topic('rosgraph_msgs/msg/Clock', SENSOR_DATA)
 TOPICS['/diagnostics'] = Topic('diagnostic_msgs/msg/DiagnosticArray', RELIABLE)
-
-
-def with_depth(qos: QoSProfile, depth: int) -> QoSProfile:
-    """Copy of a profile that keeps the last `depth` messages."""
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=qos.reliability,
-        durability=qos.durability,
-    )
 
 
 # New name -> name in the last release.

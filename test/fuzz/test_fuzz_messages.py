@@ -15,13 +15,11 @@ from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 
 def _decoders():
     valid, mount = corpus.recorded(), corpus.MOUNT
-    joints = partial(decode.joint_sample, mount=mount)
-    tilt = partial(decode.lone_tilt, mount=mount)
     return {
         'camera/image_raw': decode.image,
         'camera/image_raw/compressed': decode.image,
         'camera/camera_info': decode.camera_model,
-        'joint_states': lambda message: (joints(message), tilt(message)),
+        'joint_states': partial(decode.joint_angles, mount=mount),
         'odom': decode.odometry,
         'sweep/trajectory': partial(decode.sweep_trajectory, mount=mount),
         'sweep/pose': decode.pose_estimate,

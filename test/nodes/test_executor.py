@@ -76,7 +76,7 @@ def test_a_node_survives_what_its_callbacks_raise(threads):
         made.append(Faulty())
         return made[0]
 
-    assert run_node(make, threads) == 0
+    assert run_node(make, threads=threads) == 0
     assert made[0].done > 20
     assert made[0].counted > 10
 
@@ -128,7 +128,7 @@ def test_a_subscription_closed_by_another_thread_does_not_end_the_node(threads, 
         node.create_timer(0.02, tick)
         return node
 
-    assert run_node(make, threads) == 0
+    assert run_node(make, threads=threads) == 0
     assert waitable.thrown > 1
     assert len(ticks) >= 5
 
@@ -156,7 +156,7 @@ def test_a_failure_sets_the_status_though_another_callback_takes_longer_than_the
                 self.end(LandmarkNavError('a wheel fell off'))
 
         sys.argv, run._GRACE_S = ['busy'], 0.3
-        sys.exit(run.run_node(Busy, 3))
+        sys.exit(run.run_node(Busy, threads=3))
     """
     done = subprocess.run(
         [sys.executable, '-c', textwrap.dedent(script)],

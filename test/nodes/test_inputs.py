@@ -19,7 +19,6 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.camera_frames import listen_for_joints
 from landmark_nav.ros.health import Health, Level
-from landmark_nav.ros.joining import listen_together
 from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import message_class, ros_factory, TOPICS
 from landmark_nav.types import JointSample, OdometrySample
@@ -115,7 +114,7 @@ def test_what_never_gets_its_other_half_makes_way_whatever_its_stamp(graph, seco
     """Also of a map that was loaded before the first ``/clock``, with stamps of 0."""
     came: list[Any] = []
     topics = ('panorama/image', 'panorama/pose')
-    listen_together(graph.listener, topics, lambda *parts: came.append(parts))
+    graph.listener.listen_together(topics, lambda *parts: came.append(parts))
     heard = {one.topic_name: one.callback for one in graph.listener.subscriptions}
     image, pose = (message_class(TOPICS[topic].type_name)() for topic in topics)
     for k in range(99):

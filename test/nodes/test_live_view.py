@@ -57,7 +57,7 @@ def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(graph, node):
     came: dict[str, list[Any]] = {'odometry_fusion/path': [], 'odometry_fusion/odometry_path': []}
     for topic, messages in came.items():
         node.listen(topic, messages.append)
-    graph.until(lambda: all(one.get_subscription_count() for one in live._outputs))
+    graph.until(lambda: all(one.output.get_subscription_count() for one in live._paths))
     begun_s, k = time.monotonic(), 0
     while time.monotonic() - begun_s < 1.2:
         # The robot drives along x; odometry is off by a tenth.

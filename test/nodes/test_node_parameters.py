@@ -164,12 +164,12 @@ def test_each_node_takes_what_is_set_also_once_it_was_configured_anew(name, cont
     for given in (value, value + value):
         (result,) = node.set_parameters([Parameter(what, value=given)])
         assert result.successful, result.reason
-        configured = {key: now for key, _, now in leaves(node._config)}
+        configured = {key: now for key, _, now in leaves(node.config)}
         assert configured[what] == given
         node.trigger_deactivate()
         node.trigger_cleanup()
         node.trigger_configure()
-        assert {key: now for key, _, now in leaves(node._config)} == configured
+        assert {key: now for key, _, now in leaves(node.config)} == configured
         node.trigger_activate()
     (result,) = node.set_parameters([Parameter('robot_file', value='x')])
     assert 'read-only' in result.reason

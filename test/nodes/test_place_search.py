@@ -13,10 +13,9 @@ import pytest
 from rclpy.task import Future
 
 from landmark_nav.calibration import Calibration
+from landmark_nav.configuration import Configuration
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.expected_poses import ExpectedPoses
-from landmark_nav.localization.image_stages import ImageStagesConfig
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
 from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.triangulation_localizer import PlaceSearch
@@ -58,16 +57,13 @@ def search(prior, reported, services, ended):
     def offer(service, action, **_):
         services[service] = action
 
-    node: Any = SimpleNamespace(advertise=lambda _name: publisher, offer=offer, ended=ended)
-    made = PlaceSearch(
-        node,
-        Calibration.of_mount(PanTiltMount()),
-        RelocalizationConfig(search_s=0.2),
-        'map',
-        prior.recent,
-        OdometryNoiseConfig(),
-        ImageStagesConfig(),
+    node: Any = SimpleNamespace(
+        advertise=lambda _name: publisher,
+        offer=offer,
+        ended=ended,
+        config=replace(Configuration(), relocalization=RelocalizationConfig(search_s=0.2)),
     )
+    made = PlaceSearch(node, Calibration.of_mount(PanTiltMount()), prior.recent)
     landmark: Any = SimpleNamespace(edge=False, shared_loading=np.zeros((3, 0)))
     made.use(LandmarkMap((landmark,)))
     made.add_odometry(OdometrySample(0, np.zeros(3)))

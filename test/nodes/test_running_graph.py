@@ -105,7 +105,7 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         watch.wait(20.0, 'the place, which nobody asked for')
         client.wait(lambda: any(cloud.width > 1 for cloud in ranked), 15.0, 'the ranking')
         client.wait(lambda: bool(visibilities), 15.0, 'the visibility of the landmarks')
-        reasons = Layout('triplet_scores', np.dtype([('reason', 'u1')]))
+        reasons = Layout('triplet_scores', 'reason:u1')
         best, *others = unpack_cloud(max(ranked, key=lambda cloud: cloud.width), reasons)
         assert best['reason'] == 0
         assert all(other['reason'] > 0 for other in others)

@@ -40,17 +40,16 @@ from landmark_nav.types import (
 def test_joints_come_back_and_foreign_joints_are_none(deliver):
     sample = JointSample(STAMP, 1.25, -0.5)
     msg = encode.joint_state(FACTORY, sample, MOUNT)
-    assert decode.joint_sample(deliver(msg), MOUNT) == sample
+    assert decode.joint_angles(deliver(msg), MOUNT) == (STAMP, sample.pan_rad, sample.tilt_rad)
     msg.name = ['wheel_left', 'wheel_right']
-    assert decode.joint_sample(deliver(msg), MOUNT) is None
+    assert decode.joint_angles(deliver(msg), MOUNT) == (STAMP, None, None)
 
 
 @both
 def test_a_tilt_comes_alone_where_its_joint_has_a_driver_of_its_own(deliver):
     msg = encode.joint_state(FACTORY, JointSample(STAMP, 1.25, -0.5), MOUNT)
-    assert decode.lone_tilt(deliver(msg), MOUNT) is None
     msg.name = ['wheel_left', MOUNT.tilt_joint]
-    assert decode.lone_tilt(deliver(msg), MOUNT) == (STAMP, -0.5)
+    assert decode.joint_angles(deliver(msg), MOUNT) == (STAMP, None, -0.5)
 
 
 def test_detections_of_older_recordings_know_of_no_delay():
@@ -414,10 +413,10 @@ def test_poses_without_a_covariance_are_refused(wrong):
 def test_joints_that_hold_no_angles_are_refused(positions):
     msg = encode.joint_state(FACTORY, JointSample(STAMP, 0.1), MOUNT)
     msg.position = positions
-    for read in (decode.joint_sample, decode.lone_tilt):
+    for names in (msg.name, [MOUNT.tilt_joint, 'wheel_left']):
+        msg.name = names
         with pytest.raises(LandmarkNavError, match='joint_states position'):
-            read(msg, MOUNT)
-        msg.name = [MOUNT.tilt_joint, 'wheel_left']
+            decode.joint_angles(msg, MOUNT)
 
 
 @pytest.mark.parametrize(('sec', 'nanosec'), [(-1, 0), (0, 2 * 10**9), ('now', 0), (np.nan, 0)])

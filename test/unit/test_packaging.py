@@ -125,7 +125,9 @@ def test_every_executable_has_a_main(setup_arguments):
         _, module, function = re.split(r' = |:', script)
         path = REPOSITORY / f'{module.replace(".", "/")}.py'
         tree = ast.parse(path.read_text(encoding='utf-8'))
-        assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assigned = [node.targets for node in tree.body if isinstance(node, ast.Assign)]
+        assert function in defined | {ast.unparse(name) for names in assigned for name in names}
 
 
 def test_every_node_can_be_found_by_ros2_run(setup_arguments):

@@ -2,7 +2,8 @@
 Messages -> types.
 
 Every function accepts any object with the fields of the message, from rosbags or rclpy. Numeric
-arrays may be NumPy arrays, array.array, bytes or lists.
+arrays may be NumPy arrays, array.array, bytes or lists. It raises `LandmarkNavError` if a field is
+missing or of another type, or a value is not a number or not within its bounds.
 """
 
 from landmark_nav.messages.decode.cameras import camera_info, camera_model, CameraInfo
@@ -15,9 +16,8 @@ from landmark_nav.messages.decode.headers import (
 )
 from landmark_nav.messages.decode.images import BitDepth, camera_image, image, published_size
 from landmark_nav.messages.decode.joints import (
-    joint_sample,
+    joint_angles,
     JointNames,
-    lone_tilt,
     matching_name,
     sweep_trajectory,
 )

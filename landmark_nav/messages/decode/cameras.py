@@ -24,6 +24,10 @@ _MAX_OFF_CENTRE = 0.15
 _LARGEST_SKEW_PX = 1.0
 
 
+# fx, fy, cx, cy.
+_Intrinsics = tuple[float, float, float, float]
+
+
 @dataclass(frozen=True)
 class CameraInfo:
     """
@@ -33,7 +37,7 @@ class CameraInfo:
     """
 
     size: tuple[int, int]
-    intrinsics: tuple[float, float, float, float]
+    intrinsics: _Intrinsics
     model: str
     distortion: tuple[float, ...]
     binning: tuple[int, int]
@@ -64,13 +68,10 @@ class CameraInfo:
 
     @property
     def _usual_size(self) -> tuple[int, int]:
-        _, _, width, height = self.roi
-        return (
-            (width or self.size[0]) // self.binning[0],
-            (height or self.size[1]) // self.binning[1],
-        )
+        across, down = self.binning
+        return (self.roi[2] or self.size[0]) // across, (self.roi[3] or self.size[1]) // down
 
-    def readings(self, width: int, height: int) -> Iterator[tuple[float, float, float, float]]:
+    def readings(self, width: int, height: int) -> Iterator[_Intrinsics]:
         """Each fx, fy, cx, cy that K may mean for an image of some size, the usual one first."""
         fx, fy, cx, cy = self.intrinsics
         across, down = self.binning
@@ -112,21 +113,20 @@ def camera_info(msg: Any) -> CameraInfo:
     k = np.asarray(msg.k, dtype=np.float64)
     if not k.any():
         raise LandmarkNavError('camera_info is all zero: calibrate the camera')
-    model = str(msg.distortion_model)
-    # Drivers pad the coefficients with zeros to different lengths.
-    distortion = tuple(np.trim_zeros(np.asarray(msg.d, dtype=np.float64), 'b').tolist())
-    if not model and not distortion:
-        model = 'plumb_bob'  # simulators and rectified images name no model
-    roi = msg.roi
-    skew = float(k[1])
-    if abs(skew) * int(msg.height) > 2.0 * _LARGEST_SKEW_PX * abs(float(k[4])):
+    fx, skew, cx, _, fy, cy = k[:6].tolist()
+    if abs(skew) * int(msg.height) > 2.0 * _LARGEST_SKEW_PX * abs(fy):
         raise LandmarkNavError(
             f'camera_info has a skew of {skew:g} (K[1]), which no model of ROS corrects: '
             'calibrate the camera without skew'
         )
+    # Drivers pad the coefficients with zeros to different lengths.
+    distortion = tuple(np.trim_zeros(np.asarray(msg.d, dtype=np.float64), 'b').tolist())
+    # Simulators and rectified images name no model.
+    model = str(msg.distortion_model) or ('' if distortion else 'plumb_bob')
+    roi = msg.roi
     info = CameraInfo(
         (int(msg.width), int(msg.height)),
-        (float(k[0]), float(k[4]), float(k[2]), float(k[5])),
+        (fx, fy, cx, cy),
         model,
         distortion,
         (max(1, int(msg.binning_x)), max(1, int(msg.binning_y))),
@@ -137,11 +137,7 @@ def camera_info(msg: Any) -> CameraInfo:
 
 
 def camera_model(msg: Any) -> CameraModel:
-    """
-    Camera of a sensor_msgs/CameraInfo, in the pixels of the image that it describes.
-
-    Raises `LandmarkNavError`: see `camera_info` and `CameraInfo.for_image`.
-    """
+    """Camera of a sensor_msgs/CameraInfo, in the pixels of the image that it describes."""
     return camera_info(msg).camera
 
 
@@ -158,28 +154,24 @@ def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
             'at the size that is published, or a whole factor of it'
         )
 
-    def off_centre(reading: tuple[float, float, float, float]) -> float:
+    def off_centre(reading: _Intrinsics) -> float:
         """Distance of the principal point from the centre, relative to the image size."""
         _, _, cx, cy = reading
         return max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5))
 
     usual, *others = readings
     best = min(others, key=off_centre, default=usual)
+    meant = ''
     if off_centre(usual) > _MAX_OFF_CENTRE and off_centre(best) < 0.5 * off_centre(usual):
-        _LOG.warning(
-            'camera_info (%s): by its principal point, K is assumed to be that of the image of '
-            '%d x %d',
-            info.described,
-            width,
-            height,
-        )
+        meant = f'by its principal point that of the image of {width} x {height}'
         usual = best
     elif others and off_centre(best) < _MAX_OFF_CENTRE:
-        _LOG.warning(
-            'camera_info (%s): K is assumed to be that of the whole sensor, as ROS defines it, '
-            'though it could be that of the reduced image',
-            info.described,
+        meant = (
+            'that of the whole sensor, as ROS defines it, though it could be that of the reduced '
+            'image'
         )
+    if meant:
+        _LOG.warning('camera_info (%s): K is assumed to be %s', info.described, meant)
     camera = CameraModel(width, height, *usual, info.model, info.distortion)
     if camera.restriction:
         _LOG.warning('camera_info: %s: calibrate it to use all', camera.restriction)

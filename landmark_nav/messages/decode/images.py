@@ -49,40 +49,33 @@ class _Layout:
     first: bool = False
 
 
-def _layouts() -> dict[str, tuple[str, _Layout]]:
-    """Encoding -> type of a channel, layout."""
-    found: dict[str, tuple[str, _Layout]] = {}
-    colours = {
-        ('mono{}', '{}UC1'): _Layout(1),
-        ('{}UC2',): _Layout(2, first=True),
-        ('bgr{}', '{}UC3'): _Layout(3, None, cv2.COLOR_BGR2GRAY),
-        ('rgb{}',): _Layout(3, cv2.COLOR_RGB2BGR, cv2.COLOR_RGB2GRAY),
-        ('bgra{}', '{}UC4'): _Layout(4, cv2.COLOR_BGRA2BGR, cv2.COLOR_BGRA2GRAY),
-        ('rgba{}',): _Layout(4, cv2.COLOR_RGBA2BGR, cv2.COLOR_RGBA2GRAY),
-        # OpenCV names a Bayer pattern by its second row, from the second column on.
-        ('bayer_rggb{}',): _Layout(1, cv2.COLOR_BayerBG2BGR, cv2.COLOR_BayerBG2GRAY),
-        ('bayer_bggr{}',): _Layout(1, cv2.COLOR_BayerRG2BGR, cv2.COLOR_BayerRG2GRAY),
-        ('bayer_gbrg{}',): _Layout(1, cv2.COLOR_BayerGR2BGR, cv2.COLOR_BayerGR2GRAY),
-        ('bayer_grbg{}',): _Layout(1, cv2.COLOR_BayerGB2BGR, cv2.COLOR_BayerGB2GRAY),
-    }
-    for names, layout in colours.items():
-        for name in names:
-            found |= {name.format(bits): (f'u{bits // 8}', layout) for bits in (8, 16)}
-    uyvy = _Layout(2, cv2.COLOR_YUV2BGR_UYVY, cv2.COLOR_YUV2GRAY_UYVY)
-    yuyv = _Layout(2, cv2.COLOR_YUV2BGR_YUY2, cv2.COLOR_YUV2GRAY_YUY2)
-    nv12 = _Layout(1, cv2.COLOR_YUV2BGR_NV12, cv2.COLOR_YUV2GRAY_NV12, rows=3)
-    nv21 = _Layout(1, cv2.COLOR_YUV2BGR_NV21, cv2.COLOR_YUV2GRAY_NV21, rows=3)
-    for names, layout in {
-        ('yuv422', 'uyvy'): uyvy,
-        ('yuv422_yuy2', 'yuyv'): yuyv,
-        ('nv12',): nv12,
-        ('nv21',): nv21,
-    }.items():
-        found |= dict.fromkeys(names, ('u1', layout))
-    return found
-
-
-_LAYOUTS = _layouts()
+# Encodings, with {} for 8 or 16 bits a channel.
+_BY_DEPTH = {
+    'mono{} {}UC1': _Layout(1),
+    '{}UC2': _Layout(2, first=True),
+    'bgr{} {}UC3': _Layout(3, None, cv2.COLOR_BGR2GRAY),
+    'rgb{}': _Layout(3, cv2.COLOR_RGB2BGR, cv2.COLOR_RGB2GRAY),
+    'bgra{} {}UC4': _Layout(4, cv2.COLOR_BGRA2BGR, cv2.COLOR_BGRA2GRAY),
+    'rgba{}': _Layout(4, cv2.COLOR_RGBA2BGR, cv2.COLOR_RGBA2GRAY),
+    # OpenCV names a Bayer pattern by its second row, from the second column on.
+    'bayer_rggb{}': _Layout(1, cv2.COLOR_BayerBG2BGR, cv2.COLOR_BayerBG2GRAY),
+    'bayer_bggr{}': _Layout(1, cv2.COLOR_BayerRG2BGR, cv2.COLOR_BayerRG2GRAY),
+    'bayer_gbrg{}': _Layout(1, cv2.COLOR_BayerGR2BGR, cv2.COLOR_BayerGR2GRAY),
+    'bayer_grbg{}': _Layout(1, cv2.COLOR_BayerGB2BGR, cv2.COLOR_BayerGB2GRAY),
+}
+_YUV = {
+    'yuv422 uyvy': _Layout(2, cv2.COLOR_YUV2BGR_UYVY, cv2.COLOR_YUV2GRAY_UYVY),
+    'yuv422_yuy2 yuyv': _Layout(2, cv2.COLOR_YUV2BGR_YUY2, cv2.COLOR_YUV2GRAY_YUY2),
+    'nv12': _Layout(1, cv2.COLOR_YUV2BGR_NV12, cv2.COLOR_YUV2GRAY_NV12, rows=3),
+    'nv21': _Layout(1, cv2.COLOR_YUV2BGR_NV21, cv2.COLOR_YUV2GRAY_NV21, rows=3),
+}
+# Encoding -> type of a channel, layout.
+_LAYOUTS = {
+    name.format(bits): (f'u{bits // 8}', layout)
+    for names, layout in _BY_DEPTH.items()
+    for name in names.split()
+    for bits in (8, 16)
+} | {name: ('u1', layout) for names, layout in _YUV.items() for name in names.split()}
 
 
 @dataclass
@@ -115,9 +108,6 @@ def image(msg: Any, grey: bool = False, depth: BitDepth | None = None) -> ImageA
 
     With `grey`, colour images are converted to grey; a JPEG is then decoded in two thirds of the
     time. `depth` belongs to the stream of the image; without it, the image is decoded on its own.
-
-    Raises `LandmarkNavError`: unknown encoding, sizes that contradict each other, or bytes that
-    are not an image.
     """
     return (depth or BitDepth()).to_bytes(_pixels(msg, grey, 1))
 
@@ -128,9 +118,8 @@ def camera_image(
     """
     Pixels of an image as in `image`, reduced to the size of `CameraModel.reduced`, and its camera.
 
-    Pixels are averaged by area. The size is checked before anything is decoded.
-
-    Raises `LandmarkNavError`: see `image`; or the calibration is for images of another size.
+    Pixels are averaged by area. The size is checked before anything is decoded. Raises
+    `LandmarkNavError` also if the calibration is for images of another size.
     """
     width, height = published_size(msg)
     full = info.for_image(width, height)
@@ -147,11 +136,7 @@ def camera_image(
 
 
 def image_bgra(msg: Any) -> ImageArray:
-    """
-    Pixels of a sensor_msgs/Image with alpha, (h, w, 4).
-
-    Raises `LandmarkNavError`: the encoding is not ``bgra8``, or the sizes contradict each other.
-    """
+    """Pixels of a sensor_msgs/Image ``bgra8``, with alpha, (h, w, 4)."""
     if msg.encoding != 'bgra8':
         raise LandmarkNavError(f'panorama image is {msg.encoding!r}: publish it as bgra8')
     return np.asarray(_buffer(msg)[0], dtype=np.uint8)

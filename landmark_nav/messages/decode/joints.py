@@ -6,13 +6,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import inside, LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.messages.decode.headers import duration_ns, finite, stamp_ns
+from landmark_nav.messages.decode.headers import finite, stamp_ns, time_ns
 from landmark_nav.types import JointSample
 
 # Number of joint names that are kept; a robot has some tens.
 _MAX_NAMES = 200
+# Largest joint angle: a continuous joint may count its turns, up to 160,000.
+_MAX_RAD = 1e6
 
 
 class JointNames:
@@ -34,9 +36,9 @@ class JointNames:
         if not new or len(self._seen) >= _MAX_NAMES:
             return None
         self._seen |= new
-        wanted = self._given.pan_joint, self._given.tilt_joint
+        before, wanted = self.mount, (self._given.pan_joint, self._given.tilt_joint)
         pan, tilt = (matching_name(name, self._seen) or name for name in wanted)
-        before, self.mount = self.mount, replace(self.mount, pan_joint=pan, tilt_joint=tilt)
+        self.mount = replace(self._given, pan_joint=pan, tilt_joint=tilt)
         taken = [
             f'{now} for {name}'
             for now, was, name in zip(
@@ -51,13 +53,12 @@ class JointNames:
         """Error text: why the pan is unknown, with the names that arrive."""
         names = sorted(self._seen)
         pan = self._given.pan_joint
-        more = f' and {len(names) - 5} more' if len(names) > 5 else ''
-        listed = ', '.join(names[:5]) + more
         if could_be := [name for name in names if _is_prefixed(name, pan)]:
             return f'{", ".join(could_be[:5])} could be {pan}: set pan_joint in robot.yaml'
         if not names:
             return 'messages name no joint: publish name and position of each joint'
-        return f'{listed} arrive, not {pan}: set pan_joint in robot.yaml'
+        more = f' and {len(names) - 5} more' if len(names) > 5 else ''
+        return f'{", ".join(names[:5])}{more} arrive, not {pan}: set pan_joint in robot.yaml'
 
     @property
     def pan_arrives(self) -> bool:
@@ -76,36 +77,10 @@ def _is_prefixed(name: str, joint: str) -> bool:
     return name.endswith(tuple(f'{separator}{joint}' for separator in '/_.:-'))
 
 
-# Largest joint angle: a continuous joint may count its turns, up to 160,000.
-_MAX_RAD = 1e6
-
-
-def joint_sample(msg: Any, mount: PanTiltMount) -> JointSample | None:
-    """
-    Pan and tilt in a sensor_msgs/JointState; None if it does not hold the pan joint.
-
-    Raises `LandmarkNavError`: names without positions, or positions that are not numbers.
-    """
-    names = list(msg.name)
-    if mount.pan_joint not in names:
-        return None
-    return _sample(names, msg.position, stamp_ns(msg.header), mount, 'joint_states position')
-
-
-def lone_tilt(msg: Any, mount: PanTiltMount) -> tuple[int, float] | None:
-    """
-    Stamp, ns, and tilt, rad, in a sensor_msgs/JointState of a tilt joint with its own driver.
-
-    None if the message also holds the pan, or has no tilt joint.
-
-    Raises `LandmarkNavError`: names without positions, or positions that are not numbers.
-    """
-    names, stamp = list(msg.name), stamp_ns(msg.header)
-    if mount.pan_joint in names or mount.tilt_joint not in names:
-        return None
-    what = 'joint_states position'
-    _check(names, msg.position, stamp, what)
-    return stamp, _angle(names, msg.position, mount.tilt_joint, stamp, what)
+def joint_angles(msg: Any, mount: PanTiltMount) -> tuple[int, float | None, float | None]:
+    """Stamp, ns, pan and tilt, rad, of a sensor_msgs/JointState; None for a joint it lacks."""
+    stamp = stamp_ns(msg.header)
+    return stamp, *_angles(list(msg.name), msg.position, stamp, mount, 'joint_states position')
 
 
 def sweep_trajectory(
@@ -114,31 +89,28 @@ def sweep_trajectory(
     """
     Measured angles at the frames of a sweep, out of a trajectory_msgs/JointTrajectory.
 
-    Raises `LandmarkNavError`: the pan joint is missing, two frames have one stamp, or no point can
-    be used.
-
-    Parameters
-    ----------
-    drop : callable, optional
-        Called with the reason if a point cannot be used, such as an angle that is not a number;
-        without it, this is an error, too.
+    `drop` is called with the reason if a point cannot be used; without it, this is an error, too.
+    Raises `LandmarkNavError`: two frames have one stamp, or no point can be used.
     """
     names = list(msg.joint_names)
     joints = JointNames(mount)
     joints.add(names)
     if not joints.pan_arrives:
         raise LandmarkNavError(f'in the sweep trajectory {joints.missing}')
-    mount = joints.mount
     start = stamp_ns(msg.header)
     samples: dict[int, JointSample] = {}
     errors = []
     for point in msg.points:
         try:
-            stamp = start + duration_ns(point.time_from_start)
-            sample = _sample(names, point.positions, stamp, mount, 'sweep trajectory position')
+            with inside('time_from_start of the sweep trajectory'):
+                stamp = start + time_ns(point.time_from_start)
+            where = 'sweep trajectory position'
+            pan_rad, tilt_rad = _angles(names, point.positions, stamp, joints.mount, where)
+            assert pan_rad is not None, 'pan_arrives'
         except LandmarkNavError as error:
             errors.append(error)
             continue
+        sample = JointSample(stamp, pan_rad, tilt_rad or 0.0)
         if samples.setdefault(stamp, sample) != sample:
             raise LandmarkNavError(
                 f'two points of the sweep trajectory are at {1e-9 * stamp:.3f} s: set the '
@@ -152,24 +124,19 @@ def sweep_trajectory(
     return tuple(samples.values())
 
 
-def _sample(
+def _angles(
     names: list[str], positions: Any, stamp: int, mount: PanTiltMount, what: str
-) -> JointSample:
-    _check(names, positions, stamp, what)
-    pan_rad = _angle(names, positions, mount.pan_joint, stamp, what)
-    with_tilt = mount.tilt_joint in names
-    tilt_rad = _angle(names, positions, mount.tilt_joint, stamp, what) if with_tilt else 0.0
-    return JointSample(stamp, pan_rad, tilt_rad)
-
-
-def _angle(names: list[str], positions: Any, joint: str, stamp: int, what: str) -> float:
-    what = f'{what} of {joint}'
-    return float(finite(positions[names.index(joint)], what, stamp, _MAX_RAD))
-
-
-def _check(names: list[str], positions: Any, stamp: int, what: str) -> None:
-    if len(positions) < len(names):
+) -> tuple[float | None, float | None]:
+    joints = mount.pan_joint, mount.tilt_joint
+    if len(positions) < len(names) and not {*joints}.isdisjoint(names):
         raise LandmarkNavError(
             f'{what} at {stamp * 1e-9:.3f} s has {len(positions)} values for {len(names)} joints: '
             'publish one each'
         )
+    pan_rad, tilt_rad = (
+        float(finite(positions[names.index(name)], f'{what} of {name}', stamp, _MAX_RAD))
+        if name in names
+        else None
+        for name in joints
+    )
+    return pan_rad, tilt_rad

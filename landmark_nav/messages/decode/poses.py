@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import inside, LandmarkNavError
 from landmark_nav.geometry.camera import INTRINSICS, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import clouds
-from landmark_nav.messages.clouds import unpack_cloud
 from landmark_nav.messages.decode.headers import (
     covariances,
-    delays_s,
     finite,
-    landmark_ids,
+    nonzero,
+    Points,
     stamp_ns,
     yaw_rad,
 )
 from landmark_nav.messages.decode.images import image_bgra
+from landmark_nav.messages.factory import PLANAR, UPRIGHT
 from landmark_nav.types import (
     Detections,
     Expectation,
@@ -31,20 +31,14 @@ from landmark_nav.types import (
     Triplet,
 )
 
-# Largest coordinate: half the circumference of the earth, more than any UTM coordinate.
-FARTHEST_M = 2.0e7
-# Largest speed, metres or radians per second.
-_MAX_SPEED = 1.0e3
-# Largest value or sigma of a calibration, metres, radians or seconds.
-_MAX_CALIBRATION = 100.0
+# Largest coordinate, m, and speed, m/s or rad/s, as in `clouds`.
+_FARTHEST_M, _MAX_SPEED = 2.0e7, 1.0e3
+# Largest focal length or principal point, and largest number of a calibration.
+_MAX_PX, _MAX_CALIBRATION = 1e6, 1e3
 
 
 def odometry(msg: Any) -> OdometrySample:
-    """
-    Wheel odometry of a nav_msgs/Odometry.
-
-    Raises `LandmarkNavError`: a position, heading or speed is not a number or out of bounds.
-    """
+    """Wheel odometry of a nav_msgs/Odometry."""
     stamp, twist = stamp_ns(msg.header), msg.twist.twist
     speeds = [twist.linear.x, twist.angular.z]
     forward, turn = finite(speeds, 'odometry speed', stamp, _MAX_SPEED).tolist()
@@ -52,154 +46,81 @@ def odometry(msg: Any) -> OdometrySample:
 
 
 def pose_estimate(msg: Any) -> PoseEstimate:
-    """
-    Planar pose of a geometry_msgs/PoseWithCovarianceStamped or a nav_msgs/Odometry.
-
-    Raises `LandmarkNavError`: a value is not a number or out of bounds.
-    """
+    """Planar pose of a geometry_msgs/PoseWithCovarianceStamped or a nav_msgs/Odometry."""
     stamp = stamp_ns(msg.header)
     pose = _planar(msg.pose.pose, 'pose', stamp)
-    return PoseEstimate(stamp, pose, pose_covariance(msg, clouds.PLANAR, 'pose', stamp))
+    return PoseEstimate(stamp, pose, _covariance(msg, PLANAR, 'pose covariance', stamp))
 
 
-def pose_covariance(msg: Any, axes: tuple[Any, ...], what: str, stamp: int) -> FloatArray:
-    """
-    Covariance of some axes in a message with a geometry_msgs/PoseWithCovariance.
-
-    `axes` is `PLANAR` or `UPRIGHT`. The other axes may hold anything: 0, 1e6 and the largest
-    number all are in use for "unknown".
-    """
-    what = f'{what} covariance'
-    full = finite(msg.pose.covariance, what, stamp, np.inf, count=36)
-    (covariance,) = covariances(full.reshape(6, 6)[axes], what, stamp, len(axes[0]))
-    return np.asarray(covariance)
-
-
-def global_pose(msg: Any) -> clouds.GlobalPose:
-    """
-    Result of global localization, out of ``global_localization/pose``.
-
-    Raises `LandmarkNavError`: fields are missing or of another type, there is no point, or values
-    are not numbers.
-    """
-    points, stamp = unpack_cloud(msg, clouds.GLOBAL_POSE), stamp_ns(msg.header)
-    where = 'global_localization/pose'
-    if not len(points):
-        raise LandmarkNavError(f'{where} at {stamp * 1e-9:.3f} s names no landmark')
-    first = points[0]
-    return clouds.GlobalPose(
-        stamp,
-        finite(first['pose'], f'{where} pose', stamp, FARTHEST_M),
-        covariances(first['covariance'], f'{where} covariance', stamp, 3)[0],
-        landmark_ids(points['id'], where),
-        float(finite(first['pan_rate'], f'{where} pan rate', stamp, _MAX_SPEED)),
-        *delays_s([first['joint_delay']], f'{where} delay', stamp),
-    )
-
-
-def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySample]:
-    """
-    Expected pose and calibration, and the speeds of the base, out of ``expectation``.
-
-    Raises `LandmarkNavError`: fields are missing or of another type, the number of points is not
-    1, or values are not numbers.
-    """
-    points, stamp = unpack_cloud(msg, clouds.EXPECTATION), stamp_ns(msg.header)
-    if len(points) != 1:
-        raise LandmarkNavError(f'expectation has {len(points)} points, not 1')
-    first = points[0]
-    pose = finite(first['pose'], 'expectation pose', stamp, FARTHEST_M)
-    sigmas = finite(first['sigmas'], 'calibration sigma', stamp, _MAX_CALIBRATION, least=0.0)
-    intrinsics = finite(first['intrinsics'], 'intrinsics', stamp, _MAX_COORDINATE)
-    linear, angular = finite(first['speeds'], 'expectation speed', stamp, _MAX_SPEED).tolist()
-    expected = Expectation(
-        stamp,
-        pose,
-        covariances(first['covariance'], 'expectation covariance', stamp, 3)[0],
-        Calibration(
-            finite(first['values'], 'calibration value', stamp, _MAX_CALIBRATION),
-            np.diag(sigmas**2),
-            mount,
-            intrinsics=intrinsics if intrinsics.any() else None,
-        ),
-        float(finite(first['tilt_sigma'], 'tilt sigma', stamp, _MAX_CALIBRATION, least=0.0)),
-    )
-    return expected, OdometrySample(stamp, pose, linear, angular)
+def _covariance(msg: Any, axes: tuple[Any, ...], what: str, stamp: int) -> FloatArray:
+    """Covariance of some axes; others may hold 0, 1e6 or the largest number for "unknown"."""
+    full = finite(msg.pose.covariance, what, stamp, np.inf, count=36).reshape(6, 6)
+    return np.asarray(covariances(full[axes], what, stamp, len(axes[0]))[0])
 
 
 def _planar(pose: Any, what: str, stamp: int) -> FloatArray:
-    position = finite([pose.position.x, pose.position.y], f'{what} position', stamp, FARTHEST_M)
+    position = finite([pose.position.x, pose.position.y], f'{what} position', stamp, _FARTHEST_M)
     return np.array([*position, yaw_rad(pose.orientation, f'{what} orientation', stamp)])
 
 
-# Largest bearing, which may be unwrapped, rad; smallest variance of a bearing, rad^2.
-_MAX_BEARING_RAD, _MIN_VARIANCE_RAD2 = 1e4, 1e-14
-# Largest normalised image coordinate: a ray 89.9 degrees from the optical axis.
-_MAX_COORDINATE = 1e3
+def global_pose(msg: Any) -> clouds.GlobalPose:
+    """Result of global localization, out of ``global_localization/pose``."""
+    points = Points(msg, clouds.GLOBAL_POSE)
+    if not len(points):
+        raise LandmarkNavError(f'{points.layout.topic} names no landmark')
+    return clouds.GlobalPose(points.stamp, ids=points.ids(), **points.common())
+
+
+def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySample]:
+    """Expected pose and calibration, and the speeds of the base, out of ``expectation``."""
+    points = Points(msg, clouds.EXPECTATION)
+    if len(points) != 1:
+        raise LandmarkNavError(f'expectation has {len(points)} points, not 1')
+    values, sigmas, intrinsics = (points(k)[0] for k in ('values', 'sigmas', 'intrinsics'))
+    known = Calibration(values, np.diag(sigmas**2), mount, intrinsics=nonzero(intrinsics))
+    pose, tilt_sigma = points('pose')[0], float(points('tilt_sigma')[0])
+    expected = Expectation(points.stamp, pose, points('covariance')[0], known, tilt_sigma)
+    return expected, OdometrySample(points.stamp, pose, *points('speeds')[0].tolist())
 
 
 def detections(msg: Any) -> Detections:
-    """
-    Landmarks found in one image, and those missed in it, out of ``detections``.
-
-    Raises `LandmarkNavError`: fields are missing or of another type, or values are not numbers
-    within bounds.
-    """
-    points, stamp = unpack_cloud(msg, clouds.DETECTIONS), stamp_ns(msg.header)
-    (delay,) = delays_s(points['joint_delay'][:1].tolist() or [0.0], 'detections delay', stamp)
+    """Landmarks found in one image, and those missed in it, out of ``detections``."""
+    points = Points(msg, clouds.DETECTIONS)
     # Other sensors may detect a landmark twice at a time.
-    landmark_ids(points['id'], 'detections', unique=False)
-    missed = np.isnan(points['bearing']) & np.isnan(points['bearing_variance'])
-    found = points[~missed]
-    point_covariance = covariances(found['point_covariance'], 'covariance of a point', stamp, 2)
+    ids = points.ids(unique=False)
+    missed = np.isnan(points.raw['bearing']) & np.isnan(points.raw['bearing_variance'])
+    found = ~missed
+    covariance = points('point_covariance', rows=found)
     # A sensor that measures bearings only publishes no points.
-    has_points = bool((np.diagonal(point_covariance, axis1=1, axis2=2) > 0.0).all())
-    image_points = finite(found['point'], 'detections point', stamp, _MAX_COORDINATE)
-    sizes = finite(found['size'], 'detections size', stamp, _MAX_COORDINATE, least=0.0)
-    by_lens = finite(found['by_lens'], 'detections by_lens', stamp, _MAX_COORDINATE)
-    common = points[:1] if len(points) else np.zeros(1, clouds.DETECTIONS.fields)
-    near = finite(common['near'][0], 'near', stamp, FARTHEST_M)
-    intrinsics = finite(common['intrinsics'][0], 'intrinsics', stamp, _MAX_COORDINATE)
+    has_points = bool((np.diagonal(covariance, axis1=1, axis2=2) > 0.0).all())
+    of_points = slice(None if has_points else 0)
+    by_lens = points('by_lens', rows=found)[of_points].reshape(-1, 2, 3)
+    common = points.common()
     return Detections(
-        stamp,
-        found['id'],
-        finite(found['bearing'], 'bearing', stamp, _MAX_BEARING_RAD),
-        finite(found['bearing_variance'], 'bearing variance', stamp, least=_MIN_VARIANCE_RAD2),
-        finite(found['score'], 'detections score', stamp),
-        finite(np.stack([found['u'], found['v']], -1), 'detections pixel', stamp),
-        points['id'][missed],
-        joint_delay_s=delay,
-        points=image_points if has_points else image_points[:0],
-        point_covariance=point_covariance if has_points else point_covariance[:0],
-        sizes=sizes if has_points else sizes[:0],
-        by_lens=by_lens.reshape(-1, 2, 3) if has_points and by_lens.any() else None,
-        near=near if near.any() else None,
-        intrinsics=intrinsics if intrinsics.any() else None,
+        points.stamp,
+        ids[found],
+        points('bearing', rows=found),
+        points('bearing_variance', rows=found),
+        points('score', rows=found),
+        points('u', 'v', rows=found),
+        ids[missed],
+        joint_delay_s=common['joint_delay_s'],
+        points=points('point', rows=found)[of_points],
+        point_covariance=covariance[of_points],
+        sizes=points('size', rows=found)[of_points],
+        by_lens=nonzero(by_lens),
+        near=nonzero(common['near']),
+        intrinsics=nonzero(common['intrinsics']),
     )
 
 
 def triplet(msg: Any) -> Triplet:
-    """
-    The chosen landmarks, out of ``triplet``.
-
-    Raises `LandmarkNavError`: fields are missing or of another type, the number of points is not
-    3, or values are not numbers.
-    """
-    points, stamp = unpack_cloud(msg, clouds.TRIPLET), stamp_ns(msg.header)
+    """The chosen landmarks, out of ``triplet``."""
+    points = Points(msg, clouds.TRIPLET)
     if len(points) != 3:
         raise LandmarkNavError(f'triplet has {len(points)} points, not 3')
-    return Triplet(
-        stamp,
-        landmark_ids(points['id'], 'triplet'),
-        finite(points['bearing'], 'triplet bearing', stamp, _MAX_BEARING_RAD),
-        finite(points['bearing_sigma'], 'triplet sigma', stamp, least=0.0),
-        covariances(points['covariance'][0], 'triplet covariance', stamp, 3)[0],
-        float(finite(points['pan'][0], 'triplet pan', stamp, _MAX_BEARING_RAD)),
-    )
-
-
-# Largest focal length or principal point.
-_MAX_PX = 1e6
+    bearings, sigmas = points('bearing'), points('bearing_sigma')
+    return Triplet(points.stamp, points.ids(), bearings, sigmas, **points.common())
 
 
 def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
@@ -233,33 +154,39 @@ def panorama(image_msg: Any, info_msg: Any, pose_msg: Any) -> Panorama:
             f'panorama image is {pixels.shape[1]} x {pixels.shape[0]}, its geometry '
             f'{cylinder.width} x {cylinder.height}'
         )
-    n = len(NAMES)
-    calibrated = finite(info_msg.d, 'panorama calibration', stamp, _MAX_COORDINATE)
-    count = n * (n + 6) + INTRINSICS
-    if len(calibrated) not in (0, count):
-        raise LandmarkNavError(
-            f'panorama has a calibration of {len(calibrated)} numbers, not {count}: use one '
-            'release of landmark_nav'
-        )
-    calibration = made_with = by_calibration = None
-    if len(calibrated):
-        parts = np.split(calibrated, np.cumsum([n, n * n, INTRINSICS, n]))
-        values, matrix, intrinsics, made_with, derivatives = parts
-        covariance = covariances(matrix, 'covariance of the panorama calibration', stamp, n)[0]
-        lens = intrinsics if intrinsics.any() else None
-        calibration = Calibration(values, covariance, intrinsics=lens)
-        by_calibration = derivatives.reshape(4, n)
     pose = pose_msg.pose.pose
     position = (pose.position.x, pose.position.y, pose.position.z)
+    calibration, made_with, by_calibration = _calibration(info_msg.d, stamp)
     return Panorama(
         stamp,
         np.ascontiguousarray(pixels[..., :3]),
         pixels[..., 3] > 0,
         cylinder,
-        finite(position, 'panorama position', stamp, FARTHEST_M),
+        finite(position, 'panorama position', stamp, _FARTHEST_M),
         yaw_rad(pose.orientation, 'panorama orientation', stamp),
-        pose_covariance(pose_msg, clouds.UPRIGHT, 'panorama', stamp),
+        _covariance(pose_msg, UPRIGHT, 'panorama covariance', stamp),
         calibration=calibration,
         made_with=made_with,
         by_calibration=by_calibration,
     )
+
+
+def _calibration(
+    numbers: Any, stamp: int
+) -> tuple[Calibration | None, FloatArray | None, FloatArray | None]:
+    """Calibration after a sweep, values that made its panorama, derivatives of its pose."""
+    flat, n = finite(numbers, 'panorama calibration', stamp, _MAX_CALIBRATION), len(NAMES)
+    if not len(flat):
+        return None, None, None
+    count = n * (n + 6) + INTRINSICS
+    if len(flat) != count:
+        raise LandmarkNavError(
+            f'panorama has a calibration of {len(flat)} numbers, not {count}: use one release of '
+            'landmark_nav'
+        )
+    parts = np.split(flat, np.cumsum([n, n * n, INTRINSICS, n]))
+    values, matrix, intrinsics, made_with, derivatives = parts
+    covariance = covariances(matrix, 'covariance of the panorama calibration', stamp, n)[0]
+    with inside('panorama'):
+        known = Calibration(values, covariance, intrinsics=nonzero(intrinsics))
+    return known, made_with, derivatives.reshape(4, n)

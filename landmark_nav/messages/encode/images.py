@@ -9,8 +9,12 @@ import numpy as np
 
 from landmark_nav.geometry.camera import CameraModel, INTRINSICS
 from landmark_nav.image_codec import encode_image
-from landmark_nav.messages.clouds import UPRIGHT
-from landmark_nav.messages.factory import header, MessageFactory, pose_with_covariance
+from landmark_nav.messages.factory import (
+    header,
+    MessageFactory,
+    pose_with_covariance,
+    UPRIGHT,
+)
 from landmark_nav.types import ImageArray, Panorama
 
 

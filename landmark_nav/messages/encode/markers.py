@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from landmark_nav.types import (
     Detections,
     FloatArray,
     ImageArray,
-    Landmark,
     LandmarkMap,
     PoseEstimate,
     Triplet,
@@ -31,7 +30,7 @@ _Rgba = tuple[float, float, float, float]
 # Colours as in the figures: landmarks green, the fused pose blue.
 _LANDMARK: _Rgba = (0.10, 0.62, 0.45, 0.9)
 _UNCERTAINTY: _Rgba = (0.95, 0.60, 0.10, 0.4)
-_TEXT_RGBA: _Rgba = (1.0, 1.0, 1.0, 1.0)
+_WHITE: _Rgba = (1.0, 1.0, 1.0, 1.0)
 _WALL: _Rgba = (0.55, 0.55, 0.60, 1.0)
 _FUSED: _Rgba = (0.15, 0.50, 0.90, 1.0)
 _LEVEL: _Rgba = (0.90, 0.35, 0.10, 1.0)
@@ -40,11 +39,65 @@ _FOUND: _Rgba = (0.20, 0.85, 0.45, 0.9)
 _VIEW: _Rgba = (0.60, 0.75, 0.95, 0.9)
 
 _NORMAL_M = 0.18
-_SWEEP_M = 0.45
-_ROBOT_M = 0.40
+_SWEEP_ARROW_M, _ROBOT_ARROW_M = (0.45, 0.05, 0.05), (0.40, 0.08, 0.08)
 # Number of steps in the arc of the field of view, and its radius.
 _VIEW_STEPS, _VIEW_M = 16, 1.5
 _AROUND = np.linspace(0.0, 2.0 * np.pi, 49)
+
+
+class _Drawing:
+    """Markers of one stamp and frame; they replace those before."""
+
+    def __init__(self, factory: MessageFactory, stamp_ns: int, frame_id: str) -> None:
+        self._factory = factory
+        self._header = header(factory, stamp_ns, frame_id)
+        clear = factory('visualization_msgs/msg/Marker', header=self._header, action=_DELETE_ALL)
+        self._markers = [clear]
+
+    @property
+    def message(self) -> Any:
+        """The visualization_msgs/MarkerArray."""
+        return self._factory('visualization_msgs/msg/MarkerArray', markers=self._markers)
+
+    def add(
+        self,
+        namespace: str,
+        kind: int,
+        rgba: _Rgba,
+        x_y_z_yaw: Sequence[float],
+        scale_m: Sequence[float],
+        number: int = 0,
+        **fields: Any,
+    ) -> None:
+        """Add a marker; `fields` are further ones of visualization_msgs/Marker."""
+        factory = self._factory
+        red, green, blue, alpha = rgba
+        marker = factory(
+            'visualization_msgs/msg/Marker',
+            header=self._header,
+            ns=namespace,
+            id=number,
+            type=kind,
+            pose=upright(factory, *x_y_z_yaw),
+            scale=vector(factory, 'Vector3', *scale_m),
+            color=factory('std_msgs/msg/ColorRGBA', r=red, g=green, b=blue, a=alpha),
+            **fields,
+        )
+        self._markers.append(marker)
+
+    def lines(
+        self, namespace: str, kind: int, rgba: _Rgba, points: npt.ArrayLike, width_m: float = 0.02
+    ) -> None:
+        """Add lines through points (n, 2) or (n, 3)."""
+        ends = [vector(self._factory, 'Point', *point) for point in np.asarray(points).tolist()]
+        self.add(namespace, kind, rgba, (0.0, 0.0, 0.0, 0.0), (width_m, 0.0), points=ends)
+
+    def label(
+        self, namespace: str, text: str, x_y_z: Sequence[float], height_m: float, number: int
+    ) -> None:
+        """Add a text."""
+        place, size = (*x_y_z, 0.0), (0.0, 0.0, height_m)
+        self.add(namespace, _TEXT, _WHITE, place, size, number, text=text)
 
 
 def landmark_markers(factory: MessageFactory, landmarks: LandmarkMap, stamp_ns: int) -> Any:
@@ -56,27 +109,28 @@ def landmark_markers(factory: MessageFactory, landmarks: LandmarkMap, stamp_ns: 
     """
     drawing = _Drawing(factory, stamp_ns, landmarks.frame_id)
     if landmarks.walls:
-        drawing.add('walls', _LINE_LIST, points=_wall_edges(landmarks.walls), rgba=_WALL)
+        drawing.lines('walls', _LINE_LIST, _WALL, _wall_edges(landmarks.walls))
     if landmarks.landmarks:
-        tips = landmarks.positions + _NORMAL_M * landmarks.normals
-        normals = np.stack([landmarks.positions, tips], 1).reshape(-1, 3)
-        drawing.add('normals', _LINE_LIST, points=normals, rgba=_LANDMARK, width_m=0.01)
+        normals = _pairs(landmarks.positions, landmarks.positions + _NORMAL_M * landmarks.normals)
+        drawing.lines('normals', _LINE_LIST, _LANDMARK, normals, width_m=0.01)
     for landmark in landmarks.landmarks:
-        _add_landmark(drawing, landmark)
+        number, (x, y, z) = landmark.id, landmark.position
+        yaw = np.arctan2(landmark.normal[1], landmark.normal[0])
+        plate = (0.01, landmark.width_m, landmark.height_m)
+        drawing.add('landmarks', _CUBE, _LANDMARK, (x, y, z, yaw), plate, number)
+        variances, axes = np.linalg.eigh(landmark.covariance[:2, :2])
+        major = np.arctan2(axes[1, 1], axes[0, 1])
+        all_variances = np.maximum([*variances[::-1], landmark.covariance[2, 2]], 1e-8)
+        diameters = 6.0 * np.sqrt(all_variances)  # of three sigma
+        drawing.add(
+            'uncertainty', _SPHERE, _UNCERTAINTY, (x, y, z, major), diameters.tolist(), number
+        )
+        above = z + 0.5 * landmark.height_m + 0.08
+        drawing.label('numbers', str(number), (x, y, above), 0.12, number)
     for number, place in enumerate(landmarks.panorama_poses, 1):
         x, y, heading = place.pose
-        drawing.add(
-            'sweeps', _ARROW, number, (x, y, 0.0, heading), (_SWEEP_M, 0.05, 0.05), rgba=_FUSED
-        )
-        drawing.add(
-            'sweeps',
-            _TEXT,
-            -number,
-            (x, y, 0.2, 0.0),
-            (0.0, 0.0, 0.15),
-            rgba=_TEXT_RGBA,
-            text=f'sweep {number}',
-        )
+        drawing.add('sweeps', _ARROW, _FUSED, (x, y, 0.0, heading), _SWEEP_ARROW_M, number)
+        drawing.label('sweeps', f'sweep {number}', (x, y, 0.2), 0.15, -number)
     return drawing.message
 
 
@@ -94,7 +148,7 @@ def pose_markers(
     """
     drawing = _Drawing(factory, estimate.stamp_ns, frame_id)
     x, y, heading = estimate.pose
-    drawing.add('robot', _ARROW, 0, (x, y, 0.0, heading), (_ROBOT_M, 0.08, 0.08), rgba=_FUSED)
+    drawing.add('robot', _ARROW, _FUSED, (x, y, 0.0, heading), _ROBOT_ARROW_M)
     ellipses = [('three_sigma', estimate, 3.0, _FUSED)]
     if level is not None:
         ellipses.append(('protection_level', level, 1.0, _LEVEL))
@@ -102,7 +156,7 @@ def pose_markers(
         variances, axes = np.linalg.eigh(pose.covariance[:2, :2])
         scaled = sigmas * np.sqrt(np.maximum(variances, 0.0)) * axes
         outline = pose.pose[:2] + np.stack([np.cos(_AROUND), np.sin(_AROUND)], 1) @ scaled.T
-        drawing.add(namespace, _LINE_STRIP, points=outline, rgba=rgba, width_m=0.01)
+        drawing.lines(namespace, _LINE_STRIP, rgba, outline, width_m=0.01)
     return drawing.message
 
 
@@ -127,17 +181,16 @@ def view_markers(
     drawing = _Drawing(factory, pose.stamp_ns, frame_id)
     axis, height = mount.axis_pose_map(pose.pose), mount.axis_xyz[2]
     looks = float(pose.pose[2] + mount.azimuth_base_rad(pan_rad))
-    half = camera.half_fov_rad
-    rim = looks + np.linspace(-half, half, _VIEW_STEPS)
+    rim = looks + np.linspace(-camera.half_fov_rad, camera.half_fov_rad, _VIEW_STEPS)
     arc = axis[:2] + _VIEW_M * np.stack([np.cos(rim), np.sin(rim)], 1)
     fan = np.concatenate([axis[None, :2], arc, axis[None, :2]])
     fan = np.pad(fan, ((0, 0), (0, 1)), constant_values=height)
-    drawing.add('field_of_view', _LINE_STRIP, points=fan, rgba=_VIEW)
+    drawing.lines('field_of_view', _LINE_STRIP, _VIEW, fan)
     start = np.array([*axis[:2], height])
     if triplet is not None:
         chosen = triplet.ids[np.isin(triplet.ids, landmarks.ids)]
         ends = landmarks.positions[landmarks.indices(chosen)]
-        drawing.add('triplet', _LINE_LIST, points=_rays(start, ends), rgba=_TRIPLET, width_m=0.03)
+        drawing.lines('triplet', _LINE_LIST, _TRIPLET, _pairs(start, ends), width_m=0.03)
     # The map may have been replaced since the image was searched.
     found = found.chosen(np.isin(found.ids, landmarks.ids))
     if len(found):
@@ -145,79 +198,9 @@ def view_markers(
         reach = np.hypot(*(places[:, :2] - axis[:2]).T)
         azimuth = pose.pose[2] + found.bearing_rad
         ends = axis[:2] + reach[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
-        rays = _rays(start, np.column_stack([ends, places[:, 2]]))
-        drawing.add('bearings', _LINE_LIST, points=rays, rgba=_FOUND, width_m=0.012)
+        rays = _pairs(start, np.column_stack([ends, places[:, 2]]))
+        drawing.lines('bearings', _LINE_LIST, _FOUND, rays, width_m=0.012)
     return drawing.message
-
-
-class _Drawing:
-    """Markers of one stamp and frame; they replace those before."""
-
-    def __init__(self, factory: MessageFactory, stamp_ns: int, frame_id: str) -> None:
-        self._factory = factory
-        self._header = header(factory, stamp_ns, frame_id)
-        clear = factory('visualization_msgs/msg/Marker', header=self._header, action=_DELETE_ALL)
-        self._markers = [clear]
-
-    @property
-    def message(self) -> Any:
-        """The visualization_msgs/MarkerArray."""
-        return self._factory('visualization_msgs/msg/MarkerArray', markers=self._markers)
-
-    def add(
-        self,
-        namespace: str,
-        kind: int,
-        number: int = 0,
-        x_y_z_yaw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
-        scale_m: tuple[float, float, float] | None = None,
-        *,
-        rgba: _Rgba,
-        width_m: float = 0.02,
-        points: npt.ArrayLike = (),
-        text: str = '',
-    ) -> None:
-        """Add a marker; lines through `points` (n, 2) or (n, 3) have a width, others a scale."""
-        factory = self._factory
-        red, green, blue, alpha = rgba
-        marker = factory(
-            'visualization_msgs/msg/Marker',
-            header=self._header,
-            ns=namespace,
-            id=number,
-            type=kind,
-            pose=upright(factory, *x_y_z_yaw),
-            scale=vector(factory, 'Vector3', *(scale_m or (width_m, 0.0, 0.0))),
-            color=factory('std_msgs/msg/ColorRGBA', r=red, g=green, b=blue, a=alpha),
-            points=[vector(factory, 'Point', *point) for point in np.asarray(points).tolist()],
-            text=text,
-        )
-        self._markers.append(marker)
-
-
-def _add_landmark(drawing: _Drawing, landmark: Landmark) -> None:
-    """Add the patch on its wall, its 3-sigma ellipsoid and its number."""
-    yaw = np.arctan2(landmark.normal[1], landmark.normal[0])
-    x, y, z = landmark.position
-    variances, axes = np.linalg.eigh(landmark.covariance[:2, :2])
-    major = np.arctan2(axes[1, 1], axes[0, 1])
-    three_sigma = 6.0 * np.sqrt(np.maximum([*variances[::-1], landmark.covariance[2, 2]], 1e-8))
-    plate = (0.01, landmark.width_m, landmark.height_m)
-    above = z + 0.5 * landmark.height_m + 0.08
-    number = landmark.id
-    drawing.add('landmarks', _CUBE, number, (x, y, z, yaw), plate, rgba=_LANDMARK)
-    drawing.add(
-        'uncertainty', _SPHERE, number, (x, y, z, major), tuple(three_sigma), rgba=_UNCERTAINTY
-    )
-    drawing.add(
-        'numbers',
-        _TEXT,
-        number,
-        (x, y, above, 0.0),
-        (0.0, 0.0, 0.12),
-        rgba=_TEXT_RGBA,
-        text=str(number),
-    )
 
 
 def _wall_edges(walls: Iterable[Wall]) -> list[tuple[float, float, float]]:
@@ -230,9 +213,9 @@ def _wall_edges(walls: Iterable[Wall]) -> list[tuple[float, float, float]]:
     return ends
 
 
-def _rays(start: FloatArray, ends: FloatArray) -> FloatArray:
-    """End points of lines from `start` (3,) to `ends` (n, 3), in pairs, (2 n, 3)."""
-    return np.stack([np.broadcast_to(start, ends.shape), ends], 1).reshape(-1, 3)
+def _pairs(starts: FloatArray, ends: FloatArray) -> FloatArray:
+    """End points of lines from `starts` (3,) or (n, 3) to `ends` (n, 3), in pairs, (2 n, 3)."""
+    return np.stack([np.broadcast_to(starts, ends.shape), ends], 1).reshape(-1, 3)
 
 
 _ATLAS_WIDTH = 1024
@@ -260,7 +243,7 @@ def landmark_map(
 def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
     """Rows (n,) of the layout in `landmark_nav.messages.clouds`; `corners` (n + views, 2)."""
     members, walls = landmarks.landmarks, landmarks.walls
-    names = np.frombuffer('\n'.join(wall.id for wall in walls).encode(), dtype=np.uint8)
+    wall_names = np.frombuffer('\n'.join(wall.id for wall in walls).encode(), dtype=np.uint8)
     factors = members[0].shared_loading.shape[1] if members else 0
     views = max((len(k.views) for k in members), default=0)
     learned = _learned(landmarks)
@@ -268,27 +251,25 @@ def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArr
     layout = LANDMARKS.sized(
         shared_loading=3 * factors,
         walls=5 * len(walls),
-        wall_names=len(names),
+        wall_names=len(wall_names),
         viewpoints=3 * views,
         views=4 * views,
         learned=each,
     )
     points = np.zeros(len(members), dtype=layout)
     points['id'] = landmarks.ids
-    for triple, values in (
-        (('x', 'y', 'z'), landmarks.positions),
-        (('normal_x', 'normal_y', 'normal_z'), landmarks.normals),
-        (('viewpoint_x', 'viewpoint_y', 'viewpoint_z'), landmarks.viewpoints),
+    for names, values in (
+        ('x y z', landmarks.positions),
+        ('normal_x normal_y normal_z', landmarks.normals),
+        ('viewpoint_x viewpoint_y viewpoint_z', landmarks.viewpoints),
+        ('width height', landmarks.sizes_m),
+        ('atlas_x atlas_y', corners[: len(members)]),
+        ('atlas_height atlas_width', [k.patch.shape for k in members]),
+        ('threshold saliency', [(k.threshold, k.saliency) for k in members]),
     ):
-        for axis, name in enumerate(triple):
-            points[name] = values[:, axis]
-    points['width'], points['height'] = landmarks.sizes_m.T
-    points['threshold'] = [k.threshold for k in members]
-    points['saliency'] = [k.saliency for k in members]
+        for name, column in zip(names.split(), np.transpose(values), strict=bool(members)):
+            points[name] = column
     points['covariance'] = landmarks.covariances.reshape(-1, 9)
-    points['atlas_x'], points['atlas_y'] = corners[: len(members)].T
-    points['atlas_height'] = [k.patch.shape[0] for k in members]
-    points['atlas_width'] = [k.patch.shape[1] for k in members]
     index = {wall.id: number for number, wall in enumerate(walls)}
     points['wall'] = [index.get(k.wall_id, -1) for k in members]
     if members:
@@ -299,7 +280,7 @@ def _points(landmarks: LandmarkMap, corners: npt.NDArray[np.int64]) -> npt.NDArr
         points['shared_loading'] = [k.shared_loading.reshape(-1) for k in members]
     if walls:
         points['walls'] = np.concatenate([[*w.start, *w.end, w.height] for w in walls])
-        points['wall_names'] = names
+        points['wall_names'] = wall_names
     if views:
         left_top = iter(corners[len(members) :])
         for point, landmark in zip(points, members, strict=True):

@@ -11,9 +11,17 @@ from scipy.spatial.transform import Rotation
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rot_y, rot_z, rotation_rpy
 from landmark_nav.messages import clouds
-from landmark_nav.messages import factory as factories
 from landmark_nav.messages.clouds import pack_cloud
-from landmark_nav.messages.factory import MessageFactory
+from landmark_nav.messages.factory import (
+    header,
+    MessageFactory,
+    PLANAR,
+    pose_with_covariance,
+    time_message,
+    UNKNOWN_VARIANCE,
+    upright,
+    vector,
+)
 from landmark_nav.types import (
     Detections,
     Expectation,
@@ -24,13 +32,13 @@ from landmark_nav.types import (
     Triplet,
 )
 
-_UNKNOWN: FloatArray = factories.UNKNOWN_VARIANCE * np.eye(3)
+_UNKNOWN: FloatArray = UNKNOWN_VARIANCE * np.eye(6)
 
 
 def odometry(
     factory: MessageFactory,
     sample: OdometrySample,
-    covariance: FloatArray = _UNKNOWN,
+    covariance: FloatArray = _UNKNOWN[:3, :3],
     *,
     frame_id: str = 'odom',
     child_frame_id: str = 'base_link',
@@ -40,46 +48,43 @@ def odometry(
 
     The covariance (3, 3) of x, y, heading is unknown by default.
     """
-    x, y, yaw = sample.pose_odom_base
     twist = factory(
         'geometry_msgs/msg/Twist',
-        linear=factories.vector(factory, 'Vector3', sample.linear_m_s, 0.0),
-        angular=factories.vector(factory, 'Vector3', 0.0, 0.0, sample.angular_rad_s),
+        linear=vector(factory, 'Vector3', sample.linear_m_s, 0.0),
+        angular=vector(factory, 'Vector3', 0.0, 0.0, sample.angular_rad_s),
     )
     return factory(
         'nav_msgs/msg/Odometry',
-        header=factories.header(factory, sample.stamp_ns, frame_id),
+        header=header(factory, sample.stamp_ns, frame_id),
         child_frame_id=child_frame_id,
-        pose=factories.pose_with_covariance(factory, (x, y, 0.0, yaw), covariance, clouds.PLANAR),
+        pose=pose_with_covariance(factory, _upright(sample.pose_odom_base), covariance, PLANAR),
         twist=factory(
             'geometry_msgs/msg/TwistWithCovariance',
             twist=twist,
-            covariance=factories.UNKNOWN_VARIANCE * np.eye(6).reshape(-1),
+            covariance=_UNKNOWN.reshape(-1),
         ),
     )
 
 
 def pose(factory: MessageFactory, estimate: PoseEstimate, frame_id: str = 'map') -> Any:
     """Build a geometry_msgs/PoseWithCovarianceStamped."""
-    x, y, yaw = estimate.pose
     return factory(
         'geometry_msgs/msg/PoseWithCovarianceStamped',
-        header=factories.header(factory, estimate.stamp_ns, frame_id),
-        pose=factories.pose_with_covariance(
-            factory, (x, y, 0.0, yaw), estimate.covariance, clouds.PLANAR
-        ),
+        header=header(factory, estimate.stamp_ns, frame_id),
+        pose=pose_with_covariance(factory, _upright(estimate.pose), estimate.covariance, PLANAR),
     )
+
+
+def _upright(pose: FloatArray) -> tuple[float, float, float, float]:
+    """Return x, y, z, yaw of a planar pose."""
+    x, y, yaw = pose.tolist()
+    return x, y, 0.0, yaw
 
 
 def global_pose(factory: MessageFactory, place: clouds.GlobalPose, frame_id: str = 'map') -> Any:
     """Build the PointCloud2 of ``global_localization/pose``, stamped with the image."""
-    points = np.zeros(len(place.ids), dtype=clouds.GLOBAL_POSE.fields)
-    points['id'] = place.ids
-    points['pose'] = place.pose
-    points['covariance'] = place.covariance.reshape(-1)
-    points['pan_rate'] = place.pan_rate_rad_s
-    points['joint_delay'] = place.joint_delay_s
-    return pack_cloud(factory, factories.header(factory, place.stamp_ns, frame_id), points)
+    points = clouds.GLOBAL_POSE.rows(place, len(place.ids))
+    return pack_cloud(factory, header(factory, place.stamp_ns, frame_id), points)
 
 
 def expectation(
@@ -89,29 +94,21 @@ def expectation(
     frame_id: str = 'map',
 ) -> Any:
     """Build the PointCloud2 of ``expectation``, one point, with the speeds at its time."""
-    known = expected.calibration
-    point = (
-        expected.pose,
-        expected.covariance.reshape(-1),
-        (speeds.linear_m_s, speeds.angular_rad_s),
-        expected.tilt_sigma_rad,
-        known.values,
-        known.sigmas,
-        0.0 if known.intrinsics is None else known.intrinsics,
-    )
-    points = np.array([point], dtype=clouds.EXPECTATION.fields)
-    return pack_cloud(factory, factories.header(factory, expected.stamp_ns, frame_id), points)
+    points, known = clouds.EXPECTATION.rows(expected, 1), expected.calibration
+    points['speeds'] = speeds.linear_m_s, speeds.angular_rad_s
+    points['values'], points['sigmas'] = known.values, known.sigmas
+    points['intrinsics'] = 0.0 if known.intrinsics is None else known.intrinsics
+    return pack_cloud(factory, header(factory, expected.stamp_ns, frame_id), points)
 
 
 def pose_stamped(
     factory: MessageFactory, stamp_ns: int, pose_map: FloatArray, frame_id: str = 'map'
 ) -> Any:
     """Build a geometry_msgs/PoseStamped of a planar pose (3,)."""
-    x, y, yaw = pose_map
     return factory(
         'geometry_msgs/msg/PoseStamped',
-        header=factories.header(factory, stamp_ns, frame_id),
-        pose=factories.upright(factory, x, y, 0.0, yaw),
+        header=header(factory, stamp_ns, frame_id),
+        pose=upright(factory, *_upright(pose_map)),
     )
 
 
@@ -121,40 +118,19 @@ def detections(factory: MessageFactory, found: Detections, frame_id: str = 'base
 
     Missed landmarks follow as invalid points: NaN, with a score of 0.
     """
-    points = np.zeros(len(found) + len(found.missed), dtype=clouds.DETECTIONS.fields)
-    points['id'] = np.concatenate([found.ids, found.missed])
+    points = clouds.DETECTIONS.rows(found, len(found), len(found.missed))
+    points['u'][: len(found)], points['v'][: len(found)] = found.uv_px.T
+    points['id'][len(found) :] = found.missed
     for name in ('bearing', 'bearing_variance', 'u', 'v'):
-        points[name] = np.nan
-    seen = points[: len(found)]
-    seen['bearing'] = found.bearing_rad
-    seen['bearing_variance'] = found.variance_rad2
-    seen['score'] = found.score
-    seen['u'], seen['v'] = found.uv_px[:, 0], found.uv_px[:, 1]
-    if len(found.points):
-        seen['point'] = found.points
-        seen['point_covariance'] = found.point_covariance.reshape(-1, 4)
-    if len(found.sizes):
-        seen['size'] = found.sizes
-    if found.by_lens is not None:
-        seen['by_lens'] = found.by_lens.reshape(-1, 6)
-    if found.near is not None:
-        points['near'] = found.near
-    if found.intrinsics is not None:
-        points['intrinsics'] = found.intrinsics
-    points['joint_delay'] = found.joint_delay_s
+        points[name][len(found) :] = np.nan
     dense = not len(found.missed)
-    return pack_cloud(factory, factories.header(factory, found.stamp_ns, frame_id), points, dense)
+    return pack_cloud(factory, header(factory, found.stamp_ns, frame_id), points, dense)
 
 
 def triplet(factory: MessageFactory, chosen: Triplet, frame_id: str = 'base_link') -> Any:
     """Build the PointCloud2 of ``triplet``."""
-    points = np.zeros(3, dtype=clouds.TRIPLET.fields)
-    points['id'] = chosen.ids
-    points['bearing'] = chosen.bearing_rad
-    points['bearing_sigma'] = chosen.sigma_rad
-    points['covariance'] = chosen.covariance.reshape(-1)
-    points['pan'] = chosen.pan_rad
-    return pack_cloud(factory, factories.header(factory, chosen.stamp_ns, frame_id), points)
+    points = clouds.TRIPLET.rows(chosen, 3)
+    return pack_cloud(factory, header(factory, chosen.stamp_ns, frame_id), points)
 
 
 class Transform(NamedTuple):
@@ -198,11 +174,11 @@ def _stamped(factory: MessageFactory, stamp_ns: int, one: Transform) -> Any:
     x, y, z, w = Rotation.from_matrix(one.rotation).as_quat().tolist()
     return factory(
         'geometry_msgs/msg/TransformStamped',
-        header=factories.header(factory, stamp_ns, one.parent),
+        header=header(factory, stamp_ns, one.parent),
         child_frame_id=one.child,
         transform=factory(
             'geometry_msgs/msg/Transform',
-            translation=factories.vector(factory, 'Vector3', *one.translation),
+            translation=vector(factory, 'Vector3', *one.translation),
             rotation=factory('geometry_msgs/msg/Quaternion', x=x, y=y, z=z, w=w),
         ),
     )
@@ -218,7 +194,7 @@ def joint_state(factory: MessageFactory, sample: JointSample, mount: PanTiltMoun
     """Build a sensor_msgs/JointState."""
     return factory(
         'sensor_msgs/msg/JointState',
-        header=factories.header(factory, sample.stamp_ns, ''),
+        header=header(factory, sample.stamp_ns, ''),
         name=[mount.pan_joint, mount.tilt_joint],
         position=np.array([sample.pan_rad, sample.tilt_rad]),
     )
@@ -231,13 +207,13 @@ def sweep_trajectory(
     start_ns = samples[0].stamp_ns
     return factory(
         'trajectory_msgs/msg/JointTrajectory',
-        header=factories.header(factory, start_ns, ''),
+        header=header(factory, start_ns, ''),
         joint_names=[mount.pan_joint, mount.tilt_joint],
         points=[
             factory(
                 'trajectory_msgs/msg/JointTrajectoryPoint',
                 positions=np.array([sample.pan_rad, sample.tilt_rad]),
-                time_from_start=factories.duration(factory, sample.stamp_ns - start_ns),
+                time_from_start=time_message(factory, sample.stamp_ns - start_ns, 'Duration'),
             )
             for sample in samples
         ],

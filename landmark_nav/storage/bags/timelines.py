@@ -210,8 +210,10 @@ def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
     def angles(entry: BagMessage) -> JointSample | tuple[int, float] | None:
         nonlocal taken
         taken = names.add(entry.message.name) or taken
-        sample = decode.joint_sample(entry.message, mount)
-        return decode.lone_tilt(entry.message, mount) if sample is None else sample
+        stamp_ns, pan_rad, tilt_rad = decode.joint_angles(entry.message, mount)
+        if pan_rad is not None:
+            return JointSample(stamp_ns, pan_rad, tilt_rad or 0.0)
+        return None if tilt_rad is None else (stamp_ns, tilt_rad)
 
     for entry in bag.messages([topic]):
         found = message_filter.take(angles, entry)

@@ -200,5 +200,8 @@ class RobotTransforms:
         ]
 
     def _of_joints(self, message: Any) -> list[encode.Transform]:
-        joints = decode.joint_sample(message, self._mount)
-        return [] if joints is None else list(encode.joint_transforms(self._mount, joints))
+        stamp_ns, pan_rad, tilt_rad = decode.joint_angles(message, self._mount)
+        if pan_rad is None:
+            return []
+        joints = JointSample(stamp_ns, pan_rad, tilt_rad or 0.0)
+        return list(encode.joint_transforms(self._mount, joints))
