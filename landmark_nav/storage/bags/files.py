@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, contextmanager, suppress
 from functools import partial
@@ -14,7 +15,6 @@ from urllib.parse import quote
 from weakref import finalize
 
 from rosbags.interfaces import (
-    Connection,
     Qos,
     QosDurability,
     QosHistory,
@@ -57,14 +57,18 @@ class RosbagsFile:
         with _naming(self.name):
             self._reader = _ros1(path) if ros1 else _sqlite3(path)
         finalize(self, _close, self._reader)
-        self._infos = {
-            connection.id: _info(connection, 'ros1' if ros1 else 'cdr')
-            for connection in self._reader.connections
-        }
-        self.counts: dict[container.ChannelInfo, int] = {}
+        self._infos: dict[int, container.ChannelInfo] = {}
+        self.counts = Counter[container.ChannelInfo]()
         for connection in self._reader.connections:
-            info = self._infos[connection.id]
-            self.counts[info] = self.counts.get(info, 0) + connection.msgcount
+            definition = connection.msgdef
+            self._infos[connection.id] = info = container.ChannelInfo(
+                connection.topic,
+                connection.msgtype,
+                'ros1' if ros1 else 'cdr',
+                _ENCODINGS[definition.format.name],
+                definition.data,
+            )
+            self.counts[info] += connection.msgcount
         of_time = self._reader if isinstance(self._reader, Ros1Reader) else self._reader.metadata
         filled = any(self.counts.values())
         self.first_ns = of_time.start_time if filled else 0
@@ -144,17 +148,6 @@ def _check_channels(count: int) -> None:
         raise ValueError(f'{count} channels, more than a robot has')
 
 
-def _info(connection: Connection, encoding: str) -> container.ChannelInfo:
-    definition = connection.msgdef
-    return container.ChannelInfo(
-        connection.topic,
-        connection.msgtype,
-        encoding,
-        _ENCODINGS[definition.format.name],
-        definition.data,
-    )
-
-
 BagFile = container.McapFile | RosbagsFile
 
 _MCAP, _OTHERS = b'\x89MCAP0\r\n', (b'SQLite format 3\0', b'#ROSBAG')
@@ -222,30 +215,20 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
     information = read_yaml_mapping(metadata).get('rosbag2_bagfile_information')
     if not isinstance(information, dict):
         raise LandmarkNavError(f'{metadata}: not the description of a rosbag2 bag')
-    names = list(_names(information.get('relative_file_paths')))
-    # A file may have been compressed after the metadata were written.
-    found = {
-        name: _first(path / f'{name}{end}' for end in ('', *_PACKED_SUFFIXES)) for name in names
-    }
-    missing = [name for name, file in found.items() if file is None]
-    if missing or not names:
-        raise LandmarkNavError(
-            f'{metadata}: names {", ".join(missing[:3]) or "no file"}, which is not there'
-        )
-    # Compressed files are recognised by their first bytes, not by the metadata.
-    by_message = str(information.get('compression_mode')).lower() == 'message'
-    return [file for file in found.values() if file is not None], by_message
-
-
-def _names(listed: Any) -> Iterator[str]:
-    """Yield names of files of a bag, without folders: files are searched in its folder only."""
-    for name in listed if isinstance(listed, list) else ():
-        if isinstance(name, str) and Path(name).name:
-            yield Path(name).name
-
-
-def _first(paths: Iterator[Path]) -> Path | None:
-    return next((path for path in paths if path.is_file()), None)
+    listed = information.get('relative_file_paths')
+    found = []
+    for entry in listed if isinstance(listed, list) else ():
+        # Files are searched in the folder of the bag only. They may have been compressed after the
+        # metadata were written; their first bytes tell.
+        name = Path(entry).name if isinstance(entry, str) else ''
+        ends = ('', *_PACKED_SUFFIXES) if name else ()
+        files = (file for end in ends if (file := path / f'{name}{end}').is_file())
+        if name and (file := next(files, None)) is None:
+            raise LandmarkNavError(f'{metadata}: names {name}, which is not there')
+        found += [file] if name and file else []
+    if not found:
+        raise LandmarkNavError(f'{metadata}: names no file, which is not there')
+    return found, str(information.get('compression_mode')).lower() == 'message'
 
 
 def _without_metadata(path: Path, on_warning: Callable[[str], None]) -> list[Path]:

@@ -41,7 +41,7 @@ def truth_decoder(bag: Bag, topic: str) -> Callable[[BagMessage], PoseEstimate]:
 
 
 def _shift_ns(bag: Bag, topic: str) -> int:
-    names = (name for name in _BESIDE for name in bag.candidates(name)[:1])
+    names = (topic for name in _BESIDE for topic in bag.candidates(name)[:1])
     beside = next((name for name in names if name in bag.stamps_ns), None)
     if beside is None or topic not in bag.stamps_ns:
         return 0
@@ -93,9 +93,13 @@ def sensor_events(
         round(delay_s * 1e9) for delay_s in (joint_delay_s, image_delay_s, odometry_delay_s)
     )
     depth = decode.BitDepth()
+
+    def earlier(sample: OdometrySample) -> OdometrySample:
+        return replace(sample, stamp_ns=sample.stamp_ns - late_odometry)
+
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
         images: lambda entry: _frame(bag, entry, cameras, joints, late_joints, late_image, depth),
-        odometry: lambda entry: _earlier(decode.odometry(entry.message), late_odometry),
+        odometry: lambda entry: earlier(decode.odometry(entry.message)),
     }
     if truth is not None:
         decoders[truth] = truth_decoder(bag, truth)
@@ -159,10 +163,6 @@ def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
     if truth := bag.find('ground_truth/odom'):
         decoders[truth] = truth_decoder(bag, truth)
     yield from _usable(bag, once(bag.messages(decoders)), decoders, {})
-
-
-def _earlier(sample: OdometrySample, late_ns: int) -> OdometrySample:
-    return replace(sample, stamp_ns=sample.stamp_ns - late_ns) if late_ns else sample
 
 
 def _frame(
