@@ -83,11 +83,9 @@ _HEAD = ('stage', 'ms', '95 % ms', 'ref ms', 'ratio', 'reference')
 
 @dataclass(frozen=True)
 class _Comparison:
-    """
-    A stage and its reference; both process `count` items in a call.
+    """A stage and its reference; both process `count` items in a call."""
 
-    If the duration of a stage varies between calls, `calls` calls are timed separately.
-    """
+    # If the duration of a stage varies between calls, `calls` calls are timed separately.
 
     stage: str
     ours: Callable[[], object]

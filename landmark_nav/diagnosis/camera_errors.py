@@ -165,11 +165,6 @@ def _sized(setup: CameraSetup, share: float) -> CameraSetup:
     return _lens(setup, fx=share * c.fx, fy=share * c.fy, **middle)
 
 
-def _bent(setup: CameraSetup, value: float) -> CameraSetup:
-    first, *rest = setup.camera.coefficients.tolist()
-    return replace(setup, camera=replace(setup.camera, distortion=(first + value, *rest)))
-
-
 # Smaller errors are within the range that localization and learning estimate.
 _MATTERS = 0.05
 # Start values of a search, as shares of the reach; the best is used if it beats no error.
@@ -202,7 +197,12 @@ _ERRORS = {
     'fy': _Error(lambda s, v: _lens(s, fy=s.camera.fy * np.exp(v)), 0.7),
     'cx': _Error(lambda s, v: _lens(s, cx=s.camera.cx + v * s.camera.fx), 0.6),
     'cy': _Error(lambda s, v: _lens(s, cy=s.camera.cy + v * s.camera.fy), 0.6),
-    'distortion': _Error(_bent, 0.4),
+    'distortion': _Error(
+        lambda s, v: _lens(
+            s, distortion=(s.camera.coefficients[0] + v, *s.camera.coefficients[1:])
+        ),
+        0.4,
+    ),
 }
 
 
@@ -254,11 +254,8 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
 
 
 def _nearly(matches: Matches, setup: CameraSetup) -> CameraSetup:
-    """
-    Return the setup with the best small angles of camera and axis, which manual mounting causes.
-
-    Otherwise a large error of another kind would explain them in part.
-    """
+    """Return the setup with the best small angles of camera and axis, as of manual mounting."""
+    # Otherwise a large error of another kind would explain them in part.
 
     def turned(angles: FloatArray) -> CameraSetup:
         return _mounted(_rolled(setup, float(angles[0])), *angles[1:].tolist())

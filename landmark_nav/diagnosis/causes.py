@@ -185,11 +185,8 @@ def _cause(
 
 
 def _along(motion: Motion) -> float:
-    """
-    Log-likelihood of the path by the heading, up to a constant.
-
-    A robot drives along its heading, or at a constant angle to it, forwards and backwards.
-    """
+    """Log-likelihood of the path by the heading, up to a constant."""
+    # A robot drives along its heading, or at a constant angle to it, forwards and backwards.
     if motion.odometry is None:
         return 0.0
     begin, end = motion.odometry.seconds[[0, -1]]

@@ -129,11 +129,8 @@ def _place(
 def _by_mount(
     pose: FloatArray, panorama: Panorama, known: Calibration, own_frame: bool
 ) -> FloatArray:
-    """
-    Derivatives (3, 16) of a pose of the base by the mount, for the measured pose of the axis.
-
-    In the frame of the first sweep, the same errors move its base.
-    """
+    """Derivatives (3, 16) of a pose of the base by the mount, for a measured pose of the axis."""
+    # In the frame of the first sweep, the same errors move its base.
     jacobian = np.zeros((3, len(NAMES)))
     which = [NAMES.index(name) for name in ('axis_x', 'axis_y', 'axis_yaw')]
     lever = [*known.mount.axis_xyz[:2], 0.0]

@@ -173,12 +173,9 @@ def consistency(
 
 
 def _independent(white: FloatArray) -> float:
-    """
-    Effective number of independent samples among whitened errors (n, 3), for their mean square.
-
-    Errors of a run are correlated: those by the map throughout, those by odometry for some time.
-    The correlation of squares of Gaussians is the square of their correlation.
-    """
+    """Effective number of independent samples among whitened errors (n, 3), by their squares."""
+    # Errors of a run are correlated: those by the map throughout, those by odometry for some time.
+    # The correlation of squares of Gaussians is the square of their correlation.
     n = len(white)
     power = float(np.sum(white * white)) / n
     if power == 0.0:

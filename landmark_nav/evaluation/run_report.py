@@ -80,6 +80,7 @@ def run_report(
     stamps = run.stamps_ns
     span_s = 1e-9 * float(max(stamps[-1], run.odometry.stamps_ns[-1]) - run.begin_ns)
     of_poses = pose_report(run, errors, landmark_map)
+    available = of_poses['availability']
     return {
         **of_poses,
         'crlb_ratio': metrics.crlb_ratio(errors.fused, bound),
@@ -101,7 +102,10 @@ def run_report(
         }
         if run.searched
         else None,
-        'warning': _warning(of_poses['availability']),
+        'warning': f'lost in {100.0 * (1.0 - available):.0f} % of the images, where fused is but '
+        'odometry: is the map of this room, and robot.yaml of this robot?'
+        if available < _MOSTLY
+        else None,
     }
 
 
@@ -165,27 +169,19 @@ def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
     }
 
 
-def _warning(availability: float) -> str | None:
-    if availability >= _MOSTLY:
-        return None
-    return (
-        f'lost in {100.0 * (1.0 - availability):.0f} % of the images, where fused is but '
-        'odometry: is the map of this room, and robot.yaml of this robot?'
-    )
-
-
 def spells(run: Replay) -> list[dict[str, Any]]:
     """List the times at which the state was not OK, with the first reason of each."""
-    found = []
-    for status, group in groupby(run.updates, key=lambda update: update.status):
-        updates = list(group)
-        if status == 'tracking':
-            continue
-        first, last = ((updates[k].stamp_ns - run.begin_ns) * 1e-9 for k in (0, -1))
-        found.append(
-            {'status': status, 'from_s': first, 'to_s': last, 'reason': updates[0].reason}
-        )
-    return found
+    spells = (list(group) for _, group in groupby(run.updates, key=lambda u: u.status))
+    return [
+        {
+            'status': first.status,
+            'from_s': (first.stamp_ns - run.begin_ns) * 1e-9,
+            'to_s': (last.stamp_ns - run.begin_ns) * 1e-9,
+            'reason': first.reason,
+        }
+        for first, *_, last in ((spell[0], *spell) for spell in spells)
+        if first.status != 'tracking'
+    ]
 
 
 def _used(update: LocalizationUpdate, sigma_factor: float) -> ImagePoints:
@@ -245,11 +241,8 @@ def aligned(run: Replay, scaled: bool) -> tuple[Replay, RunErrors, Alignment]:
 
 
 def _likeliest(run: Replay, truth: metrics.PoseTrack, poses: FloatArray) -> metrics.PoseTrack:
-    """
-    Refine the alignment of the ground truth to the likeliest one, by headings and covariances.
-
-    The choice of the map's frame is not an error of the poses.
-    """
+    """Refine the alignment of the truth to the likeliest one, by headings and covariances."""
+    # The choice of the map's frame is not an error of the poses.
     errors = metrics.pose_errors(poses, truth.at(run.stamps_ns))
     known = np.isfinite(errors).all(1)
     at, information = poses[known], np.linalg.inv(run.fused_covariances[known])
@@ -404,19 +397,18 @@ def write_tum_files(run: Replay, folder: Path, smoothed: Smoothed | None = None)
         tracks['smoothed'] = smoothed.stamps_ns, smoothed.poses
     for name, (at_ns, poses) in tracks.items():
         known = np.flatnonzero(np.isfinite(poses).all(axis=1))
-        if len(known):
-            # Images may have arrived late.
-            known = known[np.argsort(at_ns[known], kind='stable')]
-            write_atomically(folder / f'{name}.tum', _lines(at_ns[known], poses[known]))
-
-
-def _lines(stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> str:
-    """Format lines ``timestamp tx ty tz qx qy qz qw`` without loss of precision."""
-    return ''.join(
-        f'{stamp // 10**9}.{stamp % 10**9:09d} {x!r} {y!r} 0 0 0 '
-        f'{float(np.sin(heading / 2.0))!r} {float(np.cos(heading / 2.0))!r}\n'
-        for stamp, (x, y, heading) in zip(stamps_ns.tolist(), poses.tolist(), strict=True)
-    )
+        # Images may have arrived late.
+        known = known[np.argsort(at_ns[known], kind='stable')]
+        # Lines ``timestamp tx ty tz qx qy qz qw`` without loss of precision.
+        lines = [
+            f'{stamp // 10**9}.{stamp % 10**9:09d} {x!r} {y!r} 0 0 0 '
+            f'{float(np.sin(heading / 2.0))!r} {float(np.cos(heading / 2.0))!r}\n'
+            for stamp, (x, y, heading) in zip(
+                at_ns[known].tolist(), poses[known].tolist(), strict=True
+            )
+        ]
+        if lines:
+            write_atomically(folder / f'{name}.tum', ''.join(lines))
 
 
 def driven(run: Replay, stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> FloatArray:

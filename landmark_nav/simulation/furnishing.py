@@ -103,13 +103,8 @@ def move_one_box(scene: Scene, rng: Generator) -> tuple[Box, ...]:
     for _ in range(200):
         shift = rng.uniform(-0.8, 0.8, 2)
         center = np.array(moved.center_xy) + shift
-        box = Box(
-            (float(center[0]), float(center[1])),
-            moved.yaw_rad + float(rng.uniform(-0.3, 0.3)),
-            moved.size_m,
-            moved.material,
-            moved.seed,
-        )
+        yaw_rad = moved.yaw_rad + float(rng.uniform(-0.3, 0.3))
+        box = replace(moved, center_xy=tuple(center.tolist()), yaw_rad=yaw_rad)
         if np.linalg.norm(shift) > 0.3 and _fits(box, rest, scene.room, 0.0):
             return (*rest, box)
     return scene.boxes
@@ -244,9 +239,8 @@ def _fits(box: Box, others: list[Box], room: Room, clearance_m: float) -> bool:
     if not others:
         return True
     rest = Scene(0, room, boxes=tuple(others))
-    apart = min(
-        float(np.linalg.norm(np.array(other.center_xy) - box.center_xy)) for other in others
-    )
+    centers = np.array([other.center_xy for other in others])
+    apart = float(np.linalg.norm(centers - box.center_xy, axis=1).min())
     edges = np.concatenate([other.footprint for other in others])
     distance = np.linalg.norm(outline[:, None] - edges, axis=-1).min()
     inside = rest.distance_to_obstacles(outline) == 0.0
@@ -256,7 +250,7 @@ def _fits(box: Box, others: list[Box], room: Room, clearance_m: float) -> bool:
 def _lamps(room: Room, items: list[WallItem], rng: Generator) -> tuple[Lamp, ...]:
     """Random panels under the ceiling, and daylight at each window."""
     corners = np.array([wall.start for wall in room.walls])
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low, high = room.bounds
     height = max(wall.height for wall in room.walls)
     long = int(np.argmax(high - low))
     lamps = []
@@ -268,20 +262,13 @@ def _lamps(room: Room, items: list[WallItem], rng: Generator) -> tuple[Lamp, ...
             center = 0.5 * (center + corners[room.contains(corners * 0.9 + center * 0.1)].mean(0))
         size = (0.6, 0.6) if rng.random() < 0.5 else (0.3, 1.2)
         tint = 1.0 + rng.uniform(-0.05, 0.05) * np.array([1.0, 0.0, -1.0])
-        lamps.append(
-            Lamp(
-                (float(center[0]), float(center[1]), height),
-                size,
-                float(rng.uniform(0.8, 1.2)),
-                (float(tint[0]), float(tint[1]), float(tint[2])),
-            )
-        )
+        power = float(rng.uniform(0.8, 1.2))
+        lamps.append(Lamp((*center.tolist(), height), size, power, tuple(tint.tolist())))
     for item in items:
         if item.kind == 'blinds':
             at = item.center(room) + 0.15 * room.walls[item.wall].normal
-            position = (float(at[0]), float(at[1]), float(at[2]))
             power = float(rng.uniform(0.15, 0.4))
-            lamps.append(Lamp(position, (0.0, 0.0), power, (1.1, 1.0, 0.92)))
+            lamps.append(Lamp(tuple(at.tolist()), (0.0, 0.0), power, (1.1, 1.0, 0.92)))
     return tuple(lamps)
 
 
@@ -350,8 +337,7 @@ def _walls(outline: FloatArray, height: float) -> tuple[Wall, ...]:
         name = names[(-int(side[1]), int(side[0]))]
         used[name] = used.get(name, 0) + 1
         label = name if used[name] == 1 else f'{name}_{used[name]}'
-        ends = [(float(p[0]), float(p[1])) for p in (start, end)]
-        walls.append(Wall(label, ends[0], ends[1], height))
+        walls.append(Wall(label, tuple(start.tolist()), tuple(end.tolist()), height))
     return tuple(walls)
 
 
@@ -365,8 +351,8 @@ def _papers(walls: tuple[Wall, ...], rng: np.random.Generator) -> tuple[Paper, .
     along = first + np.array([0.0, gaps[0], gaps.sum()])
     height = float(np.round(rng.uniform(1.5, 1.7), 2))
     start, end = np.array(wall.start), np.array(wall.end)
-    papers = []
-    for color, distance in zip(rng.permutation(['red', 'green', 'blue']), along, strict=True):
-        x, y = np.round(start + (end - start) * distance / wall.length, 3)
-        papers.append(Paper(str(color), (float(x), float(y), height), *_PAPER_SIZE_M))
-    return tuple(papers)
+    places = np.round(start + (end - start) * along[:, None] / wall.length, 3).tolist()
+    return tuple(
+        Paper(str(color), (x, y, height), *_PAPER_SIZE_M)
+        for color, (x, y) in zip(rng.permutation(['red', 'green', 'blue']), places, strict=True)
+    )

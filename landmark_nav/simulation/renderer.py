@@ -128,11 +128,8 @@ def sample_texture(
 def _level_of_detail(
     pyramid: Pyramid, form: FloatArray, place: Float32Array, depth_per_px: Float32Array
 ) -> tuple[IndexArray, IndexArray, Float32Array]:
-    """
-    Levels of the pyramid for cells, each (tiles, cells, cells), by the texels per pixel.
-
-    The derivative of (a r) / (w r) along x is (a_x - u w_x) / (w r).
-    """
+    """Levels of the pyramid for cells, each (tiles, cells, cells), by the texels per pixel."""
+    # The derivative of (a r) / (w r) along x is (a_x - u w_x) / (w r).
     w, a, b = form.astype(np.float32)
     octaves = []
     for k, row in enumerate((a, b)):
@@ -243,12 +240,9 @@ class Renderer:
 def _ray_forms(
     surfaces: Sequence[Surface], rotation: FloatArray, center: FloatArray
 ) -> FloatArray:
-    """
-    Linear forms (n, 3, 3) of a ray r in the optical frame.
-
-    With rows w, a, b the ray meets the plane at depth 1 / (w r), at texture coordinates
-    (a r) / (w r) and (b r) / (w r) in [0, 1]. NaN for surfaces seen from behind.
-    """
+    """Linear forms (n, 3, 3) of a ray r in the optical frame."""
+    # With rows w, a, b the ray meets the plane at depth 1 / (w r), at texture coordinates (a r) /
+    # (w r) and (b r) / (w r) in [0, 1]. NaN for surfaces seen from behind.
     corner = np.array([s.corner for s in surfaces]) - center
     across = np.array([s.across for s in surfaces])
     down = np.array([s.down for s in surfaces])
@@ -264,12 +258,9 @@ def _ray_forms(
 
 
 def _overlaps(surfaces: list[Surface]) -> FloatArray:
-    """
-    Extension (n, 4) of each edge, pixels.
-
-    If two surfaces share an edge, the first is extended below the second; otherwise the background
-    would be visible at the seam.
-    """
+    """Extension (n, 4) of each edge, pixels."""
+    # If two surfaces share an edge, the first is extended below the second; otherwise the
+    # background would be visible at the seam.
     corners = np.array([s.corners for s in surfaces])
     middle = 0.5 * (corners + np.roll(corners, -1, axis=1))
     gap = np.abs(middle[:, :, None, None] - middle[None, None]).max(-1)

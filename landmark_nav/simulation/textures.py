@@ -52,7 +52,7 @@ def random_color(
     """A colour (blue, green, red) of random hue, in ranges of saturation and value."""
     hsv = [rng.uniform(0, 180), 255 * rng.uniform(*saturation), 255 * rng.uniform(*value)]
     bgr = cv2.cvtColor(np.array([[hsv]]).astype(np.uint8), cv2.COLOR_HSV2BGR)[0, 0]
-    return (float(bgr[0]), float(bgr[1]), float(bgr[2]))
+    return tuple(bgr.astype(float).tolist())
 
 
 def plaster(

@@ -155,7 +155,7 @@ def _door(rng: Generator, shape: tuple[int, int]) -> ImageArray:
     """A wooden door with panels, a frame and a knob."""
     rows, columns = shape
     brown = np.array([0.42, 0.66, 1.0]) * rng.uniform(90, 190)
-    color = (float(brown[0]), float(brown[1]), float(brown[2]))
+    color: textures.Color = tuple(brown.tolist())
     image = textures.wood(rng, (columns, rows), color, 2.0 / rows).transpose(1, 0, 2).copy()
     line = max(2, columns // 90)
     split = rng.uniform(0.35, 0.6)

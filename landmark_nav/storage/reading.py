@@ -131,12 +131,9 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
 
 
 def _document(events: Iterator[yaml.Event]) -> Any:
-    """
-    Build the value of the single document, without recursion and with bounded steps.
-
-    The constructor of PyYAML follows aliases, whose expansion has no bound, and passes on errors
-    of malformed values with a tag.
-    """
+    """Build the value of the single document, without recursion and with bounded steps."""
+    # The constructor of PyYAML follows aliases, whose expansion has no bound, and passes on errors
+    # of malformed values with a tag.
     document: Any = None
     # Open containers, each with the key that has no value yet.
     opened: list[tuple[Any, Any]] = []

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
-from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import patch_axes
@@ -102,7 +101,7 @@ def align_frames(a: LandmarkMap, b: LandmarkMap) -> FrameAlignment:
     Raises `LandmarkNavError`: the maps have too few landmarks in common, or more than one
     transformation fits.
     """
-    scale_sigma = float(np.hypot(_scale_sigma(a), _scale_sigma(b)))
+    scale_sigma = float(np.hypot(*(m.scale_sigma or _MEASURED_SCALE_SIGMA for m in (a, b))))
     matches = _matches(a, b, scale_sigma)
     best, explained = _best(a, b, matches, scale_sigma)
     needed = max(_LEAST_SUPPORT, _LEAST_SHARE * min(len(a.landmarks), len(b.landmarks)))
@@ -192,26 +191,25 @@ def _by_frame(ways: FloatArray) -> FloatArray:
     return jacobian
 
 
-def _scale_sigma(landmarks: LandmarkMap) -> float:
-    return landmarks.scale_sigma or _MEASURED_SCALE_SIGMA
-
-
 def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
     """Similar textures at the same height, the best first."""
-    textured_a = [i for i, k in enumerate(a.landmarks) if k.patch.size]
-    textured_b = [j for j, k in enumerate(b.landmarks) if k.patch.size]
     texels = [k.width_m / k.patch.shape[1] for m in (a, b) for k in m.landmarks if k.patch.size]
     texel = float(np.median(texels)) if texels else 1.0
-    images_a = {i: _image(a.landmarks[i], texel) for i in textured_a}
-    images_b = {j: _image(b.landmarks[j], texel) for j in textured_b}
+    images_a, images_b = (
+        [
+            (k, resampled(k, texel, _shape(k, texel), np.zeros(2)), index)
+            for index, k in enumerate(one.landmarks)
+            if k.patch.size
+        ]
+        for one in (a, b)
+    )
     rows = []
-    for i in textured_a:
-        for j in textured_b:
-            one, other = a.landmarks[i], b.landmarks[j]
+    for one, image_a, i in images_a:
+        for other, image_b, j in images_b:
             apart = abs(one.position[2] - other.position[2])
             if apart > 0.5 * max(one.height_m, other.height_m) + _GATE_SIGMAS * _HEIGHT_SIGMA_M:
                 continue
-            found = _offset(images_a[i], images_b[j])
+            found = _offset(image_a, image_b)
             if found is None:
                 continue
             score, offset_a, offset_b = found
@@ -227,9 +225,8 @@ def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
     return _Matches(table[:, 1:4], table[:, 4:7], wrap_rad(table[:, 7]), index[:, 0], index[:, 1])
 
 
-def _image(k: Landmark, texel_m: float) -> Float32Array:
-    shape = max(int(k.height_m / texel_m), 1), max(int(k.width_m / texel_m), 1)
-    return resampled(k, texel_m, shape, np.zeros(2))
+def _shape(k: Landmark, texel_m: float) -> tuple[int, int]:
+    return max(int(k.height_m / texel_m), 1), max(int(k.width_m / texel_m), 1)
 
 
 def _offset(a: Float32Array, b: Float32Array) -> tuple[float, FloatArray, FloatArray] | None:
@@ -362,9 +359,12 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
         if pair.texture is not Texture.UNKNOWN and _older_stays(pair)
     }
     first_free = int(max(older.ids, default=-1)) + 1
-    factors_older, factors_newer = _factors(older), _factors(newer)
+    factors_older, factors_newer = (m.shared_loadings.shape[2] for m in (older, newer))
     added = [k for k in newer.landmarks if k.id not in kept_out]
     provenance = {key: text for key, text in newer.provenance.items() if key not in _OF_FRAME}
+    known = newer.calibration
+    if known is not None and known.by_map is not None:
+        known = replace(known, by_map=np.pad(known.by_map, ((0, 0), (factors_older, 0))))
     return LandmarkMap(
         (
             *(_padded(k, 0, factors_newer) for k in older.landmarks if k.id not in outdated),
@@ -378,7 +378,7 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
         (*older.panorama_poses, *newer.panorama_poses),
         {**provenance, **older.provenance, 'merged': '2 maps'},
         newer.prior,
-        _shifted(newer.calibration, factors_older),
+        known,
     )
 
 
@@ -425,13 +425,6 @@ def _on_wall_of(landmarks: LandmarkMap, k: Landmark) -> Landmark | None:
     return replace(k, wall_id=landmarks.walls[nearest].id)
 
 
-def _shifted(known: Calibration | None, factors: int) -> Calibration | None:
-    """Calibration of the newer map; its factors follow the `factors` of the older one."""
-    if known is None or known.by_map is None:
-        return known
-    return replace(known, by_map=np.pad(known.by_map, ((0, 0), (factors, 0))))
-
-
 def _check_agreement(comparison: Comparison) -> None:
     """Check that most common textures are unchanged, at locations consistent with covariances."""
     pairs, changed = comparison.of(Texture.SAME), comparison.of(Texture.CHANGED)
@@ -448,10 +441,6 @@ def _check_agreement(comparison: Comparison) -> None:
             f'know lie over {_MAX_SIGMAS:g} sigma apart (up to {100 * worst:.1f} cm): '
             'learn again the one that is wrong (`landmark-nav map diff` lists them)'
         )
-
-
-def _factors(landmarks: LandmarkMap) -> int:
-    return landmarks.landmarks[0].shared_loading.shape[1] if landmarks.landmarks else 0
 
 
 def _padded(k: Landmark, before: int, after: int) -> Landmark:

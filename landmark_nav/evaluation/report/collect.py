@@ -7,14 +7,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
-from functools import cache
 from importlib.resources import files
 import json
 from pathlib import Path
 from typing import Any, TypedDict
 
 import cv2
-from jinja2 import Environment, Template
+from jinja2 import Environment
 import numpy as np
 import numpy.typing as npt
 
@@ -120,10 +119,17 @@ def drive_page(
 
     Landmarks are projected into the images by `calibration`.
     """
-    chosen = _moments(run)
+    # Images by time, thinned, with all changes of the state.
+    order = np.argsort(run.stamps_ns, kind='stable')
+    status = np.array([run.updates[k].status for k in order])
+    shown = np.arange(len(order)) % -(-len(order) // _MOST_MOMENTS) == 0
+    shown[1:] |= status[1:] != status[:-1]
+    chosen = np.asarray(order[shown])
     drive = _drive(run, chosen, landmarks, calibration, strip, smoothed)
     found = Counter(int(k) for u in run.updates for k in u.observation.detections.ids)
-    expected = found + Counter(k for u in run.updates for k in _missed(u))
+    expected = found + Counter(
+        int(k) for u in run.updates for k in u.observation.detections.missed
+    )
     data = {
         'map': _map(landmarks, papers, found, expected),
         'run': drive,
@@ -218,16 +224,6 @@ def _map(
     }
 
 
-def _moments(run: Replay) -> npt.NDArray[np.intp]:
-    """Indices of the updates that are shown, by time; they include all changes of the state."""
-    order = np.argsort(run.stamps_ns, kind='stable')
-    every = -(-len(order) // _MOST_MOMENTS)
-    status = np.array([run.updates[k].status for k in order])
-    shown = np.arange(len(order)) % every == 0
-    shown[1:] |= status[1:] != status[:-1]
-    return np.asarray(order[shown])
-
-
 def _drive(
     run: Replay,
     chosen: npt.NDArray[np.intp],
@@ -284,34 +280,22 @@ def _drive(
     }
 
 
-def _missed(update: LocalizationUpdate) -> list[int]:
-    return [int(k) for k in update.observation.detections.missed]
-
-
-def _used(update: LocalizationUpdate, landmarks: LandmarkMap) -> tuple[set[int], str]:
-    """Ids of the landmarks that corrected the pose, and the reason for the others."""
-    if isinstance(update.taken, Refusal):
-        return set(), str(update.taken)
-    if update.taken is None:
-        # A recording of the nodes contains the detections only.
-        return set(update.observation.detections.ids.tolist()), ''
-    return set(landmarks.ids[update.taken.used].tolist()), 'outlier'
-
-
 def _seen(
     update: LocalizationUpdate,
     frame: CameraFrame | None,
     landmarks: LandmarkMap,
     calibration: Calibration,
 ) -> list[dict[str, Any]]:
-    """
-    Landmarks of one image: found and used, found and not used, or not found.
-
-    `outline` are the corners of the patch as predicted by the fused pose, pixels.
-    """
+    """Landmarks of one image: found and used, found and not used, or not found."""
+    # `outline` are the corners of the patch as predicted by the fused pose, pixels.
     observation, found = update.observation, update.observation.detections
-    used, why = _used(update, landmarks)
-    reasons = {**dict.fromkeys(_missed(update), 'not found'), **observation.refused}
+    # Landmarks that corrected the pose: a recording of the nodes contains the detections only.
+    used, why = set(found.ids.tolist()), ''
+    if isinstance(update.taken, Refusal):
+        used, why = set(), str(update.taken)
+    elif update.taken is not None:
+        used, why = set(landmarks.ids[update.taken.used].tolist()), 'outlier'
+    reasons = {**dict.fromkeys(found.missed.tolist(), 'not found'), **observation.refused}
     entries = [
         {
             'id': int(k),
@@ -343,11 +327,8 @@ def _seen(
 
 
 def _charts(run: Replay, errors: RunErrors, chosen: npt.NDArray[np.intp]) -> list[dict[str, Any]]:
-    """
-    Errors ahead, to the left and in heading, +-3 sigma and protection levels.
-
-    Without ground truth, triangulated poses are compared with the fused ones.
-    """
+    """Errors ahead, to the left and in heading, +-3 sigma and protection levels."""
+    # Without ground truth, triangulated poses are compared with the fused ones.
     known = len(run.truth) > 0
     off = errors.triangulation if known else pose_errors(run.fixes, run.fused)
     levels = np.array([(np.nan,) * 2 if u.level is None else tuple(u.level) for u in run.updates])
@@ -447,7 +428,8 @@ def page_html(page: Page, title: str, command: str, inputs: Mapping[str, object]
     now = datetime.now().astimezone().strftime('%Y-%m-%d %H:%M %z')
     # Only a `<` in the data could end the script element.
     data = json.dumps(page['data'], separators=(',', ':'), allow_nan=False)
-    return _template().render(
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(_resource('page.html.j2')).render(
         page=page,
         title=title,
         command=command,
@@ -457,12 +439,6 @@ def page_html(page: Page, title: str, command: str, inputs: Mapping[str, object]
         js=_resource('page.js'),
         made={'date': now, 'landmark_nav': release()},
     )
-
-
-@cache
-def _template() -> Template:
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(_resource('page.html.j2'))
 
 
 def _resource(name: str) -> str:

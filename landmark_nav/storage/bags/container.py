@@ -437,11 +437,8 @@ def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _chunk_content(chunk: bytes, part: _Part) -> bytes:
-    """
-    Return the records in a chunk.
-
-    Raises `ValueError`: it is not the one that the index names, or its content is damaged.
-    """
+    """Return the records in a chunk."""
+    # Raises `ValueError`: it is not the one that the index names, or its content is damaged.
     # Start, end, size (8 bytes each), checksum (4), compression (length and text), length (8).
     opcode, length, _, _, size, checksum, name_length = struct.unpack_from('<BQQQQII', chunk)
     if opcode != Opcode.CHUNK or length != part.length - _HEAD_BYTES:

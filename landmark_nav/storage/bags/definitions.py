@@ -51,64 +51,9 @@ def relative_name(topic: str) -> str:
 
     ``/robot1/odom`` is ``odom``, ``/ground_truth/odom`` is not.
     """
-    topic = _normal(topic)
+    topic = normal_topic(topic)
     ends = [name for name in TOPIC_TYPES if topic.endswith('/' + name)]
     return max(ends, key=len) if ends else topic[1:]
-
-
-def find_topic(
-    name: str, types: Mapping[str, str], given: Mapping[str, str] | None = None
-) -> str | None:
-    """
-    Return the topic of a bag that the contract calls `name`; None if there is none.
-
-    `given` are topics of the bag by names in the contract, by the user. The type of an image topic
-    decides whether it is raw or compressed, not the given name. Raises `LandmarkNavError`: the
-    topic is ambiguous, has another type, or the given one is not in the bag.
-    """
-    topics = {_normal(topic): topic for topic in types}
-    by_user = {
-        _with_form(key, types.get(topics.get(_normal(topic), ''), '')): _normal(topic)
-        for key, topic in (given or {}).items()
-    }
-    if name in by_user:
-        found = [topics[by_user[name]]] if by_user[name] in topics else []
-        if not found:
-            raise LandmarkNavError(
-                f'--topic {name}={by_user[name]}: not in the bag; there are {listed(topics)}'
-            )
-    else:
-        found = [
-            topics[t] for t in topics if relative_name(t) == name and t not in by_user.values()
-        ]
-    if len(found) > 1 and f'/{name}' in topics:
-        found = [topics[f'/{name}']]
-    if len(found) > 1:
-        found = [topic for topic in found if types[topic] == TOPIC_TYPES[name]] or found
-    if len(found) > 1:
-        raise LandmarkNavError(
-            f'several topics could be {name} ({listed(found)}): say which by --topic '
-            f'{name}={sorted(found)[0]}'
-        )
-    if not found:
-        return None
-    if types[found[0]] != TOPIC_TYPES[name]:
-        raise LandmarkNavError(
-            f'topic {found[0]} is of type {types[found[0]]}, not {TOPIC_TYPES[name]}'
-        )
-    return found[0]
-
-
-def remedy_of_missing(names: Iterable[str], types: Mapping[str, str]) -> str:
-    """Advice if no topic has one of `names`; it lists unknown topics of a matching type."""
-    others = sorted(topic for topic in types if relative_name(topic) not in TOPIC_TYPES)
-    choices = [
-        f'--topic {name}={topic}'
-        for name in names
-        for topic in others
-        if types[topic] == TOPIC_TYPES[name]
-    ]
-    return f'record it, or give {" or ".join(choices[:2])}' if choices else 'record it'
 
 
 def listed(names: Iterable[str]) -> str:
@@ -118,12 +63,12 @@ def listed(names: Iterable[str]) -> str:
     return ', '.join(ordered[:_MOST_NAMES]) + more
 
 
-def _normal(topic: str) -> str:
+def normal_topic(topic: str) -> str:
     """Absolute topic without repeated or trailing slashes."""
     return '/' + '/'.join(part for part in topic.split('/') if part)
 
 
-def _with_form(name: str, type_name: str) -> str:
+def with_form(name: str, type_name: str) -> str:
     """Name in the contract by the type: images have one name raw, another compressed."""
     base = name.removesuffix('/compressed')
     forms = {

@@ -221,14 +221,16 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
         # Files are searched in the folder of the bag only. They may have been compressed after the
         # metadata were written; their first bytes tell.
         name = Path(entry).name if isinstance(entry, str) else ''
-        ends = ('', *_PACKED_SUFFIXES) if name else ()
-        files = (file for end in ends if (file := path / f'{name}{end}').is_file())
-        if name and (file := next(files, None)) is None:
+        files = [path / f'{name}{end}' for end in ('', *_PACKED_SUFFIXES)] if name else []
+        there = [file for file in files if file.is_file()]
+        if name and not there:
             raise LandmarkNavError(f'{metadata}: names {name}, which is not there')
-        found += [file] if name and file else []
+        found += there[:1]
     if not found:
         raise LandmarkNavError(f'{metadata}: names no file, which is not there')
-    return found, str(information.get('compression_mode')).lower() == 'message'
+    return list(dict.fromkeys(found)), str(
+        information.get('compression_mode')
+    ).lower() == 'message'
 
 
 def _without_metadata(path: Path, on_warning: Callable[[str], None]) -> list[Path]:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from landmark_nav.arrays import IntArray
-from landmark_nav.errors import inside, LandmarkNavError, why
+from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
 from landmark_nav.storage.bags import definitions
 from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack, ZSTD
@@ -172,12 +172,41 @@ class Bag:
         return next((topic for name in names if (topic := self._find(name))), None)
 
     def _find(self, name: str) -> str | None:
-        if ':' in self._given.get(name, ''):
+        if ':' in self.given(name):
             return None  # a frame of /tf takes its place
-        with inside(self.path):
-            topic = definitions.find_topic(name, self._filled(), self._given)
-        given = {other.strip('/') for other in self._given.values()}
-        if topic is not None and topic.strip('/') not in {name, *given}:
+        types, wanted = self._filled(), definitions.TOPIC_TYPES[name]
+        topics = {definitions.normal_topic(topic): topic for topic in types}
+        by_user = {}
+        for key, topic in self._given.items():
+            given = definitions.normal_topic(topic)
+            by_user[definitions.with_form(key, types.get(topics.get(given, ''), ''))] = given
+        if name in by_user:
+            if by_user[name] not in topics:
+                raise LandmarkNavError(
+                    f'{self.path}: --topic {name}={by_user[name]}: not in the bag; there are '
+                    f'{definitions.listed(topics)}'
+                )
+            found = [topics[by_user[name]]]
+        else:
+            others = set(topics) - set(by_user.values())
+            found = [
+                topics[t] for t in topics if t in others and definitions.relative_name(t) == name
+            ]
+            exact = [topic for topic in found if topic.strip('/') == name]
+            found = exact or [topic for topic in found if types[topic] == wanted] or found
+        if len(found) > 1:
+            raise LandmarkNavError(
+                f'{self.path}: several topics could be {name} ({definitions.listed(found)}): say '
+                f'which by --topic {name}={min(found)}'
+            )
+        if not found:
+            return None
+        (topic,) = found
+        if types[topic] != wanted:
+            raise LandmarkNavError(
+                f'{self.path}: topic {topic} is of type {types[topic]}, not {wanted}'
+            )
+        if name not in by_user and topic.strip('/') != name:
             self.inform(f'{topic} is taken for {name}')
         return topic
 
@@ -205,9 +234,17 @@ class Bag:
         if topic := self.find(*alternatives):
             return topic
         there = definitions.listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
+        choices = [
+            f'--topic {name}={topic}'
+            for name in alternatives
+            for topic, kind in sorted(self._filled().items())
+            if kind == definitions.TOPIC_TYPES[name]
+            and definitions.relative_name(topic) not in definitions.TOPIC_TYPES
+        ]
+        remedy = f', or give {" or ".join(choices[:2])}' if choices else ''
         raise LandmarkNavError(
-            f'{self.path}: topic {alternatives[0]} is missing: '
-            f'{definitions.remedy_of_missing(alternatives, self._filled())}; there are {there}'
+            f'{self.path}: topic {alternatives[0]} is missing: record it{remedy}; there are '
+            f'{there}'
         )
 
     def _filled(self) -> dict[str, str]:

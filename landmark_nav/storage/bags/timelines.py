@@ -107,12 +107,9 @@ class JointHistory:
         return 1e9 * turned_rad / gap_ns if known else None
 
     def _rate_change(self, later: int, rate: float) -> float:
-        """
-        Greatest deviation of the rate within an interval from its mean `rate`.
-
-        It is the difference to the rates of the intervals before and after, as the rate changes
-        if a joint starts, stops or oscillates. If both are unknown, the joint may have stopped.
-        """
+        """Greatest deviation of the rate within an interval from its mean `rate`."""
+        # It is the difference to the rates of the intervals before and after, as the rate changes
+        # if a joint starts, stops or oscillates. If both are unknown, the joint may have stopped.
         beside = (self._rate(later - 1), self._rate(later + 1))
         changes = [abs(other - rate) for other in beside if other is not None]
         if not changes:
