@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 import sys
 import time
@@ -65,6 +64,7 @@ SWEEP_TOPICS = (
 T = TypeVar('T')
 
 _NOT_RECORDED = Refusal('not recorded')
+_NOTHING = np.empty(0, np.int64), *[np.empty(0)] * 3, np.empty((0, 2))
 # Status by the levels OK, WARN and ERROR of DiagnosticStatus, which rosbags reads as numbers.
 _STATUS = ('tracking', 'coasting', 'lost')
 
@@ -100,11 +100,12 @@ def recorded_run(bag: Bag) -> Replay:
     updates = []
     for stamp, pose, (status, reason) in zip(stamps, fused_track.at(stamps), states, strict=True):
         nearest = min(fused, key=lambda other: abs(other - stamp))
-        seen = found.get(stamp, _nothing(stamp))
+        seen = found.get(stamp, Detections(stamp, *_NOTHING))
+        fix = fixes.get(stamp, _NOT_RECORDED)
         updates.append(
             LocalizationUpdate(
                 stamp,
-                Observation(seen, {}, partial(_or_refusal, fixes.get(stamp))),
+                Observation(seen, {}, lambda fix=fix: fix),
                 len(seen),
                 PoseEstimate(stamp, pose, fused[nearest].covariance),
                 status,
@@ -140,15 +141,6 @@ def _states_at(bag: Bag, stamps_ns: Any) -> list[tuple[str, str]]:
                 states.append((stamp, _STATUS[min(int(status.level), 2)], status.message))
     last = np.searchsorted([stamp for stamp, *_ in states], stamps_ns, side='right') - 1
     return [states[k][1:] for k in last]
-
-
-def _or_refusal(fix: PoseEstimate | None) -> PoseEstimate | Refusal:
-    return fix or _NOT_RECORDED
-
-
-def _nothing(stamp_ns: int) -> Detections:
-    none = np.empty(0)
-    return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))
 
 
 # Bounds of a passed demo.
@@ -258,23 +250,20 @@ def prepare_room(folder: Path, seed: int, *, measured: bool = True) -> DemoRoom:
     if places is None:
         raise LandmarkNavError(f'the room of seed {seed} has no places for sweeps: take another')
     first, second = places.poses[:, :2]
+    tour = plan_tour(scene, second, _TOUR_M, np.random.default_rng([seed, 40]))
     room_file, robot_file = folder / 'room.yaml', folder / 'robot.yaml'
     if measured:
         room_file.write_text(room_document(scene.room), encoding='utf-8')
-    frame = np.zeros(3) if measured else places.poses[0]
+    to_frame = se2.inverse(np.zeros(3) if measured else places.poses[0])
     robot_file.write_text(robot_document(DEFAULT_MOUNT), encoding='utf-8')
-    extent = np.ptp(scene.room.bounds, axis=0)
     return DemoRoom(
         seed,
         room_file if measured else None,
         robot_file,
         DEFAULT_MOUNT,
-        se2.transform_points(se2.inverse(frame), plan_way(scene, first, second)),
-        se2.transform_points(
-            se2.inverse(frame),
-            plan_tour(scene, second, _TOUR_M, np.random.default_rng([seed, 40])),
-        ),
-        (float(extent[0]), float(extent[1])),
+        se2.transform_points(to_frame, plan_way(scene, first, second)),
+        se2.transform_points(to_frame, tour),
+        tuple(np.ptp(scene.room.bounds, axis=0).tolist()),
     )
 
 

@@ -242,7 +242,8 @@ def _named(cause: Cause) -> Finding:
         'side': side if value > 0.0 else other,
     }
     measured = -value if cause.kind in ('bias', 'curve') else value
-    values = {key: cause.name if cause.kind == 'joint' else measured} if key else {}
+    found: float | str = cause.name if cause.kind == 'joint' else measured
+    values = {key: found} if key else {}
     return Finding(name, 'error', text.format(**fields), advice.format(**fields), values)
 
 

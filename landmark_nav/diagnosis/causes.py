@@ -256,11 +256,6 @@ def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: floa
     return _likeliest(make, first.value, float(grid[1] - grid[0]))
 
 
-def _misfit(residuals: FloatArray) -> FloatArray:
-    """Robust (Cauchy) sum over the last axis."""
-    return np.asarray(np.log1p((residuals / _FIRST_NOISE_RAD) ** 2).sum(-1))
-
-
 def _scales(motion: Motion) -> Iterator[Cause]:
     """Yield wrong scales and signs of pan, of yaw, and of both, which is that of the lens."""
     panned, yawed, turns = motion.panned(), motion.yawed(), motion.turns_rad
@@ -277,7 +272,8 @@ def _scales(motion: Motion) -> Iterator[Cause]:
         # Very different units, such as ticks, show only in the magnitudes.
         ratio = float(np.median(np.abs(turns - rest)) / max(np.median(np.abs(factor)), 1e-12))
         tried = np.array([*_SCALES, least, ratio, -ratio])
-        scale = float(tried[np.argmin(_misfit(turns - rest - tried[:, None] * factor))])
+        left = (turns - rest - tried[:, None] * factor) / _FIRST_NOISE_RAD
+        scale = float(tried[np.argmin(np.log1p(left**2).sum(1))])
         parallax = motion.parallax()
         for _ in range(3):
             near = fit(turns - rest - scale * factor, np.column_stack([factor, parallax]))
@@ -324,20 +320,26 @@ def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Ca
 
 def _clock_cause(motion: Motion, stream: str, kind: str, clock: Clock) -> Cause:
     """Return the cause that a stream has a clock; late images are the others that are early."""
-    clocks = {
-        JOINTS: {'pan_clock': clock},
-        ODOMETRY: {'odometry_clock': clock},
-        IMAGES: {'pan_clock': clock, 'odometry_clock': clock},
-    }[stream]
     sign = -1.0 if stream == IMAGES else 1.0
     value, offset_s = {
         'clock': (clock.offset_s, sign * clock.offset_s),
         'drift': (clock.drift, sign * clock.offset_s),
         'step': (clock.step_s, clock.step_at_s),
     }[kind]
-    changed = replace(motion, **clocks)  # type: ignore[arg-type]
-    parameters = 1 if kind == 'clock' else 2
+    changed, parameters = _with_clock(motion, stream, clock), 1 if kind == 'clock' else 2
     return _cause(stream, kind, changed, parameters, sign * value, offset_s=offset_s)
+
+
+def _with_clock(motion: Motion, stream: str, clock: Clock) -> Motion:
+    if stream != ODOMETRY:
+        motion = replace(motion, pan_clock=clock)
+    return motion if stream == JOINTS else replace(motion, odometry_clock=clock)
+
+
+def _misfit(motion: Motion, stream: str, clocks: Clock) -> FloatArray:
+    """Robust (Cauchy) misfit of each pair with several clocks, (m, n)."""
+    left = _with_clock(motion, stream, clocks).unexplained()
+    return np.asarray(np.log1p((left / _FIRST_NOISE_RAD) ** 2))
 
 
 def _first_offset(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
@@ -369,27 +371,12 @@ def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArra
     """Clock with the least misfit, of clocks with grids of offsets on top of them."""
     least, found = np.inf, Clock()
     for base, grid in grids:
-        misfit = _misfit(_left(motion, stream, base, grid))
+        misfit = _misfit(motion, stream, base.later(grid[:, None, None])).sum(1)
         # Of equally good offsets, take the smallest.
         best = int(np.argmin(misfit + 1e-6 * np.abs(grid)))
         if misfit[best] < least:
             least, found = float(misfit[best]), base.later(float(grid[best]))
     return found
-
-
-def _left(motion: Motion, stream: str, base: Clock, grid: FloatArray) -> FloatArray:
-    """Residuals of the turns, (m, n), with offsets (m,) on top of a clock."""
-    pan, yaw = motion.panned(), motion.yawed()
-    pairs = np.stack([motion.before_s, motion.after_s])
-    moved = base.at(pairs) + grid[:, None, None]
-    if stream in (JOINTS, IMAGES):
-        turned = motion.pan.at(moved)[..., 0]
-        pan = motion.pan_scale * (turned[:, 1] - turned[:, 0])
-    if stream in (ODOMETRY, IMAGES) and motion.odometry is not None:
-        heading = Track(motion.odometry.seconds, motion.odometry.values[:, 2:])
-        turned = heading.at(moved)[..., 0]
-        yaw = motion.yaw_scale * (turned[:, 1] - turned[:, 0])
-    return np.asarray(motion.turns_rad - pan - yaw)
 
 
 def _offset(motion: Motion, stream: str, first: Clock) -> Cause:
@@ -429,7 +416,7 @@ def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
 def _step(motion: Motion, stream: str) -> Cause:
     """Find the likeliest clock that is off by a constant before, or after, some moment."""
     order = np.argsort(motion.before_s)
-    each = np.log1p((_left(motion, stream, Clock(), _NEAR) / _FIRST_NOISE_RAD) ** 2)[:, order]
+    each = _misfit(motion, stream, Clock(_NEAR[:, None, None]))[:, order]
     right = each[np.abs(_NEAR).argmin()]
     # Sums over the pairs before each pair, and from each pair on.
     off_before = np.cumsum(each, axis=1) - each

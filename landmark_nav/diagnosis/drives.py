@@ -117,14 +117,11 @@ class DriveChecks:
                 if not second and (jumps := check_jumps(odometry)) is not None:
                     found.append(jumps)
             found += _frames(odometry, looks.stream, self._mount)
-        if pan is None or len(pan) < 2 or len(looks.stream) < 2:
-            return found, Delays(), True
-        if odometry is not None and len(odometry) < 2:
-            return found, Delays(), True
-        if any(f.name == parts.COVERED and f.level == 'error' for f in content):
-            return found, Delays(), True  # the constant part prevents the measurement of turns
-        streams = [pan] if odometry is None else [pan, odometry]
-        if any(not s.stamps_ns.any() for s in (looks.stream, *streams) if len(s)):
+        streams = [stream for stream in (pan, odometry) if stream is not None]
+        usable = all(len(s) > 1 and s.stamps_ns.any() for s in (looks.stream, *streams))
+        # A constant part of the images prevents the measurement of turns.
+        covered = any(f.name == parts.COVERED and f.level == 'error' for f in content)
+        if pan is None or covered or not usable:
             return found, Delays(), True
         looks = replace(looks, stream=stamps.by_arrival(looks.stream))
         return self._against_images(

@@ -41,7 +41,11 @@ def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator
     target = Path(os.path.realpath(folder))
     growing = target.with_name(f'.{target.name}.part-{os.getpid()}')
     try:
-        _clear_dead(target, own)
+        for begun in _of_the_dead(target, 'part'):
+            shutil.rmtree(begun, ignore_errors=True)
+        for old in _of_the_dead(target, 'old') if target.exists() else ():
+            with suppress(OSError):
+                _succeed(old, target, own)
         growing.mkdir(parents=True)
         yield growing
         _swap(growing, target, own)
@@ -83,12 +87,13 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         if (descriptor := _descriptor(path)) is not None:
             for stream in filter(None, (sys.stdout, sys.stderr)):
                 stream.flush()
-            _write(os.dup(descriptor), data)
+            with os.fdopen(os.dup(descriptor), 'wb') as opened:
+                opened.write(data)
         elif _is_stream(path):
             # Without O_NONBLOCK, opening a pipe without a reader would block.
-            opened = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
-            os.set_blocking(opened, True)
-            _write(opened, data)
+            with os.fdopen(os.open(path, os.O_WRONLY | os.O_NONBLOCK), 'wb') as opened:
+                os.set_blocking(opened.fileno(), True)
+                opened.write(data)
         else:
             _replace(Path(os.path.realpath(path)), data)
     except OSError as error:
@@ -111,15 +116,8 @@ def _replace(target: Path, data: bytes) -> None:
         with suppress(OSError):  # there is no old file, or the file system has no permissions
             shutil.copymode(target, growing)
         growing.replace(target)
-    except OSError:
-        with suppress(OSError):
-            growing.unlink()
-        raise
-
-
-def _write(descriptor: int, data: bytes) -> None:
-    with os.fdopen(descriptor, 'wb') as stream:
-        stream.write(data)
+    finally:
+        growing.unlink(missing_ok=True)
 
 
 def _descriptor(path: Path) -> int | None:
@@ -170,15 +168,6 @@ def left_over(folder: Path) -> Path | None:
     target = Path(os.path.realpath(folder))
     aside = [] if target.exists() else sorted(target.parent.glob(f'.{target.name}.old-*'))
     return aside[-1] if aside else None
-
-
-def _clear_dead(target: Path, own: Sequence[str]) -> None:
-    """Remove the temporary folders and the replaced folders of processes that have ended."""
-    for begun in _of_the_dead(target, 'part'):
-        shutil.rmtree(begun, ignore_errors=True)
-    for old in _of_the_dead(target, 'old') if target.exists() else ():
-        with suppress(OSError):
-            _succeed(old, target, own)
 
 
 def _of_the_dead(target: Path, kind: str) -> Iterator[Path]:

@@ -146,7 +146,14 @@ def _document(events: Iterator[yaml.Event]) -> Any:
                 raise _refused(event, 'a second document begins: keep one')
         if isinstance(event, yaml.NodeEvent):
             nodes += 1
-            _check_node(event, nodes, len(opened))
+            if isinstance(event, yaml.AliasEvent):
+                raise _refused(event, f'*{event.anchor}: write the value instead of an alias')
+            if (tag := getattr(event, 'tag', None)) is not None:
+                what = shown(tag.replace(_TAG, '!!'))
+                raise _refused(event, f'tag {what}: write the value alone')
+            if nodes > _MAX_NODES or len(opened) > _MAX_DEPTH:
+                bounds = f'{_MAX_NODES} values or {_MAX_DEPTH} levels'
+                raise _refused(event, f'more than {bounds}: is it the right file?')
         if isinstance(event, yaml.SequenceStartEvent | yaml.MappingStartEvent):
             opened.append(([] if isinstance(event, yaml.SequenceStartEvent) else {}, _ABSENT))
             continue
@@ -172,16 +179,6 @@ def _document(events: Iterator[yaml.Event]) -> Any:
         else:
             opened[-1] = container, value
     return document
-
-
-def _check_node(event: yaml.NodeEvent, nodes: int, depth: int) -> None:
-    if isinstance(event, yaml.AliasEvent):
-        raise _refused(event, f'*{event.anchor}: write the value instead of an alias')
-    if (tag := getattr(event, 'tag', None)) is not None:
-        raise _refused(event, f'tag {shown(tag.replace(_TAG, "!!"))}: write the value alone')
-    if nodes > _MAX_NODES or depth > _MAX_DEPTH:
-        bounds = f'{_MAX_NODES} values or {_MAX_DEPTH} levels'
-        raise _refused(event, f'more than {bounds}: is it the right file?')
 
 
 def _refused(event: yaml.Event, what: str) -> LandmarkNavError:

@@ -101,7 +101,8 @@ def align_frames(a: LandmarkMap, b: LandmarkMap) -> FrameAlignment:
     Raises `LandmarkNavError`: the maps have too few landmarks in common, or more than one
     transformation fits.
     """
-    scale_sigma = float(np.hypot(*(m.scale_sigma or _MEASURED_SCALE_SIGMA for m in (a, b))))
+    sigma_a, sigma_b = (m.scale_sigma or _MEASURED_SCALE_SIGMA for m in (a, b))
+    scale_sigma = float(np.hypot(sigma_a, sigma_b))
     matches = _matches(a, b, scale_sigma)
     best, explained = _best(a, b, matches, scale_sigma)
     needed = max(_LEAST_SUPPORT, _LEAST_SHARE * min(len(a.landmarks), len(b.landmarks)))

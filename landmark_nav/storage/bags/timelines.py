@@ -64,15 +64,21 @@ class JointHistory:
         if rate is not None and beyond_ns <= _SAME_TIME_NS:
             share = (stamp_ns - first.stamp_ns) / gap_ns
             pan_rad = without_turns(first.pan_rad)
+            tilt_rad = first.tilt_rad + share * (second.tilt_rad - first.tilt_rad)
+            # The pan around this time, within the history.
+            begin = max(bisect_right(self._stamps, stamp_ns - _TRACK_NS) - 1, 0)
+            near = slice(begin, bisect_left(self._stamps, stamp_ns + _TRACK_NS) + 1)
+            turns_rad = pan_rad - self._pans_rad[later - 1]
             return JointSample(
                 stamp_ns,
                 pan_rad + share * (self._pans_rad[later] - self._pans_rad[later - 1]),
-                self._tilt_rad(
-                    stamp_ns, first.tilt_rad + share * (second.tilt_rad - first.tilt_rad)
-                ),
+                self._tilt_rad(stamp_ns, tilt_rad),
                 rate,
                 abs(share * (1.0 - share)) * gap_ns * 1e-9 * self._rate_change(later, rate),
-                self._track(stamp_ns, pan_rad - self._pans_rad[later - 1]),
+                PanTrack(
+                    1e-9 * (np.array(self._stamps[near]) - stamp_ns),
+                    np.array(self._pans_rad[near]) + turns_rad,
+                ),
             )
         nearest = min(first, second, key=lambda sample: abs(sample.stamp_ns - stamp_ns))
         if abs(nearest.stamp_ns - stamp_ns) <= _SAME_TIME_NS:
@@ -87,15 +93,6 @@ class JointHistory:
     def _tilt_rad(self, stamp_ns: int, with_pan_rad: float) -> float:
         """Tilt at a time: that reported with the pan, unless the tilt joint has its own driver."""
         return float(np.interp(stamp_ns, *self._tilts)) if len(self._tilts) else with_pan_rad
-
-    def _track(self, stamp_ns: int, turns_rad: float) -> PanTrack:
-        """Pan around a time within the history, shifted by `turns_rad`."""
-        first = max(bisect_right(self._stamps, stamp_ns - _TRACK_NS) - 1, 0)
-        near = slice(first, bisect_left(self._stamps, stamp_ns + _TRACK_NS) + 1)
-        return PanTrack(
-            1e-9 * (np.array(self._stamps[near]) - stamp_ns),
-            np.array(self._pans_rad[near]) + turns_rad,
-        )
 
     def _rate(self, later: int) -> float | None:
         """Rate of the pan, rad/s, from the previous sample to sample `later`; None if unknown."""

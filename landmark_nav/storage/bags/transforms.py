@@ -41,31 +41,24 @@ def joints_of_transforms(
     Raises `LandmarkNavError`: `frame` is not in ``/tf``, or does not turn about the pan axis.
     """
     topic = bag.find('tf')
-    if topic is None and frame:
-        raise LandmarkNavError(f'{bag.path}: there is no /tf, of which to take {frame}')
-    if topic is None:
+    if topic is None and not frame:
         return []
-    entries = list(_transforms(bag, topic))
+    entries = _transforms(bag, topic)
     moving = {child for _, _, child, _, _ in entries}
     pan_frame = frame.lstrip('/') if frame else _frame_of(mount.pan_joint, moving)
-    if pan_frame is None or (frame and pan_frame not in moving):
-        if frame:
-            raise LandmarkNavError(
-                f'{bag.path}: {topic} has no frame {frame}: it has {listed(moving) or "none"}'
-            )
+    if frame and pan_frame not in moving:
+        raise LandmarkNavError(
+            f'{bag.path}: {topic or "/tf"} has no frame {frame}: it has {listed(moving) or "none"}'
+        )
+    if pan_frame is None:
         bag.inform(
             f'{topic} has no frame named after {mount.pan_joint}, but {listed(moving)}: give the '
             'one that turns with it by --topic joint_states=/tf:FRAME'
         )
         return []
     tilt_frame = _frame_of(mount.tilt_joint, moving)
-    static_topic = bag.find('tf_static')
-    tree = {
-        child: (parent, rotation)
-        for _, _, child, parent, rotation in (
-            _transforms(bag, static_topic) if static_topic else ()
-        )
-    }
+    fixed = _transforms(bag, bag.find('tf_static'))
+    tree = {child: (parent, rotation) for _, _, child, parent, rotation in fixed}
     axis = rotation_rpy(mount.axis_rpy)
     tilt_rad = 0.0
     found = []
@@ -88,7 +81,7 @@ def joints_of_transforms(
     return found
 
 
-def _transforms(bag: Bag, topic: str) -> list[tuple[int, int, str, str, FloatArray]]:
+def _transforms(bag: Bag, topic: str | None) -> list[tuple[int, int, str, str, FloatArray]]:
     """Log times, stamps, child frames, parent frames and rotations of the transforms."""
 
     def rotations(entry: BagMessage) -> list[tuple[int, int, str, str, FloatArray]]:
@@ -103,7 +96,7 @@ def _transforms(bag: Bag, topic: str) -> list[tuple[int, int, str, str, FloatArr
             for one in entry.message.transforms
         ]
 
-    return [one for part in decoded(bag, topic, rotations) for one in part]
+    return [one for part in decoded(bag, topic, rotations) for one in part] if topic else []
 
 
 def _rotation(quaternion: Any) -> FloatArray:
