@@ -325,9 +325,8 @@ def run_all(
             for stage in run.stages:
                 if stage.key not in futures:
                     needed = [futures[key] for key in stage.after]
-                    futures[stage.key] = client.submit(
-                        _run_stage, stage, stages, needed, key=stage.key
-                    )
+                    work = client.submit(_run_stage, stage, stages, needed, key=stage.key)
+                    futures[stage.key] = work
             chain = [futures[stage.key] for stage in run.stages]
             ends[client.submit(_sum, chain, key=f'run {run.name}')] = run
         for end in distributed.as_completed(ends):

@@ -289,9 +289,8 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
     start = np.array([patch.position for patch in patches])
     covariance = joint_covariance(panoramas, room, ReferenceAreaConfig())
     walls = [patch.wall for patch in patches]
-    run = partial(
-        adjust, measurements, walls, start, panoramas, covariance, room, AdjustmentConfig()
-    )
+    places = panoramas, covariance, room, AdjustmentConfig()
+    run = partial(adjust, measurements, walls, start, *places)
     adjustment = run()
     # Two rows for each measurement and one for each wall; three unknowns for each landmark and
     # four for each panorama.
@@ -369,9 +368,7 @@ def _of_drive(
         lambda: least_squares(residuals, se2.compose(prior.pose, [0.1, -0.1, 0.05])),
     )
     calibration = Calibration.of_mount(_MOUNT)
-    samples = [
-        OdometrySample(50_000_000 * k, np.array([0.0, 0.0, 1e-6 * k]), 0.0, 0.0) for k in range(21)
-    ]
+    samples = [OdometrySample(50_000_000 * k, np.array([0.0, 0.0, 1e-6 * k])) for k in range(21)]
 
     def fuse() -> None:
         """Fuse 20 odometry samples and 5 images of three landmarks."""

@@ -173,9 +173,7 @@ def _report(
     work: _Work, given: Calibration, broken: dict[str, tuple[float, float]]
 ) -> dict[str, Any]:
     found = work.known
-    table: dict[str, dict[str, Any]] = {
-        name: dict(row) for name, row in found.differences(given).items()
-    }
+    table: dict[str, Any] = {k: dict(row) for k, row in found.differences(given).items()}
     for name, row in table.items():
         sigma = given[name][1]
         row['prior_sigma'] = sigma

@@ -104,9 +104,7 @@ def _emptied(folder: Path, overwrite: bool) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     foreign = sorted(path.name for path in folder.iterdir() if path.name not in _OWN)
     if foreign:
-        raise LandmarkNavError(
-            f'{folder}: holds {", ".join(foreign[:3])}, not of a demo: take another folder'
-        )
+        raise LandmarkNavError(f'{folder}: holds {", ".join(foreign[:3])}: take another folder')
     check_new(overwrite, *folder.iterdir())
     for path in folder.iterdir():
         if path.is_dir():

@@ -80,9 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'smoothed.tum to DIR, for evo and the like',
     )
     add(parser, '--report', help='write a page that plays the drive to F.html')
-    parser.add_argument(
-        '--video', metavar='F.mp4', type=Path, help='write the drive as a video to F.mp4'
-    )
+    add(parser, '--video', metavar='F.mp4', type=Path, help='write the drive as a video to F.mp4')
     text = 'folder for trajectory.png and errors.png (default: they are not drawn)'
     add(parser, '--out', help=text)
 
@@ -131,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
         check_truth_frame(bag, landmarks.frame_id)
         if other := run_report.other_frame(done, errors):
             bag.warn(
-                f'{bag.path}: ground_truth/odom is in another frame or unit than the map: {other}'
+                f'{bag.path}: ground_truth/odom has another frame or unit than the map: {other}'
             )
     if len(done.truth) and np.isnan(errors.fused).all():
         begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
@@ -143,9 +141,9 @@ def run(args: argparse.Namespace) -> int:
     report = run_report.run_report(done, errors, landmarks, calibration, learned) | in_frame
     report['checks'] = [finding.report() for finding in diagnosis.findings]
     report['integrity'] = run_report.integrity_report(done, errors)
-    smoothed = (
-        run_report.smooth_run(done, landmarks, calibration, learned) if args.smooth else None
-    )
+    smoothed = None
+    if args.smooth:
+        smoothed = run_report.smooth_run(done, landmarks, calibration, learned)
     if smoothed is not None:
         report['smoothed'] = run_report.smoothed_report(done, smoothed)
         if apart := run_report.departures(done, smoothed):
@@ -161,9 +159,8 @@ def run(args: argparse.Namespace) -> int:
         draw_trajectory(done, landmarks, trajectory, smoothed)
         draw_errors(done, errors, drawn_errors)
     if args.report or args.video:
-        page = drive_page(
-            report, done, errors, landmarks, done.calibration or calibration, strip, smoothed
-        )
+        known = done.calibration or calibration
+        page = drive_page(report, done, errors, landmarks, known, strip, smoothed)
         if args.report:
             title = f'{bag.path.name} on {Path(args.map).name}'
             inputs = {k: getattr(args, k) for k in ('bag', 'map', 'robot', 'config')}
@@ -186,9 +183,7 @@ def _start(args: argparse.Namespace, landmarks: LandmarkMap) -> tuple[Any, Any]:
         return None, None
     start, (position, heading) = np.array(args.start), args.start_sigma
     if abs(start[2]) > 2.0 * np.pi:
-        raise UsageError(
-            f'--start: THETA is {start[2]:g}, more than a full turn: give it in radians'
-        )
+        raise UsageError(f'--start: THETA is {start[2]:g}, over a full turn: give it in radians')
     room = Room(landmarks.walls) if landmarks.walls else None
     if room is not None and not room.contains(start[:2]):
         beyond = float(room.wall_distances(start[:2]).min())

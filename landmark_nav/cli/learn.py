@@ -78,9 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--marker-size', type=float, metavar='M',
         help='ArUco or AprilTag markers of this size, the side of the black square in metres, do',
     )  # fmt: skip
-    parser.add_argument(
-        '--marker-dictionary', metavar='NAME', help='their dictionary (default: DICT_4X4_50)'
-    )
+    add(parser, '--marker-dictionary', metavar='NAME', help='theirs (default: DICT_4X4_50)')
     add(parser, '--json', help='write counts, errors and times to F')
     text = 'write a page with the map, the panoramas and all candidates to F.html'
     add(parser, '--report', help=text)

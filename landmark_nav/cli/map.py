@@ -55,16 +55,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     diff.add_argument('a', metavar='A', help='map folder, the older one')
     diff.add_argument('b', metavar='B', help='map folder, the newer one')
-    merge = action(
-        'merge', _merge, 'Join two maps of one room: the newer one wins where a texture changed.'
-    )
+    text = 'Join two maps of one room: the newer one wins where a texture changed.'
+    merge = action('merge', _merge, text)
     merge.add_argument('a', metavar='OLDER', help='map folder, the older one')
     merge.add_argument('b', metavar='NEWER', help='map folder, the newer one')
     merge.add_argument('--out', required=True, metavar='MAP', help='map folder to write')
     add(merge, '--overwrite')
-    migrate = action(
-        'migrate', _migrate, "Write a map of an older format in today's: nothing else changes."
-    )
+    text = "Write a map of an older format in today's: nothing else changes."
+    migrate = action('migrate', _migrate, text)
     migrate.add_argument('map', metavar='MAP', help='map folder')
     migrate.add_argument('--out', metavar='MAP', help='map folder to write (default: the same)')
     add(migrate, '--overwrite')

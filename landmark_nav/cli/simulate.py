@@ -161,9 +161,8 @@ def _camera_rate(text: str) -> float:
     every = max(1, round(STATE_RATE_HZ / rate))
     if abs(every * rate - STATE_RATE_HZ) > 1e-3 * STATE_RATE_HZ:
         near = STATE_RATE_HZ / every
-        raise argparse.ArgumentTypeError(
-            f'{text} is no whole part of {STATE_RATE_HZ}: take {near:.4g}'
-        )
+        whole = f'{text} is no whole part of {STATE_RATE_HZ}'
+        raise argparse.ArgumentTypeError(f'{whole}: take {near:.4g}')
     return rate
 
 

@@ -208,9 +208,8 @@ def judge(measured: dict[str, Any]) -> list[Check]:
     ]
     if 'scale' in measured:
         off, most = abs(measured['scale'] - 1.0), _MOST_SIGMAS * measured['scale_sigma']
-        checks.append(
-            (off <= most, f'scale off by {100 * off:.2f} % (at most {100 * most:.2f} %)')
-        )
+        scaled = f'scale off by {100 * off:.2f} % (at most {100 * most:.2f} %)'
+        checks.append((off <= most, scaled))
     return [Check(*check) for check in checks]
 
 
@@ -334,9 +333,7 @@ def run_scenario(
     Raises `LandmarkNavError`: a step fails; the message says which.
     """
     narrator.title(f'Starting {len(nodes)} nodes, each a process')
-    robot.wait(
-        lambda: all(robot.status_of(name).reason for name in nodes), 60.0, 'a report of all nodes'
-    )
+    robot.wait(lambda: all(robot.status_of(k).reason for k in nodes), 60.0, 'a report of each')
     robot.wait(lambda: robot.odometry is not None, 20.0, 'odom of the simulated robot')
     length, width = room.size_m
     narrator.print_line(f'a robot that knows nothing, in a room of {length:.1f} m x {width:.1f} m')
@@ -352,9 +349,7 @@ def run_scenario(
         second = _sweep(robot, room, narrator, 'second')
 
     narrator.title('Learning landmarks from the two panoramas: service learn_landmarks')
-    narrator.print_line(
-        'texture that stands out, found from both places, on a wall, hard to mistake'
-    )
+    narrator.print_line('texture that stands out, found from both places, hard to mistake')
     narrator.print_line(robot.call('learn_landmarks', 120.0))
     narrator.print_line(robot.call('save_map', 20.0))
 
@@ -377,9 +372,7 @@ def run_scenario(
 def _sweep(robot: RobotClient, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
     """Take a sweep and wait for its panorama; return the pose of the base, zero without papers."""
     narrator.title(f'Taking the {which} sweep: service capture_sweep')
-    narrator.print_line(
-        'the camera turns step by step, settles and keeps a frame, all the way round'
-    )
+    narrator.print_line('the camera turns step by step and keeps a frame, all the way round')
     before = len(robot.panoramas)
     status_of = robot.call(
         'capture_sweep', 240.0, lambda: narrator.status(robot.status_of('sweep_capture').reason)

@@ -82,9 +82,8 @@ def matched(first: Corners, second: Corners) -> tuple[FloatArray, FloatArray] | 
     """
     if min(len(first.pixels), len(second.pixels)) < _LEAST_MATCHES:
         return None
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
-        first.described, second.described
-    )
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+    pairs = matcher.match(first.described, second.described)
     if len(pairs) < _LEAST_MATCHES:
         return None
     one = first.pixels[[pair.queryIdx for pair in pairs]]
@@ -144,9 +143,8 @@ class CameraSetup:
 
 def _mounted(setup: CameraSetup, roll: float = 0.0, pitch: float = 0.0) -> CameraSetup:
     first, second, third = setup.mount.axis_rpy
-    return replace(
-        setup, mount=replace(setup.mount, axis_rpy=(first + roll, second + pitch, third))
-    )
+    rpy = first + roll, second + pitch, third
+    return replace(setup, mount=replace(setup.mount, axis_rpy=rpy))
 
 
 def _rolled(setup: CameraSetup, value: float) -> CameraSetup:
@@ -306,9 +304,8 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
         tilts = matches.tilts_rad[:, n] + setup.tilt_rad
         rotation, _ = setup.mount.camera_pose_base(matches.pans_rad[:, n], tilts)
         rays = np.einsum('nij,nj->ni', rotation[k], rays_optical)
-        both.append(
-            (np.arctan2(rays[:, 1], rays[:, 0]), rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]))
-        )
+        slopes = rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1])
+        both.append((np.arctan2(rays[:, 1], rays[:, 0]), slopes))
     (azimuth, slope), (azimuth_after, slope_after) = both
     s, c = np.sin(azimuth), np.cos(azimuth)
     level = 1.0 / (1.0 + slope**2)
@@ -319,9 +316,8 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
     squares = (columns[..., None] * columns[..., None, :]).reshape(len(k), 2, 9)
     # The turn of a pair may be large: its mean is subtracted before angles are wrapped.
     turn = np.angle(_sums(np.exp(1j * (azimuth_after - azimuth)), matches.begins))
-    moved = np.stack(
-        [wrap_rad(azimuth_after - azimuth - turn[k]), (slope_after - slope) * level], -1
-    )
+    turned = wrap_rad(azimuth_after - azimuth - turn[k])
+    moved = np.stack([turned, (slope_after - slope) * level], -1)
     # Depths disturb azimuths more than elevations, so each has its own sigma. The least sigma is
     # in pixels, as pixels are measured.
     residuals = moved

@@ -135,9 +135,8 @@ def verdict(
     if any(best.stream == stream and best.kind in kinds for stream, *kinds in delayed):
         # All delay the pan against the images; robot.yaml expects it of the clock of the joints.
         of_joints = (c for c in found if (c.stream, c.kind) == (JOINTS, 'clock'))
-        best = next(
-            (c for c in of_joints if _with_odometry(c, best.score) > best.score - ALIKE), best
-        )
+        least = best.score - ALIKE
+        best = next((c for c in of_joints if _with_odometry(c, best.score) > least), best)
     best = _polished(best)
     # Faults of one clock are not different ones.
     fault = best.stream, best.kind in CLOCKS
@@ -240,9 +239,7 @@ def _others(motion: Motion) -> Iterator[Cause]:
     yield _best(ODOMETRY, 'curve', lambda value: again(curve_rad_m=value), 3.0)
     yield _best(MOUNT, 'ahead', lambda value: replace(motion, axis_xy=(x + value, y)), 2.0)
     yield _best(MOUNT, 'left', lambda value: replace(motion, axis_xy=(x, y + value)), 2.0)
-    yield _best(
-        MOUNT, 'offset', lambda value: replace(motion, offset_xy=(ahead + value, left)), 1.0
-    )
+    yield _best(MOUNT, 'offset', lambda v: replace(motion, offset_xy=(ahead + v, left)), 1.0)
 
 
 def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: float) -> Cause:

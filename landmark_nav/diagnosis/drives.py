@@ -124,9 +124,8 @@ class DriveChecks:
         if pan is None or covered or not usable:
             return found, Delays(), True
         looks = replace(looks, stream=stamps.by_arrival(looks.stream))
-        return self._against_images(
-            looks, [stamps.by_arrival(stream) for stream in streams], found
-        )
+        streams = [stamps.by_arrival(stream) for stream in streams]
+        return self._against_images(looks, streams, found)
 
     @cached_property
     def _joints(self) -> dict[str, Stream]:

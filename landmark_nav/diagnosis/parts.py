@@ -122,9 +122,7 @@ def _flickering_images(looks: Looks) -> Finding | None:
         return None
     factor = float(np.exp(usual))
     text = f'the brightness changes by a factor of {factor:.1f} from image to image'
-    advice = (
-        'fix exposure and gain, or bind them to the mains (50 or 60 Hz): light or camera flicker'
-    )
+    advice = 'fix exposure and gain, or bind them to the mains (50 or 60 Hz): light flickers'
     return Finding('images exposure', 'warning', text, advice, {'factor': factor})
 
 

@@ -157,9 +157,8 @@ def by_arrival(stream: Stream) -> Stream:
     same = np.mean(np.diff(stream.stamps_ns) == 0)
     if same < _REPEATED and not _jitter(stream, ''):
         return stream
-    (drift, offset_s), covariance = np.polyfit(
-        stream.logged, stream.seconds - stream.logged, 1, cov=True
-    )
+    lag = stream.seconds - stream.logged
+    (drift, offset_s), covariance = np.polyfit(stream.logged, lag, 1, cov=True)
     if abs(drift) < _DRIFT_SIGMAS * np.sqrt(covariance[0, 0]):
         drift, offset_s = 0.0, float(np.median(stream.seconds - stream.logged))
     late_ns = np.round(1e9 * (drift * stream.logged + offset_s)).astype(np.int64)

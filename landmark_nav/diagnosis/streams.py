@@ -213,9 +213,8 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
         for index, (last, before, rate) in enumerate(tracks):
             since = min(time - last, _MEMORY_S)
             step = np.abs(value - before - rate * since)
-            step = np.where(
-                is_angle, np.minimum(step % _TURN_RAD, _TURN_RAD - step % _TURN_RAD), step
-            )
+            turn = np.minimum(step % _TURN_RAD, _TURN_RAD - step % _TURN_RAD)
+            step = np.where(is_angle, turn, step)
             away = float((step / (speed * since + tolerance)).max())
             if away < least:
                 best, least = index, away

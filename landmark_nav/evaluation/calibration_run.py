@@ -100,9 +100,8 @@ class CalibrationDrive:
     def again(self, calibration: Calibration) -> tuple[Calibration, Residuals]:
         """Return estimate and residuals by the same detections with another prior."""
         config, start = self._config, self.run.start
-        joint = JointFilter(
-            self._landmark_map, calibration, start, config.estimator, config.odometry
-        )
+        landmarks = self._landmark_map
+        joint = JointFilter(landmarks, calibration, start, config.estimator, config.odometry)
         track = self.run.track(config.odometry)
         seconds, points, weights = [np.empty(0)], [np.empty((0, 2))], [np.empty(0)]
         for update in sorted(self.run.updates, key=lambda update: update.stamp_ns):
@@ -175,9 +174,8 @@ def broken_promises(drive: CalibrationDrive, given: Calibration) -> dict[str, tu
     if not exact:
         return {}
     default = Calibration.of_mount(given.mount)
-    loose = given.covariance + np.diag(
-        [default[name][1] ** 2 if name in exact else 0.0 for name in NAMES]
-    )
+    added = [default[name][1] ** 2 if name in exact else 0.0 for name in NAMES]
+    loose = given.covariance + np.diag(added)
     found, _ = drive.again(replace(given, covariance=loose))
     off = {name: (found[name][0] - given[name][0], found[name][1]) for name in exact}
     return {

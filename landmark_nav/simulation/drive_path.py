@@ -63,9 +63,7 @@ class _FreeGrid:
 
     def ways_from(self, start: int) -> tuple[FloatArray, npt.NDArray[np.int32]]:
         """Cost (n,) of the path to each position, and its predecessor (n,)."""
-        cost, before = dijkstra(
-            self._graph, directed=False, indices=start, return_predecessors=True
-        )
+        cost, before = dijkstra(self._graph, False, start, return_predecessors=True)
         return np.asarray(cost), np.asarray(before)
 
     def way(self, before: npt.NDArray[np.int32], start: int, goal: int) -> FloatArray:

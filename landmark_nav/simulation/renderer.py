@@ -40,9 +40,8 @@ class RayTiles:
         pad = [(0, grid.shape[0] - camera.height), (0, grid.shape[1] - camera.width), (0, 0)]
         grid[..., :2] = np.pad(camera.ray_grid, pad, mode='edge')
         tiles = grid.reshape(self._rows, TILE_PX, self._columns, TILE_PX, 3)
-        self.rays = np.ascontiguousarray(tiles.transpose(0, 2, 4, 1, 3)).reshape(
-            -1, 3, TILE_PX * TILE_PX
-        )
+        tiles = np.ascontiguousarray(tiles.transpose(0, 2, 4, 1, 3))
+        self.rays = tiles.reshape(-1, 3, TILE_PX * TILE_PX)
         self.count = len(self.rays)
         low, high = self.rays.min(axis=2)[:, :2], self.rays.max(axis=2)[:, :2]
         self._middle = np.ones((self.count, 3))
@@ -202,9 +201,8 @@ class Renderer:
         farthest = back_to_front([solids[k].footprint for k in visible], center[:2], heading)
         rank[visible[farthest]] = np.arange(len(visible))
         order = seen[np.lexsort((seen, rank[group[seen]]))]
-        return self._paint(
-            [surfaces[k] for k in order], forms[order], _overlaps([surfaces[k] for k in order])
-        )
+        chosen = [surfaces[k] for k in order]
+        return self._paint(chosen, forms[order], _overlaps(chosen))
 
     def _paint(
         self, surfaces: list[Surface], forms: FloatArray, spread_px: FloatArray
@@ -323,9 +321,8 @@ class CameraEffects:
         if config.blur_sigma_px > 0.0:
             sigma = config.blur_sigma_px
             side = 2 * int(np.ceil(2.5 * sigma)) + 1
-            image = values_of(
-                np.asarray(cv2.GaussianBlur(light_of(image), (side, side), sigma), np.uint16)
-            )
+            blurred = cv2.GaussianBlur(light_of(image), (side, side), sigma)
+            image = values_of(np.asarray(blurred, np.uint16))
         mean = max(float(image[::8, ::8].mean()), 1.0)
         gain = (config.target_brightness / mean) ** config.auto_exposure
         clean = cv2.multiply(image, self._vignette, scale=gain, dtype=cv2.CV_32F)
@@ -336,6 +333,5 @@ class CameraEffects:
         left = int(self._rng.integers(self._noise.shape[1] - columns + 1))
         noise = self._noise[top : top + rows, left : left + columns]
         sigma_map = cv2.LUT(cv2.convertScaleAbs(clean), self._sigma)
-        return np.asarray(
-            cv2.add(clean, cv2.multiply(noise, sigma_map), dtype=cv2.CV_8U), dtype=np.uint8
-        )
+        noisy = cv2.add(clean, cv2.multiply(noise, sigma_map), dtype=cv2.CV_8U)
+        return np.asarray(noisy, dtype=np.uint8)

@@ -33,9 +33,8 @@ def fractal_noise(
             int(np.clip(columns * 2**octave / cell_px[1], 2, columns)),
         )
         coarse = rng.standard_normal(grid, dtype=np.float32)
-        noise += persistence**octave * cv2.resize(
-            coarse, (columns, rows), interpolation=cv2.INTER_CUBIC
-        )
+        fine = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_CUBIC)
+        noise += persistence**octave * fine
     noise -= noise.mean()
     return np.asarray(noise / max(float(noise.std()), 1e-6), dtype=np.float32)
 

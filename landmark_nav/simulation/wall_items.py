@@ -21,9 +21,8 @@ def draw_item(kind: str, seed: int, shape: tuple[int, int]) -> ImageArray:
     large = (
         _tag(seed, twice) if kind == 'tag' else _PAINTERS[kind](np.random.default_rng(seed), twice)
     )
-    return np.asarray(
-        cv2.resize(large, (shape[1], shape[0]), interpolation=cv2.INTER_AREA), dtype=np.uint8
-    )
+    drawn = cv2.resize(large, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
+    return np.asarray(drawn, dtype=np.uint8)
 
 
 def _poster(rng: Generator, shape: tuple[int, int]) -> ImageArray:
@@ -80,9 +79,8 @@ def _figure(
         points = low + span * rng.uniform(0.08, 0.92, (int(rng.integers(4, 9)), 2))
         points = points[np.argsort(points[:, 0])]
         thick = max(2, int(height / 14))
-        cv2.polylines(
-            image, [np.rint(points).astype(np.int32)], False, (245,) * 3, thick, cv2.LINE_AA
-        )
+        line = np.rint(points).astype(np.int32)
+        cv2.polylines(image, [line], False, (245,) * 3, thick, cv2.LINE_AA)
     else:
         bars = int(rng.integers(4, 10))
         for k, level in enumerate(rng.uniform(0.15, 0.9, bars)):

@@ -254,9 +254,8 @@ class RobotWorld:
         self._owed_s = 0.0
         self.unit = PanTiltUnit(PanTiltConfig())
         self._drive = DifferentialDrive(DriveConfig(), pose_map_base, self._free, wheels)
-        self._people = [
-            Person(scene, self.true_pose[:2], child) for child in walking.spawn(people)
-        ]
+        people_rngs = walking.spawn(people)
+        self._people = [Person(scene, self.true_pose[:2], each) for each in people_rngs]
         self.renderer = renderer or Renderer(scene, camera)
         self._effects = CameraEffects(camera, CameraEffectsConfig(), noise)
 
@@ -436,9 +435,8 @@ def _image_messages(
 
 def _joints(world: RobotWorld, factory: MessageFactory) -> Recorded:
     sample = world.joint_sample()
-    return Recorded(
-        'joint_states', encode.joint_state(factory, sample, world.mount), sample.stamp_ns
-    )
+    message = encode.joint_state(factory, sample, world.mount)
+    return Recorded('joint_states', message, sample.stamp_ns)
 
 
 def _truth(world: RobotWorld, factory: MessageFactory) -> Recorded:

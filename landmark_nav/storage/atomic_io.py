@@ -31,9 +31,7 @@ def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator
     is false, or cannot be written.
     """
     if folder.is_dir() and any(folder.iterdir()) and not list(folder.glob(own[0])):
-        raise LandmarkNavError(
-            f'{folder}: holds other files and no {own[0]}: take an empty or a new folder'
-        )
+        raise LandmarkNavError(f'{folder}: holds other files and no {own[0]}: take a new folder')
     if folder.exists() and not folder.is_dir():
         raise LandmarkNavError(f'{folder}: is a file: take another name')
     if any(folder.glob(own[0])):

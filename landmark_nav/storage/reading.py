@@ -303,7 +303,5 @@ def covariance_field(mapping: Any, size: int, where: str) -> FloatArray:
     eigenvalues = np.linalg.eigvalsh(matrix)
     slack = _ROUNDING * max(float(eigenvalues[-1]), 0.0)
     if np.abs(matrix - matrix.T).max() > slack or eigenvalues[0] < -slack:
-        raise LandmarkNavError(
-            f'{where}: no covariance: it must be symmetric without negative eigenvalues'
-        )
+        raise LandmarkNavError(f'{where}: no covariance: not symmetric, or negative eigenvalues')
     return matrix

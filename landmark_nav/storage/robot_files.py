@@ -49,9 +49,7 @@ def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
         _LOG.warning('%s: nothing is for %s, but for %s', path, ', '.join(nodes), others)
     for _, parameters in applied:
         if not isinstance(parameters, Mapping):
-            raise LandmarkNavError(
-                f'{path}: {_SECTION} is {shown(parameters)}, not a mapping of parameters'
-            )
+            raise LandmarkNavError(f'{path}: {_SECTION} is {shown(parameters)}, not a mapping')
         values |= flat(parameters)
     return {name: value for name, value in values.items() if not name.startswith(_OF_ROS)}
 
@@ -162,9 +160,7 @@ def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None
 def _correlations(entries: Any) -> FloatArray:
     """Return the correlation matrix (16, 16) of entries [name, name, number]."""
     together = np.eye(len(NAMES))
-    wrong = (
-        f'correlations: give entries [name, name, -1 to 1] of two of {", ".join(NAMES[:2])}, ...'
-    )
+    wrong = f'correlations: give [name, name, -1 to 1], with two of {", ".join(NAMES[:2])}, ...'
     if not isinstance(entries, list) or len(entries) > len(NAMES) ** 2:
         raise LandmarkNavError(wrong)
     for entry in entries:

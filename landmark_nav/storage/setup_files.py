@@ -81,9 +81,7 @@ def load_room(path: Path | str) -> Room:
                 (wall.height, _MAX_HEIGHT_M, 'high'),
             ):
                 if size > most:
-                    raise LandmarkNavError(
-                        f'wall {wall.id} is {size:g} m {what}: lengths are metres'
-                    )
+                    raise LandmarkNavError(f'wall {wall.id} is {size:g} m {what}: give metres')
         room = Room(walls, papers, reading.name_field(document, 'frame_id', 'room', 'map'))
         if room.frame_id in _MOVING_FRAMES:
             raise LandmarkNavError(f'frame_id is {room.frame_id}, which the robot moves: take map')
@@ -144,9 +142,7 @@ def _paper(document: Any, where: str) -> Paper:
         paper_bgr(color)
     width, height = (reading.number_field(document, key, where) for key in ('width', 'height'))
     if not (0.01 <= width <= 5.0 and 0.01 <= height <= 5.0):
-        raise LandmarkNavError(
-            f'{where}: {width:g} x {height:g} m is no size of a paper: lengths are metres'
-        )
+        raise LandmarkNavError(f'{where}: no paper is {width:g} x {height:g} m: give metres')
     return Paper(color, _point(document, 'center', 3, where), width, height)
 
 

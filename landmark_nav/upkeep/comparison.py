@@ -67,9 +67,8 @@ class Pair:
         """Mahalanobis distance of the disagreement (2 degrees of freedom)."""
         # The covariance may be zero.
         covariance = self.covariance + _LEAST_SIGMA_M**2 * np.eye(2)
-        return float(
-            np.sqrt(self.disagreement_m @ np.linalg.solve(covariance, self.disagreement_m))
-        )
+        off = self.disagreement_m
+        return float(np.sqrt(off @ np.linalg.solve(covariance, off)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,9 +263,8 @@ def _problems_of_landmark(k: Landmark) -> Iterator[str]:
     rows, columns = k.patch.shape
     squeeze = (k.width_m / columns) / (k.height_m / rows)
     if abs(np.log(squeeze)) > _MAX_SQUEEZE:
-        yield (
-            f'{k.width_m:.2f} x {k.height_m:.2f} m do not fit a patch of {columns} x {rows} texels'
-        )
+        size = f'{k.width_m:.2f} x {k.height_m:.2f} m'
+        yield f'{size} do not fit a patch of {columns} x {rows} texels'
     viewpoints = np.array([k.viewpoint, *(view.viewpoint for view in k.views)])
     if np.any((viewpoints - k.position) @ k.normal <= 0.0):
         yield 'was learned from behind its wall'

@@ -293,9 +293,8 @@ def _draw_plan(
     for k in np.flatnonzero(shown):
         landmark = landmarks.landmarks[k]
         point = landmark.position[:2]
-        axes.plot(
-            *np.stack([eye, point], -1), color=style.FUSED, alpha=0.12, linewidth=0.8, zorder=1
-        )
+        ray = np.stack([eye, point], -1)
+        axes.plot(*ray, color=style.FUSED, alpha=0.12, linewidth=0.8, zorder=1)
         style.add_ellipse(axes, point, landmark.covariance[:2, :2], style.LANDMARK, _ENLARGED)
     axes.plot(*landmarks.positions[shown, :2].T, 'o', color=style.LANDMARK, markersize=5, zorder=6)
 

@@ -221,9 +221,8 @@ def draw_features_alone(
         everything.sort(key=lambda candidate: -candidate.saliency)
         chosen = _inside(strip, panorama, everything)[:_PATCHES]
         above, view = panel.subplots(2, 1)
-        title = (
-            f'{_title(name)}\n{len(attended.refused)} of {len(everything)} attended are refused'
-        )
+        refusals = f'{len(attended.refused)} of {len(everything)} attended are refused'
+        title = f'{_title(name)}\n{refusals}'
         show(above, strip.cut(maps.saliency), title)
         show(view, strip.cut(panorama.image))
         for number, (candidate, place) in enumerate(chosen, 1):

@@ -90,9 +90,8 @@ def legend_beside(
 
 def key(color: str, marker: str, label: str, **more: Any) -> Line2D:
     """Entry of a legend: a marker, without a line unless `linestyle` gives one."""
-    return Line2D(
-        [], [], **{'color': color, 'marker': marker, 'linestyle': '', **more}, label=label
-    )
+    look = {'color': color, 'marker': marker, 'linestyle': '', **more}
+    return Line2D([], [], **look, label=label)
 
 
 def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:

@@ -139,9 +139,8 @@ def drive_tables(report: Mapping[str, Any]) -> list[Table]:
                  s['reason'], time_s=s['from_s'])
             for s in spells
         )  # fmt: skip
-        tables.append(
-            _table('Times that are not OK', ('state', 'from [s]', 'to [s]', 'reason'), rows)
-        )
+        head = ('state', 'from [s]', 'to [s]', 'reason')
+        tables.append(_table('Times that are not OK', head, rows))
     if calibration := report.get('calibration'):
         tables.append(_calibration_table(calibration))
     if checks := [c for c in report.get('checks', ()) if c['level'] != 'ok']:

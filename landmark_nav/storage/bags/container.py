@@ -314,7 +314,7 @@ class McapFile:
         self._defined += 1
         if self._defined > 2 * MAX_CHANNELS:
             raise LandmarkNavError(
-                f'{self.name}: over {MAX_CHANNELS} channels: not a recording of a robot'
+                f'{self.name}: over {MAX_CHANNELS} channels: no recording of a robot'
             )
         content = ReadDataStream(BytesIO(payload))
         if opcode == Opcode.SCHEMA:

@@ -178,7 +178,7 @@ def _size(fields: Mapping[str, Any], name: str, inside: tuple[str, ...]) -> int:
     """Number of fields of a message, including those of its parts; recursion is refused."""
     if name in inside:
         raise LandmarkNavError(
-            f'the definition of {name} in the bag contains itself: record it again'
+            f'the definition of {name} in the bag contains itself: record it anew'
         )
     total = 0
     for _, description in fields[name]:

@@ -62,9 +62,8 @@ class BagMessage:
         message = self._guarded(lambda: self._reader.message(self.data))
         if is_unstamped(message) and self.stamp_ns:
             if not self._bag.is_unstamped(self.topic):
-                raise LandmarkNavError(
-                    f'{self._bag.path}: a message on {self.topic} has no stamp, others do'
-                )
+                where = f'{self._bag.path}: a message on {self.topic}'
+                raise LandmarkNavError(f'{where} has no stamp, others do')
             set_stamp(message, self.stamp_ns)
         return message
 
@@ -72,9 +71,8 @@ class BagMessage:
     def header_ns(self) -> int:
         """Stamp of the header, read from the bytes without a check; 0 if they are too short."""
         try:
-            seconds, nanoseconds = struct.unpack_from(
-                '<iI' if self.data[1] else '>iI', self.data, 4
-            )
+            order = '<' if self.data[1] else '>'
+            seconds, nanoseconds = struct.unpack_from(f'{order}iI', self.data, 4)
         except (LandmarkNavError, struct.error, IndexError):
             return 0
         return int(seconds) * 1_000_000_000 + int(nanoseconds)
@@ -135,9 +133,8 @@ class Bag:
         self.counts: dict[str, int] = {}
         for file in self._files:
             for info, count in file.counts.items():
-                self.types[info.topic] = definitions.STANDARD_NAMES.get(
-                    info.type_name, info.type_name
-                )
+                name = definitions.STANDARD_NAMES.get(info.type_name, info.type_name)
+                self.types[info.topic] = name
                 self.counts[info.topic] = self.counts.get(info.topic, 0) + count
         filled = [file for file in self._files if any(file.counts.values())]
         self.start_ns = min((file.first_ns for file in filled), default=0)
@@ -203,9 +200,8 @@ class Bag:
             return None
         (topic,) = found
         if types[topic] != wanted:
-            raise LandmarkNavError(
-                f'{self.path}: topic {topic} is of type {types[topic]}, not {wanted}'
-            )
+            is_of = f'topic {topic} is of type {types[topic]}'
+            raise LandmarkNavError(f'{self.path}: {is_of}, not {wanted}')
         if name not in by_user and topic.strip('/') != name:
             self.inform(f'{topic} is taken for {name}')
         return topic
@@ -407,9 +403,8 @@ class MessageFilter:
         if not self._complaints:
             return
         count = len(self._complaints)
-        self._bag.warn(
-            f'{count} of {self._used + count} {self._what} left out: {self._complaints[0]}'
-        )
+        which = f'{count} of {self._used + count} {self._what}'
+        self._bag.warn(f'{which} left out: {self._complaints[0]}')
 
 
 def decoded(

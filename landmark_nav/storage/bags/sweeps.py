@@ -123,9 +123,8 @@ def _add(
     sample = plan.samples[k]
     plan.unusable.pop(stamp, None)
     plan.bits[stamp] = depth.bits
-    plan.frames[stamp] = CameraFrame(
-        sample.stamp_ns, image, camera, sample.pan_rad, sample.tilt_rad
-    )
+    angles = sample.pan_rad, sample.tilt_rad
+    plan.frames[stamp] = CameraFrame(sample.stamp_ns, image, camera, *angles)
 
 
 def _check_unusable(

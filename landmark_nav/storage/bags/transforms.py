@@ -110,9 +110,8 @@ def _rotation(quaternion: Any) -> FloatArray:
 def _frame_of(joint: str, frames: set[str]) -> str | None:
     """Frame that URDF files name after a joint; None if there is none, or no unique one."""
     stem = joint.removesuffix('_joint')
-    names = (
-        decode.matching_name(name, frames) for name in (f'{stem}_link', f'{stem}_frame', stem)
-    )
+    of_joint = f'{stem}_link', f'{stem}_frame', stem
+    names = (decode.matching_name(name, frames) for name in of_joint)
     return next(filter(None, names), None)
 
 
@@ -188,9 +187,8 @@ class RobotTransforms:
         if pose_odom_base is None:
             return []
         pose_map_odom = se2.compose(fused.pose, se2.inverse(pose_odom_base))
-        return [
-            encode.planar_transform(str(message.header.frame_id), self._odom_frame, pose_map_odom)
-        ]
+        frame = str(message.header.frame_id)
+        return [encode.planar_transform(frame, self._odom_frame, pose_map_odom)]
 
     def _of_joints(self, message: Any) -> list[encode.Transform]:
         joints = decode.joint_sample(message, self._mount)
