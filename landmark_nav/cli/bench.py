@@ -17,7 +17,6 @@ from scipy.optimize import least_squares
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.options import add, aligned, progress, within
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -34,30 +33,20 @@ from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
 from landmark_nav.learning.reference_area.location import PaperSearch
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
-from landmark_nav.learning.stereo.wall_patch import (
-    own_measurement,
-    PatchMeasurement,
-    StereoConfig,
-    WallPatch,
-)
+from landmark_nav.learning.stereo import wall_patch
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.localization import triplet
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, View
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
 from landmark_nav.localization.triangulation import triangulate
-from landmark_nav.localization.triplet import (
-    CameraState,
-    rank_triplets,
-    TripletConfig,
-    visible_landmarks,
-)
 from landmark_nav.localization.triplet.search import mean_variance, pair_tables
 from landmark_nav.planning.planner import forecast, plan_positions
 from landmark_nav.planning.views import free_floor, PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.simulation.scene import choose_sweep_places
+from landmark_nav.simulation.scene import sweep_places
 from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.types import (
     CameraFrame,
@@ -163,9 +152,7 @@ def _estimate(pose: FloatArray, sigma_m: float) -> PoseEstimate:
 def _comparisons(seed: int) -> Iterator[_Comparison]:
     """Yield stages of simulation, learning, planning and localization in a room."""
     scene = generate_scene(seed)
-    places = choose_sweep_places(scene)
-    if places is None:
-        raise LandmarkNavError(f'the room of seed {seed} has no two places: take another')
+    places = sweep_places(scene)
     renderer = Renderer(scene, CAMERA)
 
     def frame(pose: FloatArray, pan_rad: float) -> CameraFrame:
@@ -220,7 +207,9 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
     prior = _estimate(np.array([*places.poses[:, :2].mean(axis=0), 0.3]), 0.03)
 
     def expected(pan_rad: float) -> Any:
-        return visible_landmarks(prior, learned.map, CAMERA, _MOUNT, pan_rad, 0.0, TripletConfig())
+        return triplet.visible_landmarks(
+            prior, learned.map, CAMERA, _MOUNT, pan_rad, 0.0, triplet.TripletConfig()
+        )
 
     best = max(4.0 * _STEP_RAD * np.arange(18), key=lambda pan: len(expected(float(pan))))
     seen = frame(prior.pose, float(best))
@@ -263,13 +252,13 @@ def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
 
 def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Comparison]:
     """Yield stereo, adjustment and election of the candidates."""
-    config = StereoConfig()
+    config = wall_patch.StereoConfig()
     greys = [view.grey for view in panoramas]
     proposed = [
         [hypothesize(c, k, panoramas[k], room, config) for c in group]
         for k, group in enumerate(candidates)
     ]
-    hypotheses = [[p for p in group if isinstance(p, WallPatch)] for group in proposed]
+    hypotheses = [[p for p in group if isinstance(p, wall_patch.WallPatch)] for group in proposed]
     small = greys[0][:40, :40]
     yield _Comparison(
         'stereo match of a candidate',
@@ -278,14 +267,14 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
         lambda: [cv2.matchTemplate(greys[1], small, cv2.TM_CCOEFF_NORMED) for _ in hypotheses[0]],
         count=len(hypotheses[0]),
     )
-    patches: list[WallPatch] = []
-    measurements: list[list[PatchMeasurement]] = []
+    patches: list[wall_patch.WallPatch] = []
+    measurements: list[list[wall_patch.PatchMeasurement]] = []
     for k, group in enumerate(hypotheses):
         for patch in group:
             found = match_in(patch, 1 - k, panoramas, room, config)
-            if isinstance(found, PatchMeasurement):
+            if isinstance(found, wall_patch.PatchMeasurement):
                 patches.append(patch)
-                measurements.append([own_measurement(patch, panoramas[k]), found])
+                measurements.append([wall_patch.own_measurement(patch, panoramas[k]), found])
     start = np.array([patch.position for patch in patches])
     covariance = joint_covariance(panoramas, room, ReferenceAreaConfig())
     walls = [patch.wall for patch in patches]
@@ -319,10 +308,12 @@ def _triplet(name: str, landmark_map: LandmarkMap, prior: PoseEstimate) -> _Comp
     count = len(landmark_map.landmarks)
     few = np.array(list(combinations(range(min(count, 40)), 3)))
     tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
-    config = TripletConfig()
+    config = triplet.TripletConfig()
     return _Comparison(
         name,
-        lambda: rank_triplets(prior, landmark_map, CAMERA, _MOUNT, config, CameraState(0.0)),
+        lambda: triplet.rank_triplets(
+            prior, landmark_map, CAMERA, _MOUNT, config, triplet.CameraState(0.0)
+        ),
         f'variances of {len(few)} triplets, all at once',
         lambda: mean_variance(tables, few),
     )

@@ -66,19 +66,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='how sure the start is: sigma of x and y in m, of the heading in rad '
         '(default 0.05 0.035)',
     )
-    parser.add_argument(
-        '--smooth',
-        action='store_true',
-        help='also estimate each pose from all images of the drive, later ones too',
-    )
+    text = 'also estimate each pose from all images of the drive, later ones too'
+    add(parser, '--smooth', action='store_true', help=text)
     add(parser, '--json', help='write errors, availability and times to F')
-    parser.add_argument(
-        '--tum',
-        metavar='DIR',
-        type=Path,
-        help='write truth.tum, fused.tum, triangulation.tum, odometry.tum and, with --smooth, '
-        'smoothed.tum to DIR, for evo and the like',
-    )
+    text = 'write truth.tum, fused.tum, triangulation.tum, odometry.tum and, with --smooth, '
+    text += 'smoothed.tum to DIR, for evo and the like'
+    add(parser, '--tum', metavar='DIR', type=Path, help=text)
     add(parser, '--report', help='write a page that plays the drive to F.html')
     add(parser, '--video', metavar='F.mp4', type=Path, help='write the drive as a video to F.mp4')
     text = 'folder for trajectory.png and errors.png (default: they are not drawn)'

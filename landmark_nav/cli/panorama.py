@@ -39,13 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '(file,pan_rad,focal_px,width,height)',
     )
     add(parser, '--topic', '--overwrite')
-    parser.add_argument(
-        '--sweep',
-        type=within(int, 1),
-        dest='number',
-        metavar='K',
-        help='which sweep of the bag, from 1 on',
-    )
+    which = {'dest': 'number', 'metavar': 'K', 'help': 'which sweep of the bag, from 1 on'}
+    add(parser, '--sweep', type=within(int, 1), **which)
     add(parser, '--out', required=True, metavar='F.png', help='PNG to write')
     add(parser, '--robot', help='robot.yaml: how the camera is mounted (default: level, centred)')
     parser.add_argument(

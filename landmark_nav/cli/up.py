@@ -34,17 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--room', type=Path, help='room.yaml (default: walls and poses are found)')
     text = 'folder that save_map writes; a map in it is loaded at once (default map)'
     add(parser, '--map', type=Path, default=Path('map'), metavar='DIR', help=text)
-    parser.add_argument(
-        '--sim',
-        action='store_true',
-        help='start a simulated robot too; without --robot and --room in a room of its own',
-    )
+    text = 'start a simulated robot too; without --robot and --room in a room of its own'
+    add(parser, '--sim', action='store_true', help=text)
     add(parser, '--seed', help='draws the simulated room')
-    parser.add_argument(
-        '--composed',
-        action='store_true',
-        help='run all nodes in one process: less memory, but learning holds up localization',
-    )
+    text = 'run all nodes in one process: less memory, but learning holds up localization'
+    add(parser, '--composed', action='store_true', help=text)
     add(parser, '--config', '--namespace')
 
 

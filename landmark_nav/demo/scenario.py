@@ -25,7 +25,7 @@ from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.messages import decode
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.scene import choose_sweep_places
+from landmark_nav.simulation.scene import sweep_places
 from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.bags import Bag
@@ -64,7 +64,7 @@ SWEEP_TOPICS = (
 T = TypeVar('T')
 
 _NOT_RECORDED = Refusal('not recorded')
-_NOTHING = np.empty(0, np.int64), *[np.empty(0)] * 3, np.empty((0, 2))
+_NONE = np.empty(0)
 # Status by the levels OK, WARN and ERROR of DiagnosticStatus, which rosbags reads as numbers.
 _STATUS = ('tracking', 'coasting', 'lost')
 
@@ -100,12 +100,13 @@ def recorded_run(bag: Bag) -> Replay:
     updates = []
     for stamp, pose, (status, reason) in zip(stamps, fused_track.at(stamps), states, strict=True):
         nearest = min(fused, key=lambda other: abs(other - stamp))
-        seen = found.get(stamp, Detections(stamp, *_NOTHING))
-        fix = fixes.get(stamp, _NOT_RECORDED)
+        nothing = Detections(stamp, _NONE.astype(int), _NONE, _NONE, _NONE, _NONE.reshape(0, 2))
+        seen = found.get(stamp, nothing)
+        fix: PoseEstimate | Refusal = fixes.get(stamp) or _NOT_RECORDED
         updates.append(
             LocalizationUpdate(
                 stamp,
-                Observation(seen, {}, lambda fix=fix: fix),
+                Observation(seen, {}, partial(_same, fix)),
                 len(seen),
                 PoseEstimate(stamp, pose, fused[nearest].covariance),
                 status,
@@ -129,6 +130,10 @@ def recorded_run(bag: Bag) -> Replay:
 def _read(bag: Bag, name: str, decoder: Callable[[Any], T]) -> list[T]:
     topic = bag.find(name)
     return [decoder(entry.message) for entry in bag.messages([topic])] if topic else []
+
+
+def _same(fix: PoseEstimate | Refusal) -> PoseEstimate | Refusal:
+    return fix
 
 
 def _states_at(bag: Bag, stamps_ns: Any) -> list[tuple[str, str]]:
@@ -241,13 +246,10 @@ def prepare_room(folder: Path, seed: int, *, measured: bool = True) -> DemoRoom:
 
     If the room is `measured`, ``room.yaml`` is written too.
 
-    Raises `LandmarkNavError`: the room of this seed has no places for sweeps, or no space to
-    drive.
+    Raises `LandmarkNavError`: the room has no space to drive.
     """
     scene = generate_scene(seed)
-    places = choose_sweep_places(scene)
-    if places is None:
-        raise LandmarkNavError(f'the room of seed {seed} has no places for sweeps: take another')
+    places = sweep_places(scene)
     first, second = places.poses[:, :2]
     tour = plan_tour(scene, second, _TOUR_M, np.random.default_rng([seed, 40]))
     room_file, robot_file = folder / 'room.yaml', folder / 'robot.yaml'

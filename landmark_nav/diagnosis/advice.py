@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -242,7 +243,7 @@ def _named(cause: Cause) -> Finding:
         'side': side if value > 0.0 else other,
     }
     measured = -value if cause.kind in ('bias', 'curve') else value
-    found: float | str = cause.name if cause.kind == 'joint' else measured
+    found: Any = cause.name if cause.kind == 'joint' else measured
     values = {key: found} if key else {}
     return Finding(name, 'error', text.format(**fields), advice.format(**fields), values)
 

@@ -11,16 +11,7 @@ import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.calibration import Calibration
-from landmark_nav.diagnosis import parts, stamps
-from landmark_nav.diagnosis.advice import (
-    camera_finding,
-    cause_findings,
-    clock_finding,
-    CORRECTED_S,
-    HEADING_ERROR_RAD,
-    motion_findings,
-    step_finding,
-)
+from landmark_nav.diagnosis import advice, parts, stamps
 from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.looks import look, look_corrected, Looks
@@ -89,7 +80,7 @@ class DriveChecks:
         of_camera = []
         if error is not None:
             # All other checks use the corrected setup.
-            self._mount, of_camera = error.setup.mount, [camera_finding(error)]
+            self._mount, of_camera = error.setup.mount, [advice.camera_finding(error)]
         found, delays, healthy = self._judged(looks)
         if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
             setup = None if error is None else error.setup
@@ -153,7 +144,9 @@ class DriveChecks:
         self, looks: Looks, streams: Sequence[Stream], found: list[Finding]
     ) -> _Judged:
         steps = stamps.lone_steps(looks.stream, streams)
-        found += [step_finding(IMAGES, *one) for one in steps if abs(one[0]) > CORRECTED_S]
+        found += [
+            advice.step_finding(IMAGES, *one) for one in steps if abs(one[0]) > advice.CORRECTED_S
+        ]
         first, last = stamps.longest_part(looks.stream)
         streams = [stamps.in_step(stream.logged_within(first, last)) for stream in streams]
         images = looks.stream.logged_within(first, last)
@@ -189,7 +182,7 @@ class DriveChecks:
         path = check_path(streams[1]) if len(streams) > 1 else None
         if path is not None:
             mended = replace(motion, odometry=_odometry_track(streams[1], path.mended))
-            fitting, most = linear(mended), HEADING_ERROR_RAD
+            fitting, most = linear(mended), advice.HEADING_ERROR_RAD
             if fitting.fits and not fitting.heading_rad.beyond(most, most):
                 found, motion, slopes = [path.finding, *found], mended, fitting
             else:
@@ -198,7 +191,7 @@ class DriveChecks:
             jumps = parts.jumping_values(motion)
             if any(f.name == 'odom jumps' for f in found):
                 jumps = _without(jumps, ODOMETRY)
-            found += motion_findings(motion, slopes, self._room) + jumps
+            found += advice.motion_findings(motion, slopes, self._room) + jumps
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
                 found = _without(found, _OF_PATH)
@@ -227,10 +220,10 @@ class DriveChecks:
         }
         judged = verdict(motion, others, _by_twist(streams[1]) if streams[1:] else None, hints)
         cause = judged.cause
-        found += cause_findings(judged)
+        found += advice.cause_findings(judged)
         slopes = linear(cause.motion)
         if slopes.quiet:
-            found += motion_findings(cause.motion, slopes, self._room)
+            found += advice.motion_findings(cause.motion, slopes, self._room)
             right = cause.motion.pan_clock if cause.stream == IMAGES else Clock()
             found += self._truth(images, cause.motion, right)
         if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
@@ -241,7 +234,7 @@ class DriveChecks:
             if not judged.fits:
                 found = [f for s in streams if (f := parts.coarse_values(s)) is not None] or found
             found += _clocks_by_log(motion, hints, slopes)
-        if cause.kind != 'clock' or not 0.0 < abs(cause.value) <= CORRECTED_S:
+        if cause.kind != 'clock' or not 0.0 < abs(cause.value) <= advice.CORRECTED_S:
             return found, Delays(), False
         by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
         delays = Delays(**{by_stream[cause.stream]: cause.value})
@@ -372,5 +365,7 @@ def _clocks_by_log(
             off[name] = by_start
     how = ' by times of recording'
     if len(off) == 2 and np.ptp([*off.values()]) < _BY_LOG_S:
-        return [clock_finding(IMAGES, -float(np.mean([*off.values()])), how, corrected=False)]
-    return [clock_finding(name, late, how, corrected=False) for name, late in off.items()]
+        return [
+            advice.clock_finding(IMAGES, -float(np.mean([*off.values()])), how, corrected=False)
+        ]
+    return [advice.clock_finding(name, late, how, corrected=False) for name, late in off.items()]

@@ -73,7 +73,7 @@ class Clock:
     def at(self, seconds: FloatArray) -> FloatArray:
         """Times of this clock at times of the images' clock."""
         ahead = self.offset_s + self.drift * (seconds - self.anchor_s)
-        return seconds + ahead + self.step_s * (seconds >= self.step_at_s)
+        return np.asarray(seconds + ahead + self.step_s * (seconds >= self.step_at_s))
 
     def later(self, seconds: Any) -> Clock:
         """Return the clock that is ahead by `seconds` more."""
@@ -196,14 +196,15 @@ class Motion:
     def panned(self) -> FloatArray:
         """Turns by the joints, (n,)."""
         times = self.pan_clock.at(np.stack([self.before_s, self.after_s]))
-        return self.pan_scale * np.diff(self.pan.at(times)[..., 0], axis=-2)[..., 0, :]
+        pans = self.pan.at(times)[..., 0]
+        return np.asarray(self.pan_scale * np.diff(pans, axis=-2)[..., 0, :])
 
     def yawed(self) -> FloatArray:
         """Turns by the odometry, (n,)."""
         if self.odometry is None:
             return np.zeros(len(self))
         yaws = np.interp(self._odometry_times(), self.odometry.seconds, self.odometry.values[:, 2])
-        return self.yaw_scale * np.diff(yaws, axis=-2)[..., 0, :]
+        return np.asarray(self.yaw_scale * np.diff(yaws, axis=-2)[..., 0, :])
 
     def parallax(self) -> FloatArray:
         """

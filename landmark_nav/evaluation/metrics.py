@@ -116,27 +116,26 @@ def pose_errors(poses: npt.ArrayLike, truth: npt.ArrayLike) -> FloatArray:
 def error_summary(errors: FloatArray) -> dict[str, float | None]:
     """Metrics of the contract from errors (n, 3); None if all errors are unknown."""
     known = errors[np.all(np.isfinite(errors), axis=1)]
-    keys = (
-        'position_rmse_m',
-        'position_median_m',
-        'position_p95_m',
-        'position_max_m',
-        'heading_rmse_deg',
-        'heading_p95_deg',
-    )
-    if not len(known):
-        return dict.fromkeys(keys)
-    position = np.hypot(known[:, 0], known[:, 1])
-    heading = np.degrees(np.abs(known[:, 2]))
-    values = (
-        np.sqrt(np.mean(position**2)),
-        np.median(position),
-        np.percentile(position, 95),
-        position.max(),
-        np.sqrt(np.mean(heading**2)),
-        np.percentile(heading, 95),
-    )
-    return {key: float(value) for key, value in zip(keys, values, strict=True)}
+    position, heading = np.hypot(known[:, 0], known[:, 1]), np.degrees(np.abs(known[:, 2]))
+    return {
+        f'{name}_{unit}': float(summary(of)) if len(known) else None
+        for name, unit, of, summary in (
+            ('position_rmse', 'm', position, _rms),
+            ('position_median', 'm', position, np.median),
+            ('position_p95', 'm', position, _p95),
+            ('position_max', 'm', position, np.max),
+            ('heading_rmse', 'deg', heading, _rms),
+            ('heading_p95', 'deg', heading, _p95),
+        )
+    }
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _p95(values: FloatArray) -> float:
+    return float(np.percentile(values, 95))
 
 
 def consistency(
@@ -246,13 +245,8 @@ def posterior_bound(
     if np.isnan(poses[0]).any():
         return bound
     # Points without noise must not adapt the noise models, and cannot be outliers.
-    noise = replace(
-        config.estimator,
-        tail_freedom=0.0,
-        step_probability=0.0,
-        moved_probability=0.0,
-        learning_sigma=0.0,
-    )
+    adapted = ('tail_freedom', 'step_probability', 'moved_probability', 'learning_sigma')
+    noise = replace(config.estimator, **dict.fromkeys(adapted, 0.0))
     start = PoseEstimate(begin, poses[0], start.covariance)
     ideal = JointFilter(landmark_map, calibration, start, noise, config.odometry)
     track = OdometryTrack(config.odometry)

@@ -396,7 +396,6 @@ def drive_messages(
     factory: MessageFactory,
     path_xy: FloatArray,
     pan_control: PanControl,
-    *,
     seconds: float,
     speed_m_s: float = 0.35,
     camera_rate_hz: float = 5.0,

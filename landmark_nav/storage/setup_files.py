@@ -81,7 +81,8 @@ def load_room(path: Path | str) -> Room:
                 (wall.height, _MAX_HEIGHT_M, 'high'),
             ):
                 if size > most:
-                    raise LandmarkNavError(f'wall {wall.id} is {size:g} m {what}: give metres')
+                    where = f'wall {wall.id} is {size:g} m {what}'
+                    raise LandmarkNavError(f'{where}: lengths are metres')
         room = Room(walls, papers, reading.name_field(document, 'frame_id', 'room', 'map'))
         if room.frame_id in _MOVING_FRAMES:
             raise LandmarkNavError(f'frame_id is {room.frame_id}, which the robot moves: take map')
@@ -100,9 +101,10 @@ def walls_field(mapping: Any, where: str) -> tuple[Wall, ...]:
 
 def wall_of(entry: Any, where: str) -> Wall:
     """Wall of an entry of a room or a map."""
+    sigma = None
     if isinstance(entry, dict):
         reading.check_spelling(entry, ('id', 'start', 'end', 'height', 'sigma_m'), where)
-    sigma = reading.number_field(entry, 'sigma_m', where) if 'sigma_m' in entry else None
+        sigma = reading.number_field(entry, 'sigma_m', where) if 'sigma_m' in entry else None
     if sigma is not None and not 0.0 < sigma <= _MAX_WALL_SIGMA_M:
         raise LandmarkNavError(
             f'{where}: sigma_m is {sigma:g}: take more than 0, up to {_MAX_WALL_SIGMA_M:g} m'
@@ -142,7 +144,8 @@ def _paper(document: Any, where: str) -> Paper:
         paper_bgr(color)
     width, height = (reading.number_field(document, key, where) for key in ('width', 'height'))
     if not (0.01 <= width <= 5.0 and 0.01 <= height <= 5.0):
-        raise LandmarkNavError(f'{where}: no paper is {width:g} x {height:g} m: give metres')
+        size = f'{width:g} x {height:g} m is no size of a paper'
+        raise LandmarkNavError(f'{where}: {size}: lengths are metres')
     return Paper(color, _point(document, 'center', 3, where), width, height)
 
 

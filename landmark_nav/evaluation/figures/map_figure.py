@@ -51,15 +51,10 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     )
     style.plain(axes)
     text = 'landmark, its normal, its number where there is room'
+    large = f'3 sigma, {_MAGNIFIED:.0f} times as large'
     handles = [
         style.key(style.LANDMARK, 'o', text, linestyle='-'),
-        style.key(
-            style.LANDMARK,
-            'o',
-            f'3 sigma, {_MAGNIFIED:.0f} times as large',
-            markersize=13,
-            alpha=0.35,
-        ),
+        style.key(style.LANDMARK, 'o', large, markersize=13, alpha=0.35),
         style.key(style.FUSED, '^', 'sweep, arrow along base_link +x'),
     ]
     drawn = list(papers)
@@ -182,14 +177,9 @@ def _draw_area(axes: Axes, landmark: Landmark, room: Room) -> None:
     """Draw one landmark and its observation area."""
     x, y = (np.arange(a, b + _CELL_M, _CELL_M) for a, b in zip(*room.bounds, strict=True))
     cells = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    seen = observed_well(
-        landmark.position[None],
-        landmark.normal[None],
-        landmark.viewpoint[None],
-        cells,
-        _BOUNDS.min_sampling,
-        _BOUNDS.max_sampling,
-    )[:, 0]
+    place, normal, viewpoint = landmark.position, landmark.normal, landmark.viewpoint
+    bounds = _BOUNDS.min_sampling, _BOUNDS.max_sampling
+    seen = observed_well(place[None], normal[None], viewpoint[None], cells, *bounds)[:, 0]
     seen &= room.contains(cells) & room.visible(cells, landmark.position[:2])
     area = seen.reshape(len(y), len(x)).astype(float)
     axes.contourf(x, y, area, _LEVELS, colors=style.FIX, alpha=0.45, zorder=1)

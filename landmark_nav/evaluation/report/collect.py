@@ -22,15 +22,7 @@ from landmark_nav.errors import release, UsageError
 from landmark_nav.evaluation.calibration_run import Residuals
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.report.tables import (
-    calibration_tables,
-    calibration_verdict,
-    drive_tables,
-    drive_verdict,
-    learning_tables,
-    learning_verdict,
-    STATUS,
-)
+from landmark_nav.evaluation.report import tables
 from landmark_nav.evaluation.run_report import driven, errors_by_axis, RunErrors, Smoothed
 from landmark_nav.geometry.walls import Paper, paper_bgr
 from landmark_nav.image_codec import encode_image
@@ -137,8 +129,8 @@ def drive_page(
         'charts': _charts(run, errors, chosen),
     }
     return Page(
-        verdict=drive_verdict(report),
-        tables=drive_tables(report),
+        verdict=tables.drive_verdict(report),
+        tables=tables.drive_tables(report),
         charts_title='Errors over time' if len(run.truth) else 'Claimed errors over time',
         data=data,
     )
@@ -149,8 +141,8 @@ def learning_page(
 ) -> Page:
     """Page of a learned map; `report` is that of `learning_report`."""
     return Page(
-        verdict=learning_verdict(report, result.warning),
-        tables=learning_tables(report),
+        verdict=tables.learning_verdict(report, result.warning),
+        tables=tables.learning_tables(report),
         charts_title='',
         data={'map': _map(result.map, papers), 'panoramas': panoramas(result)},
     )
@@ -161,8 +153,8 @@ def calibration_page(
 ) -> Page:
     """Page of a calibration; `residuals` are those of the last drive before and after."""
     return Page(
-        verdict=calibration_verdict(report),
-        tables=calibration_tables(report),
+        verdict=tables.calibration_verdict(report),
+        tables=tables.calibration_tables(report),
         charts_title='Landmarks in images, measured minus predicted',
         data={'charts': _residual_charts(*residuals) if residuals else []},
     )
@@ -260,7 +252,7 @@ def _drive(
         'level': _numbers(levels, 4),
         'truth': _numbers(run.truth.at(stamps), 4),
         'fix': _numbers(run.fixes[chosen, :2], 4),
-        'status': [STATUS.get(update.status, update.status) for update in updates],
+        'status': [tables.STATUS.get(update.status, update.status) for update in updates],
         'reason': [known.index(reason) for reason in reasons],
         'reasons': known,
         'camera': _numbers(azimuths, 4),
