@@ -50,22 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, 'bag', help='bag of a drive')
     add(parser, '--topic', '--config')
     add(parser, '--map', '--robot', required=True)
-    parser.add_argument(
-        '--start',
-        nargs=3,
-        type=within(float, -_FARTHEST_M, _FARTHEST_M),
-        metavar=('X', 'Y', 'THETA'),
-        help='pose of base_link in map at the start: m, m, rad (default: it finds its own place)',
-    )
-    parser.add_argument(
-        '--start-sigma',
-        nargs=2,
-        type=within(float, _LEAST_SIGMA, _FARTHEST_M),
-        default=(0.05, 0.035),
-        metavar=('M', 'RAD'),
-        help='how sure the start is: sigma of x and y in m, of the heading in rad '
-        '(default 0.05 0.035)',
-    )
+    text = 'pose of base_link in map at the start: m, m, rad (default: it finds its own place)'
+    pose = {'type': within(float, -_FARTHEST_M, _FARTHEST_M), 'metavar': ('X', 'Y', 'THETA')}
+    add(parser, '--start', **pose, nargs=3, help=text)
+    text = 'sigma of x and y at the start in m, of the heading in rad (default 0.05 0.035)'
+    sigmas = {'type': within(float, _LEAST_SIGMA, _FARTHEST_M), 'metavar': ('M', 'RAD')}
+    add(parser, '--start-sigma', **sigmas, nargs=2, default=(0.05, 0.035), help=text)
     text = 'also estimate each pose from all images of the drive, later ones too'
     add(parser, '--smooth', action='store_true', help=text)
     add(parser, '--json', help='write errors, availability and times to F')

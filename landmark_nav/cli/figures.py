@@ -66,14 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--room', help='room.yaml: walls and papers (default: as learn finds them)')
     add(parser, '--map', help='a map of your own for Figure 6, which needs nothing else')
     add(parser, '--seed', default=7, help='of the simulated room')
-    parser.add_argument(
-        '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N',
-        help='which figures, 3 to 8 (default: all that the data allow)',
-    )  # fmt: skip
-    parser.add_argument(
-        '--feature', nargs='+', choices=FEATURES, metavar='NAME',
-        help=f'the only features that attract attention (default: all): {", ".join(FEATURES)}',
-    )  # fmt: skip
+    text = 'which figures, 3 to 8 (default: all that the data allow)'
+    add(parser, '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N', help=text)
+    text = f'the only features that attract attention (default: all): {", ".join(FEATURES)}'
+    add(parser, '--feature', nargs='+', choices=FEATURES, metavar='NAME', help=text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -59,25 +59,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, 'bag', help='bag with sweeps')
     add(parser, '--topic', '--overwrite', '--config')
     add(parser, '--robot', required=True)
-    add(
-        parser,
-        '--room',
-        help='room.yaml: walls and papers (default: walls are found, the scale is that of '
-        'sweep/pose, odom, papers and markers, the frame that of the first sweep)',
+    text = (
+        'room.yaml: walls and papers (default: walls are found, the scale is that of sweep/pose, '
     )
-    parser.add_argument(
-        '--walls-out', metavar='F', type=Path, help='write the walls that were found as room.yaml'
-    )
+    text += 'odom, papers and markers, the frame that of the first sweep)'
+    add(parser, '--room', help=text)
+    text = 'write the walls that were found as room.yaml'
+    add(parser, '--walls-out', metavar='F', type=Path, help=text)
     add(parser, '--out', required=True, metavar='MAP', help='map folder to write')
-    parser.add_argument(
-        '--paper-size', nargs=2, type=float, metavar=('W', 'H'),
-        help='coloured papers of this size hang upright somewhere: they give the scale (without '
-        '--room; width and height in metres, A4: 0.210 0.297)',
-    )  # fmt: skip
-    parser.add_argument(
-        '--marker-size', type=float, metavar='M',
-        help='ArUco or AprilTag markers of this size, the side of the black square in metres, do',
-    )  # fmt: skip
+    text = 'coloured papers of this size hang upright somewhere: they give the scale (without '
+    text += '--room; width and height in metres, A4: 0.210 0.297)'
+    add(parser, '--paper-size', nargs=2, type=float, metavar=('W', 'H'), help=text)
+    text = 'ArUco or AprilTag markers of this size, the side of the black square in metres, do'
+    add(parser, '--marker-size', type=float, metavar='M', help=text)
     add(parser, '--marker-dictionary', metavar='NAME', help='theirs (default: DICT_4X4_50)')
     add(parser, '--json', help='write counts, errors and times to F')
     text = 'write a page with the map, the panoramas and all candidates to F.html'

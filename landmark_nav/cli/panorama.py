@@ -31,13 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'Project the frames of one sweep on a cylinder, cut to the rows that every '
         'covered column has. What no frame covers is transparent.'
     )
-    parser.add_argument(
-        'sweep',
-        metavar='BAG_OR_FOLDER',
-        type=Path,
-        help='bag of sweeps, or folder of images with frames.csv '
-        '(file,pan_rad,focal_px,width,height)',
-    )
+    text = 'bag of sweeps, or folder of images with frames.csv: file,pan_rad,focal_px,width,height'
+    add(parser, 'sweep', metavar='BAG_OR_FOLDER', type=Path, help=text)
     add(parser, '--topic', '--overwrite')
     which = {'dest': 'number', 'metavar': 'K', 'help': 'which sweep of the bag, from 1 on'}
     add(parser, '--sweep', type=within(int, 1), **which)

@@ -36,12 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--overwrite')
     focal = {'type': within(float, 50, 20000), 'default': default.focal_px, 'metavar': 'PX'}
     add(parser, '--focal', **focal, help='focal length of the camera in pixels')
-    parser.add_argument(
-        '--size', type=within(int, 16, 16384), nargs=2,
-        default=(default.width_px, default.height_px),
-        metavar=('W', 'H'),
-        help=f'of its images in pixels (default {default.width_px} {default.height_px})',
-    )  # fmt: skip
+    size = {'nargs': 2, 'type': within(int, 16, 16384), 'metavar': ('W', 'H')}
+    width, height = default.width_px, default.height_px
+    text = f'of its images in pixels (default {width} {height})'
+    add(parser, '--size', **size, default=(width, height), help=text)
     clearance = {'type': within(float, 0.05, 5), 'default': default.clearance_m, 'metavar': 'M'}
     add(parser, '--clearance', **clearance, help='least metres of the robot from walls')
 

@@ -55,14 +55,11 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
 
 def step_finding(stream: str, step_s: float, at_s: float) -> Finding:
     """Build the finding of the clock of a stream that was set."""
-    side = 'ahead' if step_s > 0.0 else 'back'
-    return Finding(
-        f'{stream} clock',
-        'error' if abs(step_s) > CORRECTED_S else 'warning',
-        f'steps {side} by {seconds_text(abs(step_s))} at {at_s:.1f} s',
-        'discipline the clock of its host before driving (chrony)',
-        {'step_s': step_s, 'at_s': at_s},
-    )
+    text = f'steps {"ahead" if step_s > 0.0 else "back"} by {seconds_text(abs(step_s))}'
+    text += f' at {at_s:.1f} s'
+    level: Level = 'error' if abs(step_s) > CORRECTED_S else 'warning'
+    advice = 'discipline the clock of its host before driving (chrony)'
+    return Finding(f'{stream} clock', level, text, advice, {'step_s': step_s, 'at_s': at_s})
 
 
 def seconds_text(seconds: float) -> str:
@@ -291,16 +288,14 @@ def _scale_finding(stream: str, factor: float) -> Finding:
 def motion_findings(motion: Motion, slopes: Linear, room: Room | None) -> list[Finding]:
     """Judge scales, clocks, unit of the odometry and heading of the camera by the images."""
     gear, track = 'check the gear of the pan', 'check the track width of the wheels'
-    found = [
-        _scale('pan scale', slopes.pan_scale, 0.05, 0.03, gear),
-        _clock(JOINTS, slopes.pan_clock_s),
-    ]
+    scales = [_scale('pan scale', slopes.pan_scale, 0.05, 0.03, gear)]
+    clocks = [_clock(JOINTS, slopes.pan_clock_s)]
     if motion.odometry is not None:
-        found.insert(1, _scale('odom yaw', slopes.yaw_scale, 0.1, 0.15, track))
-        found.append(_clock(ODOMETRY, slopes.odometry_clock_s))
+        scales.append(_scale('odom yaw', slopes.yaw_scale, 0.1, 0.15, track))
+        clocks.append(_clock(ODOMETRY, slopes.odometry_clock_s))
     more = _unit(slopes, room) + _heading(slopes)
     said = {finding.name for finding in more}
-    return [*(finding for finding in found if finding.name not in said), *more]
+    return [*(finding for finding in scales + clocks if finding.name not in said), *more]
 
 
 def _scale(name: str, error: Estimate, known: float, warn: float, advice: str) -> Finding:
@@ -309,7 +304,8 @@ def _scale(name: str, error: Estimate, known: float, warn: float, advice: str) -
         return Finding(name, 'ok', 'not judged: it hardly moves')
     text = f'{1.0 + error.value:.3f} of the images (sigma {error.sigma:.3f})'
     values = {'scale': 1.0 + error.value, 'sigma': error.sigma}
-    return _judged(name, error.beyond(warn, known), text, advice, values)
+    wrong = error.beyond(warn, known)
+    return Finding(name, 'warning' if wrong else 'ok', text, advice if wrong else '', values)
 
 
 def _clock(stream: str, late: Estimate) -> Finding:
@@ -317,14 +313,10 @@ def _clock(stream: str, late: Estimate) -> Finding:
         return Finding(f'{stream} clock', 'ok', 'not judged by motion: it hardly moves')
     text = f'{1e3 * late.value:+.0f} ms against the images (sigma {1e3 * late.sigma:.0f} ms)'
     values = {'late_s': late.value, 'sigma_s': late.sigma}
-    advice = 'stamp at the time of measurement'
-    return _judged(f'{stream} clock', late.beyond(0.05, 0.1), text, advice, values)
-
-
-def _judged(name: str, wrong: bool, text: str, advice: str, values: dict[str, float]) -> Finding:
-    if wrong:
-        return Finding(name, 'warning', text, advice, values)
-    return Finding(name, 'ok', text, '', values)
+    if late.beyond(0.05, 0.1):
+        advice = 'stamp at the time of measurement'
+        return Finding(f'{stream} clock', 'warning', text, advice, values)
+    return Finding(f'{stream} clock', 'ok', text, '', values)
 
 
 def _unit(slopes: Linear, room: Room | None) -> list[Finding]:

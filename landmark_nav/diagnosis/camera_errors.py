@@ -95,14 +95,10 @@ def matched(first: Corners, second: Corners) -> tuple[FloatArray, FloatArray] | 
     if points is None:
         return None
     begin = cv2.perspectiveTransform(points, homography).astype(np.float32)
+    search: dict[str, Any] = {'winSize': (15, 15), 'maxLevel': 1}
+    search['flags'] = cv2.OPTFLOW_USE_INITIAL_FLOW
     found, tracked, _ = cv2.calcOpticalFlowPyrLK(
-        first.image,
-        second.image,
-        points,
-        begin.copy(),
-        winSize=(15, 15),
-        maxLevel=1,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        first.image, second.image, points, begin.copy(), **search
     )
     near_px = np.linalg.norm(found - begin, axis=2).ravel() < _TRACKED_PX
     kept = (tracked.ravel() > 0) & near_px
@@ -258,13 +254,11 @@ def _nearly(matches: Matches, setup: CameraSetup) -> CameraSetup:
     def turned(angles: FloatArray) -> CameraSetup:
         return _mounted(_rolled(setup, float(angles[0])), *angles[1:].tolist())
 
-    found = minimize(
-        lambda angles: -_score(matches, turned(angles)),
-        np.zeros(3),
-        method='Powell',
-        bounds=[(-_MATTERS, _MATTERS)] * 3,
-        options={'xtol': 1e-2, 'ftol': 1e-3, 'maxiter': 3},
-    )
+    def badness(angles: FloatArray) -> float:
+        return -_score(matches, turned(angles))
+
+    bounds, enough = [(-_MATTERS, _MATTERS)] * 3, {'xtol': 1e-2, 'ftol': 1e-3, 'maxiter': 3}
+    found = minimize(badness, np.zeros(3), method='Powell', bounds=bounds, options=enough)
     return turned(found.x)
 
 
@@ -285,12 +279,8 @@ def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> t
     first = tried[int(np.argmin(scores))]
     if min(scores) > -none:
         return 0.0, none
-    found = minimize_scalar(
-        badness,
-        bounds=(first - 0.5 * error.reach, first + 0.5 * error.reach),
-        method='bounded',
-        options={'xatol': 1e-3, 'maxiter': 15},
-    )
+    bounds, enough = first + 0.5 * error.reach * np.array([-1, 1]), {'xatol': 1e-3, 'maxiter': 15}
+    found = minimize_scalar(badness, bounds=bounds, method='bounded', options=enough)
     pairs = matches.pairs[-1] + 1
     return float(found.x), -float(found.fun) - 0.5 * np.log(_INDEPENDENT * pairs)
 

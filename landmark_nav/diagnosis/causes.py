@@ -200,12 +200,12 @@ def _along(motion: Motion) -> float:
 
 def _likeliest(make: Callable[[float], Cause], first: float, reach: float) -> Cause:
     """Find the cause with the likeliest value within `reach` of `first`."""
-    found = minimize_scalar(
-        lambda value: -make(float(value)).score,
-        bounds=(first - reach, first + reach),
-        method='bounded',
-        options={'xatol': 1e-4},
-    )
+
+    def badness(value: float) -> float:
+        return -make(float(value)).score
+
+    bounds = first - reach, first + reach
+    found = minimize_scalar(badness, bounds=bounds, method='bounded', options={'xatol': 1e-4})
     return make(float(found.x))
 
 
@@ -229,12 +229,10 @@ def _others(motion: Motion) -> Iterator[Cause]:
         return replace(motion, odometry=driven_again(odometry, **change))
 
     # The pan before a filter of the first order.
-    yield _best(
-        JOINTS,
-        'filter',
-        lambda value: replace(motion, pan=replace(pan, values=pan.values + value * rate)),
-        1.0,
-    )
+    def unfiltered(value: float) -> Motion:
+        return replace(motion, pan=replace(pan, values=pan.values + value * rate))
+
+    yield _best(JOINTS, 'filter', unfiltered, 1.0)
     yield _best(ODOMETRY, 'bias', lambda value: again(bias_rad_s=value), 1.0)
     yield _best(ODOMETRY, 'curve', lambda value: again(curve_rad_m=value), 3.0)
     yield _best(MOUNT, 'ahead', lambda value: replace(motion, axis_xy=(x + value, y)), 2.0)
@@ -353,15 +351,12 @@ def _first_drift(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
     """Return the best of drifting clocks, those of the hints and a grid, with a near offset."""
     begin, few = float(motion.before_s.min()), _NEAR[:: max(1, len(_NEAR) // 40)]
     drifting = [h for h in hinted if h.drift] + [Clock(0.0, d, begin) for d in _DRIFTS.tolist()]
-    return _best_offset(
-        motion,
-        stream,
-        [
-            (replace(base, offset_s=start), few)
-            for base in drifting
-            for start in {base.offset_s, *(h.offset_s for h in hinted)}
-        ],
-    )
+    grids = [
+        (replace(base, offset_s=start), few)
+        for base in drifting
+        for start in {base.offset_s, *(h.offset_s for h in hinted)}
+    ]
+    return _best_offset(motion, stream, grids)
 
 
 def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArray]]) -> Clock:
@@ -378,11 +373,11 @@ def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArra
 
 def _offset(motion: Motion, stream: str, first: Clock) -> Cause:
     """Find the likeliest clock with another offset than `first`."""
-    return _likeliest(
-        lambda later: _clock_cause(motion, stream, 'clock', first.later(later)),
-        0.0,
-        2.0 * _FAR_STEP_S,
-    )
+
+    def make(later: float) -> Cause:
+        return _clock_cause(motion, stream, 'clock', first.later(later))
+
+    return _likeliest(make, 0.0, 2.0 * _FAR_STEP_S)
 
 
 def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
@@ -394,16 +389,9 @@ def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
         return _clock_cause(motion, stream, 'drift', replace(first.later(later), drift=drift))
 
     start = np.array([0.0, first.drift])
-    best = minimize(
-        lambda change: -make(change).score,
-        start,
-        method='Nelder-Mead',
-        options={
-            'initial_simplex': start + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]]),
-            'xatol': 1e-4,
-            'maxfev': 120,
-        },
-    )
+    simplex = start + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]])
+    enough = {'initial_simplex': simplex, 'xatol': 1e-4, 'maxfev': 120}
+    best = minimize(lambda x: -make(x).score, start, method='Nelder-Mead', options=enough)
     found = make(best.x)
     if abs(found.value) * span < _LEAST_DRIFT_S:
         return replace(found, kind='clock', value=found.offset_s)

@@ -161,7 +161,7 @@ def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
         pixels += patch.size
         if pixels > _MAX_MAP_PIXELS:
             raise LandmarkNavError(
-                f'{folder}: patches of over {_MAX_MAP_PIXELS / 1e6:g} million pixels'
+                f'{folder}: the patches have over {_MAX_MAP_PIXELS / 1e6:g} million pixels'
             )
         return patch
 

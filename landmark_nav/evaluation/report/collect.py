@@ -117,47 +117,42 @@ def drive_page(
     shown = np.arange(len(order)) % -(-len(order) // _MOST_MOMENTS) == 0
     shown[1:] |= status[1:] != status[:-1]
     chosen = np.asarray(order[shown])
-    drive = _drive(run, chosen, landmarks, calibration, strip, smoothed)
     found = Counter(int(k) for u in run.updates for k in u.observation.detections.ids)
     expected = found + Counter(
         int(k) for u in run.updates for k in u.observation.detections.missed
     )
     data = {
         'map': _map(landmarks, papers, found, expected),
-        'run': drive,
+        'run': _drive(run, chosen, landmarks, calibration, strip, smoothed),
         'images': [_base64(copied) for _, copied in sorted(strip.jpegs.items())],
         'charts': _charts(run, errors, chosen),
     }
-    return Page(
-        verdict=tables.drive_verdict(report),
-        tables=tables.drive_tables(report),
-        charts_title='Errors over time' if len(run.truth) else 'Claimed errors over time',
-        data=data,
-    )
+    title = 'Errors over time' if len(run.truth) else 'Claimed errors over time'
+    return _page(tables.drive_verdict(report), tables.drive_tables(report), data, title)
+
+
+def _page(
+    verdict: dict[str, str], rows: list[dict[str, Any]], data: dict[str, Any], title: str = ''
+) -> Page:
+    return {'verdict': verdict, 'tables': rows, 'charts_title': title, 'data': data}
 
 
 def learning_page(
     report: Mapping[str, Any], result: LearningResult, papers: Iterable[Paper] = ()
 ) -> Page:
     """Page of a learned map; `report` is that of `learning_report`."""
-    return Page(
-        verdict=tables.learning_verdict(report, result.warning),
-        tables=tables.learning_tables(report),
-        charts_title='',
-        data={'map': _map(result.map, papers), 'panoramas': panoramas(result)},
-    )
+    verdict = tables.learning_verdict(report, result.warning)
+    data = {'map': _map(result.map, papers), 'panoramas': panoramas(result)}
+    return _page(verdict, tables.learning_tables(report), data)
 
 
 def calibration_page(
     report: Mapping[str, Any], residuals: tuple[Residuals, Residuals] | None
 ) -> Page:
     """Page of a calibration; `residuals` are those of the last drive before and after."""
-    return Page(
-        verdict=tables.calibration_verdict(report),
-        tables=tables.calibration_tables(report),
-        charts_title='Landmarks in images, measured minus predicted',
-        data={'charts': _residual_charts(*residuals) if residuals else []},
-    )
+    verdict, rows = tables.calibration_verdict(report), tables.calibration_tables(report)
+    data = {'charts': _residual_charts(*residuals) if residuals else []}
+    return _page(verdict, rows, data, 'Landmarks in images, measured minus predicted')
 
 
 def _numbers(values: npt.ArrayLike, digits: int) -> Any:
@@ -334,18 +329,13 @@ def _charts(run: Replay, errors: RunErrors, chosen: npt.NDArray[np.intp]) -> lis
              one.fixes),
             ('fused', 'line', 'fused', one.fused),
         ]  # fmt: skip
-        charts.append(
-            {
-                'label': one.label,
-                'limit': round(one.limit, 4),
-                't': seconds,
-                'series': [
-                    {'name': name, 'kind': kind, 'color': color, 'y': _numbers(y[chosen], 4)}
-                    for name, kind, color, y in series
-                    if np.isfinite(y).any()
-                ],
-            }
-        )
+        shown = [
+            {'name': name, 'kind': kind, 'color': color, 'y': _numbers(y[chosen], 4)}
+            for name, kind, color, y in series
+            if np.isfinite(y).any()
+        ]
+        limit = round(one.limit, 4)
+        charts.append({'label': one.label, 'limit': limit, 't': seconds, 'series': shown})
     return charts
 
 
@@ -356,15 +346,8 @@ def _residual_charts(before: Residuals, after: Residuals) -> list[dict[str, Any]
         series = []
         for found, color, name in ((before, 'odometry', 'before'), (after, 'fused', 'after')):
             kept = found.weights > _LEAST_WEIGHT
-            series.append(
-                {
-                    'name': name,
-                    'kind': 'dots',
-                    'color': color,
-                    't': _numbers(found.seconds[kept], 3),
-                    'y': _numbers(found.points_px[kept, k], 2),
-                }
-            )
+            t, y = _numbers(found.seconds[kept], 3), _numbers(found.points_px[kept, k], 2)
+            series.append({'name': name, 'kind': 'dots', 'color': color, 't': t, 'y': y})
         limit = 1.2 * float(np.quantile(np.abs(every), _REACH))
         rms = f'RMS {before.rms_px[k]:.2f} before, {after.rms_px[k]:.2f} after'
         label = f'residual {where} [px], {rms}'
