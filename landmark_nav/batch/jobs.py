@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 import hashlib
 from importlib import import_module
 from itertools import islice, product
@@ -304,16 +304,11 @@ def run_all(
             yield run, _sum([outcome for outcome in done if outcome])
     if not open_runs:
         return
+    cluster: Any = scheduler
     if scheduler is None:
-        cluster: Any = distributed.LocalCluster(
-            n_workers=min(workers or os.cpu_count() or 1, len(open_runs)),
-            threads_per_worker=1,
-            memory_limit=0,
-            silence_logs=logging.ERROR,
-            scheduler_kwargs={'dashboard': False},
-        )
-    else:
-        cluster = scheduler
+        count = min(workers or os.cpu_count() or 1, len(open_runs))
+        settings = {'silence_logs': logging.ERROR, 'scheduler_kwargs': {'dashboard': False}}
+        cluster = distributed.LocalCluster(count, 1, memory_limit=0, **settings)
     try:
         client = distributed.Client(cluster, timeout='20s')
     except (OSError, ValueError) as error:
@@ -349,12 +344,8 @@ def _done(folder: Path) -> Outcome | None:
 
 def _sum(outcomes: Sequence[Outcome]) -> Outcome:
     """Outcome of a run: sum of those of its stages."""
-    return Outcome(
-        next((outcome.reason for outcome in outcomes if outcome.reason), ''),
-        sum(outcome.cpu_s for outcome in outcomes),
-        sum(outcome.wall_s for outcome in outcomes),
-        max(outcome.memory_mb for outcome in outcomes),
-    )
+    reasons, cpu_s, wall_s, memory_mb = zip(*map(astuple, outcomes), strict=True)
+    return Outcome(next(filter(None, reasons), ''), sum(cpu_s), sum(wall_s), max(memory_mb))
 
 
 def _run_stage(stage: Stage, stages: Path, needed: Sequence[Outcome]) -> Outcome:
@@ -385,12 +376,8 @@ def _run_stage(stage: Stage, stages: Path, needed: Sequence[Outcome]) -> Outcome
         )  # fmt: skip
         _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
-    outcome = Outcome(
-        _reason(folder) if process.returncode else '',
-        usage.ru_utime + usage.ru_stime,
-        time.monotonic() - begin,
-        usage.ru_maxrss / 1024.0,
-    )
+    reason, cpu_s = _reason(folder) if process.returncode else '', usage.ru_utime + usage.ru_stime
+    outcome = Outcome(reason, cpu_s, time.monotonic() - begin, usage.ru_maxrss / 1024.0)
     if outcome.reason:
         _replace(folder, stages / f'{stage.key}.failed')
         return outcome

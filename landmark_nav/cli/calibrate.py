@@ -106,9 +106,11 @@ def run(args: argparse.Namespace) -> int:
         )  # fmt: skip
     report, residuals = _report(work, given, broken), None
     if work.drives:
-        last = work.drives[-1]
-        _, before = last.again(_as_exact(given))
-        _, after = last.again(_as_exact(found))
+        none = np.zeros_like(given.covariance)
+        before, after = (
+            work.drives[-1].again(replace(known, covariance=none, by_map=None))[1]
+            for known in (given, found)
+        )
         residuals = before, after
         report['residual_px'] = {
             name: None if np.isnan(one.rms_px).any() else one.rms_px.tolist()
@@ -125,10 +127,6 @@ def run(args: argparse.Namespace) -> int:
     lines = text_of(tables.calibration_verdict(report), tables.calibration_tables(report))
     print(wrapped([*lines, f'written to {args.out}']))
     return 0
-
-
-def _as_exact(known: Calibration) -> Calibration:
-    return replace(known, covariance=np.zeros_like(known.covariance), by_map=None)
 
 
 def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
@@ -175,8 +173,7 @@ def _report(
     found = work.known
     table: dict[str, Any] = {k: dict(row) for k, row in found.differences(given).items()}
     for name, row in table.items():
-        sigma = given[name][1]
-        row['prior_sigma'] = sigma
+        row['prior_sigma'] = sigma = given[name][1]
         row['difference_sigmas'] = (row['value'] - row['prior']) / sigma if sigma else None
     return {
         'schema': 1,

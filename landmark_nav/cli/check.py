@@ -54,14 +54,9 @@ def run(args: argparse.Namespace) -> int:
         found = replace(found, findings=(*found.findings, *check_papers(bag, known, room)))
     if args.map and args.robot and not found.errors and bag.find('odom'):
         found = replace(found, findings=(*found.findings, *_check_map(bag, args)))
-    if args.json:
-        report = {
-            'schema': 1,
-            'bag': str(bag.path),
-            'status': worst(found.findings),
-            'checks': [finding.report() for finding in found.findings],
-        }
-        write_json(args.json, report)
+    checks, status = [finding.report() for finding in found.findings], worst(found.findings)
+    report = {'schema': 1, 'bag': str(bag.path), 'status': status, 'checks': checks}
+    write_json(args.json, report)
     print('\n'.join(table(found.findings)))
     print(f'errors: {len(found.errors)}, warnings: {len(found.warnings)}')
     return int(bool(found.errors))

@@ -140,16 +140,12 @@ def wrapped(lines: Iterable[str]) -> str:
     """Join lines to a text; long lines are wrapped with a deeper indent."""
     columns = shutil.get_terminal_size((_WIDTH, 24)).columns
     width = min(max(columns, _LEAST_WIDTH), _WIDTH)
-    return '\n'.join(
-        fill(
-            line,
-            width,
-            subsequent_indent=' ' * (len(line) - len(line.lstrip()) + 4),
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        for line in lines
-    )
+    whole = {'break_long_words': False, 'break_on_hyphens': False}
+    filled = []
+    for line in lines:
+        deeper = ' ' * (len(line) - len(line.lstrip()) + 4)
+        filled.append(fill(line, width, subsequent_indent=deeper, **whole))
+    return '\n'.join(filled)
 
 
 # First characters of numbers, and of a cell without one; most rows of a table of a report.
@@ -214,13 +210,8 @@ def progress(iterable: Iterable[T], description: str, total: int | None = None) 
         for count, item in enumerate(iterable):
             now = time.monotonic()
             if now - shown > _LINE_EVERY_S and sys.stderr is not None:
-                line = tqdm.format_meter(
-                    count,
-                    total,  # type: ignore[arg-type]
-                    now - begin,
-                    prefix=description,
-                    ncols=80,
-                )
+                known: Any = total
+                line = tqdm.format_meter(count, known, now - begin, 80, prefix=description)
                 print(line, file=sys.stderr, flush=True)
                 shown = now
             yield item

@@ -56,8 +56,7 @@ def run(args: argparse.Namespace) -> int:
             robot, room = drawn.robot_file, drawn.room_file
         else:
             robot, room = args.robot.resolve(), args.room and args.room.resolve()
-            # Check the files here, so that a wrong one gives one error instead of one from each
-            # node.
+            # A wrong file gives one error here, and else one from each node.
             load_configuration(args.config, robot, *READS)
             if room is not None:
                 load_room(room)

@@ -270,17 +270,13 @@ class DriveChecks:
         turns = np.array([looks.compared(*pair)[0] for pair in pairs.tolist()])
         sense = self._mount.pan_sense * (1.0 + self._known['pan_scale'][0])
         joint_times = streams[0].seconds - self._known['joint_delay'][0]
-        return Motion(
-            before,
-            after,
-            turns,
-            Track.of(joint_times, sense * _angles(streams[0])),
-            _odometry_track(streams[1], streams[1].values) if streams[1:] else None,
-            self._mount.axis_xyz[:2],
-            self._mount.optical_center_offset[:2],
-            float(self._mount.azimuth_base_rad(0.0)),
-            self._mount.pan_sense * np.cos(self._mount.camera_roll_rad) < 0.0,
-        )
+        pan = Track.of(joint_times, sense * _angles(streams[0]))
+        odometry = _odometry_track(streams[1], streams[1].values) if streams[1:] else None
+        mount = self._mount
+        levers = mount.axis_xyz[:2], mount.optical_center_offset[:2]
+        hangs = mount.pan_sense * np.cos(mount.camera_roll_rad) < 0.0
+        ahead_rad = float(mount.azimuth_base_rad(0.0))
+        return Motion(before, after, turns, pan, odometry, *levers, ahead_rad, hangs)
 
 
 def _without(found: list[Finding], names: str | tuple[str, ...]) -> list[Finding]:

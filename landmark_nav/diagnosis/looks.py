@@ -111,9 +111,8 @@ def look(
         try:
             image, seen_by = decode.camera_image(entry.message, cameras.at(stamp), True)
             if view is None:
-                used = setup or CameraSetup(
-                    known.camera(seen_by), known.mount, known['camera_tilt'][0]
-                )
+                of_robot = known.camera(seen_by), known.mount, known['camera_tilt'][0]
+                used = setup or CameraSetup(*of_robot)
                 camera = used.camera
                 view = StripView(camera, used.mount, used.tilt_rad)
             width, height = decode.published_size(entry.message)
@@ -147,12 +146,8 @@ def _sharpness(image: ImageArray) -> float:
     # Natural scenes have equal contrast at each scale (Field, J. Opt. Soc. Am. A 4(12), 1987).
     # Images of any size are compared at the same width.
     height, width = image.shape
-    fine, coarse = (
-        cv2.Laplacian(
-            _reduced(image, (columns, max(columns * height // width, 3))), cv2.CV_32F
-        ).var()
-        for columns in (_WIDTH, _WIDTH // 4)
-    )
+    sizes = ((columns, max(columns * height // width, 3)) for columns in (_WIDTH, _WIDTH // 4))
+    fine, coarse = (cv2.Laplacian(_reduced(image, size), cv2.CV_32F).var() for size in sizes)
     return float(fine / max(coarse, 1.0))
 
 

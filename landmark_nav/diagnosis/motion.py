@@ -158,7 +158,6 @@ class Motion:
     yaw_scale: float = 1.0
 
     def __len__(self) -> int:
-        """Return the number of pairs."""
         return len(self.turns_rad)
 
     def only(self, chosen: BoolArray) -> Motion:

@@ -43,7 +43,6 @@ class PoseTrack:
         return cls(np.array(stamps, np.int64), np.array(poses, np.float64).reshape(-1, 3))
 
     def __len__(self) -> int:
-        """Return the number of poses."""
         return len(self.stamps_ns)
 
     def seen_from(self, pose: FloatArray, scale: float = 1.0) -> PoseTrack:

@@ -236,10 +236,9 @@ def replay(
         seen = replace(seen, detections=detections)
         updates[k] = replace(updates[k], stamp_ns=stamp, observation=seen)
     moved = shifts_by_odometry(stamps_ns, range(len(samples)), stamps_ns).tolist()
-    samples = sorted(
-        (replace(s, stamp_ns=s.stamp_ns + later) for s, later in zip(samples, moved, strict=True)),
-        key=lambda sample: sample.stamp_ns,
-    )
+    pairs = zip(samples, moved, strict=True)
+    samples = [replace(sample, stamp_ns=sample.stamp_ns + later) for sample, later in pairs]
+    samples.sort(key=lambda sample: sample.stamp_ns)
     known = shifts_by_odometry([s for s, _ in truth], truth_after, stamps_ns).tolist()
     track = PoseTrack.of((sample.stamp_ns, sample.pose_odom_base) for sample in samples)
     # Dead reckoning passes through the start.

@@ -104,7 +104,7 @@ def plan_tour(
     return _rounded(np.array(path))
 
 
-def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> FloatArray:
+def plan_way(scene: Scene, start_xy: FloatArray, goal_xy: FloatArray) -> FloatArray:
     """
     Plan the path (n, 2) from one position to another, as `plan_tour` does.
 
@@ -114,16 +114,11 @@ def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> F
     start, goal = grid.nearest(start_xy), grid.nearest(goal_xy)
     cost, before = grid.ways_from(start)
     if not np.isfinite(cost[goal]):
-        raise LandmarkNavError(
-            f'there is no way from {_place(start_xy)} to {_place(goal_xy)} for the robot'
-        )
+        (x, y), (u, v) = start_xy, goal_xy
+        ends = f'({x:.2f}, {y:.2f}) to ({u:.2f}, {v:.2f})'
+        raise LandmarkNavError(f'there is no way from {ends} for the robot')
     way = grid.way(before, start, goal)
     return _rounded(np.vstack([np.asarray(start_xy)[None], way, np.asarray(goal_xy)[None]]))
-
-
-def _place(xy: npt.ArrayLike) -> str:
-    x, y = np.asarray(xy, dtype=np.float64)
-    return f'({x:.2f}, {y:.2f})'
 
 
 def _turn(path: list[FloatArray], way: FloatArray) -> float:
@@ -157,7 +152,6 @@ class PathFollower:
     """
 
     def __init__(self, path_xy: FloatArray, speed_m_s: float) -> None:
-        """Begin at the start of the path."""
         self._path = np.asarray(path_xy, dtype=np.float64)
         self._speed_m_s = speed_m_s
         self._at = 0

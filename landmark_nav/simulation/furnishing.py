@@ -190,16 +190,12 @@ def _place_at_wall(
         if wall.length < size[0] + 0.5:
             continue
         along = float(rng.uniform(size[0] / 2 + 0.02, wall.length - size[0] / 2 - 0.02))
-        start, end = np.array(wall.start), np.array(wall.end)
-        side = (end - start) / wall.length
-        center = start + side * along + wall.normal[:2] * (size[1] / 2 + 0.01)
-        box = Box(
-            (float(center[0]), float(center[1])),
-            float(np.arctan2(side[1], side[0])),
-            (*size, height),
-            str(rng.choice(['wood', 'books', 'wood', 'paint'])),
-            int(rng.integers(2**31)),
-        )
+        side = np.subtract(wall.end, wall.start) / wall.length
+        center = wall.start + side * along + wall.normal[:2] * (size[1] / 2 + 0.01)
+        yaw_rad = float(np.arctan2(side[1], side[0]))
+        material = str(rng.choice(['wood', 'books', 'wood', 'paint']))
+        seed = int(rng.integers(2**31))
+        box = Box(tuple(center.tolist()), yaw_rad, (*size, height), material, seed)
         part = (along - size[0] / 2, along + size[0] / 2)
         free = all(part[1] <= a or part[0] >= b for a, b in strip.taken)
         if (free or not tall) and _fits(box, boxes, room, 0.0):
@@ -213,13 +209,9 @@ def _place_free(boxes: list[Box], room: Room, rng: Generator) -> None:
     """Add a low piece of furniture in the room, with space to pass."""
     for center in rng.uniform(*room.bounds, (40, 2)):
         size = (float(rng.uniform(0.35, 0.6)), float(rng.uniform(0.35, 0.6)))
-        box = Box(
-            (float(center[0]), float(center[1])),
-            float(rng.uniform(-np.pi, np.pi)),
-            (*size, float(rng.uniform(0.4, 0.75))),
-            str(rng.choice(['books', 'paint', 'wood'])),
-            int(rng.integers(2**31)),
-        )
+        yaw_rad, height = float(rng.uniform(-np.pi, np.pi)), float(rng.uniform(0.4, 0.75))
+        material, seed = str(rng.choice(['books', 'paint', 'wood'])), int(rng.integers(2**31))
+        box = Box(tuple(center.tolist()), yaw_rad, (*size, height), material, seed)
         if _fits(box, boxes, room, 0.75):
             boxes.append(box)
             return

@@ -135,7 +135,6 @@ class PanControl:
         rng: np.random.Generator,
         preferred: npt.NDArray[np.bool_] | None = None,
     ) -> None:
-        """Start without an item."""
         self._scene = scene
         self._mount = mount
         self._limit_rad = pan_limit_rad

@@ -31,7 +31,6 @@ class RayTiles:
     """The rays of all pixels in tiles, and visibility tests for whole tiles."""
 
     def __init__(self, camera: CameraModel) -> None:
-        """Compute the rays."""
         self._shape = (camera.height, camera.width)
         self._focal_px = camera.fx
         self._rows = -(-camera.height // TILE_PX)
@@ -304,7 +303,6 @@ class CameraEffects:
     def __init__(
         self, camera: CameraModel, config: CameraEffectsConfig, rng: np.random.Generator
     ) -> None:
-        """Prepare vignetting and noise."""
         self._config = config
         self._rng = rng
         square = np.sum(camera.ray_grid.astype(np.float64) ** 2, -1)

@@ -13,8 +13,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper, paper_bgr, Room
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
 from landmark_nav.simulation.surfaces import Surface
-from landmark_nav.simulation.textures import Color, plaster, random_color, wood
-from landmark_nav.simulation.wall_items import draw_item
+from landmark_nav.simulation.textures import Color, draw_item, plaster, random_color, wood
 from landmark_nav.types import FloatArray, ImageArray
 
 _WALL_TEXEL_M = 0.002
@@ -101,10 +100,10 @@ def _hang(
 
 
 def _item_surface(item: WallItem, room: Room, across: FloatArray) -> Surface:
-    corner = item.center(room) - across * item.width_m / 2 + _UP * item.height_m / 2
-    shape = (round(item.height_m / _WALL_TEXEL_M), round(item.width_m / _WALL_TEXEL_M))
-    drawing = draw_item(item.kind, item.seed, shape)
-    return Surface(corner, across, -_UP, item.width_m, item.height_m, drawing, slants=_WALL_SLANTS)
+    size = item.width_m, item.height_m
+    corner = item.center(room) - across * size[0] / 2 + _UP * size[1] / 2
+    drawing = draw_item(item.kind, item.seed, tuple(round(k / _WALL_TEXEL_M) for k in size[::-1]))
+    return Surface(corner, across, -_UP, *size, drawing, slants=_WALL_SLANTS)
 
 
 def _paper_surface(paper: Paper, across: FloatArray) -> Surface:

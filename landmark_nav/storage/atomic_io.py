@@ -58,11 +58,7 @@ def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator
 
 
 def check_new(overwrite: bool, *outputs: Path) -> None:
-    """
-    Check that no output would be replaced without `overwrite`.
-
-    Raises `LandmarkNavError`: one of the outputs exists, and `overwrite` is false.
-    """
+    """Raise `LandmarkNavError` if one of the outputs exists, and `overwrite` is false."""
     there = [path for path in outputs if path.is_file() or path.is_dir()]
     if there and not overwrite:
         raise LandmarkNavError(

@@ -208,12 +208,9 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
         'provenance': dict(landmarks.provenance),
         'walls': [wall_entry(wall) for wall in landmarks.walls],
         'panorama_poses': [
-            {
-                'stamp_ns': int(place.stamp_ns),
-                'pose': listed(place.pose),
-                'covariance': listed(place.covariance),
-            }
-            for place in landmarks.panorama_poses
+            {'stamp_ns': int(k.stamp_ns)}
+            | {'pose': listed(k.pose), 'covariance': listed(k.covariance)}
+            for k in landmarks.panorama_poses
         ],
         'landmarks': [described(landmark) for landmark in landmarks.landmarks],
     }

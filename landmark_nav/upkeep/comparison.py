@@ -98,10 +98,9 @@ def compare_maps(a: LandmarkMap, b: LandmarkMap) -> Comparison:
 def wall_changes(a: LandmarkMap, b: LandmarkMap) -> dict[str, float]:
     """Greatest shift of the ends of each wall, m, by its id; inf if one map lacks the wall."""
     ends_a, ends_b = ({w.id: np.array([w.start, w.end]) for w in m.walls} for m in (a, b))
+    none = np.full((2, 2), np.inf)
     return {
-        name: float(np.abs(ends_b[name] - ends_a[name]).max())
-        if name in ends_a and name in ends_b
-        else np.inf
+        name: float(np.abs(ends_b.get(name, none) - ends_a.get(name, -none)).max())
         for name in ends_a | ends_b
     }
 
@@ -192,17 +191,9 @@ def resampled(
     center = (np.array(k.patch.shape[::-1]) - 1) / 2.0 + offset / own
     corner = center - scale * (np.array(shape[::-1]) - 1) / 2.0
     where = np.array([[scale[0], 0.0, corner[0]], [0.0, scale[1], corner[1]]])
-    blurred = blur_to(k.patch.astype(np.float32), scale)
-    return np.asarray(
-        cv2.warpAffine(
-            blurred,
-            where,
-            shape[::-1],
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        ),
-        dtype=np.float32,
-    )
+    blurred, linear = blur_to(k.patch.astype(np.float32), scale), cv2.INTER_LINEAR
+    how = {'flags': linear | cv2.WARP_INVERSE_MAP, 'borderMode': cv2.BORDER_REPLICATE}
+    return np.asarray(cv2.warpAffine(blurred, where, shape[::-1], **how), dtype=np.float32)
 
 
 # Greatest distance of a patch from the plane of its wall, to both sides, and beyond its ends.
@@ -222,13 +213,12 @@ def problems_of_map(landmarks: LandmarkMap) -> list[str]:
     problems = list(_problems_of_room(landmarks))
     walls = {wall.id: wall for wall in landmarks.walls}
     for k in landmarks.landmarks:
-        problems += [f'landmark {k.id}: {text}' for text in _problems_of_landmark(k)]
+        found = list(_problems_of_landmark(k))
         if k.wall_id in walls:
-            problems += [
-                f'landmark {k.id}: {text}' for text in _problems_on_wall(k, walls[k.wall_id])
-            ]
+            found += _problems_on_wall(k, walls[k.wall_id])
         elif walls and k.wall_id:
-            problems.append(f'landmark {k.id}: its wall {k.wall_id!r} is not in the map')
+            found.append(f'its wall {k.wall_id!r} is not in the map')
+        problems += [f'landmark {k.id}: {text}' for text in found]
     return problems
 
 

@@ -16,7 +16,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.se2 import compose, rot_z, rotation
-from landmark_nav.geometry.walls import Room
+from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.matching import match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate, Refusal
 from landmark_nav.upkeep.comparison import (
@@ -159,9 +159,10 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
         covariance = by_own @ place.covariance @ by_own.T
         return replace(place, pose=compose(pose, way), covariance=covariance)
 
-    def ends(end: tuple[float, float]) -> tuple[float, float]:
-        x, y, _ = placed(np.array([*end, 0.0])).tolist()
-        return x, y
+    def walled(wall: Wall) -> Wall:
+        start, end = (placed(np.array([*p, 0.0]))[:2].tolist() for p in (wall.start, wall.end))
+        height = scale * wall.height + alignment.rise_m
+        return replace(wall, start=tuple(start), end=tuple(end), height=height)
 
     known = b.calibration
     if known is not None and known.by_map is not None:
@@ -169,15 +170,7 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
     return replace(
         b,
         landmarks=tuple(moved(k) for k in b.landmarks),
-        walls=tuple(
-            replace(
-                w,
-                start=ends(w.start),
-                end=ends(w.end),
-                height=scale * w.height + alignment.rise_m,
-            )
-            for w in b.walls
-        ),
+        walls=tuple(walled(wall) for wall in b.walls),
         panorama_poses=tuple(posed(place) for place in b.panorama_poses),
         calibration=known,
     )
@@ -281,20 +274,8 @@ def _best(
         return None, np.zeros(0, dtype=np.bool_)
     agree = _agreement(matches, scale_sigma)
     first = int(np.argmax(_distinct(agree, matches)))
-    start = matches.turn_rad[first]
-    return _fitted(a, b, matches, agree[first], start, scale_sigma), agree[first]
-
-
-def _fitted(
-    a: LandmarkMap,
-    b: LandmarkMap,
-    matches: _Matches,
-    agree: BoolArray,
-    turn_rad: float,
-    scale_sigma: float,
-) -> FrameAlignment:
-    """Pose and scale by Gauss-Newton from the inliers `agree`; inliers are updated each round."""
-    chosen = matches.chosen(agree)
+    # Pose and scale by Gauss-Newton from these inliers, which are updated in each round.
+    chosen, turn_rad = matches.chosen(agree[first]), matches.turn_rad[first]
     state = np.array([*(chosen.in_a - chosen.in_b @ rot_z(turn_rad).T).mean(0), turn_rad, 0.0])
     # Both frames are on the floor, except for the effect of the scale at a given camera height.
     height_sigma = np.hypot(_HEIGHT_SIGMA_M, scale_sigma * np.abs(matches.in_a[:, 2]).max())
@@ -315,8 +296,9 @@ def _fitted(
         # Only height and logarithm of the scale have a prior, with mean 0.
         state = state + covariance @ (np.einsum('mil,ml->i', weighed, off[which]) - prior @ state)
     support = matches.chosen(which).landmarks
-    pose = np.array([*state[:2], wrap_rad(state[3])])
-    return FrameAlignment(pose, float(state[2]), float(np.exp(state[4])), covariance, support)
+    pose, rise_m = np.array([*state[:2], wrap_rad(state[3])]), float(state[2])
+    found = FrameAlignment(pose, rise_m, float(np.exp(state[4])), covariance, support)
+    return found, agree[first]
 
 
 # Greatest shift of a wall between two maps in one frame.
@@ -366,20 +348,16 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
     known = newer.calibration
     if known is not None and known.by_map is not None:
         known = replace(known, by_map=np.pad(known.by_map, ((0, 0), (factors_older, 0))))
-    return LandmarkMap(
-        (
-            *(_padded(k, 0, factors_newer) for k in older.landmarks if k.id not in outdated),
-            *(
-                replace(_padded(k, factors_older, 0), id=first_free + i)
-                for i, k in enumerate(added)
-            ),
-        ),
-        older.frame_id,
-        older.walls,
-        (*older.panorama_poses, *newer.panorama_poses),
-        {**provenance, **older.provenance, 'merged': '2 maps'},
-        newer.prior,
-        known,
+    kept = [_padded(k, 0, factors_newer) for k in older.landmarks if k.id not in outdated]
+    for number, k in enumerate(added, first_free):
+        kept.append(replace(_padded(k, factors_older, 0), id=number))
+    return replace(
+        older,
+        landmarks=tuple(kept),
+        panorama_poses=(*older.panorama_poses, *newer.panorama_poses),
+        provenance={**provenance, **older.provenance, 'merged': '2 maps'},
+        prior=newer.prior,
+        calibration=known,
     )
 
 

@@ -45,10 +45,8 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     for place in landmarks.panorama_poses:
         style.add_ellipse(axes, place.pose, place.covariance[:2, :2], style.FUSED, _MAGNIFIED)
     style.draw_sweep_places(axes, [place.pose for place in landmarks.panorama_poses], 'sweep')
-    axes.set_title(
-        f'{len(landmarks.landmarks)} landmarks learned from '
-        f'{len(landmarks.panorama_poses)} panoramas'
-    )
+    sweeps = len(landmarks.panorama_poses)
+    axes.set_title(f'{len(landmarks.landmarks)} landmarks learned from {sweeps} panoramas')
     style.plain(axes)
     text = 'landmark, its normal, its number where there is room'
     large = f'3 sigma, {_MAGNIFIED:.0f} times as large'
@@ -108,12 +106,10 @@ def number_landmarks(
     obstacles = np.concatenate(taken), np.concatenate(taken_sizes)
     free = style.free_labels(places - 0.5 * sizes, sizes, *obstacles)
     places, ids = places[free], ids[free]
+    look = {'fontsize': 7, 'ha': 'center', 'va': 'center', 'color': '#333333', 'zorder': 8}
     for number, (x, y) in zip(ids, places, strict=True):
-        text = axes.text(
-            x, y, str(number), fontsize=7, ha='center', va='center', color='#333333', zorder=8
-        )
         # The text is inside the axes; to check that in the layout is slow.
-        text.set_in_layout(False)
+        axes.text(x, y, str(number), **look).set_in_layout(False)
 
 
 _COUNT = 3
@@ -301,12 +297,12 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     _draw_accuracy(axes, plan.accuracy_map)
     style.draw_walls(axes, room.walls, _PLAN_MARGIN_M)
     style.draw_papers(axes, room.papers)
-    handles = [
-        style.key(style.FUSED, '^', f'proposed: {_cost(plan.best)} in the mean over the floor')
-    ]
     style.draw_sweep_places(axes, plan.best.poses_map_base, 'place')
     middle = plan.random[len(plan.random) // 2]
-    handles.append(style.key('white', '', f'median of random places: {_cost(middle)}'))
+    text = f'proposed: {1e3 * plan.best.cost_m:.2f} mm in the mean over the floor'
+    handles = [style.key(style.FUSED, '^', text)]
+    text = f'median of random places: {1e3 * middle.cost_m:.2f} mm'
+    handles.append(style.key('white', '', text))
     axes.set_title(
         f'Expected localization error, {len(plan.best.poses_map_base)} panoramas, '
         f'{plan.best.landmarks.sum():.0f} landmarks',
@@ -329,21 +325,13 @@ def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
     known = error[np.isfinite(error)]
     low, high = (float(np.quantile(known, q)) for q in (0.0, 0.98))
     axes.set_facecolor('#f4f4f4')
-    heat = axes.pcolormesh(
-        x, y, error, cmap='viridis_r', vmin=low, vmax=max(high, low + 0.1), zorder=1,
-        shading='nearest',
-    )  # fmt: skip
+    look = {'cmap': 'viridis_r', 'vmin': low, 'vmax': max(high, low + 0.1)}
+    heat = axes.pcolormesh(x, y, error, zorder=1, shading='nearest', **look)
     figure = axes.figure
     bar = figure.colorbar(heat, ax=axes, shrink=0.75, extend='max', pad=0.02)
     bar.set_label('position error, root of the trace [mm]')
     bar.outline.set_visible(False)
     if min(error.shape) >= 2 and high > low:
-        levels = np.quantile(known, [0.25, 0.5, 0.75, 0.95])
-        lines = axes.contour(
-            x, y, error, np.unique(np.round(levels, 2)), colors='white', linewidths=0.8, zorder=2
-        )
-        bar.add_lines(lines)
-
-
-def _cost(forecast: Forecast) -> str:
-    return f'{1e3 * forecast.cost_m:.2f} mm'
+        levels = np.unique(np.round(np.quantile(known, [0.25, 0.5, 0.75, 0.95]), 2))
+        look = {'colors': 'white', 'linewidths': 0.8, 'zorder': 2}
+        bar.add_lines(axes.contour(x, y, error, levels, **look))

@@ -99,7 +99,6 @@ class MessageReader:
     """
 
     def __init__(self, info: ChannelInfo) -> None:
-        """Check the definition."""
         self.type_name = STANDARD_NAMES.get(info.type_name, info.type_name)
         self._ros1 = info.message_encoding == 'ros1'
         if not self._ros1 and (
@@ -119,7 +118,16 @@ class MessageReader:
             self._store: Typestore = standard
             return
         try:
-            defined = _parsed(info)
+            if len(info.schema) > _MAX_CHARACTERS:
+                raise ValueError('too long')
+            defined: dict[str, Any] = {}
+            if info.schema_encoding in ('ros2msg', ''):
+                defined = get_types_from_msg(info.schema, info.type_name)
+            else:
+                # Such lines separate the definitions of several files.
+                for part in info.schema.split('=' * 80 + '\n'):
+                    text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
+                    defined |= get_types_from_idl(text) if text.strip() else {}
             # Definitions of ROS 1 do not include built-in types such as time.
             fields = ours | {name: entry[1] for name, entry in defined.items()}
             if self._ros1:
@@ -159,19 +167,6 @@ def has_header(type_name: str) -> bool:
     """Whether messages of a standard type begin with a header; false for other types."""
     _, fields = default_typestore().fielddefs.get(type_name, ([], []))
     return bool(fields) and fields[0][1] == (Nodetype.NAME, 'std_msgs/msg/Header')
-
-
-def _parsed(info: ChannelInfo) -> dict[str, Any]:
-    if len(info.schema) > _MAX_CHARACTERS:
-        raise ValueError('too long')
-    if info.schema_encoding in ('ros2msg', ''):
-        return get_types_from_msg(info.schema, info.type_name)
-    types: dict[str, Any] = {}
-    # Such lines separate the definitions of several files.
-    for part in info.schema.split('=' * 80 + '\n'):
-        text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
-        types |= get_types_from_idl(text) if text.strip() else {}
-    return types
 
 
 def _size(fields: Mapping[str, Any], name: str, inside: tuple[str, ...]) -> int:

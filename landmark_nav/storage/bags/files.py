@@ -50,7 +50,6 @@ class RosbagsFile:
     complete, damaged = True, False
 
     def __init__(self, path: Path, name: Path | None = None) -> None:
-        """Open a file; messages call it `name`."""
         self.name = name or path
         with path.open('rb') as stream:
             ros1 = stream.read(7) == b'#ROSBAG'
@@ -81,10 +80,9 @@ class RosbagsFile:
             return
         with _naming(self.name):
             for connection, stamp_ns, data in self._reader.messages(wanted):
+                info = self._infos[connection.id]
                 # SQLite keeps values of any type.
-                yield container.RawMessage(
-                    self._infos[connection.id], int(stamp_ns), bytes(memoryview(data))
-                )
+                yield container.RawMessage(info, int(stamp_ns), bytes(memoryview(data)))
 
 
 def _close(reader: Ros1Reader | Sqlite3Reader) -> None:
@@ -132,14 +130,10 @@ def _ros1(path: Path) -> Ros1Reader:
     reader = Ros1Reader(path)
     reader.open()
     names = {unbounded: name for name, unbounded in decompressors.items()}
-    reader.chunks = {
-        place: chunk._replace(
-            decompressor=partial(
-                container.unpack, compression=names[chunk.decompressor], size=None
-            )
-        )
-        for place, chunk in reader.chunks.items()
-    }
+    for place, chunk in reader.chunks.items():
+        name = names[chunk.decompressor]
+        bounded = partial(container.unpack, compression=name, size=None)
+        reader.chunks[place] = chunk._replace(decompressor=bounded)
     return reader
 
 
@@ -331,10 +325,8 @@ class BagWriter:
         """Append a serialised message: CDR with its four bytes of encapsulation."""
         topic = '/' + topic.lstrip('/')
         if topic not in self._connections:
+            qos = [_LATCHED] if topic in _LATCHED_TOPICS else []
             self._connections[topic] = self._writer.add_connection(
-                topic,
-                type_name,
-                typestore=self._store,
-                offered_qos_profiles=[_LATCHED] if topic in _LATCHED_TOPICS else [],
+                topic, type_name, typestore=self._store, offered_qos_profiles=qos
             )
         self._writer.write(self._connections[topic], stamp_ns, data)

@@ -38,7 +38,6 @@ class BagMessage:
     """A message of a bag with its log time, deserialised when `message` is first used."""
 
     def __init__(self, raw: RawMessage, reader: definitions.MessageReader, bag: Bag) -> None:
-        """Keep the serialised message."""
         self.topic = raw.channel.topic
         self.type_name = reader.type_name
         self.stamp_ns = raw.stamp_ns
@@ -116,7 +115,6 @@ class Bag:
         on_warning: Callable[[str], None] = _LOG.warning,
         topics: Mapping[str, str] | None = None,
     ) -> None:
-        """Open the files and list their topics."""
         self.path = Path(path)
         self.warn = on_warning
         self._given = dict(topics or {})

@@ -94,11 +94,23 @@ def sensor_events(
     )
     depth = decode.BitDepth()
 
+    def frame(entry: BagMessage) -> CameraFrame:
+        stamped = decode.stamp_ns(entry.message.header)
+        stamp = stamped - late_image
+        pixels, camera = decode.camera_image(entry.message, cameras.at(stamped), True, depth)
+        sample = joints.at(stamp + late_joints, entry.stamp_ns)
+        if isinstance(sample, Refusal):
+            raise LandmarkNavError(
+                f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it '
+                f'({sample}): record joint_states at 10 Hz at least, on the same clock'
+            )
+        return CameraFrame(image=pixels, camera=camera, **(vars(sample) | {'stamp_ns': stamp}))
+
     def earlier(sample: OdometrySample) -> OdometrySample:
         return replace(sample, stamp_ns=sample.stamp_ns - late_odometry)
 
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
-        images: lambda entry: _frame(bag, entry, cameras, joints, late_joints, late_image, depth),
+        images: frame,
         odometry: lambda entry: earlier(decode.odometry(entry.message)),
     }
     if truth is not None:
@@ -163,33 +175,3 @@ def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
     if truth := bag.find('ground_truth/odom'):
         decoders[truth] = truth_decoder(bag, truth)
     yield from _usable(bag, once(bag.messages(decoders)), decoders, {})
-
-
-def _frame(
-    bag: Bag,
-    entry: BagMessage,
-    cameras: CameraInfos,
-    joints: JointLog,
-    late_joints_ns: int,
-    late_image_ns: int,
-    depth: decode.BitDepth,
-) -> CameraFrame:
-    stamped = decode.stamp_ns(entry.message.header)
-    stamp = stamped - late_image_ns
-    pixels, camera = decode.camera_image(entry.message, cameras.at(stamped), True, depth)
-    sample = joints.at(stamp + late_joints_ns, entry.stamp_ns)
-    if isinstance(sample, Refusal):
-        raise LandmarkNavError(
-            f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it '
-            f'({sample}): record joint_states at 10 Hz at least, on the same clock'
-        )
-    return CameraFrame(
-        stamp,
-        pixels,
-        camera,
-        sample.pan_rad,
-        sample.tilt_rad,
-        pan_rate_rad_s=sample.pan_rate_rad_s,
-        pan_sigma_rad=sample.pan_sigma_rad,
-        pan_track=sample.pan_track,
-    )

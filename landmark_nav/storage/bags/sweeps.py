@@ -88,10 +88,8 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
         while not plan.is_complete and (entry := next(entries, None)) is not None:
             _add(bag, entry, cameras, depth, at)
         last = plan is plans[-1]
-        frames = [
-            replace(plan.frames[k], image=depth.lowered(plan.frames[k].image, plan.bits[k]))
-            for k in sorted(plan.frames)
-        ]
+        ordered = [(plan.frames[stamp], plan.bits[stamp]) for stamp in sorted(plan.frames)]
+        frames = [replace(one, image=depth.lowered(one.image, bits)) for one, bits in ordered]
         if plan.unusable:
             _check_unusable(bag, topic, plan, numbers, frames)
         if _covers(bag, plan, frames, cut_off=last and not bag.complete):

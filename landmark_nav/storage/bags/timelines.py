@@ -44,7 +44,6 @@ class JointHistory:
     def __init__(
         self, samples: Iterable[JointSample], tilts: Iterable[tuple[int, float]] = ()
     ) -> None:
-        """Sort the measurements by time."""
         self._tilts = np.array(sorted(tilts)).T
         by_stamp = {sample.stamp_ns: sample for sample in samples}
         self._stamps = sorted(by_stamp)

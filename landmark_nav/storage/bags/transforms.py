@@ -85,16 +85,12 @@ def _transforms(bag: Bag, topic: str | None) -> list[tuple[int, int, str, str, F
     """Log times, stamps, child frames, parent frames and rotations of the transforms."""
 
     def rotations(entry: BagMessage) -> list[tuple[int, int, str, str, FloatArray]]:
-        return [
-            (
-                entry.stamp_ns,
-                decode.stamp_ns(one.header),
-                str(one.child_frame_id).lstrip('/'),
-                str(one.header.frame_id).lstrip('/'),
-                _rotation(one.transform.rotation),
-            )
-            for one in entry.message.transforms
-        ]
+        found = []
+        for one in entry.message.transforms:
+            frames = (str(k).lstrip('/') for k in (one.child_frame_id, one.header.frame_id))
+            rotation, stamp_ns = _rotation(one.transform.rotation), decode.stamp_ns(one.header)
+            found.append((entry.stamp_ns, stamp_ns, *frames, rotation))
+        return found
 
     return [one for part in decoded(bag, topic, rotations) for one in part] if topic else []
 
