@@ -290,8 +290,8 @@ class Calibration:
         table: dict[str, dict[str, float | bool | str]] = {}
         for name in NAMES:
             (value, sigma), (before, _) = self[name], prior[name]
-            found = {'prior': before, 'value': value, 'sigma': sigma, 'unit': UNITS[name]}
-            table[name] = {**found, 'observed': name not in hidden}
+            table[name] = {'prior': before, 'value': value, 'sigma': sigma, 'unit': UNITS[name]}
+            table[name]['observed'] = name not in hidden
         return table
 
     def sigmas_from(self, first: str) -> npt.NDArray[np.float64]:

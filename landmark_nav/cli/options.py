@@ -140,7 +140,7 @@ def wrapped(lines: Iterable[str]) -> str:
     """Join lines to a text; long lines are wrapped with a deeper indent."""
     columns = shutil.get_terminal_size((_WIDTH, 24)).columns
     width = min(max(columns, _LEAST_WIDTH), _WIDTH)
-    whole = {'break_long_words': False, 'break_on_hyphens': False}
+    whole: dict[str, Any] = {'break_long_words': False, 'break_on_hyphens': False}
     filled = []
     for line in lines:
         deeper = ' ' * (len(line) - len(line.lstrip()) + 4)

@@ -102,7 +102,8 @@ def _hang(
 def _item_surface(item: WallItem, room: Room, across: FloatArray) -> Surface:
     size = item.width_m, item.height_m
     corner = item.center(room) - across * size[0] / 2 + _UP * size[1] / 2
-    drawing = draw_item(item.kind, item.seed, tuple(round(k / _WALL_TEXEL_M) for k in size[::-1]))
+    columns, rows = (round(length / _WALL_TEXEL_M) for length in size)
+    drawing = draw_item(item.kind, item.seed, (rows, columns))
     return Surface(corner, across, -_UP, *size, drawing, slants=_WALL_SLANTS)
 
 

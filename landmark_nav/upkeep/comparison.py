@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import cv2
 import numpy as np
@@ -192,7 +193,8 @@ def resampled(
     corner = center - scale * (np.array(shape[::-1]) - 1) / 2.0
     where = np.array([[scale[0], 0.0, corner[0]], [0.0, scale[1], corner[1]]])
     blurred, linear = blur_to(k.patch.astype(np.float32), scale), cv2.INTER_LINEAR
-    how = {'flags': linear | cv2.WARP_INVERSE_MAP, 'borderMode': cv2.BORDER_REPLICATE}
+    how: dict[str, Any] = {'flags': linear | cv2.WARP_INVERSE_MAP}
+    how['borderMode'] = cv2.BORDER_REPLICATE
     return np.asarray(cv2.warpAffine(blurred, where, shape[::-1], **how), dtype=np.float32)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -106,10 +107,10 @@ def number_landmarks(
     obstacles = np.concatenate(taken), np.concatenate(taken_sizes)
     free = style.free_labels(places - 0.5 * sizes, sizes, *obstacles)
     places, ids = places[free], ids[free]
-    look = {'fontsize': 7, 'ha': 'center', 'va': 'center', 'color': '#333333', 'zorder': 8}
+    look: dict[str, Any] = {'fontsize': 7, 'ha': 'center', 'va': 'center', 'zorder': 8}
     for number, (x, y) in zip(ids, places, strict=True):
         # The text is inside the axes; to check that in the layout is slow.
-        axes.text(x, y, str(number), **look).set_in_layout(False)
+        axes.text(x, y, str(number), color='#333333', **look).set_in_layout(False)
 
 
 _COUNT = 3
@@ -325,7 +326,7 @@ def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
     known = error[np.isfinite(error)]
     low, high = (float(np.quantile(known, q)) for q in (0.0, 0.98))
     axes.set_facecolor('#f4f4f4')
-    look = {'cmap': 'viridis_r', 'vmin': low, 'vmax': max(high, low + 0.1)}
+    look: dict[str, Any] = {'cmap': 'viridis_r', 'vmin': low, 'vmax': max(high, low + 0.1)}
     heat = axes.pcolormesh(x, y, error, zorder=1, shading='nearest', **look)
     figure = axes.figure
     bar = figure.colorbar(heat, ax=axes, shrink=0.75, extend='max', pad=0.02)

@@ -55,7 +55,7 @@ def save(figure: Figure, path: Path) -> None:
     """
     drawn = BytesIO()
     # Higher levels halve the size, but take many times as long.
-    fast = {'metadata': {'Software': None}, 'pil_kwargs': {'compress_level': 1}}
+    fast: dict[str, Any] = {'metadata': {'Software': None}, 'pil_kwargs': {'compress_level': 1}}
     figure.savefig(drawn, bbox_inches='tight', pad_inches=0.12, **fast)
     write_atomically(path, drawn.getvalue())
 

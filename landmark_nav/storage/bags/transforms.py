@@ -87,9 +87,9 @@ def _transforms(bag: Bag, topic: str | None) -> list[tuple[int, int, str, str, F
     def rotations(entry: BagMessage) -> list[tuple[int, int, str, str, FloatArray]]:
         found = []
         for one in entry.message.transforms:
-            frames = (str(k).lstrip('/') for k in (one.child_frame_id, one.header.frame_id))
+            child, parent = (str(k).lstrip('/') for k in (one.child_frame_id, one.header.frame_id))
             rotation, stamp_ns = _rotation(one.transform.rotation), decode.stamp_ns(one.header)
-            found.append((entry.stamp_ns, stamp_ns, *frames, rotation))
+            found.append((entry.stamp_ns, stamp_ns, child, parent, rotation))
         return found
 
     return [one for part in decoded(bag, topic, rotations) for one in part] if topic else []
