@@ -119,9 +119,8 @@ def _grid(given: Any, where: str) -> list[dict[str, Any]]:
     for name in given:
         command, _, option = str(name).partition('.')
         if command not in COMMANDS or not option:
-            raise LandmarkNavError(
-                f'{where}: grid: {shown(name)}: write COMMAND.OPTION or COMMAND.config.NAME'
-            )
+            how = 'write COMMAND.OPTION or COMMAND.config.NAME'
+            raise LandmarkNavError(f'{where}: grid: {shown(name)}: {how}')
     columns = [list_field(given, name, f'{where}: grid') for name in given]
     if math.prod(map(len, columns)) > _MOST_RUNS:
         raise LandmarkNavError(f'{where}: grid has more than {_MOST_RUNS} combinations')
@@ -134,9 +133,8 @@ def _folders(base: Path, entry: Mapping[str, Any], where: str) -> Iterator[Path]
     if Path(pattern).is_absolute():
         base, pattern = Path(Path(pattern).anchor), str(Path(pattern).relative_to('/'))
     if '**' in pattern:
-        raise LandmarkNavError(
-            f'{where}: folder {pattern}: ** is not taken: write a * for each level of folders'
-        )
+        how = 'write a * for each level of folders'
+        raise LandmarkNavError(f'{where}: folder {pattern}: ** is not taken: {how}')
     folders = [base] if pattern in ('.', '') else sorted(base.glob(pattern))
     folders = [folder for folder in folders if folder.is_dir()]
     if not folders:

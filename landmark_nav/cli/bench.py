@@ -58,15 +58,13 @@ from landmark_nav.types import (
     Sweep,
 )
 
-CAMERA = CameraModel(
-    512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', (-0.12, 0.03, 0.0005, -0.0003, 0.0)
-)
+_LENS = (-0.12, 0.03, 0.0005, -0.0003, 0.0)
+CAMERA = CameraModel(512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', _LENS)
 _MOUNT = PanTiltMount(axis_xyz=(0.08, 0.0, 1.1))
 _STEP_RAD = np.radians(5.0)
 _BEARING_SIGMA_RAD = 1e-3
-_COLUMNS, _ROWS = np.meshgrid(
-    np.arange(512, dtype=np.float32) + np.float32(0.3), np.arange(512, dtype=np.float32)
-)
+_PIXELS = np.arange(512, dtype=np.float32)
+_COLUMNS, _ROWS = np.meshgrid(_PIXELS + np.float32(0.3), _PIXELS)
 _HEAD = ('stage', 'ms', '95 % ms', 'ref ms', 'ratio', 'reference')
 
 

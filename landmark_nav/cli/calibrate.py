@@ -76,9 +76,8 @@ def run(args: argparse.Namespace) -> int:
     drives = [bag for bag in bags if bag.find(*DRIVE_IMAGES) and bag.find('odom')]
     for bag in bags:
         if bag not in sweeps and bag not in drives:
-            raise LandmarkNavError(
-                f'{bag.path}: holds no sweep and no drive (images with odometry): take another'
-            )
+            what = 'no sweep and no drive (images with odometry)'
+            raise LandmarkNavError(f'{bag.path}: holds {what}: take another')
     if sweeps and room is None and not (drives and landmarks):
         raise UsageError(f'{sweeps[0].path}: sweeps need --room')
 
@@ -149,9 +148,8 @@ def _use_drive(work: _Work, bag: Bag) -> None:
     """Calibrate by a drive, with the current estimate as the prior."""
     landmarks, known = work.landmarks, work.known
     if landmarks is None or not landmarks.landmarks:
-        raise LandmarkNavError(
-            f'{bag.path}: a drive needs a map: give --map, or --room and a bag with two sweeps'
-        )
+        how = 'give --map, or --room and a bag with two sweeps'
+        raise LandmarkNavError(f'{bag.path}: a drive needs a map: {how}')
     room = Room(landmarks.walls) if landmarks.walls else None
     diagnosis = checked(bag, known, room)
     late = diagnosis.delays

@@ -130,9 +130,8 @@ def _report(
     else:
         learned = learn_from_panoramas(swept, room, LearningConfig())
         inputs['room'] = folder / 'room.yaml'
-    page = drive_page(
-        measured, run, errors, landmarks, calibration, strip, papers=room.papers if room else ()
-    )
+    papers = room.papers if room else ()
+    page = drive_page(measured, run, errors, landmarks, calibration, strip, papers=papers)
     page['data']['panoramas'] = panoramas(learned)
     write_report(folder / 'report.html', page, 'Demo', command, inputs)
     write_json(folder / 'demo.json', measured)
@@ -142,9 +141,8 @@ def _report(
         narrator.print_line(line)
     checks = scenario.judge(measured)
     if unclean:
-        checks.append(
-            scenario.Check(False, f'{", ".join(unclean)} did not end cleanly: see logs/')
-        )
+        text = f'{", ".join(unclean)} did not end cleanly: see logs/'
+        checks.append(scenario.Check(False, text))
     narrator.title('Result')
     for check in checks:
         narrator.print_line(f'{"ok    " if check.passed else "FAILED"}  {check.text}')

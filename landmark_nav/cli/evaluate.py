@@ -111,9 +111,8 @@ def run(args: argparse.Namespace) -> int:
     if not in_frame:
         check_truth_frame(bag, landmarks.frame_id)
         if other := run_report.other_frame(done, errors):
-            bag.warn(
-                f'{bag.path}: ground_truth/odom has another frame or unit than the map: {other}'
-            )
+            text = 'ground_truth/odom is in another frame or unit than the map'
+            bag.warn(f'{bag.path}: {text}: {other}')
     if len(done.truth) and np.isnan(errors.fused).all():
         begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
         bag.warn(

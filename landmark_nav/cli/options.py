@@ -201,9 +201,8 @@ def progress(iterable: Iterable[T], description: str, total: int | None = None) 
     if not logging.getLogger().isEnabledFor(logging.WARNING):
         yield from iterable
     elif sys.stderr is not None and sys.stderr.isatty():
-        yield from tqdm(
-            iterable, desc=description, total=total, delay=_FIRST_S, leave=False, file=sys.stderr
-        )
+        bar: Any = {'desc': description, 'total': total, 'leave': False}
+        yield from tqdm(iterable, delay=_FIRST_S, file=sys.stderr, **bar)
     else:
         begin = shown = time.monotonic()
         total = len(iterable) if total is None and isinstance(iterable, Sized) else total

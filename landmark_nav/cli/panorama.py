@@ -108,7 +108,5 @@ def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
         raise LandmarkNavError(f'{bag.path}: holds no whole sweep: take another')
     if found is None or (number is None and total > 1):
         which = '' if number is None else f', no number {number}'
-        raise UsageError(
-            f'{bag.path}: has {total} sweeps{which}: take one by --sweep 1 to {total}'
-        )
+        raise UsageError(f'{bag.path}: has {total} sweeps{which}: take --sweep 1 to {total}')
     return found

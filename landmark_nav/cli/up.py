@@ -19,9 +19,8 @@ from landmark_nav.storage.setup_files import load_room
 
 _POLL_S = 0.1
 # Log format of all nodes, with date and time instead of seconds since 1970.
-_LOG_FORMAT = {
-    'RCUTILS_CONSOLE_OUTPUT_FORMAT': '{date_time_with_ms} [{severity}] {name}: {message}'
-}
+_LINE = '{date_time_with_ms} [{severity}] {name}: {message}'
+_LOG_FORMAT = {'RCUTILS_CONSOLE_OUTPUT_FORMAT': _LINE}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -358,9 +358,7 @@ def run_scenario(
 
     way_m = float(np.linalg.norm(np.diff(room.tour, axis=0), axis=1).sum())
     narrator.title(f'Driving {way_m:.0f} m, steered by the fused pose')
-    narrator.print_line(
-        'the camera keeps turning to the three landmarks that are expected to give the best fix'
-    )
+    narrator.print_line('the camera keeps turning to the three landmarks of the best expected fix')
     with robot.recording(folder / 'recording', RECORDED_TOPICS, room.mount):
         if room.room_file:  # otherwise learning has published the pose
             robot.start_at(second)

@@ -97,9 +97,8 @@ def matched(first: Corners, second: Corners) -> tuple[FloatArray, FloatArray] | 
     begin = cv2.perspectiveTransform(points, homography).astype(np.float32)
     search: dict[str, Any] = {'winSize': (15, 15), 'maxLevel': 1}
     search['flags'] = cv2.OPTFLOW_USE_INITIAL_FLOW
-    found, tracked, _ = cv2.calcOpticalFlowPyrLK(
-        first.image, second.image, points, begin.copy(), **search
-    )
+    images = first.image, second.image
+    found, tracked, _ = cv2.calcOpticalFlowPyrLK(*images, points, begin.copy(), **search)
     near_px = np.linalg.norm(found - begin, axis=2).ravel() < _TRACKED_PX
     kept = (tracked.ravel() > 0) & near_px
     if kept.sum() < _LEAST_MATCHES:
@@ -233,9 +232,8 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     found = {}
     for name, error in _ERRORS.items():
         fits = [(*_best(matches, s, error, score), cost) for s, score, cost in starts]
-        found[name] = max(
-            ((value, score - cost) for value, score, cost in fits), key=lambda f: f[1]
-        )
+        scored = ((value, score - cost) for value, score, cost in fits)
+        found[name] = max(scored, key=lambda pair: pair[1])
     name = max(found, key=lambda key: found[key][1])
     score = found[name][1]
     if score < none + _CERTAIN:
@@ -337,9 +335,8 @@ def _rays(matches: Matches, camera: CameraModel) -> tuple[FloatArray, FloatArray
     pixels = matches.before_px, matches.after_px, at + aside[0], at + aside[1]
     ends = np.cumsum([len(part) for part in pixels])
     before, after, *beside = np.split(camera.unproject(np.concatenate(pixels)), ends[:-1])
-    middle, right, down = (
-        ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in (after[::_SPARSE], *beside)
-    )
+    rays = after[::_SPARSE], *beside
+    middle, right, down = (ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays)
     area = np.linalg.norm(np.cross(right - middle, down - middle), axis=1)
     return before, after, float(np.mean(np.log(np.maximum(area, 1e-12))))
 

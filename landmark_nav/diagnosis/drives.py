@@ -144,9 +144,8 @@ class DriveChecks:
         self, looks: Looks, streams: Sequence[Stream], found: list[Finding]
     ) -> _Judged:
         steps = stamps.lone_steps(looks.stream, streams)
-        found += [
-            advice.step_finding(IMAGES, *one) for one in steps if abs(one[0]) > advice.CORRECTED_S
-        ]
+        large = [step for step in steps if abs(step[0]) > advice.CORRECTED_S]
+        found += [advice.step_finding(IMAGES, *step) for step in large]
         first, last = stamps.longest_part(looks.stream)
         streams = [stamps.in_step(stream.logged_within(first, last)) for stream in streams]
         images = looks.stream.logged_within(first, last)
@@ -361,7 +360,6 @@ def _clocks_by_log(
             off[name] = by_start
     how = ' by times of recording'
     if len(off) == 2 and np.ptp([*off.values()]) < _BY_LOG_S:
-        return [
-            advice.clock_finding(IMAGES, -float(np.mean([*off.values()])), how, corrected=False)
-        ]
+        late = -float(np.mean([*off.values()]))
+        return [advice.clock_finding(IMAGES, late, how, corrected=False)]
     return [advice.clock_finding(name, late, how, corrected=False) for name, late in off.items()]

@@ -165,9 +165,8 @@ def consistency(
         repeated = float(np.sum((factors.T @ factors) ** 2))
         n = min(n, white.size * len(white) / repeated) if repeated > 0.0 else n
     low, high = chdtri(_DEGREES_OF_FREEDOM * n, [0.975, 0.025]) / n
-    return Consistency(
-        float(np.mean(nees)), float(np.mean(nees < bound)), (float(low), float(high))
-    )
+    inside_95 = float(np.mean(nees < bound))
+    return Consistency(float(np.mean(nees)), inside_95, (float(low), float(high)))
 
 
 def _independent(white: FloatArray) -> float:

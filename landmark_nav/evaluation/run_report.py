@@ -320,10 +320,9 @@ def smooth_run(
         images.append(replace(seen, stamp_ns=update.stamp_ns, near=near))
     joint = JointFilter(landmark_map, calibration, run.start, config.estimator, config.odometry)
     poses = smoothed_poses(joint, track, images, lost)
-    stamps, at, covariances = zip(
-        *((p.stamp_ns, p.pose, p.covariance) for p in poses), strict=True
-    )
-    return Smoothed(np.array(stamps, dtype=np.int64), np.array(at), np.array(covariances))
+    stamps = np.array([pose.stamp_ns for pose in poses], dtype=np.int64)
+    covariances = np.array([pose.covariance for pose in poses])
+    return Smoothed(stamps, np.array([pose.pose for pose in poses]), covariances)
 
 
 def departures(run: Replay, smoothed: Smoothed) -> str:

@@ -308,9 +308,8 @@ def generate_room(rng: np.random.Generator) -> Room:
     if length > 6.0 and rng.random() < 1.0 / 3.0:
         notch = np.round(np.array([length, width]) * rng.uniform(0.25, 0.4, 2), 1)
         inner = np.array([length, width]) - notch
-        outline = np.array(
-            [[0, 0], [length, 0], [length, inner[1]], inner, [inner[0], width], [0, width]]
-        )
+        foot, head = [[0, 0], [length, 0], [length, inner[1]]], [[inner[0], width], [0, width]]
+        outline = np.array([*foot, inner, *head])
     for axis, size in ((0, length), (1, width)):
         if rng.random() < 0.5:
             outline[:, axis] = size - outline[:, axis]

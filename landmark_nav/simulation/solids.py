@@ -67,9 +67,8 @@ def _drawn_walls(seed: int, room: Room, items: tuple[WallItem, ...]) -> tuple[So
                 top = height - item.center_z_m - item.height_m / 2
                 _hang(texture, item, (left / wall.length, top / height), wall.length, height)
         corner = np.array([*end, height])
-        surfaces = [
-            Surface(corner, across, -_UP, wall.length, height, texture, slants=_WALL_SLANTS)
-        ]
+        size = wall.length, height
+        surfaces = [Surface(corner, across, -_UP, *size, texture, slants=_WALL_SLANTS)]
         surfaces += [_item_surface(item, room, across) for item in hung if item.before_m > 0.0]
         surfaces += [
             _paper_surface(paper, across)
@@ -137,9 +136,8 @@ def box_solid(box: Box) -> Solid:
     size = (float(np.linalg.norm(long)), float(np.linalg.norm(deep)))
     texture = _box_texture(box, color, 4, size)
     corner = np.array([*corners[3], height])
-    surfaces.append(
-        Surface(corner, np.append(long / size[0], 0), np.append(deep / size[1], 0), *size, texture)
-    )
+    across, down = np.append(long / size[0], 0.0), np.append(deep / size[1], 0.0)
+    surfaces.append(Surface(corner, across, down, *size, texture))
     return Solid(corners, tuple(surfaces))
 
 

@@ -160,9 +160,8 @@ def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
         patch = reading.read_image(folder / name, cv2.IMREAD_GRAYSCALE, _MAX_PATCH_PIXELS)
         pixels += patch.size
         if pixels > _MAX_MAP_PIXELS:
-            raise LandmarkNavError(
-                f'{folder}: the patches have over {_MAX_MAP_PIXELS / 1e6:g} million pixels'
-            )
+            many = f'over {_MAX_MAP_PIXELS / 1e6:g} million pixels'
+            raise LandmarkNavError(f'{folder}: the patches have {many}')
         return patch
 
     return patch_of
@@ -248,9 +247,7 @@ def load_map(folder: Path | str) -> LandmarkMap:
     version = reading.field(document, 'schema_version', where)
     if version not in _READ or isinstance(version, bool):
         newer = isinstance(version, int) and version > SCHEMA_VERSION
-        remedy = (
-            'update landmark_nav' if newer else 'learn the map again with `landmark-nav learn`'
-        )
+        remedy = 'update landmark_nav' if newer else 'learn the map again'
         raise LandmarkNavError(
             f'{path}: schema version {shown(version)}, this landmark_nav reads {SCHEMA_VERSION}: '
             f'{remedy}'

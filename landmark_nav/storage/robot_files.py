@@ -183,9 +183,8 @@ def _spread(mapping: dict[str, Any], key: str, names: tuple[str, ...], where: st
     largest = _LARGEST[UNITS[names[0]]]
     if min(spread) < 0.0 or max(spread) > largest:
         unit = UNITS[names[0]].replace('1', 'a fraction')
-        raise LandmarkNavError(
-            f'{where}: {key} is {mapping[key]!r}: give sigmas of 0 to {largest:g}, in {unit}'
-        )
+        how = f'give sigmas of 0 to {largest:g}, in {unit}'
+        raise LandmarkNavError(f'{where}: {key} is {mapping[key]!r}: {how}')
     return list(spread)
 
 

@@ -106,9 +106,8 @@ def wall_of(entry: Any, where: str) -> Wall:
         reading.check_spelling(entry, ('id', 'start', 'end', 'height', 'sigma_m'), where)
         sigma = reading.number_field(entry, 'sigma_m', where) if 'sigma_m' in entry else None
     if sigma is not None and not 0.0 < sigma <= _MAX_WALL_SIGMA_M:
-        raise LandmarkNavError(
-            f'{where}: sigma_m is {sigma:g}: take more than 0, up to {_MAX_WALL_SIGMA_M:g} m'
-        )
+        how = f'take more than 0, up to {_MAX_WALL_SIGMA_M:g} m'
+        raise LandmarkNavError(f'{where}: sigma_m is {sigma:g}: {how}')
     return Wall(
         reading.name_field(entry, 'id', where),
         _point(entry, 'start', 2, where),
@@ -223,9 +222,8 @@ def mount_of(document: dict[str, Any], path: Path) -> PanTiltMount:
 def _within(document: dict[str, Any], key: str, low: float, high: float, unit: str) -> float:
     value = reading.number_field(document, key, 'robot')
     if not low <= value <= high:
-        raise LandmarkNavError(
-            f'robot: {key} is {value:g}: take {low:g} to {high:g}; it is in {unit}'
-        )
+        how = f'take {low:g} to {high:g}; it is in {unit}'
+        raise LandmarkNavError(f'robot: {key} is {value:g}: {how}')
     return value
 
 

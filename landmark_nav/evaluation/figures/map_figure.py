@@ -317,9 +317,8 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
 
 def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
     """Draw a heat map in millimetres with lines of equal error; unknown cells are blank."""
-    (x, column), (y, row) = (
-        np.unique(np.round(values, 6), return_inverse=True) for values in forecast.floor_xy.T
-    )
+    at = np.round(forecast.floor_xy.T, 6)
+    (x, column), (y, row) = (np.unique(values, return_inverse=True) for values in at)
     error = np.full((len(y), len(x)), np.nan)
     sigma_mm = 1e3 * forecast.sigma_m
     error[row, column] = np.where(np.isfinite(sigma_mm), sigma_mm, np.nan)

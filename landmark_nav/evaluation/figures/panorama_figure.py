@@ -226,9 +226,8 @@ def draw_features_alone(
         show(above, strip.cut(maps.saliency), title)
         show(view, strip.cut(panorama.image))
         for number, (candidate, place) in enumerate(chosen, 1):
-            color, line = (
-                (style.ODOMETRY, '--') if id(candidate) in refused else (style.LANDMARK, '-')
-            )
+            wrong = id(candidate) in refused
+            color, line = (style.ODOMETRY, '--') if wrong else (style.LANDMARK, '-')
             mark(view, place, candidate, str(number), color, line)
     text = (
         'Figure 7. What attention selects by one feature at a time. Above, conspicuity maps; '

@@ -118,9 +118,8 @@ def drive_page(
     shown[1:] |= status[1:] != status[:-1]
     chosen = np.asarray(order[shown])
     found = Counter(int(k) for u in run.updates for k in u.observation.detections.ids)
-    expected = found + Counter(
-        int(k) for u in run.updates for k in u.observation.detections.missed
-    )
+    missed = (u.observation.detections.missed for u in run.updates)
+    expected = found + Counter(int(k) for ids in missed for k in ids)
     data = {
         'map': _map(landmarks, papers, found, expected),
         'run': _drive(run, chosen, landmarks, calibration, strip, smoothed),

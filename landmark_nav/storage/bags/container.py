@@ -313,9 +313,7 @@ class McapFile:
         self._seen[key] = payload
         self._defined += 1
         if self._defined > 2 * MAX_CHANNELS:
-            raise LandmarkNavError(
-                f'{self.name}: over {MAX_CHANNELS} channels: no recording of a robot'
-            )
+            raise LandmarkNavError(f'{self.name}: over {MAX_CHANNELS} channels: no recording')
         content = ReadDataStream(BytesIO(payload))
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(content)

@@ -172,9 +172,7 @@ def has_header(type_name: str) -> bool:
 def _size(fields: Mapping[str, Any], name: str, inside: tuple[str, ...]) -> int:
     """Number of fields of a message, including those of its parts; recursion is refused."""
     if name in inside:
-        raise LandmarkNavError(
-            f'the definition of {name} in the bag contains itself: record it anew'
-        )
+        raise LandmarkNavError(f'the definition of {name} contains itself: record it again')
     total = 0
     for _, description in fields[name]:
         count, element = 1, description

@@ -241,9 +241,8 @@ def _without_metadata(path: Path, on_warning: Callable[[str], None]) -> list[Pat
             f'{path}: holds {len(inside)} bags ({", ".join(inside[:5])}): give one of them, '
             f'such as {path / inside[0]}'
         )
-    raise LandmarkNavError(
-        f'{path}: not a bag: a folder without metadata.yaml and without bag files: {_WHAT}'
-    )
+    what = 'a folder without metadata.yaml and without bag files'
+    raise LandmarkNavError(f'{path}: not a bag: {what}: {_WHAT}')
 
 
 def _bag_files(folder: Path) -> list[Path]:

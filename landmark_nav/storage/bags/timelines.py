@@ -234,9 +234,8 @@ def too_fast(samples: Iterable[JointSample]) -> Refusal | None:
     rate = float(np.median(np.abs(moving[:, 1]) / moving[:, 0]))
     if rate <= _FASTEST_RAD_S:
         return None
-    return Refusal(
-        f'the pan turns by {rate:.0f} rad/s', 'are these degrees or ticks, or of two publishers?'
-    )
+    why = 'are these degrees or ticks, or of two publishers?'
+    return Refusal(f'the pan turns by {rate:.0f} rad/s', why)
 
 
 class CameraInfos:
