@@ -99,24 +99,16 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.json)
     cv2.setNumThreads(1)
     rows = [_timed(each, args.repeats) for each in progress(_comparisons(args.seed), 'timing')]
-    print('\n'.join(aligned(_HEAD, map(_cells, rows))))
-    if args.json:
-        document = {
-            'schema': 1,
-            'machine': platform.machine(),
-            'python': platform.python_version(),
-            'numpy': np.__version__,
-            'opencv': cv2.__version__,
-            'stages': rows,
-        }
-        write_json(args.json, document)
+    cells = []
+    for row in rows:
+        times = [row[key] for key in ('seconds', 'p95_seconds', 'reference_seconds')]
+        shown = ('' if seconds is None else f'{1e3 * seconds:.4g}' for seconds in times)
+        cells.append([row['stage'], *shown, f'{row["ratio"]:.2f}', row['reference']])
+    print('\n'.join(aligned(_HEAD, cells)))
+    versions = {'python': platform.python_version(), 'numpy': np.__version__}
+    versions |= {'machine': platform.machine(), 'opencv': cv2.__version__}
+    write_json(args.json, {'schema': 1, **versions, 'stages': rows})
     return 0
-
-
-def _cells(row: dict[str, Any]) -> list[str]:
-    times = [row[key] for key in ('seconds', 'p95_seconds', 'reference_seconds')]
-    shown = ('' if seconds is None else f'{1e3 * seconds:.4g}' for seconds in times)
-    return [row['stage'], *shown, f'{row["ratio"]:.2f}', row['reference']]
 
 
 def _timed(comparison: _Comparison, repeats: int) -> dict[str, Any]:
@@ -157,12 +149,10 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
         rotation, center = _MOUNT.camera_pose_map(pose, pan_rad)
         return CameraFrame(0, renderer.render(rotation, center), CAMERA, pan_rad)
 
-    sweeps = [
-        Sweep(
-            0, tuple(frame(pose, pan) for pan in _STEP_RAD * np.arange(72)), _estimate(pose, 1e-3)
-        )
-        for pose in places.poses
-    ]
+    sweeps = []
+    for pose in places.poses:
+        frames = tuple(frame(pose, pan) for pan in _STEP_RAD * np.arange(72))
+        sweeps.append(Sweep(0, frames, _estimate(pose, 1e-3)))
     image = sweeps[0].frames[0].image
     yield _Comparison(
         'simulated image, 512 x 512',
@@ -205,9 +195,8 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
     prior = _estimate(np.array([*places.poses[:, :2].mean(axis=0), 0.3]), 0.03)
 
     def expected(pan_rad: float) -> Any:
-        return triplet.visible_landmarks(
-            prior, learned.map, CAMERA, _MOUNT, pan_rad, 0.0, triplet.TripletConfig()
-        )
+        view = CAMERA, _MOUNT, pan_rad, 0.0, triplet.TripletConfig()
+        return triplet.visible_landmarks(prior, learned.map, *view)
 
     best = max(4.0 * _STEP_RAD * np.arange(18), key=lambda pan: len(expected(float(pan))))
     seen = frame(prior.pose, float(best))
@@ -288,16 +277,13 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
         f'numpy.linalg.lstsq, dense, {dense.shape[0]} x {dense.shape[1]}, once',
         lambda: np.linalg.lstsq(dense, dense[:, 0], rcond=None),
     )
-    across, down = _COLUMNS[:30, :30], _ROWS[:30, :30]
+    grid, twice = (_COLUMNS[:30, :30], _ROWS[:30, :30]), range(2 * len(patches))
+    after = adjustment, adjustment, panoramas, room, ElectionConfig()
     yield _Comparison(
         'election of a patch',
-        lambda: elect(
-            patches, measurements, adjustment, adjustment, panoramas, room, ElectionConfig()
-        ),
+        lambda: elect(patches, measurements, *after),
         'two cv2.remap of 30 x 30 px',
-        lambda: [
-            cv2.remap(greys[0], across, down, cv2.INTER_LINEAR) for _ in range(2 * len(patches))
-        ],
+        lambda: [cv2.remap(greys[0], *grid, cv2.INTER_LINEAR) for _ in twice],
         count=len(patches),
     )
 
@@ -306,12 +292,10 @@ def _triplet(name: str, landmark_map: LandmarkMap, prior: PoseEstimate) -> _Comp
     count = len(landmark_map.landmarks)
     few = np.array(list(combinations(range(min(count, 40)), 3)))
     tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
-    config = triplet.TripletConfig()
+    view = CAMERA, _MOUNT, triplet.TripletConfig(), triplet.CameraState(0.0)
     return _Comparison(
         name,
-        lambda: triplet.rank_triplets(
-            prior, landmark_map, CAMERA, _MOUNT, config, triplet.CameraState(0.0)
-        ),
+        lambda: triplet.rank_triplets(prior, landmark_map, *view),
         f'variances of {len(few)} triplets, all at once',
         lambda: mean_variance(tables, few),
     )
@@ -319,13 +303,10 @@ def _triplet(name: str, landmark_map: LandmarkMap, prior: PoseEstimate) -> _Comp
 
 def _crowded(landmark_map: LandmarkMap, count: int) -> LandmarkMap:
     """Return `count` landmarks, within half a metre of those of a map."""
-    rng = np.random.default_rng(count)
-    return LandmarkMap(
-        tuple(
-            replace(one, id=k, position=one.position + rng.uniform(-0.5, 0.5, 3))
-            for k, one in zip(range(count), cycle(landmark_map.landmarks), strict=False)
-        )
-    )
+    rng, crowd = np.random.default_rng(count), []
+    for k, one in zip(range(count), cycle(landmark_map.landmarks), strict=False):
+        crowd.append(replace(one, id=k, position=one.position + rng.uniform(-0.5, 0.5, 3)))
+    return LandmarkMap(tuple(crowd))
 
 
 def _of_drive(

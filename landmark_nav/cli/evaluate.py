@@ -93,9 +93,8 @@ def run(args: argparse.Namespace) -> int:
     diagnosis = checked(bag, calibration, Room(landmarks.walls) if measured else None)
     late = diagnosis.delays
     # A measured delay has a sigma.
-    delay_s = calibration['joint_delay'][0] + late.joints_s
-    calibration = calibration.with_values(joint_delay=delay_s)
-    calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
+    delayed = calibration.with_values(joint_delay=calibration['joint_delay'][0] + late.joints_s)
+    calibration = delayed.widened({'joint_delay': late.pan_sigma_s})
     events = sensor_events(bag, mount, 0.0, late.images_s, late.odometry_s)
     events = progress(events, 'localizing', total)
     strip = FrameStrip()

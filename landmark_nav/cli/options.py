@@ -74,13 +74,10 @@ def robot_client(command: str, **options: Any) -> Iterator[RobotClient]:
     from landmark_nav.demo.supervisor import Interruption
     from landmark_nav.ros.robot_client import RobotClient
 
-    with (
-        Interruption() as interruption,
-        RobotClient(
-            watch=interruption.check, name=f'{command}_{os.getpid()}', observes=False, **options
-        ) as client,
-    ):
-        yield client
+    with Interruption() as interruption:
+        options |= {'watch': interruption.check, 'name': f'{command}_{os.getpid()}'}
+        with RobotClient(observes=False, **options) as client:
+            yield client
 
 
 def open_bag(path: Path | str, args: argparse.Namespace) -> Bag:

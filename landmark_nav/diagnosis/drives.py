@@ -350,8 +350,8 @@ def _clocks_by_log(
     off = {}
     for name in (JOINTS, ODOMETRY):
         if slopes is not None and slopes.quiet:
-            late = slopes.pan_clock_s if name == JOINTS else slopes.odometry_clock_s
-            if late.sigma < _KNOWN_S:
+            shown = slopes.pan_clock_s if name == JOINTS else slopes.odometry_clock_s
+            if shown.sigma < _KNOWN_S:
                 continue
         by_log, by_start = (clock.offset_s for clock in hints.get(name, (Clock(), Clock()))[:2])
         if abs(by_log) > _BY_LOG_S:

@@ -125,11 +125,11 @@ def _name_papers(axes: Axes, panorama: Panorama, room: Room) -> None:
     for k, (column, row, half, color) in enumerate(sorted(seen)):
         way = -1.0 if row - half > _NAMES_PX else 1.0
         offset = (0.0, -way * _LINE_PT * (1.2 + k % 2))
+        at = (column, row + way * (half + 3.0))
+        box = {'boxstyle': 'round,pad=0.15', 'facecolor': 'white', 'linewidth': 0.0}
         axes.annotate(
-            f'{color} paper', (column, row + way * (half + 3.0)), offset,
-            textcoords='offset points', ha='center', va='center', fontsize=12,
-            arrowprops={'arrowstyle': '->'},
-            bbox={'boxstyle': 'round,pad=0.15', 'facecolor': 'white', 'linewidth': 0.0},
+            f'{color} paper', at, offset, textcoords='offset points', ha='center', va='center',
+            fontsize=12, arrowprops={'arrowstyle': '->'}, bbox=box,
         )  # fmt: skip
 
 

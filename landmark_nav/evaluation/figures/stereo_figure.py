@@ -154,8 +154,8 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room, landmark: 
         inside &= room.visible(panorama.center_map[:2], cells)
     sigma[~inside] = np.nan
     grid = sigma.reshape(len(y), len(x))
-    scale = {'cmap': 'viridis_r', 'norm': LogNorm(1.0, 100.0)}
-    heat = axes.pcolormesh(x, y, grid, shading='nearest', zorder=1, **scale)
+    norm = LogNorm(1.0, 100.0)
+    heat = axes.pcolormesh(x, y, grid, cmap='viridis_r', norm=norm, shading='nearest', zorder=1)
     lines = axes.contour(x, y, grid, _LEVELS_MM, colors='white', linewidths=1.0, zorder=2)
     style.draw_walls(axes, room.walls, _MARGIN_M)
     bar = axes.figure.colorbar(heat, ax=axes, shrink=0.7, extend='both')
