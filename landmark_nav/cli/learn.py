@@ -22,7 +22,7 @@ from landmark_nav.evaluation.report import check_report, learning_page, write_re
 from landmark_nav.evaluation.report.tables import learning_tables, learning_verdict
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning import unmeasured
-from landmark_nav.learning.pipeline import learn_from_panoramas
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import (
@@ -116,10 +116,7 @@ def run(args: argparse.Namespace) -> int:
             **found,
         )
         with shown.measure('drawing'):  # beyond the stages of the bar, which has ended
-            draw_map(result.map, folder / 'map.png', room.papers)
-            of_panoramas = zip(result.panoramas, result.candidates, result.outcomes, strict=True)
-            for k, drawn in enumerate(of_panoramas, 1):
-                draw_panorama(*drawn, folder / f'panorama_{k}.png')
+            _draw(result, room, folder)
         write_map(result.map, folder)
     truth = learning_report.truth_of_bag(bag)
     if result.map.has_own_frame:
@@ -146,6 +143,13 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         print(f'drawn: {args.report}')
     return 0
+
+
+def _draw(result: LearningResult, room: Room, folder: Path) -> None:
+    draw_map(result.map, folder / 'map.png', room.papers)
+    of_panoramas = zip(result.panoramas, result.candidates, result.outcomes, strict=True)
+    for k, drawn in enumerate(of_panoramas, 1):
+        draw_panorama(*drawn, folder / f'panorama_{k}.png')
 
 
 def located_sweeps(
