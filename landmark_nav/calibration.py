@@ -86,7 +86,6 @@ class Calibration:
     intrinsics: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        """Check the values."""
         n = len(NAMES)
         if self.values.shape != (n,) or self.covariance.shape != (n, n):
             raise LandmarkNavError(f'a calibration has {n} values and their covariance')
@@ -288,16 +287,12 @@ class Calibration:
     def differences(self, prior: Calibration) -> dict[str, dict[str, float | bool | str]]:
         """Table of the quantities by name: prior, value, sigma, unit, observed."""
         hidden = self.unobserved(prior)
-        return {
-            name: {
-                'prior': float(prior.values[k]),
-                'value': float(self.values[k]),
-                'sigma': float(self.sigmas[k]),
-                'unit': UNITS[name],
-                'observed': name not in hidden,
-            }
-            for k, name in enumerate(NAMES)
-        }
+        table: dict[str, dict[str, float | bool | str]] = {}
+        for name in NAMES:
+            (value, sigma), (before, _) = self[name], prior[name]
+            table[name] = {'prior': before, 'value': value, 'sigma': sigma, 'unit': UNITS[name]}
+            table[name]['observed'] = name not in hidden
+        return table
 
     def sigmas_from(self, first: str) -> npt.NDArray[np.float64]:
         """Sigmas (2,) of the quantity `first` and the next one."""

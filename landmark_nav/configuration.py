@@ -79,9 +79,7 @@ class Configuration(PanoramaStages, LearningConfig, LocalizationConfig):
     """
 
     robot_file: str = parameter('', 'robot.yaml: where the turning camera sits, joints, wheels')
-    room_file: str = parameter(
-        '', 'room.yaml: walls and reference area; empty: walls and poses are found'
-    )
+    room_file: str = parameter('', 'room.yaml: walls and papers; empty: walls and poses are found')
     map_folder: str = parameter('map', 'folder that save_map writes and load_map reads')
     load_on_start: bool = parameter(False, 'load the map as soon as the node starts')
     map_frame: str = parameter('map', 'frame of the map in messages and on /tf')

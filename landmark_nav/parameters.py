@@ -78,9 +78,8 @@ class Config:
             where = f'parameter {field.name} of {type(self).__name__}'
             choices = field.metadata.get('choices')
             if choices is not None and value not in choices:
-                raise LandmarkNavError(
-                    f'{where} is {shown(value)}: take one of {", ".join(choices)}'
-                )
+                allowed = f'take one of {", ".join(choices)}'
+                raise LandmarkNavError(f'{where} is {shown(value)}: {allowed}')
             if isinstance(value, bool) or not isinstance(value, int | float):
                 continue
             low, high = field.metadata.get('minimum'), field.metadata.get('maximum')

@@ -79,9 +79,8 @@ class PanoramaQuality:
         if self.closure:
             parts.append(self.closure)
         if np.isfinite(self.residual_px):
-            parts.append(
-                f'frames agree to {self.residual_px:.2f} px ({self.before_px:.2f} uncalibrated)'
-            )
+            before = f'{self.before_px:.2f} uncalibrated'
+            parts.append(f'frames agree to {self.residual_px:.2f} px ({before})')
         words = [str(term) for term in self.calibration if term.significant]
         parts.append(f'corrected: {", ".join(words)}' if words else 'no significant correction')
         return ', '.join(parts)

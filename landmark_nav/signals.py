@@ -42,7 +42,6 @@ class interrupting:  # noqa: N801
     """
 
     def __enter__(self) -> None:
-        """Install the handlers."""
         # Imported here because this module must import fast.
         from threading import current_thread, main_thread
 
@@ -55,7 +54,6 @@ class interrupting:  # noqa: N801
             signal.signal(number, self._interrupt)
 
     def __exit__(self, *error: object) -> None:
-        """Restore the previous handlers."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
 

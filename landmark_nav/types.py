@@ -288,7 +288,6 @@ class LandmarkMap:
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
-        """Check the numbers of shared factors."""
         by_map = None if self.calibration is None else self.calibration.by_map
         numbers = {k.shared_loading.shape[1] for k in self.landmarks}
         numbers |= set() if by_map is None else {by_map.shape[1]}
@@ -480,7 +479,6 @@ class Detections:
     intrinsics: FloatArray | None = None
 
     def __len__(self) -> int:
-        """Number of landmarks found."""
         return len(self.ids)
 
     def chosen(self, which: npt.NDArray[np.bool_]) -> Detections:

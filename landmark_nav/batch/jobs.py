@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 import hashlib
 from importlib import import_module
 from itertools import islice, product
@@ -119,9 +119,8 @@ def _grid(given: Any, where: str) -> list[dict[str, Any]]:
     for name in given:
         command, _, option = str(name).partition('.')
         if command not in COMMANDS or not option:
-            raise LandmarkNavError(
-                f'{where}: grid: {shown(name)}: write COMMAND.OPTION or COMMAND.config.NAME'
-            )
+            how = 'write COMMAND.OPTION or COMMAND.config.NAME'
+            raise LandmarkNavError(f'{where}: grid: {shown(name)}: {how}')
     columns = [list_field(given, name, f'{where}: grid') for name in given]
     if math.prod(map(len, columns)) > _MOST_RUNS:
         raise LandmarkNavError(f'{where}: grid has more than {_MOST_RUNS} combinations')
@@ -134,9 +133,8 @@ def _folders(base: Path, entry: Mapping[str, Any], where: str) -> Iterator[Path]
     if Path(pattern).is_absolute():
         base, pattern = Path(Path(pattern).anchor), str(Path(pattern).relative_to('/'))
     if '**' in pattern:
-        raise LandmarkNavError(
-            f'{where}: folder {pattern}: ** is not taken: write a * for each level of folders'
-        )
+        how = 'write a * for each level of folders'
+        raise LandmarkNavError(f'{where}: folder {pattern}: ** is not taken: {how}')
     folders = [base] if pattern in ('.', '') else sorted(base.glob(pattern))
     folders = [folder for folder in folders if folder.is_dir()]
     if not folders:
@@ -304,16 +302,11 @@ def run_all(
             yield run, _sum([outcome for outcome in done if outcome])
     if not open_runs:
         return
+    cluster: Any = scheduler
     if scheduler is None:
-        cluster: Any = distributed.LocalCluster(
-            n_workers=min(workers or os.cpu_count() or 1, len(open_runs)),
-            threads_per_worker=1,
-            memory_limit=0,
-            silence_logs=logging.ERROR,
-            scheduler_kwargs={'dashboard': False},
-        )
-    else:
-        cluster = scheduler
+        count = min(workers or os.cpu_count() or 1, len(open_runs))
+        settings = {'silence_logs': logging.ERROR, 'scheduler_kwargs': {'dashboard': False}}
+        cluster = distributed.LocalCluster(count, 1, memory_limit=0, **settings)
     try:
         client = distributed.Client(cluster, timeout='20s')
     except (OSError, ValueError) as error:
@@ -325,9 +318,8 @@ def run_all(
             for stage in run.stages:
                 if stage.key not in futures:
                     needed = [futures[key] for key in stage.after]
-                    futures[stage.key] = client.submit(
-                        _run_stage, stage, stages, needed, key=stage.key
-                    )
+                    work = client.submit(_run_stage, stage, stages, needed, key=stage.key)
+                    futures[stage.key] = work
             chain = [futures[stage.key] for stage in run.stages]
             ends[client.submit(_sum, chain, key=f'run {run.name}')] = run
         for end in distributed.as_completed(ends):
@@ -350,12 +342,8 @@ def _done(folder: Path) -> Outcome | None:
 
 def _sum(outcomes: Sequence[Outcome]) -> Outcome:
     """Outcome of a run: sum of those of its stages."""
-    return Outcome(
-        next((outcome.reason for outcome in outcomes if outcome.reason), ''),
-        sum(outcome.cpu_s for outcome in outcomes),
-        sum(outcome.wall_s for outcome in outcomes),
-        max(outcome.memory_mb for outcome in outcomes),
-    )
+    reasons, cpu_s, wall_s, memory_mb = zip(*map(astuple, outcomes), strict=True)
+    return Outcome(next(filter(None, reasons), ''), sum(cpu_s), sum(wall_s), max(memory_mb))
 
 
 def _run_stage(stage: Stage, stages: Path, needed: Sequence[Outcome]) -> Outcome:
@@ -386,12 +374,8 @@ def _run_stage(stage: Stage, stages: Path, needed: Sequence[Outcome]) -> Outcome
         )  # fmt: skip
         _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
-    outcome = Outcome(
-        _reason(folder) if process.returncode else '',
-        usage.ru_utime + usage.ru_stime,
-        time.monotonic() - begin,
-        usage.ru_maxrss / 1024.0,
-    )
+    reason, cpu_s = _reason(folder) if process.returncode else '', usage.ru_utime + usage.ru_stime
+    outcome = Outcome(reason, cpu_s, time.monotonic() - begin, usage.ru_maxrss / 1024.0)
     if outcome.reason:
         _replace(folder, stages / f'{stage.key}.failed')
         return outcome

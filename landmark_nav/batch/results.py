@@ -53,9 +53,7 @@ def row(run: Run, outcome: Outcome, results: Path) -> Row:
                 report = json.loads(read_text(path))
                 figures |= {name: read(report) for name, (read, _) in wanted.items()}
             except (ValueError, TypeError, KeyError, AttributeError) as error:
-                raise LandmarkNavError(
-                    f'{path}: no report: remove its folder, run again'
-                ) from error
+                raise LandmarkNavError(f'{path}: no report: remove its folder') from error
         else:
             figures |= dict.fromkeys(wanted)
     costs = {name: round(getattr(outcome, name), 3) for name in COSTS}
@@ -166,15 +164,10 @@ def page(
     good = [row for row in rows if not row['failure']]
     columns = [name for name in _columns(rows) if name not in ('run', 'failure', 'result_hash')]
     shown = [(row, _pictures(by_name[row['run']], results)) for row in good]
+    failures = [row for row in rows if row['failure']]
+    values = {'title': title, 'shown': shown, 'columns': columns, 'changes': changes}
     template = Environment(autoescape=True).from_string(_PAGE)
-    return template.render(
-        title=title,
-        shown=shown,
-        failures=[row for row in rows if row['failure']],
-        columns=columns,
-        changes=changes,
-        cell=_cell,
-    )
+    return template.render(values, failures=failures, cell=_cell)
 
 
 def _cell(value: Any) -> str:

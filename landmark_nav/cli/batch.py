@@ -23,23 +23,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('jobs', metavar='JOBS.yaml', type=Path, help='the runs: docs/batch.md')
     add(parser, '--out', default=Path('batch'), help='results (default batch)')
-    parser.add_argument(
-        '--scheduler',
-        metavar='ADDRESS',
-        help='of a scheduler that runs, such as tcp://host:8786; its workers need the same files',
-    )
-    parser.add_argument(
-        '--workers',
-        type=within(int, 1, 1024),
-        metavar='N',
-        help='processes on this machine, without --scheduler (default: one a core)',
-    )
-    parser.add_argument(
-        '--against',
-        metavar='RESULTS',
-        type=Path,
-        help='compare with an earlier batch run by run; exit status 1 where it got worse',
-    )
+    text = 'of a scheduler that runs, such as tcp://host:8786; its workers need the same files'
+    add(parser, '--scheduler', metavar='ADDRESS', help=text)
+    text = 'processes on this machine, without --scheduler (default: one a core)'
+    add(parser, '--workers', type=within(int, 1, 1024), metavar='N', help=text)
+    text = 'compare with an earlier batch run by run; exit status 1 where it got worse'
+    add(parser, '--against', metavar='RESULTS', type=Path, help=text)
 
 
 def run(args: argparse.Namespace) -> int:

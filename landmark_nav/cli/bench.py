@@ -17,7 +17,6 @@ from scipy.optimize import least_squares
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.options import add, aligned, progress, within
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -34,30 +33,20 @@ from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
 from landmark_nav.learning.reference_area.location import PaperSearch
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
-from landmark_nav.learning.stereo.wall_patch import (
-    own_measurement,
-    PatchMeasurement,
-    StereoConfig,
-    WallPatch,
-)
+from landmark_nav.learning.stereo import wall_patch
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.localization import triplet
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, View
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
 from landmark_nav.localization.triangulation import triangulate
-from landmark_nav.localization.triplet import (
-    CameraState,
-    rank_triplets,
-    TripletConfig,
-    visible_landmarks,
-)
 from landmark_nav.localization.triplet.search import mean_variance, pair_tables
 from landmark_nav.planning.planner import forecast, plan_positions
 from landmark_nav.planning.views import free_floor, PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.simulation.scene import choose_sweep_places
+from landmark_nav.simulation.scene import sweep_places
 from landmark_nav.storage.atomic_io import check_writable, write_json
 from landmark_nav.types import (
     CameraFrame,
@@ -69,25 +58,21 @@ from landmark_nav.types import (
     Sweep,
 )
 
-CAMERA = CameraModel(
-    512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', (-0.12, 0.03, 0.0005, -0.0003, 0.0)
-)
+_LENS = (-0.12, 0.03, 0.0005, -0.0003, 0.0)
+CAMERA = CameraModel(512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', _LENS)
 _MOUNT = PanTiltMount(axis_xyz=(0.08, 0.0, 1.1))
 _STEP_RAD = np.radians(5.0)
 _BEARING_SIGMA_RAD = 1e-3
-_COLUMNS, _ROWS = np.meshgrid(
-    np.arange(512, dtype=np.float32) + np.float32(0.3), np.arange(512, dtype=np.float32)
-)
+_PIXELS = np.arange(512, dtype=np.float32)
+_COLUMNS, _ROWS = np.meshgrid(_PIXELS + np.float32(0.3), _PIXELS)
 _HEAD = ('stage', 'ms', '95 % ms', 'ref ms', 'ratio', 'reference')
 
 
 @dataclass(frozen=True)
 class _Comparison:
-    """
-    A stage and its reference; both process `count` items in a call.
+    """A stage and its reference; both process `count` items in a call."""
 
-    If the duration of a stage varies between calls, `calls` calls are timed separately.
-    """
+    # If the duration of a stage varies between calls, `calls` calls are timed separately.
 
     stage: str
     ours: Callable[[], object]
@@ -114,24 +99,16 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.json)
     cv2.setNumThreads(1)
     rows = [_timed(each, args.repeats) for each in progress(_comparisons(args.seed), 'timing')]
-    print('\n'.join(aligned(_HEAD, map(_cells, rows))))
-    if args.json:
-        document = {
-            'schema': 1,
-            'machine': platform.machine(),
-            'python': platform.python_version(),
-            'numpy': np.__version__,
-            'opencv': cv2.__version__,
-            'stages': rows,
-        }
-        write_json(args.json, document)
+    cells = []
+    for row in rows:
+        times = [row[key] for key in ('seconds', 'p95_seconds', 'reference_seconds')]
+        shown = ('' if seconds is None else f'{1e3 * seconds:.4g}' for seconds in times)
+        cells.append([row['stage'], *shown, f'{row["ratio"]:.2f}', row['reference']])
+    print('\n'.join(aligned(_HEAD, cells)))
+    versions = {'python': platform.python_version(), 'numpy': np.__version__}
+    versions |= {'machine': platform.machine(), 'opencv': cv2.__version__}
+    write_json(args.json, {'schema': 1, **versions, 'stages': rows})
     return 0
-
-
-def _cells(row: dict[str, Any]) -> list[str]:
-    times = [row[key] for key in ('seconds', 'p95_seconds', 'reference_seconds')]
-    shown = ('' if seconds is None else f'{1e3 * seconds:.4g}' for seconds in times)
-    return [row['stage'], *shown, f'{row["ratio"]:.2f}', row['reference']]
 
 
 def _timed(comparison: _Comparison, repeats: int) -> dict[str, Any]:
@@ -165,21 +142,17 @@ def _estimate(pose: FloatArray, sigma_m: float) -> PoseEstimate:
 def _comparisons(seed: int) -> Iterator[_Comparison]:
     """Yield stages of simulation, learning, planning and localization in a room."""
     scene = generate_scene(seed)
-    places = choose_sweep_places(scene)
-    if places is None:
-        raise LandmarkNavError(f'the room of seed {seed} has no two places: take another')
+    places = sweep_places(scene)
     renderer = Renderer(scene, CAMERA)
 
     def frame(pose: FloatArray, pan_rad: float) -> CameraFrame:
         rotation, center = _MOUNT.camera_pose_map(pose, pan_rad)
         return CameraFrame(0, renderer.render(rotation, center), CAMERA, pan_rad)
 
-    sweeps = [
-        Sweep(
-            0, tuple(frame(pose, pan) for pan in _STEP_RAD * np.arange(72)), _estimate(pose, 1e-3)
-        )
-        for pose in places.poses
-    ]
+    sweeps = []
+    for pose in places.poses:
+        frames = tuple(frame(pose, pan) for pan in _STEP_RAD * np.arange(72))
+        sweeps.append(Sweep(0, frames, _estimate(pose, 1e-3)))
     image = sweeps[0].frames[0].image
     yield _Comparison(
         'simulated image, 512 x 512',
@@ -222,7 +195,8 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
     prior = _estimate(np.array([*places.poses[:, :2].mean(axis=0), 0.3]), 0.03)
 
     def expected(pan_rad: float) -> Any:
-        return visible_landmarks(prior, learned.map, CAMERA, _MOUNT, pan_rad, 0.0, TripletConfig())
+        view = CAMERA, _MOUNT, pan_rad, 0.0, triplet.TripletConfig()
+        return triplet.visible_landmarks(prior, learned.map, *view)
 
     best = max(4.0 * _STEP_RAD * np.arange(18), key=lambda pan: len(expected(float(pan))))
     seen = frame(prior.pose, float(best))
@@ -265,13 +239,13 @@ def _of_sweep(sweep: Sweep) -> Iterator[_Comparison]:
 
 def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Comparison]:
     """Yield stereo, adjustment and election of the candidates."""
-    config = StereoConfig()
+    config = wall_patch.StereoConfig()
     greys = [view.grey for view in panoramas]
     proposed = [
         [hypothesize(c, k, panoramas[k], room, config) for c in group]
         for k, group in enumerate(candidates)
     ]
-    hypotheses = [[p for p in group if isinstance(p, WallPatch)] for group in proposed]
+    hypotheses = [[p for p in group if isinstance(p, wall_patch.WallPatch)] for group in proposed]
     small = greys[0][:40, :40]
     yield _Comparison(
         'stereo match of a candidate',
@@ -280,20 +254,19 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
         lambda: [cv2.matchTemplate(greys[1], small, cv2.TM_CCOEFF_NORMED) for _ in hypotheses[0]],
         count=len(hypotheses[0]),
     )
-    patches: list[WallPatch] = []
-    measurements: list[list[PatchMeasurement]] = []
+    patches: list[wall_patch.WallPatch] = []
+    measurements: list[list[wall_patch.PatchMeasurement]] = []
     for k, group in enumerate(hypotheses):
         for patch in group:
             found = match_in(patch, 1 - k, panoramas, room, config)
-            if isinstance(found, PatchMeasurement):
+            if isinstance(found, wall_patch.PatchMeasurement):
                 patches.append(patch)
-                measurements.append([own_measurement(patch, panoramas[k]), found])
+                measurements.append([wall_patch.own_measurement(patch, panoramas[k]), found])
     start = np.array([patch.position for patch in patches])
     covariance = joint_covariance(panoramas, room, ReferenceAreaConfig())
     walls = [patch.wall for patch in patches]
-    run = partial(
-        adjust, measurements, walls, start, panoramas, covariance, room, AdjustmentConfig()
-    )
+    places = panoramas, covariance, room, AdjustmentConfig()
+    run = partial(adjust, measurements, walls, start, *places)
     adjustment = run()
     # Two rows for each measurement and one for each wall; three unknowns for each landmark and
     # four for each panorama.
@@ -304,16 +277,13 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
         f'numpy.linalg.lstsq, dense, {dense.shape[0]} x {dense.shape[1]}, once',
         lambda: np.linalg.lstsq(dense, dense[:, 0], rcond=None),
     )
-    across, down = _COLUMNS[:30, :30], _ROWS[:30, :30]
+    grid, twice = (_COLUMNS[:30, :30], _ROWS[:30, :30]), range(2 * len(patches))
+    after = adjustment, adjustment, panoramas, room, ElectionConfig()
     yield _Comparison(
         'election of a patch',
-        lambda: elect(
-            patches, measurements, adjustment, adjustment, panoramas, room, ElectionConfig()
-        ),
+        lambda: elect(patches, measurements, *after),
         'two cv2.remap of 30 x 30 px',
-        lambda: [
-            cv2.remap(greys[0], across, down, cv2.INTER_LINEAR) for _ in range(2 * len(patches))
-        ],
+        lambda: [cv2.remap(greys[0], *grid, cv2.INTER_LINEAR) for _ in twice],
         count=len(patches),
     )
 
@@ -322,10 +292,10 @@ def _triplet(name: str, landmark_map: LandmarkMap, prior: PoseEstimate) -> _Comp
     count = len(landmark_map.landmarks)
     few = np.array(list(combinations(range(min(count, 40)), 3)))
     tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
-    config = TripletConfig()
+    view = CAMERA, _MOUNT, triplet.TripletConfig(), triplet.CameraState(0.0)
     return _Comparison(
         name,
-        lambda: rank_triplets(prior, landmark_map, CAMERA, _MOUNT, config, CameraState(0.0)),
+        lambda: triplet.rank_triplets(prior, landmark_map, *view),
         f'variances of {len(few)} triplets, all at once',
         lambda: mean_variance(tables, few),
     )
@@ -333,13 +303,10 @@ def _triplet(name: str, landmark_map: LandmarkMap, prior: PoseEstimate) -> _Comp
 
 def _crowded(landmark_map: LandmarkMap, count: int) -> LandmarkMap:
     """Return `count` landmarks, within half a metre of those of a map."""
-    rng = np.random.default_rng(count)
-    return LandmarkMap(
-        tuple(
-            replace(one, id=k, position=one.position + rng.uniform(-0.5, 0.5, 3))
-            for k, one in zip(range(count), cycle(landmark_map.landmarks), strict=False)
-        )
-    )
+    rng, crowd = np.random.default_rng(count), []
+    for k, one in zip(range(count), cycle(landmark_map.landmarks), strict=False):
+        crowd.append(replace(one, id=k, position=one.position + rng.uniform(-0.5, 0.5, 3)))
+    return LandmarkMap(tuple(crowd))
 
 
 def _of_drive(
@@ -371,9 +338,7 @@ def _of_drive(
         lambda: least_squares(residuals, se2.compose(prior.pose, [0.1, -0.1, 0.05])),
     )
     calibration = Calibration.of_mount(_MOUNT)
-    samples = [
-        OdometrySample(50_000_000 * k, np.array([0.0, 0.0, 1e-6 * k]), 0.0, 0.0) for k in range(21)
-    ]
+    samples = [OdometrySample(50_000_000 * k, np.array([0.0, 0.0, 1e-6 * k])) for k in range(21)]
 
     def fuse() -> None:
         """Fuse 20 odometry samples and 5 images of three landmarks."""

@@ -76,9 +76,8 @@ def run(args: argparse.Namespace) -> int:
     drives = [bag for bag in bags if bag.find(*DRIVE_IMAGES) and bag.find('odom')]
     for bag in bags:
         if bag not in sweeps and bag not in drives:
-            raise LandmarkNavError(
-                f'{bag.path}: holds no sweep and no drive (images with odometry): take another'
-            )
+            what = 'no sweep and no drive (images with odometry)'
+            raise LandmarkNavError(f'{bag.path}: holds {what}: take another')
     if sweeps and room is None and not (drives and landmarks):
         raise UsageError(f'{sweeps[0].path}: sweeps need --room')
 
@@ -106,9 +105,11 @@ def run(args: argparse.Namespace) -> int:
         )  # fmt: skip
     report, residuals = _report(work, given, broken), None
     if work.drives:
-        last = work.drives[-1]
-        _, before = last.again(_as_exact(given))
-        _, after = last.again(_as_exact(found))
+        none = np.zeros_like(given.covariance)
+        before, after = (
+            work.drives[-1].again(replace(known, covariance=none, by_map=None))[1]
+            for known in (given, found)
+        )
         residuals = before, after
         report['residual_px'] = {
             name: None if np.isnan(one.rms_px).any() else one.rms_px.tolist()
@@ -125,10 +126,6 @@ def run(args: argparse.Namespace) -> int:
     lines = text_of(tables.calibration_verdict(report), tables.calibration_tables(report))
     print(wrapped([*lines, f'written to {args.out}']))
     return 0
-
-
-def _as_exact(known: Calibration) -> Calibration:
-    return replace(known, covariance=np.zeros_like(known.covariance), by_map=None)
 
 
 def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
@@ -151,9 +148,8 @@ def _use_drive(work: _Work, bag: Bag) -> None:
     """Calibrate by a drive, with the current estimate as the prior."""
     landmarks, known = work.landmarks, work.known
     if landmarks is None or not landmarks.landmarks:
-        raise LandmarkNavError(
-            f'{bag.path}: a drive needs a map: give --map, or --room and a bag with two sweeps'
-        )
+        how = 'give --map, or --room and a bag with two sweeps'
+        raise LandmarkNavError(f'{bag.path}: a drive needs a map: {how}')
     room = Room(landmarks.walls) if landmarks.walls else None
     diagnosis = checked(bag, known, room)
     late = diagnosis.delays
@@ -173,12 +169,9 @@ def _report(
     work: _Work, given: Calibration, broken: dict[str, tuple[float, float]]
 ) -> dict[str, Any]:
     found = work.known
-    table: dict[str, dict[str, Any]] = {
-        name: dict(row) for name, row in found.differences(given).items()
-    }
+    table: dict[str, Any] = {k: dict(row) for k, row in found.differences(given).items()}
     for name, row in table.items():
-        sigma = given[name][1]
-        row['prior_sigma'] = sigma
+        row['prior_sigma'] = sigma = given[name][1]
         row['difference_sigmas'] = (row['value'] - row['prior']) / sigma if sigma else None
     return {
         'schema': 1,

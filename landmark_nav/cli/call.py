@@ -25,9 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     timeout = {'type': within(float, 0.1, 86400), 'default': 300.0, 'metavar': 'S'}
     add(parser, '--timeout', **timeout, help='how long the answer may take')
     add(parser, '--namespace')
-    parser.epilog = 'services:\n' + '\n'.join(
-        f'  {name:16} {does}' for name, does in _SERVICES.items()
-    )
+    lines = (f'  {name:16} {does}' for name, does in _SERVICES.items())
+    parser.epilog = '\n'.join(['services:', *lines])
 
 
 def run(args: argparse.Namespace) -> int:

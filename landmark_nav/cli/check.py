@@ -17,7 +17,7 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.storage.atomic_io import check_writable, write_json
-from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
 from landmark_nav.storage.bags.definitions import DRIVE_IMAGES
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
@@ -54,14 +54,9 @@ def run(args: argparse.Namespace) -> int:
         found = replace(found, findings=(*found.findings, *check_papers(bag, known, room)))
     if args.map and args.robot and not found.errors and bag.find('odom'):
         found = replace(found, findings=(*found.findings, *_check_map(bag, args)))
-    if args.json:
-        report = {
-            'schema': 1,
-            'bag': str(bag.path),
-            'status': worst(found.findings),
-            'checks': [finding.report() for finding in found.findings],
-        }
-        write_json(args.json, report)
+    checks, status = [finding.report() for finding in found.findings], worst(found.findings)
+    report = {'schema': 1, 'bag': str(bag.path), 'status': status, 'checks': checks}
+    write_json(args.json, report)
     print('\n'.join(table(found.findings)))
     print(f'errors: {len(found.errors)}, warnings: {len(found.warnings)}')
     return int(bool(found.errors))
@@ -74,17 +69,19 @@ def _check_map(bag: Bag, args: argparse.Namespace) -> list[Finding]:
         return []
     calibration = landmarks.calibration_from(load_calibration(args.robot))
     count = itertools.count(1)
-    events = itertools.takewhile(
-        lambda event: not isinstance(event, CameraFrame) or next(count) <= _MAP_IMAGES,
-        sensor_events(bag, calibration.mount),
-    )
+
+    def early(event: SensorEvent) -> bool:
+        return not isinstance(event, CameraFrame) or next(count) <= _MAP_IMAGES
+
+    events = itertools.takewhile(early, sensor_events(bag, calibration.mount))
     try:
         done = replay(events, landmarks, calibration, LocalizationConfig())
     except LandmarkNavError as error:
         return [Finding('map', 'error', str(error), 'take the map of this room, or learn it anew')]
     x, y, heading = done.start.pose.tolist()
-    text = f'place found: ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg after '
-    text += f'{1e-9 * (done.start.stamp_ns - done.begin_ns):.1f} s'
+    after_s = 1e-9 * (done.start.stamp_ns - done.begin_ns)
+    pose = f'({x:.2f}, {y:.2f}) m, {np.degrees(heading):.0f} deg'
+    text = f'place found: {pose} after {after_s:.1f} s'
     return [Finding('map', 'ok', text, '', {'pose': done.start.pose.tolist()})]
 
 

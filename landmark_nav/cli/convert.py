@@ -88,12 +88,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'images (BAG_map), BAG_robot.yaml with the noise of the odometry, BAG_start.json and '
         'BAG_config.yaml, the parameters for such logs. Detections of other robots are left out.',
     )
-    mrclam.add_argument(
-        'folder', metavar='DIR', help='folder with Barcodes.dat or Barcodes.dat.gz and the like'
-    )
-    mrclam.add_argument(
-        '--robot', required=True, type=int, choices=range(1, 6), metavar='N', help='1 to 5'
-    )
+    text = 'folder with Barcodes.dat or Barcodes.dat.gz and the like'
+    add(mrclam, 'folder', metavar='DIR', help=text)
+    robots = {'type': int, 'choices': range(1, 6), 'metavar': 'N', 'help': '1 to 5'}
+    add(mrclam, '--robot', required=True, **robots)
     add(mrclam, '--out', required=True, metavar='BAG', help='bag to write')
     add(mrclam, '--overwrite')
 

@@ -10,15 +10,7 @@ import shutil
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.options import add, table_lines
 from landmark_nav.configuration import load_configuration
-from landmark_nav.demo.scenario import (
-    Check,
-    figures,
-    judge,
-    Narrator,
-    prepare_room,
-    recorded_run,
-    run_scenario,
-)
+from landmark_nav.demo import scenario
 from landmark_nav.demo.supervisor import Interruption, node_commands, node_environment, Supervisor
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.report import drive_page, FrameStrip, panoramas, write_report
@@ -53,12 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--out', required=True)
     add(parser, '--overwrite')
     add(parser, '--seed', help='of the room')
-    parser.add_argument(
-        '--unmeasured',
-        action='store_true',
-        help='give it no plan and no measured papers: walls and poses are found, the scale is '
-        'that of odom; the sweeps are recorded too',
-    )
+    text = 'give it no plan and no measured papers: walls and poses are found, the scale is that '
+    text += 'of odom; the sweeps are recorded too'
+    add(parser, '--unmeasured', action='store_true', help=text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -67,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
     domain_id = chosen_domain()
     domain_id = 10 + os.getpid() % 90 if domain_id is None else domain_id
     folder = _emptied(args.out, args.overwrite)
-    narrator = Narrator()
-    room = prepare_room(folder, args.seed, measured=not args.unmeasured)
+    narrator = scenario.Narrator()
+    room = scenario.prepare_room(folder, args.seed, measured=not args.unmeasured)
     shutil.copyfile(shipped_config('foxglove/landmark_nav.json'), folder / 'foxglove.json')
     commands = node_commands(
         room.robot_file,
@@ -91,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         for name, command in commands.items():
             supervisor.start(name, command)
         with RobotClient(domain_id, watch) as robot:
-            run_scenario(robot, room, commands, folder, narrator)
+            scenario.run_scenario(robot, room, commands, folder, narrator)
             swept = robot.panoramas
         unclean = [name for name, status in supervisor.stop().items() if status]
     return _report(folder, args.command_line, swept, unclean, narrator)
@@ -104,9 +93,7 @@ def _emptied(folder: Path, overwrite: bool) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     foreign = sorted(path.name for path in folder.iterdir() if path.name not in _OWN)
     if foreign:
-        raise LandmarkNavError(
-            f'{folder}: holds {", ".join(foreign[:3])}, not of a demo: take another folder'
-        )
+        raise LandmarkNavError(f'{folder}: holds {", ".join(foreign[:3])}: take another folder')
     check_new(overwrite, *folder.iterdir())
     for path in folder.iterdir():
         if path.is_dir():
@@ -117,13 +104,17 @@ def _emptied(folder: Path, overwrite: bool) -> Path:
 
 
 def _report(
-    folder: Path, command: str, swept: list[Panorama], unclean: list[str], narrator: Narrator
+    folder: Path,
+    command: str,
+    swept: list[Panorama],
+    unclean: list[str],
+    narrator: scenario.Narrator,
 ) -> int:
     """Evaluate the recording, write the report, and check the results."""
     narrator.title('Measuring the recording against the ground truth')
     landmarks = load_map(folder / 'map')
     bag, calibration = Bag(folder / 'recording'), load_calibration(folder / 'robot.yaml')
-    measured, run, errors = figures(recorded_run(bag), landmarks)
+    measured, run, errors = scenario.figures(scenario.recorded_run(bag), landmarks)
     strip = FrameStrip()
     # Images before the first joint states are not part of the run; their warnings are ignored.
     for event in sensor_events(bag.warning_to(lambda _: None), calibration.mount):
@@ -139,9 +130,8 @@ def _report(
     else:
         learned = learn_from_panoramas(swept, room, LearningConfig())
         inputs['room'] = folder / 'room.yaml'
-    page = drive_page(
-        measured, run, errors, landmarks, calibration, strip, papers=room.papers if room else ()
-    )
+    papers = room.papers if room else ()
+    page = drive_page(measured, run, errors, landmarks, calibration, strip, papers=papers)
     page['data']['panoramas'] = panoramas(learned)
     write_report(folder / 'report.html', page, 'Demo', command, inputs)
     write_json(folder / 'demo.json', measured)
@@ -149,9 +139,10 @@ def _report(
         narrator.print_line('errors after one rigid alignment: the map has a frame of its own')
     for line in table_lines(drive_tables(measured)[0]):
         narrator.print_line(line)
-    checks = judge(measured)
+    checks = scenario.judge(measured)
     if unclean:
-        checks.append(Check(False, f'{", ".join(unclean)} did not end cleanly: see logs/'))
+        text = f'{", ".join(unclean)} did not end cleanly: see logs/'
+        checks.append(scenario.Check(False, text))
     narrator.title('Result')
     for check in checks:
         narrator.print_line(f'{"ok    " if check.passed else "FAILED"}  {check.text}')

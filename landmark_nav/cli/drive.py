@@ -86,9 +86,8 @@ def run(args: argparse.Namespace) -> int:
                 linear_m_s, angular_rad_s = keys.velocity(time.monotonic())
                 client.drive(linear_m_s, angular_rad_s)
                 node = client.status_of('odometry_fusion')
-                line = (
-                    f'{linear_m_s:5.2f} m/s {angular_rad_s:5.2f} rad/s  {node.level} {node.reason}'
-                )
+                speeds = f'{linear_m_s:5.2f} m/s {angular_rad_s:5.2f} rad/s'
+                line = f'{speeds}  {node.level} {node.reason}'
                 print(f'\r\x1b[K{line[: os.get_terminal_size().columns - 1]}', end='', flush=True)
         finally:
             client.drive(0.0, 0.0)

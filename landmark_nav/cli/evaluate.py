@@ -50,39 +50,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, 'bag', help='bag of a drive')
     add(parser, '--topic', '--config')
     add(parser, '--map', '--robot', required=True)
-    parser.add_argument(
-        '--start',
-        nargs=3,
-        type=within(float, -_FARTHEST_M, _FARTHEST_M),
-        metavar=('X', 'Y', 'THETA'),
-        help='pose of base_link in map at the start: m, m, rad (default: it finds its own place)',
-    )
-    parser.add_argument(
-        '--start-sigma',
-        nargs=2,
-        type=within(float, _LEAST_SIGMA, _FARTHEST_M),
-        default=(0.05, 0.035),
-        metavar=('M', 'RAD'),
-        help='how sure the start is: sigma of x and y in m, of the heading in rad '
-        '(default 0.05 0.035)',
-    )
-    parser.add_argument(
-        '--smooth',
-        action='store_true',
-        help='also estimate each pose from all images of the drive, later ones too',
-    )
+    text = 'pose of base_link in map at the start: m, m, rad (default: it finds its own place)'
+    pose = {'type': within(float, -_FARTHEST_M, _FARTHEST_M), 'metavar': ('X', 'Y', 'THETA')}
+    add(parser, '--start', **pose, nargs=3, help=text)
+    text = 'sigma of x and y at the start in m, of the heading in rad (default 0.05 0.035)'
+    sigmas = {'type': within(float, _LEAST_SIGMA, _FARTHEST_M), 'metavar': ('M', 'RAD')}
+    add(parser, '--start-sigma', **sigmas, nargs=2, default=(0.05, 0.035), help=text)
+    text = 'also estimate each pose from all images of the drive, later ones too'
+    add(parser, '--smooth', action='store_true', help=text)
     add(parser, '--json', help='write errors, availability and times to F')
-    parser.add_argument(
-        '--tum',
-        metavar='DIR',
-        type=Path,
-        help='write truth.tum, fused.tum, triangulation.tum, odometry.tum and, with --smooth, '
-        'smoothed.tum to DIR, for evo and the like',
-    )
+    text = 'write truth.tum, fused.tum, triangulation.tum, odometry.tum and, with --smooth, '
+    text += 'smoothed.tum to DIR, for evo and the like'
+    add(parser, '--tum', metavar='DIR', type=Path, help=text)
     add(parser, '--report', help='write a page that plays the drive to F.html')
-    parser.add_argument(
-        '--video', metavar='F.mp4', type=Path, help='write the drive as a video to F.mp4'
-    )
+    add(parser, '--video', metavar='F.mp4', type=Path, help='write the drive as a video to F.mp4')
     text = 'folder for trajectory.png and errors.png (default: they are not drawn)'
     add(parser, '--out', help=text)
 
@@ -112,9 +93,8 @@ def run(args: argparse.Namespace) -> int:
     diagnosis = checked(bag, calibration, Room(landmarks.walls) if measured else None)
     late = diagnosis.delays
     # A measured delay has a sigma.
-    delay_s = calibration['joint_delay'][0] + late.joints_s
-    calibration = calibration.with_values(joint_delay=delay_s)
-    calibration = calibration.widened({'joint_delay': late.pan_sigma_s})
+    delayed = calibration.with_values(joint_delay=calibration['joint_delay'][0] + late.joints_s)
+    calibration = delayed.widened({'joint_delay': late.pan_sigma_s})
     events = sensor_events(bag, mount, 0.0, late.images_s, late.odometry_s)
     events = progress(events, 'localizing', total)
     strip = FrameStrip()
@@ -130,9 +110,8 @@ def run(args: argparse.Namespace) -> int:
     if not in_frame:
         check_truth_frame(bag, landmarks.frame_id)
         if other := run_report.other_frame(done, errors):
-            bag.warn(
-                f'{bag.path}: ground_truth/odom is in another frame or unit than the map: {other}'
-            )
+            text = 'ground_truth/odom is in another frame or unit than the map'
+            bag.warn(f'{bag.path}: {text}: {other}')
     if len(done.truth) and np.isnan(errors.fused).all():
         begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
         bag.warn(
@@ -143,9 +122,9 @@ def run(args: argparse.Namespace) -> int:
     report = run_report.run_report(done, errors, landmarks, calibration, learned) | in_frame
     report['checks'] = [finding.report() for finding in diagnosis.findings]
     report['integrity'] = run_report.integrity_report(done, errors)
-    smoothed = (
-        run_report.smooth_run(done, landmarks, calibration, learned) if args.smooth else None
-    )
+    smoothed = None
+    if args.smooth:
+        smoothed = run_report.smooth_run(done, landmarks, calibration, learned)
     if smoothed is not None:
         report['smoothed'] = run_report.smoothed_report(done, smoothed)
         if apart := run_report.departures(done, smoothed):
@@ -161,9 +140,8 @@ def run(args: argparse.Namespace) -> int:
         draw_trajectory(done, landmarks, trajectory, smoothed)
         draw_errors(done, errors, drawn_errors)
     if args.report or args.video:
-        page = drive_page(
-            report, done, errors, landmarks, done.calibration or calibration, strip, smoothed
-        )
+        known = done.calibration or calibration
+        page = drive_page(report, done, errors, landmarks, known, strip, smoothed)
         if args.report:
             title = f'{bag.path.name} on {Path(args.map).name}'
             inputs = {k: getattr(args, k) for k in ('bag', 'map', 'robot', 'config')}
@@ -186,9 +164,7 @@ def _start(args: argparse.Namespace, landmarks: LandmarkMap) -> tuple[Any, Any]:
         return None, None
     start, (position, heading) = np.array(args.start), args.start_sigma
     if abs(start[2]) > 2.0 * np.pi:
-        raise UsageError(
-            f'--start: THETA is {start[2]:g}, more than a full turn: give it in radians'
-        )
+        raise UsageError(f'--start: THETA is {start[2]:g}, over a full turn: give it in radians')
     room = Room(landmarks.walls) if landmarks.walls else None
     if room is not None and not room.contains(start[:2]):
         beyond = float(room.wall_distances(start[:2]).min())

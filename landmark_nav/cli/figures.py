@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -21,22 +22,21 @@ from landmark_nav.evaluation.figures.panorama_figure import (
     draw_sweeps,
 )
 from landmark_nav.evaluation.figures.stereo_figure import draw_reconstruction
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.attention.maps import AttentionConfig, FEATURES
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
+from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep
 from landmark_nav.learning.unmeasured import learn_located
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.scene import choose_sweep_places, Scene
+from landmark_nav.simulation.scene import sweep_places
 from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
 from landmark_nav.storage.atomic_io import check_writable
 from landmark_nav.storage.bags import read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import FloatArray, LandmarkMap, Panorama, Sweep
+from landmark_nav.types import Panorama, Sweep
 
 _NAMES = {
     3: 'figure_3_panoramas.png',
@@ -66,51 +66,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--room', help='room.yaml: walls and papers (default: as learn finds them)')
     add(parser, '--map', help='a map of your own for Figure 6, which needs nothing else')
     add(parser, '--seed', default=7, help='of the simulated room')
-    parser.add_argument(
-        '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N',
-        help='which figures, 3 to 8 (default: all that the data allow)',
-    )  # fmt: skip
-    parser.add_argument(
-        '--feature', nargs='+', choices=FEATURES, metavar='NAME',
-        help=f'the only features that attract attention (default: all): {", ".join(FEATURES)}',
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class _Data:
-    """Data of the figures."""
-
-    room: Room
-    sweeps: tuple[Sweep, ...]
-    panoramas: tuple[Panorama, ...]
-    learned: LearningResult | None
-    landmarks: LandmarkMap | None
+    text = 'which figures, 3 to 8 (default: all that the data allow)'
+    add(parser, '--figure', type=int, nargs='+', choices=sorted(_NAMES), metavar='N', help=text)
+    text = f'the only features that attract attention (default: all): {", ".join(FEATURES)}'
+    add(parser, '--feature', nargs='+', choices=FEATURES, metavar='NAME', help=text)
 
 
 def run(args: argparse.Namespace) -> int:
     """Gather the data, draw the figures, and print their captions."""
-    attention = _attention(args.feature)
+    features, attention = args.feature or FEATURES, AttentionConfig()
+    if args.feature:
+        weights: dict[str, Any] = dict.fromkeys((f'weight_{name}' for name in FEATURES), 0.0)
+        weights |= {f'weight_{name}': attention.weights[name] or 0.1 for name in features}
+        attention = replace(attention, **weights)
     wanted = set(args.figure or ([6] if args.map and not args.bag else _NAMES))
     check_writable(*(args.out / _NAMES[number] for number in wanted))
-    data = _gather(args, wanted, attention)
+    room, sweeps, panoramas, learned, landmarks = _gather(args, wanted, attention)
+    draw: dict[int, Callable[[Path], str]] = {
+        3: lambda path: draw_sweeps(sweeps, panoramas, room, path),
+        4: lambda path: draw_attention(panoramas[0], attention, path),
+        5: lambda path: draw_reconstruction(learned, room, path),
+        6: lambda path: draw_observation_areas(landmarks, room, path),
+        7: lambda path: draw_features_alone(panoramas[0], attention, path, features),
+        8: lambda path: draw_learned(learned, room, path),
+    }
     for number in progress(sorted(wanted), 'figures'):
         path = args.out / _NAMES[number]
-        print(wrapped([str(path), f'  {_draw(number, data, attention, path, args.feature)}']))
+        print(wrapped([str(path), f'  {draw[number](path)}']))
     return 0
 
 
-def _attention(features: list[str] | None) -> AttentionConfig:
-    """Default weights, with 0 for features that are not among `features`."""
-    default = AttentionConfig()
-    if not features:
-        return default
-    if len(features) == 1:
-        return default.alone(features[0])
-    weights: dict[str, Any] = {
-        f'weight_{name}': (default.weights[name] or 0.1) if name in features else 0.0
-        for name in FEATURES
-    }
-    return replace(default, **weights)
+# Room, sweeps and panoramas, result of learning and map; what no wanted figure needs is left out.
+_Data = tuple[Room, tuple[Sweep, ...], tuple[Panorama, ...], Any, Any]
 
 
 def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConfig) -> _Data:
@@ -120,7 +107,7 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
     if given is not None and not args.bag:
         if wanted != {6}:
             raise UsageError('--map alone gives Figure 6: the others need --bag')
-        return _Data(Room(given.walls), (), (), None, given)
+        return Room(given.walls), (), (), None, given
     mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
     room = load_room(args.room) if args.room else None
     most = None if wanted - _OF_ONE else 1
@@ -131,10 +118,13 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
             raise LandmarkNavError('the bag has no sweep: record one with capture_sweep')
     else:
         scene = generate_scene(args.seed, room)
-        if (places := choose_sweep_places(scene)) is None:
-            raise LandmarkNavError('the room has no two places that see all papers')
-        room, poses = scene.room, progress(places.poses[:most], 'sweeps')
-        sweeps = tuple(_sweep(scene, mount, pose) for pose in poses)
+        room, simulated = scene.room, []
+        for pose in progress(sweep_places(scene).poses[:most], 'sweeps'):
+            world = RobotWorld(scene, pose, scene.seed, mount=mount)
+            pans = -np.pi + 2.0 * np.pi * np.arange(_FRAMES) / _FRAMES
+            frames = tuple(world.frame_at(pose, float(pan)) for pan in pans)
+            simulated.append(Sweep(frames[0].stamp_ns, frames))
+        sweeps = tuple(simulated)
     config = replace(Configuration(), attention=attention)
     learned = None
     if room is None:
@@ -149,31 +139,4 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
         )
         if wanted & _LEARNED:
             learned = learn_from_panoramas(panoramas, room, config)
-    return _Data(room, sweeps, panoramas, learned, given or (learned.map if learned else None))
-
-
-def _sweep(scene: Scene, mount: PanTiltMount, pose: FloatArray) -> Sweep:
-    """Simulate a sweep at a pose."""
-    world = RobotWorld(scene, pose, scene.seed, mount=mount)
-    pans = -np.pi + 2.0 * np.pi * np.arange(_FRAMES) / _FRAMES
-    frames = tuple(world.frame_at(pose, float(pan)) for pan in pans)
-    return Sweep(frames[0].stamp_ns, frames)
-
-
-def _draw(
-    number: int, data: _Data, attention: AttentionConfig, path: Path, features: list[str] | None
-) -> str:
-    """Draw a figure; return its caption."""
-    if number == 3:
-        return draw_sweeps(data.sweeps, data.panoramas, data.room, path)
-    if number == 4:
-        return draw_attention(data.panoramas[0], attention, path)
-    if number == 7:
-        return draw_features_alone(data.panoramas[0], attention, path, features or FEATURES)
-    if number == 6:
-        assert data.landmarks is not None, 'learned or given'
-        return draw_observation_areas(data.landmarks, data.room, path)
-    assert data.learned is not None, 'these figures are among _LEARNED'
-    if number == 5:
-        return draw_reconstruction(data.learned, data.room, path)
-    return draw_learned(data.learned, data.room, path)
+    return room, sweeps, panoramas, learned, given or (learned.map if learned else None)

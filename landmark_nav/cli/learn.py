@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import islice
 import logging
@@ -24,7 +24,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning import unmeasured
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningResult
 from landmark_nav.learning.reference_area.faults import PaperRecord
-from landmark_nav.learning.sheets import SheetsConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import (
     next_prior,
@@ -32,8 +31,7 @@ from landmark_nav.learning.sweep_pipeline import (
     PanoramaStages,
     record_papers,
 )
-from landmark_nav.localization import sweep_places
-from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
+from landmark_nav.localization.sweep_places import known_places
 from landmark_nav.messages import decode
 from landmark_nav.storage import atomic_io
 from landmark_nav.storage.bags import Bag, read_sweeps
@@ -41,45 +39,7 @@ from landmark_nav.storage.bags.reader import decoded
 from landmark_nav.storage.maps import MAP_FILES, write_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.storage.setup_files import load_room, room_text
-from landmark_nav.types import OdometrySample, Panorama, PlaceChain, Sweep
-
-
-def check_scale(bag: Bag, sheets: SheetsConfig) -> None:
-    """
-    Check that a bag has a source of the scale of a map that is learned without a plan.
-
-    Raises `LandmarkNavError`: there is no such source.
-    """
-    posed = bag.find('sweep/pose', 'odom')
-    if not (posed or sheets.has_papers or sheets.has_markers):
-        raise LandmarkNavError(
-            f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
-            '(--paper-size, --marker-size), or measure walls and papers (--room)'
-        )
-
-
-def known_places(
-    bag: Bag, sweeps: Sequence[Sweep], config: OdometryNoiseConfig
-) -> list[PlaceChain]:
-    """
-    Poses of sweeps by each source of a bag, see `sweep_places.known_places`.
-
-    Raises `LandmarkNavError`: a source does not give the pose of each sweep, or the robot moved
-    during a sweep.
-    """
-    spans = [(sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns) for sweep in sweeps]
-    given = [sweep.pose_map_base for sweep in sweeps]
-    with inside(bag.path):
-        return sweep_places.known_places(given, spans, _odometry(bag), config)
-
-
-def _odometry(bag: Bag) -> list[OdometrySample]:
-    """Read the odometry of a bag, sorted by time; empty if there is none."""
-    if not (topic := bag.find('odom')):
-        return []
-    samples = decoded(bag, topic, lambda entry: decode.odometry(entry.message))
-    return sorted(samples, key=lambda sample: sample.stamp_ns)
-
+from landmark_nav.types import Panorama, PlaceChain, Sweep
 
 _LOG = logging.getLogger(__name__)
 
@@ -99,28 +59,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, 'bag', help='bag with sweeps')
     add(parser, '--topic', '--overwrite', '--config')
     add(parser, '--robot', required=True)
-    add(
-        parser,
-        '--room',
-        help='room.yaml: walls and papers (default: walls are found, the scale is that of '
-        'sweep/pose, odom, papers and markers, the frame that of the first sweep)',
+    text = (
+        'room.yaml: walls and papers (default: walls are found, the scale is that of sweep/pose, '
     )
-    parser.add_argument(
-        '--walls-out', metavar='F', type=Path, help='write the walls that were found as room.yaml'
-    )
+    text += 'odom, papers and markers, the frame that of the first sweep)'
+    add(parser, '--room', help=text)
+    text = 'write the walls that were found as room.yaml'
+    add(parser, '--walls-out', metavar='F', type=Path, help=text)
     add(parser, '--out', required=True, metavar='MAP', help='map folder to write')
-    parser.add_argument(
-        '--paper-size', nargs=2, type=float, metavar=('W', 'H'),
-        help='coloured papers of this size hang upright somewhere: they give the scale (without '
-        '--room; width and height in metres, A4: 0.210 0.297)',
-    )  # fmt: skip
-    parser.add_argument(
-        '--marker-size', type=float, metavar='M',
-        help='ArUco or AprilTag markers of this size, the side of the black square in metres, do',
-    )  # fmt: skip
-    parser.add_argument(
-        '--marker-dictionary', metavar='NAME', help='their dictionary (default: DICT_4X4_50)'
-    )
+    text = 'coloured papers of this size hang upright somewhere: they give the scale (without '
+    text += '--room; width and height in metres, A4: 0.210 0.297)'
+    add(parser, '--paper-size', nargs=2, type=float, metavar=('W', 'H'), help=text)
+    text = 'ArUco or AprilTag markers of this size, the side of the black square in metres, do'
+    add(parser, '--marker-size', type=float, metavar='M', help=text)
+    add(parser, '--marker-dictionary', metavar='NAME', help='theirs (default: DICT_4X4_50)')
     add(parser, '--json', help='write counts, errors and times to F')
     text = 'write a page with the map, the panoramas and all candidates to F.html'
     add(parser, '--report', help=text)
@@ -145,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
             panoramas, room, found = list(located.panoramas), located.room, located.provenance
         else:
             panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
-        shown = _ShownStages(progress(range(_LEARNING_STAGES), 'learning'), log)
+        shown = replace(log, steps=progress(range(_LEARNING_STAGES), 'learning'))
         if located is None:
             result = learn_from_panoramas(panoramas, room, config, shown)
         else:
@@ -156,7 +108,13 @@ def run(args: argparse.Namespace) -> int:
         if off := learned.surprises(given):
             _LOG.warning('%s: the sweeps show, and use, %s more than it gives', args.robot, off)
         result = replace(result, map=replace(result.map, prior=given))
-        result.map.provenance.update(_provenance(args) | found)
+        result.map.provenance.update(
+            learned_from=Path(args.bag).name,
+            room=Path(args.room).name if args.room else 'none: walls found',
+            robot=Path(args.robot).name,
+            landmark_nav=release(),
+            **found,
+        )
         with shown.measure('drawing'):  # beyond the stages of the bar, which has ended
             _draw(result, room, folder)
         write_map(result.map, folder)
@@ -187,26 +145,28 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-class _ShownStages(StageLog):
-    """A log of stages that also advances a progress bar."""
-
-    def __init__(self, steps: Iterator[int], log: StageLog) -> None:
-        super().__init__(log.seconds, log.peak_memory_mb)
-        self._steps = steps
-
-    @contextmanager
-    def measure(self, stage: str) -> Iterator[None]:
-        """Add the time of the block to a stage; its start advances the bar."""
-        next(self._steps, None)
-        with super().measure(stage):
-            yield
+def _draw(result: LearningResult, room: Room, folder: Path) -> None:
+    draw_map(result.map, folder / 'map.png', room.papers)
+    of_panoramas = zip(result.panoramas, result.candidates, result.outcomes, strict=True)
+    for k, drawn in enumerate(of_panoramas, 1):
+        draw_panorama(*drawn, folder / f'panorama_{k}.png')
 
 
 def located_sweeps(
     bag: Bag, given: Calibration, config: Configuration, log: StageLog
 ) -> tuple[unmeasured.Located, list[int]]:
-    """Panoramas of a bag with their poses and walls, and the number of frames of each."""
-    check_scale(bag, config.unmeasured.sheets)
+    """
+    Panoramas of a bag with their poses and walls, and the number of frames of each.
+
+    Raises `LandmarkNavError`: nothing gives the scale, a source of poses does not give that of
+    each sweep, or the robot moved during a sweep.
+    """
+    sheets, odometry = config.unmeasured.sheets, bag.find('odom')
+    if not (odometry or bag.find('sweep/pose') or sheets.has_papers or sheets.has_markers):
+        raise LandmarkNavError(
+            f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
+            '(--paper-size, --marker-size), or measure walls and papers (--room)'
+        )
     frames: list[int] = []
 
     def sweeps() -> Iterator[Sweep]:
@@ -216,7 +176,14 @@ def located_sweeps(
             yield sweep
 
     def known(stamped: Sequence[Sweep]) -> list[PlaceChain]:
-        return known_places(bag, stamped, config.odometry)
+        spans = [(sweep.frames[0].stamp_ns, sweep.frames[-1].stamp_ns) for sweep in stamped]
+        poses = [sweep.pose_map_base for sweep in stamped]
+        samples = []
+        if odometry:
+            samples = decoded(bag, odometry, lambda entry: decode.odometry(entry.message))
+            samples.sort(key=lambda sample: sample.stamp_ns)
+        with inside(bag.path):
+            return known_places(poses, spans, samples, config.odometry)
 
     return unmeasured.locate_sweeps(sweeps, known, given, config, config.unmeasured, log), frames
 
@@ -264,7 +231,13 @@ def panoramas_of_bag(
             known = known.for_camera(sweep.frames[0].camera.intrinsics, given)
             panoramas.append(panorama_from_sweep(sweep, room, known, config, log, papers))
         except LandmarkNavError as error:
-            cause = _cause(papers, sweeps, known)
+            cause = ''
+            if len(papers):
+                # Following sweeps may show which paper does not fit.
+                with suppress(LandmarkNavError):
+                    for later in islice(sweeps, _MORE_SWEEPS):
+                        record_papers(later, known, papers)
+                cause = papers.faults().cause
             which = f'sweep {len(frames) + 1} (of {sweep.stamp_ns * 1e-9:.1f} s)'
             raise LandmarkNavError(
                 f'{bag.path}: {cause}' if cause else f'{bag.path}: {which}: {error}'
@@ -274,29 +247,3 @@ def panoramas_of_bag(
     if warning := papers.faults().text:
         _LOG.warning('%s', warning)
     return panoramas, frames
-
-
-def _cause(papers: PaperRecord, sweeps: Iterator[Sweep], known: Calibration) -> str:
-    """Find the fault of papers that do not fit in a sweep, with some of the following sweeps."""
-    if not len(papers):
-        return ''
-    with suppress(LandmarkNavError):
-        for sweep in islice(sweeps, _MORE_SWEEPS):
-            record_papers(sweep, known, papers)
-    return papers.faults().cause
-
-
-def _draw(result: LearningResult, room: Room, folder: Path) -> None:
-    draw_map(result.map, folder / 'map.png', room.papers)
-    for k, panorama in enumerate(result.panoramas):
-        path = folder / f'panorama_{k + 1}.png'
-        draw_panorama(panorama, result.candidates[k], result.outcomes[k], path)
-
-
-def _provenance(args: argparse.Namespace) -> dict[str, str]:
-    return {
-        'learned_from': Path(args.bag).name,
-        'room': Path(args.room).name if args.room else 'none: walls found',
-        'robot': Path(args.robot).name,
-        'landmark_nav': release(),
-    }

@@ -183,13 +183,9 @@ def _run(name: str, arguments: list[str]) -> int:
 def _add_verbosity(parser: argparse.ArgumentParser, default: Any) -> None:
     """Declare the options of verbosity, which are allowed before and after the command."""
     group = parser.add_mutually_exclusive_group()
-    for flags, value, text in (
-        (('-v', '--verbose'), 1, 'say what is being done'),
-        (('-q', '--quiet'), -1, 'no progress and no warnings'),
-    ):
-        group.add_argument(
-            *flags, dest='verbosity', action='store_const', const=value, default=default, help=text
-        )
+    kept = {'dest': 'verbosity', 'action': 'store_const', 'default': default}
+    group.add_argument('-v', '--verbose', const=1, help='say what is being done', **kept)
+    group.add_argument('-q', '--quiet', const=-1, help='no progress and no warnings', **kept)
 
 
 def _meant(word: str, known: Iterable[str]) -> str:

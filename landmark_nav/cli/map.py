@@ -20,7 +20,7 @@ from landmark_nav.upkeep.comparison import (
     Texture,
     wall_changes,
 )
-from landmark_nav.upkeep.frames import brought_together, FrameAlignment, merge_maps
+from landmark_nav.upkeep.frames import brought_together, merge_maps
 
 # Least disagreement of a landmark that is listed.
 _LISTED_SIGMAS = 3.0
@@ -37,36 +37,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = 'Work on the folders of learned maps.'
     actions = parser.add_subparsers(dest='action', metavar='ACTION', required=True)
 
-    def action(name: str, call: Any, text: str) -> Any:
+    def action(name: str, call: Any, text: str, **folders: str) -> Any:
         one = actions.add_parser(name, help=text.partition(':')[0].lower(), description=text)
         one.set_defaults(call=call)
+        for metavar, what in folders.items():
+            one.add_argument(metavar.lower(), metavar=metavar, help=what)
         return one
 
-    show = action('show', _show, 'List the landmarks: where, how sure, how large.')
-    show.add_argument('map', metavar='MAP', help='map folder')
-    check = action('check', _check, 'Check a map: exit status 1 and a line for each problem.')
-    check.add_argument('map', metavar='MAP', help='map folder')
-    diff = action(
-        'diff',
-        _diff,
+    older, newer = 'map folder, the older one', 'map folder, the newer one'
+    action('show', _show, 'List the landmarks: where, how sure, how large.', MAP='map folder')
+    text = 'Check a map: exit status 1 and a line for each problem.'
+    action('check', _check, text, MAP='map folder')
+    text = (
         'Compare two maps of one room: what moved, what changed, what only one of them holds '
         '(other sweeps choose other landmarks, though nothing went). Maps with own frames are '
-        'aligned first.',
+        'aligned first.'
     )
-    diff.add_argument('a', metavar='A', help='map folder, the older one')
-    diff.add_argument('b', metavar='B', help='map folder, the newer one')
-    merge = action(
-        'merge', _merge, 'Join two maps of one room: the newer one wins where a texture changed.'
-    )
-    merge.add_argument('a', metavar='OLDER', help='map folder, the older one')
-    merge.add_argument('b', metavar='NEWER', help='map folder, the newer one')
+    action('diff', _diff, text, A=older, B=newer)
+    text = 'Join two maps of one room: the newer one wins where a texture changed.'
+    merge = action('merge', _merge, text, OLDER=older, NEWER=newer)
     merge.add_argument('--out', required=True, metavar='MAP', help='map folder to write')
-    add(merge, '--overwrite')
-    migrate = action(
-        'migrate', _migrate, "Write a map of an older format in today's: nothing else changes."
-    )
-    migrate.add_argument('map', metavar='MAP', help='map folder')
+    text = "Write a map of an older format in today's: nothing else changes."
+    migrate = action('migrate', _migrate, text, MAP='map folder')
     migrate.add_argument('--out', metavar='MAP', help='map folder to write (default: the same)')
+    add(merge, '--overwrite')
     add(migrate, '--overwrite')
 
 
@@ -94,7 +88,14 @@ def _diff(args: argparse.Namespace) -> int:
     a, b = load_map(args.a), load_map(args.b)
     b, alignment = brought_together(a, b)
     if alignment is not None:
-        print(describe_alignment(alignment))
+        x, y, heading = alignment.pose
+        sigma_x, sigma_y, *_, sigma = np.sqrt(np.diag(alignment.covariance))
+        print(
+            f'B is aligned to A by {alignment.support} landmarks: its frame is at ({x:.3f}, '
+            f'{y:.3f}) m, {np.degrees(heading):.2f} deg (sigma '
+            f'{1e3 * np.hypot(sigma_x, sigma_y):.1f} mm); its metre is {alignment.scale:.4f} m of '
+            f'A (sigma {sigma:.4f})'
+        )
         print(describe_comparison(compare_maps(a, b)))
         return 0
     walls = {name: moved for name, moved in wall_changes(a, b).items() if moved > 0.0}
@@ -113,7 +114,7 @@ def _diff(args: argparse.Namespace) -> int:
 
 
 def _merge(args: argparse.Namespace) -> int:
-    older, newer = load_map(args.a), load_map(args.b)
+    older, newer = load_map(args.older), load_map(args.newer)
     merged = merge_maps(older, newer)
     save_map(merged, args.out, args.overwrite)
     print(
@@ -131,17 +132,6 @@ def _migrate(args: argparse.Namespace) -> int:
         write_map(landmarks, folder)
     print(f'{out}: {len(landmarks.landmarks)} landmarks, schema version {SCHEMA_VERSION}')
     return 0
-
-
-def describe_alignment(alignment: FrameAlignment) -> str:
-    """Describe the pose and scale of the frame of map B in that of A."""
-    x, y, heading = alignment.pose
-    sigma_x, sigma_y, *_, sigma = np.sqrt(np.diag(alignment.covariance))
-    return (
-        f'B is aligned to A by {alignment.support} landmarks: its frame is at ({x:.3f}, {y:.3f}) '
-        f'm, {np.degrees(heading):.2f} deg (sigma {1e3 * np.hypot(sigma_x, sigma_y):.1f} mm); its '
-        f'metre is {alignment.scale:.4f} m of A (sigma {sigma:.4f})'
-    )
 
 
 def describe_comparison(comparison: Comparison) -> str:

@@ -74,13 +74,10 @@ def robot_client(command: str, **options: Any) -> Iterator[RobotClient]:
     from landmark_nav.demo.supervisor import Interruption
     from landmark_nav.ros.robot_client import RobotClient
 
-    with (
-        Interruption() as interruption,
-        RobotClient(
-            watch=interruption.check, name=f'{command}_{os.getpid()}', observes=False, **options
-        ) as client,
-    ):
-        yield client
+    with Interruption() as interruption:
+        options |= {'watch': interruption.check, 'name': f'{command}_{os.getpid()}'}
+        with RobotClient(observes=False, **options) as client:
+            yield client
 
 
 def open_bag(path: Path | str, args: argparse.Namespace) -> Bag:
@@ -140,16 +137,12 @@ def wrapped(lines: Iterable[str]) -> str:
     """Join lines to a text; long lines are wrapped with a deeper indent."""
     columns = shutil.get_terminal_size((_WIDTH, 24)).columns
     width = min(max(columns, _LEAST_WIDTH), _WIDTH)
-    return '\n'.join(
-        fill(
-            line,
-            width,
-            subsequent_indent=' ' * (len(line) - len(line.lstrip()) + 4),
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        for line in lines
-    )
+    whole: dict[str, Any] = {'break_long_words': False, 'break_on_hyphens': False}
+    filled = []
+    for line in lines:
+        deeper = ' ' * (len(line) - len(line.lstrip()) + 4)
+        filled.append(fill(line, width, subsequent_indent=deeper, **whole))
+    return '\n'.join(filled)
 
 
 # First characters of numbers, and of a cell without one; most rows of a table of a report.
@@ -205,22 +198,16 @@ def progress(iterable: Iterable[T], description: str, total: int | None = None) 
     if not logging.getLogger().isEnabledFor(logging.WARNING):
         yield from iterable
     elif sys.stderr is not None and sys.stderr.isatty():
-        yield from tqdm(
-            iterable, desc=description, total=total, delay=_FIRST_S, leave=False, file=sys.stderr
-        )
+        bar: Any = {'desc': description, 'total': total, 'leave': False}
+        yield from tqdm(iterable, delay=_FIRST_S, file=sys.stderr, **bar)
     else:
         begin = shown = time.monotonic()
         total = len(iterable) if total is None and isinstance(iterable, Sized) else total
         for count, item in enumerate(iterable):
             now = time.monotonic()
             if now - shown > _LINE_EVERY_S and sys.stderr is not None:
-                line = tqdm.format_meter(
-                    count,
-                    total,  # type: ignore[arg-type]
-                    now - begin,
-                    prefix=description,
-                    ncols=80,
-                )
+                known: Any = total
+                line = tqdm.format_meter(count, known, now - begin, 80, prefix=description)
                 print(line, file=sys.stderr, flush=True)
                 shown = now
             yield item

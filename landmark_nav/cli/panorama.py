@@ -31,21 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'Project the frames of one sweep on a cylinder, cut to the rows that every '
         'covered column has. What no frame covers is transparent.'
     )
-    parser.add_argument(
-        'sweep',
-        metavar='BAG_OR_FOLDER',
-        type=Path,
-        help='bag of sweeps, or folder of images with frames.csv '
-        '(file,pan_rad,focal_px,width,height)',
-    )
+    text = 'bag of sweeps, or folder of images with frames.csv: file,pan_rad,focal_px,width,height'
+    add(parser, 'sweep', metavar='BAG_OR_FOLDER', type=Path, help=text)
     add(parser, '--topic', '--overwrite')
-    parser.add_argument(
-        '--sweep',
-        type=within(int, 1),
-        dest='number',
-        metavar='K',
-        help='which sweep of the bag, from 1 on',
-    )
+    which = {'dest': 'number', 'metavar': 'K', 'help': 'which sweep of the bag, from 1 on'}
+    add(parser, '--sweep', type=within(int, 1), **which)
     add(parser, '--out', required=True, metavar='F.png', help='PNG to write')
     add(parser, '--robot', help='robot.yaml: how the camera is mounted (default: level, centred)')
     parser.add_argument(
@@ -67,9 +57,7 @@ def run(args: argparse.Namespace) -> int:
     mount = given.mount
     is_image_folder = (args.sweep / 'frames.csv').is_file()
     if not is_image_folder and any(args.sweep.glob('*.[jpJP][pnPN]*[gG]')):
-        raise LandmarkNavError(
-            f'{args.sweep}: images without frames.csv (file,pan_rad,focal_px,width,height)'
-        )
+        raise LandmarkNavError(f'{args.sweep}: images without frames.csv, see --help')
     if is_image_folder and args.number is not None:
         raise UsageError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
     sweep = read_sweep_folder(args.sweep) if is_image_folder else _sweep(args, mount)
@@ -120,7 +108,5 @@ def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
         raise LandmarkNavError(f'{bag.path}: holds no whole sweep: take another')
     if found is None or (number is None and total > 1):
         which = '' if number is None else f', no number {number}'
-        raise UsageError(
-            f'{bag.path}: holds {total} sweeps{which}: take one by --sweep 1 to {total}'
-        )
+        raise UsageError(f'{bag.path}: has {total} sweeps{which}: take --sweep 1 to {total}')
     return found

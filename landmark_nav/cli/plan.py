@@ -11,7 +11,7 @@ from landmark_nav.cli.options import add, progress, within, wrapped
 from landmark_nav.errors import UsageError
 from landmark_nav.evaluation.figures.map_figure import draw_plan
 from landmark_nav.planning.planner import Plan, plan_positions
-from landmark_nav.planning.prediction import CAP_M, Forecast
+from landmark_nav.planning.prediction import CAP_M
 from landmark_nav.planning.views import PlanConfig
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
 from landmark_nav.storage.setup_files import load_robot, load_room
@@ -30,23 +30,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, '--room', required=True, help='room.yaml, measured or of learn --walls-out')
     add(parser, '--robot', required=True)
-    parser.add_argument(
-        '--positions',
-        required=True,
-        type=within(int, 2, 100),
-        metavar='N',
-        help='how many places, 2 or more',
-    )
+    several = {'type': within(int, 2, 100), 'metavar': 'N', 'help': 'how many places, 2 or more'}
+    add(parser, '--positions', **several, required=True)
     add(parser, '--out', required=True, metavar='PLAN', help='plan.yaml to write')
     add(parser, '--overwrite')
     focal = {'type': within(float, 50, 20000), 'default': default.focal_px, 'metavar': 'PX'}
     add(parser, '--focal', **focal, help='focal length of the camera in pixels')
-    parser.add_argument(
-        '--size', type=within(int, 16, 16384), nargs=2,
-        default=(default.width_px, default.height_px),
-        metavar=('W', 'H'),
-        help=f'of its images in pixels (default {default.width_px} {default.height_px})',
-    )  # fmt: skip
+    size = {'nargs': 2, 'type': within(int, 16, 16384), 'metavar': ('W', 'H')}
+    width, height = default.width_px, default.height_px
+    text = f'of its images in pixels (default {width} {height})'
+    add(parser, '--size', **size, default=(width, height), help=text)
     clearance = {'type': within(float, 0.05, 5), 'default': default.clearance_m, 'metavar': 'M'}
     add(parser, '--clearance', **clearance, help='least metres of the robot from walls')
 
@@ -63,15 +56,9 @@ def run(args: argparse.Namespace) -> int:
     check_new(args.overwrite, args.out, figure_path)
     check_writable(figure_path)
     room, mount = load_room(args.room), load_robot(args.robot)
-    low, high = mount.pan_limits_rad
-    config = PlanConfig(
-        focal_px=args.focal,
-        width_px=args.size[0],
-        height_px=args.size[1],
-        pan_min_rad=low,
-        pan_max_rad=high,
-        clearance_m=args.clearance,
-    )
+    (width, height), (low, high) = args.size, mount.pan_limits_rad
+    seen = {'focal_px': args.focal, 'width_px': width, 'height_px': height}
+    config = PlanConfig(**seen, pan_min_rad=low, pan_max_rad=high, clearance_m=args.clearance)
     rng = np.random.default_rng(0)
     plan = plan_positions(room, mount, args.positions, config, rng, progress)
     draw_plan(plan, room, figure_path)
@@ -112,7 +99,7 @@ def _text(plan: Plan, config: PlanConfig, frame_id: str) -> str:
             'random': {
                 'sets': len(plan.random),
                 'best_m': _short(plan.random[0].cost_m),
-                'median_m': _short(_median(plan.random).cost_m),
+                'median_m': _short(plan.random[len(plan.random) // 2].cost_m),
             }
         },
     }
@@ -138,19 +125,15 @@ def _summary(plan: Plan) -> str:
         f'{1e3 * best.quantile_m(0.95):.1f} mm or less on 95 % of the floor, {covered:.0%} of it '
         'covered',
         f'mean over the floor: {1e3 * best.cost_m:.2f} mm',
-        _beside('median of random places', _median(plan.random), best),
-        _beside(f'best of {len(plan.random)} random places', plan.random[0], best),
     ]
+    count = len(plan.random)
+    for name, rank in ('median of', count // 2), (f'best of {count}', 0):
+        cost_m = plan.random[rank].cost_m
+        lines.append(
+            f'  {name} random places: {1e3 * cost_m:.2f} mm, {cost_m / best.cost_m:.2f} times the '
+            'error of the plan'
+        )
     return wrapped(lines)
-
-
-def _beside(name: str, other: Forecast, best: Forecast) -> str:
-    ratio = other.cost_m / best.cost_m
-    return f'  {name}: {1e3 * other.cost_m:.2f} mm, {ratio:.2f} times the error of the plan'
-
-
-def _median(ranked: tuple[Forecast, ...]) -> Forecast:
-    return ranked[len(ranked) // 2]
 
 
 def _short(value: float) -> float:

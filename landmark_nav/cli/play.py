@@ -22,12 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, 'bag', '--topic')
     text = 'speed relative to the recording, 0.01 to 100'
     add(parser, '--rate', type=within(float, 0.01, 100), default=1.0, metavar='R', help=text)
-    parser.add_argument(
-        '--ros-args',
-        nargs=argparse.REMAINDER,
-        default=[],
-        help='what follows goes to ROS, such as -r /odom:=/robot1/odom',
-    )
+    text = 'what follows goes to ROS, such as -r /odom:=/robot1/odom'
+    add(parser, '--ros-args', nargs=argparse.REMAINDER, default=[], help=text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.cli.options import add, evaluate_line, progress, within
-from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.errors import UsageError
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation import furnishing, setup_documents
 from landmark_nav.simulation.drive_path import plan_tour
 from landmark_nav.simulation.pan_tilt_unit import PanControl, PanTiltConfig
-from landmark_nav.simulation.scene import choose_sweep_places, Scene, seen_from_all
+from landmark_nav.simulation.scene import Scene, seen_from_all, sweep_places
 from landmark_nav.simulation.world import (
     DEFAULT_CAMERA,
     DEFAULT_MOUNT,
@@ -54,12 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--overwrite')
     add(parser, '--room', help='room.yaml to furnish (default: a room is drawn, too)')
     add(parser, '--robot', help='robot.yaml: how the camera is mounted (default: 1.1 m up)')
-    parser.add_argument(
-        '--camera',
-        metavar='F',
-        help='calibration of its camera, a YAML file as camera_calibration writes it; without it '
-        'one of 512 x 512 pixels',
-    )
+    text = 'its camera, a YAML file as camera_calibration writes it (default: 512 x 512 pixels)'
+    add(parser, '--camera', metavar='F', help=text)
     add(parser, '--seed', help='of all that is drawn at random')
     for name, kind, default, metavar, text in (
         ('--sweeps', within(int, 1, 1000), 2, 'N', 'how many sweeps'),
@@ -72,24 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
          'to 1, that are replaced by others between sweeps and drive'),
     ):  # fmt: skip
         add(parser, name, type=kind, default=default, metavar=metavar, help=text)
-    parser.add_argument(
-        '--light-change',
-        action='store_true',
-        help='dim one lamp and move one piece of furniture between sweeps and drive',
-    )
-    parser.add_argument(
-        '--tags',
-        type=within(float, 0.3, 10),
-        metavar='M',
-        help='hang AprilTags (36h11, 16 cm) every M metres where the walls are free; scene.json '
-        'says where',
-    )
-    parser.add_argument(
-        '--exact',
-        action='store_true',
-        help='write room.yaml and robot.yaml exactly as they are (default: as a person with a '
-        'tape measures them, walls and the height of the camera to 5 mm, papers to 1 mm)',
-    )
+    text = 'dim one lamp and move one piece of furniture between sweeps and drive'
+    add(parser, '--light-change', action='store_true', help=text)
+    text = 'hang AprilTags (36h11, 16 cm) every M metres where the walls are free (scene.json)'
+    add(parser, '--tags', type=within(float, 0.3, 10), metavar='M', help=text)
+    text = 'write room.yaml and robot.yaml exactly as they are (default: as a person with a tape '
+    text += 'measures them, walls and the height of the camera to 5 mm, papers to 1 mm)'
+    add(parser, '--exact', action='store_true', help=text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -124,15 +109,8 @@ def run(args: argparse.Namespace) -> int:
             frames = round(args.drive_seconds * args.camera_rate)
             known = seen_from_all(scene, [pose[:2] for pose in poses])
             pan_control = PanControl(later, mount, PanTiltConfig.pan_limit_rad, rng, known)
-            messages = drive_messages(
-                world,
-                rosbag_factory(),
-                path,
-                pan_control,
-                seconds=args.drive_seconds,
-                speed_m_s=args.speed,
-                camera_rate_hz=args.camera_rate,
-            )
+            pace = args.drive_seconds, args.speed, args.camera_rate
+            messages = drive_messages(world, rosbag_factory(), path, pan_control, *pace)
             _write(bag, messages, 'drive', frames)
         for name, text in (
             ('room.yaml', setup_documents.room_document(given[0])),
@@ -161,9 +139,8 @@ def _camera_rate(text: str) -> float:
     every = max(1, round(STATE_RATE_HZ / rate))
     if abs(every * rate - STATE_RATE_HZ) > 1e-3 * STATE_RATE_HZ:
         near = STATE_RATE_HZ / every
-        raise argparse.ArgumentTypeError(
-            f'{text} is no whole part of {STATE_RATE_HZ}: take {near:.4g}'
-        )
+        whole = f'{text} is no whole part of {STATE_RATE_HZ}'
+        raise argparse.ArgumentTypeError(f'{whole}: take {near:.4g}')
     return rate
 
 
@@ -171,9 +148,7 @@ def _sweep_poses(
     scene: Scene, count: int, rng: np.random.Generator
 ) -> list[np.ndarray[Any, np.dtype[np.float64]]]:
     """Return the two best poses, then random ones around them."""
-    places = choose_sweep_places(scene)
-    if places is None:
-        raise LandmarkNavError('the room has no place that sees all papers and the target')
+    places = sweep_places(scene)
     poses = [np.asarray(pose) for pose in places.poses[:count]]
     missing = count - len(poses)
     if not missing:

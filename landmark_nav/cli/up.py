@@ -19,9 +19,8 @@ from landmark_nav.storage.setup_files import load_room
 
 _POLL_S = 0.1
 # Log format of all nodes, with date and time instead of seconds since 1970.
-_LOG_FORMAT = {
-    'RCUTILS_CONSOLE_OUTPUT_FORMAT': '{date_time_with_ms} [{severity}] {name}: {message}'
-}
+_LINE = '{date_time_with_ms} [{severity}] {name}: {message}'
+_LOG_FORMAT = {'RCUTILS_CONSOLE_OUTPUT_FORMAT': _LINE}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,17 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--room', type=Path, help='room.yaml (default: walls and poses are found)')
     text = 'folder that save_map writes; a map in it is loaded at once (default map)'
     add(parser, '--map', type=Path, default=Path('map'), metavar='DIR', help=text)
-    parser.add_argument(
-        '--sim',
-        action='store_true',
-        help='start a simulated robot too; without --robot and --room in a room of its own',
-    )
+    text = 'start a simulated robot too; without --robot and --room in a room of its own'
+    add(parser, '--sim', action='store_true', help=text)
     add(parser, '--seed', help='draws the simulated room')
-    parser.add_argument(
-        '--composed',
-        action='store_true',
-        help='run all nodes in one process: less memory, but learning holds up localization',
-    )
+    text = 'run all nodes in one process: less memory, but learning holds up localization'
+    add(parser, '--composed', action='store_true', help=text)
     add(parser, '--config', '--namespace')
 
 
@@ -62,8 +55,7 @@ def run(args: argparse.Namespace) -> int:
             robot, room = drawn.robot_file, drawn.room_file
         else:
             robot, room = args.robot.resolve(), args.room and args.room.resolve()
-            # Check the files here, so that a wrong one gives one error instead of one from each
-            # node.
+            # A wrong file gives one error here, and else one from each node.
             load_configuration(args.config, robot, *READS)
             if room is not None:
                 load_room(room)

@@ -26,7 +26,7 @@ from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.messages import decode
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.scene import choose_sweep_places
+from landmark_nav.simulation.scene import sweep_places
 from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.bags import Bag
@@ -65,6 +65,7 @@ SWEEP_TOPICS = (
 T = TypeVar('T')
 
 _NOT_RECORDED = Refusal('not recorded')
+_NONE = np.empty(0)
 # Status by the levels OK, WARN and ERROR of DiagnosticStatus, which rosbags reads as numbers.
 _STATUS = ('tracking', 'coasting', 'lost')
 
@@ -100,11 +101,13 @@ def recorded_run(bag: Bag) -> Replay:
     updates = []
     for stamp, pose, (status, reason) in zip(stamps, fused_track.at(stamps), states, strict=True):
         nearest = min(fused, key=lambda other: abs(other - stamp))
-        seen = found.get(stamp, _nothing(stamp))
+        nothing = Detections(stamp, _NONE.astype(int), _NONE, _NONE, _NONE, _NONE.reshape(0, 2))
+        seen = found.get(stamp, nothing)
+        fix: PoseEstimate | Refusal = fixes.get(stamp) or _NOT_RECORDED
         updates.append(
             LocalizationUpdate(
                 stamp,
-                Observation(seen, {}, partial(_or_refusal, fixes.get(stamp))),
+                Observation(seen, {}, partial(_same, fix)),
                 len(seen),
                 PoseEstimate(stamp, pose, fused[nearest].covariance),
                 status,
@@ -130,6 +133,10 @@ def _read(bag: Bag, name: str, decoder: Callable[[Any], T]) -> list[T]:
     return [decoder(entry.message) for entry in bag.messages([topic])] if topic else []
 
 
+def _same(fix: PoseEstimate | Refusal) -> PoseEstimate | Refusal:
+    return fix
+
+
 def _states_at(bag: Bag, stamps_ns: Any) -> list[tuple[str, str]]:
     """Last status of the fusion and its reason at each image; tracking before the first."""
     states = [(0, 'tracking', '')]
@@ -140,15 +147,6 @@ def _states_at(bag: Bag, stamps_ns: Any) -> list[tuple[str, str]]:
                 states.append((stamp, _STATUS[min(int(status.level), 2)], status.message))
     last = np.searchsorted([stamp for stamp, *_ in states], stamps_ns, side='right') - 1
     return [states[k][1:] for k in last]
-
-
-def _or_refusal(fix: PoseEstimate | None) -> PoseEstimate | Refusal:
-    return fix or _NOT_RECORDED
-
-
-def _nothing(stamp_ns: int) -> Detections:
-    none = np.empty(0)
-    return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))
 
 
 # Bounds of a passed demo.
@@ -216,9 +214,8 @@ def judge(measured: dict[str, Any]) -> list[Check]:
     ]
     if 'scale' in measured:
         off, most = abs(measured['scale'] - 1.0), _MOST_SIGMAS * measured['scale_sigma']
-        checks.append(
-            (off <= most, f'scale off by {100 * off:.2f} % (at most {100 * most:.2f} %)')
-        )
+        scaled = f'scale off by {100 * off:.2f} % (at most {100 * most:.2f} %)'
+        checks.append((off <= most, scaled))
     return [Check(*check) for check in checks]
 
 
@@ -250,31 +247,25 @@ def prepare_room(folder: Path, seed: int, *, measured: bool = True) -> DemoRoom:
 
     If the room is `measured`, ``room.yaml`` is written too.
 
-    Raises `LandmarkNavError`: the room of this seed has no places for sweeps, or no space to
-    drive.
+    Raises `LandmarkNavError`: the room has no space to drive.
     """
     scene = generate_scene(seed)
-    places = choose_sweep_places(scene)
-    if places is None:
-        raise LandmarkNavError(f'the room of seed {seed} has no places for sweeps: take another')
+    places = sweep_places(scene)
     first, second = places.poses[:, :2]
+    tour = plan_tour(scene, second, _TOUR_M, np.random.default_rng([seed, 40]))
     room_file, robot_file = folder / 'room.yaml', folder / 'robot.yaml'
     if measured:
         room_file.write_text(room_document(scene.room), encoding='utf-8')
-    frame = np.zeros(3) if measured else places.poses[0]
+    to_frame = se2.inverse(np.zeros(3) if measured else places.poses[0])
     robot_file.write_text(robot_document(DEFAULT_MOUNT), encoding='utf-8')
-    extent = np.ptp(scene.room.bounds, axis=0)
     return DemoRoom(
         seed,
         room_file if measured else None,
         robot_file,
         DEFAULT_MOUNT,
-        se2.transform_points(se2.inverse(frame), plan_way(scene, first, second)),
-        se2.transform_points(
-            se2.inverse(frame),
-            plan_tour(scene, second, _TOUR_M, np.random.default_rng([seed, 40])),
-        ),
-        (float(extent[0]), float(extent[1])),
+        se2.transform_points(to_frame, plan_way(scene, first, second)),
+        se2.transform_points(to_frame, tour),
+        tuple(np.ptp(scene.room.bounds, axis=0).tolist()),
     )
 
 
@@ -345,9 +336,7 @@ def run_scenario(
     Raises `LandmarkNavError`: a step fails; the message says which.
     """
     narrator.title(f'Starting {len(nodes)} nodes, each a process')
-    robot.wait(
-        lambda: all(robot.status_of(name).reason for name in nodes), 60.0, 'a report of all nodes'
-    )
+    robot.wait(lambda: all(robot.status_of(k).reason for k in nodes), 60.0, 'a report of each')
     robot.wait(lambda: robot.odometry is not None, 20.0, 'odom of the simulated robot')
     length, width = room.size_m
     narrator.print_line(f'a robot that knows nothing, in a room of {length:.1f} m x {width:.1f} m')
@@ -363,17 +352,13 @@ def run_scenario(
         second = _sweep(robot, room, narrator, 'second')
 
     narrator.title('Learning landmarks from the two panoramas: service learn_landmarks')
-    narrator.print_line(
-        'texture that stands out, found from both places, on a wall, hard to mistake'
-    )
+    narrator.print_line('texture that stands out, found from both places, hard to mistake')
     narrator.print_line(robot.call('learn_landmarks', 120.0))
     narrator.print_line(robot.call('save_map', 20.0))
 
     way_m = float(np.linalg.norm(np.diff(room.tour, axis=0), axis=1).sum())
     narrator.title(f'Driving {way_m:.0f} m, steered by the fused pose')
-    narrator.print_line(
-        'the camera keeps turning to the three landmarks that are expected to give the best fix'
-    )
+    narrator.print_line('the camera keeps turning to the three landmarks of the best expected fix')
     with robot.recording(folder / 'recording', RECORDED_TOPICS, room.mount):
         if room.room_file:  # otherwise learning has published the pose
             robot.start_at(second)
@@ -388,9 +373,7 @@ def run_scenario(
 def _sweep(robot: RobotClient, room: DemoRoom, narrator: Narrator, which: str) -> PoseEstimate:
     """Take a sweep and wait for its panorama; return the pose of the base, zero without papers."""
     narrator.title(f'Taking the {which} sweep: service capture_sweep')
-    narrator.print_line(
-        'the camera turns step by step, settles and keeps a frame, all the way round'
-    )
+    narrator.print_line('the camera turns step by step and keeps a frame, all the way round')
     before = len(robot.panoramas)
     status_of = robot.call(
         'capture_sweep', 240.0, lambda: narrator.status(robot.status_of('sweep_capture').reason)

@@ -55,7 +55,6 @@ class Supervisor:
             log_folder.mkdir(parents=True, exist_ok=True)
 
     def __enter__(self) -> Supervisor:
-        """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -86,11 +85,9 @@ class Supervisor:
         for child in self._children:
             status = child.process.poll()
             if status is not None:
-                how = (
-                    f'signal {signal.Signals(-status).name}'
-                    if status < 0
-                    else f'exit status {status}'
-                )
+                how = f'exit status {status}'
+                if status < 0:
+                    how = f'signal {signal.Signals(-status).name}'
                 words = f': {_last_words(child.log)} (all: {child.log})' if child.log else ''
                 raise ProcessEndedError(f'{child.name} ended with {how}{words}')
 
@@ -107,10 +104,9 @@ class Supervisor:
                 # The signal is sent to the group, which includes processes started by the child.
                 os.killpg(child.process.pid, number)
             deadline = time.monotonic() + self._grace_s
-            while time.monotonic() < deadline and any(
-                child.process.poll() is None for child in running
-            ):
+            while running and time.monotonic() < deadline:
                 time.sleep(_POLL_S)
+                running = [child for child in running if child.process.poll() is None]
         statuses = {child.name: child.process.wait() for child in self._children}
         self._children = []
         return statuses

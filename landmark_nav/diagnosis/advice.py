@@ -55,14 +55,11 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
 
 def step_finding(stream: str, step_s: float, at_s: float) -> Finding:
     """Build the finding of the clock of a stream that was set."""
-    side = 'ahead' if step_s > 0.0 else 'back'
-    return Finding(
-        f'{stream} clock',
-        'error' if abs(step_s) > CORRECTED_S else 'warning',
-        f'steps {side} by {seconds_text(abs(step_s))} at {at_s:.1f} s',
-        'discipline the clock of its host before driving (chrony)',
-        {'step_s': step_s, 'at_s': at_s},
-    )
+    text = f'steps {"ahead" if step_s > 0.0 else "back"} by {seconds_text(abs(step_s))}'
+    text += f' at {at_s:.1f} s'
+    level: Level = 'error' if abs(step_s) > CORRECTED_S else 'warning'
+    advice = 'discipline the clock of its host before driving (chrony)'
+    return Finding(f'{stream} clock', level, text, advice, {'step_s': step_s, 'at_s': at_s})
 
 
 def seconds_text(seconds: float) -> str:
@@ -78,19 +75,15 @@ def cause_findings(judged: Verdict) -> list[Finding]:
     if cause.kind == 'none':
         if judged.fits:
             return []
-        noise = np.degrees(cause.left.noise_rad)
-        return [
-            Finding(
-                'image motion',
-                'warning',
-                f'no single fault explains how the images turn ({noise:.1f} deg are left)',
-                'undecided: look at joint_states, odom and images; more than one may be off',
-                {'noise_rad': cause.left.noise_rad},
-            )
-        ]
+        noise_rad = cause.left.noise_rad
+        text = 'no single fault explains how the images turn '
+        text += f'({np.degrees(noise_rad):.1f} deg are left)'
+        advice = 'undecided: look at joint_states, odom and images; more than one may be off'
+        return [Finding('image motion', 'warning', text, advice, {'noise_rad': noise_rad})]
     finding = _named(cause)
     if judged.rivals:
-        also = ', '.join(sorted({_short(rival) for rival in judged.rivals}))
+        kinds = {(c.stream, 'clock' if c.kind in CLOCKS else c.kind) for c in judged.rivals}
+        also = ', '.join(sorted(map(' '.join, kinds)))
         finding = replace(finding, measured=f'{finding.measured} (or {also}: undecided)')
     return [finding]
 
@@ -156,8 +149,70 @@ def camera_finding(error: CameraError) -> Finding:
     return Finding(name, level, text, advice, {'value': value})
 
 
-def _short(cause: Cause) -> str:
-    return f'{cause.stream} {"clock" if cause.kind in CLOCKS else cause.kind}'
+_LEVER = (
+    'camera mount',
+    'the pan axis is {size:.1f} m {side} of where robot.yaml has it',
+    'measure pan_axis xyz: metres ahead, to the left and up of base_link',
+)
+# Kind of a cause -> name of its finding, what was measured, remedy, and key of its value.
+_OTHER_CAUSES = {
+    'joint': (
+        'joint names',
+        'joint {joint} turns as the camera does, that of robot.yaml does not',
+        'set pan_joint: {joint} in robot.yaml',
+        'pan_joint',
+    ),
+    'twist': (
+        'odom yaw',
+        'its pose does not turn as the camera does, its twist does',
+        'publish the pose that the twist sums up to',
+        '',
+    ),
+    'speed': (
+        'pan unit',
+        'summed up, the pan is what the images turn by: it holds speeds, not angles',
+        'publish angles as position in joint_states',
+        '',
+    ),
+    'filter': (
+        'pan filter',
+        'the pan follows the images as behind a filter of {size:.2f} s',
+        'publish what the encoder measures, not what a controller or a smoother makes of it',
+        'filter_s',
+    ),
+    'heading': (
+        'pan frame',
+        'the pan has the yaw of odom in it: it is an angle against the room',
+        'publish the angle of the joint, against the robot',
+        '',
+    ),
+    'bias': (
+        'odom yaw',
+        'drifts by {degrees:.1f} deg/s against the images',
+        'calibrate the gyro while the robot stands',
+        'bias_rad_s',
+    ),
+    'curve': (
+        'odom yaw',
+        'curves by {degrees:.0f} deg/m against the images',
+        _WHEELS,
+        'curve_rad_m',
+    ),
+    'upside down': (
+        'camera mount',
+        'the images show the camera the other way up than robot.yaml: upside down, or not',
+        'fix pan_axis rpy (a unit that hangs: [3.1416, 0, 0]) or camera_roll in robot.yaml',
+        '',
+    ),
+    'offset': (
+        'camera mount',
+        'the optical centre is {size:.2f} m {side} of where robot.yaml has it',
+        'measure optical_center_offset from the pan axis, in metres',
+        'offset_m',
+    ),
+    'ahead': (*_LEVER, 'ahead_m'),
+    'left': (*_LEVER, 'left_m'),
+}
 
 
 def _named(cause: Cause) -> Finding:
@@ -165,91 +220,29 @@ def _named(cause: Cause) -> Finding:
     if cause.kind == 'clock':
         return clock_finding(stream, value)
     if cause.kind == 'drift':
-        fast = 'fast' if value > 0.0 else 'slow'
-        at = f', {seconds_text(abs(cause.offset_s))} off at the start'
-        share = 100.0 * abs(value)
+        share, off_s = 100.0 * abs(value), abs(cause.offset_s)
         text = f'{share:.1f} %' if share < 1e3 else f'{1.0 + value:.4g} times'
-        return Finding(
-            f'{stream} clock',
-            'error',
-            f'runs {text} {fast} against {_OTHERS[stream]}{at if abs(cause.offset_s) > 1 else ""}',
-            'its stamps drift: stamp by the clock of the host, disciplined by chrony',
-            {'drift': value, 'offset_s': cause.offset_s},
-        )
+        text = f'runs {text} {"fast" if value > 0.0 else "slow"} against {_OTHERS[stream]}'
+        text += f', {seconds_text(off_s)} off at the start' if off_s > 1.0 else ''
+        advice = 'its stamps drift: stamp by the clock of the host, disciplined by chrony'
+        values = {'drift': value, 'offset_s': cause.offset_s}
+        return Finding(f'{stream} clock', 'error', text, advice, values)
     if cause.kind == 'step':
         return step_finding(stream, value, cause.offset_s)
-    degrees, away, ahead = np.degrees(-value), abs(value), value > 0.0
-    left = cause.kind == 'left'
-    sides = ('to the left', 'to the right') if left else ('ahead', 'behind')
-    lever = (
-        'camera mount',
-        f'the pan axis is {away:.1f} m {sides[not ahead]} of where robot.yaml has it',
-        'measure pan_axis xyz: metres ahead, to the left and up of base_link',
-        {f'{cause.kind}_m': value},
-    )
-    described: dict[str, tuple[str, str, str, dict[str, Any]]] = {
-        'joint': (
-            'joint names',
-            f'joint {cause.name} turns as the camera does, that of robot.yaml does not',
-            f'set pan_joint: {cause.name} in robot.yaml',
-            {'pan_joint': cause.name},
-        ),
-        'twist': (
-            'odom yaw',
-            'its pose does not turn as the camera does, its twist does',
-            'publish the pose that the twist sums up to',
-            {},
-        ),
-        'speed': (
-            'pan unit',
-            'summed up, the pan is what the images turn by: it holds speeds, not angles',
-            'publish angles as position in joint_states',
-            {},
-        ),
-        'filter': (
-            'pan filter',
-            f'the pan follows the images as behind a filter of {away:.2f} s',
-            'publish what the encoder measures, not what a controller or a smoother makes of it',
-            {'filter_s': value},
-        ),
-        'heading': (
-            'pan frame',
-            'the pan has the yaw of odom in it: it is an angle against the room',
-            'publish the angle of the joint, against the robot',
-            {},
-        ),
-        'bias': (
-            'odom yaw',
-            f'drifts by {degrees:.1f} deg/s against the images',
-            'calibrate the gyro while the robot stands',
-            {'bias_rad_s': -value},
-        ),
-        'curve': (
-            'odom yaw',
-            f'curves by {degrees:.0f} deg/m against the images',
-            _WHEELS,
-            {'curve_rad_m': -value},
-        ),
-        'upside down': (
-            'camera mount',
-            'the images show the camera the other way up than robot.yaml: upside down, or not',
-            'fix pan_axis rpy (a unit that hangs: [3.1416, 0, 0]) or camera_roll in robot.yaml',
-            {},
-        ),
-        'offset': (
-            'camera mount',
-            f'the optical centre is {away:.2f} m {"ahead" if ahead else "behind"} of where '
-            'robot.yaml has it',
-            'measure optical_center_offset from the pan axis, in metres',
-            {'offset_m': value},
-        ),
-        'ahead': lever,
-        'left': lever,
+    if cause.kind not in _OTHER_CAUSES:
+        return _scale_finding(stream, value)
+    name, text, advice, key = _OTHER_CAUSES[cause.kind]
+    side, other = ('to the left', 'to the right') if cause.kind == 'left' else ('ahead', 'behind')
+    fields = {
+        'joint': cause.name,
+        'size': abs(value),
+        'degrees': np.degrees(-value),
+        'side': side if value > 0.0 else other,
     }
-    if cause.kind in described:
-        name, text, advice, values = described[cause.kind]
-        return Finding(name, 'error', text, advice, values)
-    return _scale_finding(stream, value)
+    measured = -value if cause.kind in ('bias', 'curve') else value
+    found: Any = cause.name if cause.kind == 'joint' else measured
+    values = {key: found} if key else {}
+    return Finding(name, 'error', text.format(**fields), advice.format(**fields), values)
 
 
 def _scale_finding(stream: str, factor: float) -> Finding:
@@ -295,16 +288,14 @@ def _scale_finding(stream: str, factor: float) -> Finding:
 def motion_findings(motion: Motion, slopes: Linear, room: Room | None) -> list[Finding]:
     """Judge scales, clocks, unit of the odometry and heading of the camera by the images."""
     gear, track = 'check the gear of the pan', 'check the track width of the wheels'
-    found = [
-        _scale('pan scale', slopes.pan_scale, 0.05, 0.03, gear),
-        _clock(JOINTS, slopes.pan_clock_s),
-    ]
+    scales = [_scale('pan scale', slopes.pan_scale, 0.05, 0.03, gear)]
+    clocks = [_clock(JOINTS, slopes.pan_clock_s)]
     if motion.odometry is not None:
-        found.insert(1, _scale('odom yaw', slopes.yaw_scale, 0.1, 0.15, track))
-        found.append(_clock(ODOMETRY, slopes.odometry_clock_s))
+        scales.append(_scale('odom yaw', slopes.yaw_scale, 0.1, 0.15, track))
+        clocks.append(_clock(ODOMETRY, slopes.odometry_clock_s))
     more = _unit(slopes, room) + _heading(slopes)
     said = {finding.name for finding in more}
-    return [*(finding for finding in found if finding.name not in said), *more]
+    return [*(finding for finding in scales + clocks if finding.name not in said), *more]
 
 
 def _scale(name: str, error: Estimate, known: float, warn: float, advice: str) -> Finding:
@@ -313,7 +304,8 @@ def _scale(name: str, error: Estimate, known: float, warn: float, advice: str) -
         return Finding(name, 'ok', 'not judged: it hardly moves')
     text = f'{1.0 + error.value:.3f} of the images (sigma {error.sigma:.3f})'
     values = {'scale': 1.0 + error.value, 'sigma': error.sigma}
-    return _judged(name, error.beyond(warn, known), text, advice, values)
+    wrong = error.beyond(warn, known)
+    return Finding(name, 'warning' if wrong else 'ok', text, advice if wrong else '', values)
 
 
 def _clock(stream: str, late: Estimate) -> Finding:
@@ -321,14 +313,10 @@ def _clock(stream: str, late: Estimate) -> Finding:
         return Finding(f'{stream} clock', 'ok', 'not judged by motion: it hardly moves')
     text = f'{1e3 * late.value:+.0f} ms against the images (sigma {1e3 * late.sigma:.0f} ms)'
     values = {'late_s': late.value, 'sigma_s': late.sigma}
-    advice = 'stamp at the time of measurement'
-    return _judged(f'{stream} clock', late.beyond(0.05, 0.1), text, advice, values)
-
-
-def _judged(name: str, wrong: bool, text: str, advice: str, values: dict[str, float]) -> Finding:
-    if wrong:
-        return Finding(name, 'warning', text, advice, values)
-    return Finding(name, 'ok', text, '', values)
+    if late.beyond(0.05, 0.1):
+        advice = 'stamp at the time of measurement'
+        return Finding(f'{stream} clock', 'warning', text, advice, values)
+    return Finding(f'{stream} clock', 'ok', text, '', values)
 
 
 def _unit(slopes: Linear, room: Room | None) -> list[Finding]:

@@ -82,9 +82,8 @@ def matched(first: Corners, second: Corners) -> tuple[FloatArray, FloatArray] | 
     """
     if min(len(first.pixels), len(second.pixels)) < _LEAST_MATCHES:
         return None
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
-        first.described, second.described
-    )
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+    pairs = matcher.match(first.described, second.described)
     if len(pairs) < _LEAST_MATCHES:
         return None
     one = first.pixels[[pair.queryIdx for pair in pairs]]
@@ -96,15 +95,10 @@ def matched(first: Corners, second: Corners) -> tuple[FloatArray, FloatArray] | 
     if points is None:
         return None
     begin = cv2.perspectiveTransform(points, homography).astype(np.float32)
-    found, tracked, _ = cv2.calcOpticalFlowPyrLK(
-        first.image,
-        second.image,
-        points,
-        begin.copy(),
-        winSize=(15, 15),
-        maxLevel=1,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
+    search: dict[str, Any] = {'winSize': (15, 15), 'maxLevel': 1}
+    search['flags'] = cv2.OPTFLOW_USE_INITIAL_FLOW
+    images = first.image, second.image
+    found, tracked, _ = cv2.calcOpticalFlowPyrLK(*images, points, begin.copy(), **search)
     near_px = np.linalg.norm(found - begin, axis=2).ravel() < _TRACKED_PX
     kept = (tracked.ravel() > 0) & near_px
     if kept.sum() < _LEAST_MATCHES:
@@ -144,9 +138,8 @@ class CameraSetup:
 
 def _mounted(setup: CameraSetup, roll: float = 0.0, pitch: float = 0.0) -> CameraSetup:
     first, second, third = setup.mount.axis_rpy
-    return replace(
-        setup, mount=replace(setup.mount, axis_rpy=(first + roll, second + pitch, third))
-    )
+    rpy = first + roll, second + pitch, third
+    return replace(setup, mount=replace(setup.mount, axis_rpy=rpy))
 
 
 def _rolled(setup: CameraSetup, value: float) -> CameraSetup:
@@ -163,11 +156,6 @@ def _sized(setup: CameraSetup, share: float) -> CameraSetup:
     c = setup.camera
     middle = {'cx': share * (c.cx + 0.5) - 0.5, 'cy': share * (c.cy + 0.5) - 0.5}
     return _lens(setup, fx=share * c.fx, fy=share * c.fy, **middle)
-
-
-def _bent(setup: CameraSetup, value: float) -> CameraSetup:
-    first, *rest = setup.camera.coefficients.tolist()
-    return replace(setup, camera=replace(setup.camera, distortion=(first + value, *rest)))
 
 
 # Smaller errors are within the range that localization and learning estimate.
@@ -202,7 +190,12 @@ _ERRORS = {
     'fy': _Error(lambda s, v: _lens(s, fy=s.camera.fy * np.exp(v)), 0.7),
     'cx': _Error(lambda s, v: _lens(s, cx=s.camera.cx + v * s.camera.fx), 0.6),
     'cy': _Error(lambda s, v: _lens(s, cy=s.camera.cy + v * s.camera.fy), 0.6),
-    'distortion': _Error(_bent, 0.4),
+    'distortion': _Error(
+        lambda s, v: _lens(
+            s, distortion=(s.camera.coefficients[0] + v, *s.camera.coefficients[1:])
+        ),
+        0.4,
+    ),
 }
 
 
@@ -239,9 +232,8 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     found = {}
     for name, error in _ERRORS.items():
         fits = [(*_best(matches, s, error, score), cost) for s, score, cost in starts]
-        found[name] = max(
-            ((value, score - cost) for value, score, cost in fits), key=lambda f: f[1]
-        )
+        scored = ((value, score - cost) for value, score, cost in fits)
+        found[name] = max(scored, key=lambda pair: pair[1])
     name = max(found, key=lambda key: found[key][1])
     score = found[name][1]
     if score < none + _CERTAIN:
@@ -254,22 +246,17 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
 
 
 def _nearly(matches: Matches, setup: CameraSetup) -> CameraSetup:
-    """
-    Return the setup with the best small angles of camera and axis, which manual mounting causes.
-
-    Otherwise a large error of another kind would explain them in part.
-    """
+    """Return the setup with the best small angles of camera and axis, as of manual mounting."""
+    # Otherwise a large error of another kind would explain them in part.
 
     def turned(angles: FloatArray) -> CameraSetup:
         return _mounted(_rolled(setup, float(angles[0])), *angles[1:].tolist())
 
-    found = minimize(
-        lambda angles: -_score(matches, turned(angles)),
-        np.zeros(3),
-        method='Powell',
-        bounds=[(-_MATTERS, _MATTERS)] * 3,
-        options={'xtol': 1e-2, 'ftol': 1e-3, 'maxiter': 3},
-    )
+    def badness(angles: FloatArray) -> float:
+        return -_score(matches, turned(angles))
+
+    bounds, enough = [(-_MATTERS, _MATTERS)] * 3, {'xtol': 1e-2, 'ftol': 1e-3, 'maxiter': 3}
+    found = minimize(badness, np.zeros(3), method='Powell', bounds=bounds, options=enough)
     return turned(found.x)
 
 
@@ -290,12 +277,8 @@ def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> t
     first = tried[int(np.argmin(scores))]
     if min(scores) > -none:
         return 0.0, none
-    found = minimize_scalar(
-        badness,
-        bounds=(first - 0.5 * error.reach, first + 0.5 * error.reach),
-        method='bounded',
-        options={'xatol': 1e-3, 'maxiter': 15},
-    )
+    bounds, enough = first + 0.5 * error.reach * np.array([-1, 1]), {'xatol': 1e-3, 'maxiter': 15}
+    found = minimize_scalar(badness, bounds=bounds, method='bounded', options=enough)
     pairs = matches.pairs[-1] + 1
     return float(found.x), -float(found.fun) - 0.5 * np.log(_INDEPENDENT * pairs)
 
@@ -309,9 +292,8 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
         tilts = matches.tilts_rad[:, n] + setup.tilt_rad
         rotation, _ = setup.mount.camera_pose_base(matches.pans_rad[:, n], tilts)
         rays = np.einsum('nij,nj->ni', rotation[k], rays_optical)
-        both.append(
-            (np.arctan2(rays[:, 1], rays[:, 0]), rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]))
-        )
+        slopes = rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1])
+        both.append((np.arctan2(rays[:, 1], rays[:, 0]), slopes))
     (azimuth, slope), (azimuth_after, slope_after) = both
     s, c = np.sin(azimuth), np.cos(azimuth)
     level = 1.0 / (1.0 + slope**2)
@@ -322,9 +304,8 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
     squares = (columns[..., None] * columns[..., None, :]).reshape(len(k), 2, 9)
     # The turn of a pair may be large: its mean is subtracted before angles are wrapped.
     turn = np.angle(_sums(np.exp(1j * (azimuth_after - azimuth)), matches.begins))
-    moved = np.stack(
-        [wrap_rad(azimuth_after - azimuth - turn[k]), (slope_after - slope) * level], -1
-    )
+    turned = wrap_rad(azimuth_after - azimuth - turn[k])
+    moved = np.stack([turned, (slope_after - slope) * level], -1)
     # Depths disturb azimuths more than elevations, so each has its own sigma. The least sigma is
     # in pixels, as pixels are measured.
     residuals = moved
@@ -354,9 +335,8 @@ def _rays(matches: Matches, camera: CameraModel) -> tuple[FloatArray, FloatArray
     pixels = matches.before_px, matches.after_px, at + aside[0], at + aside[1]
     ends = np.cumsum([len(part) for part in pixels])
     before, after, *beside = np.split(camera.unproject(np.concatenate(pixels)), ends[:-1])
-    middle, right, down = (
-        ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in (after[::_SPARSE], *beside)
-    )
+    rays = after[::_SPARSE], *beside
+    middle, right, down = (ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays)
     area = np.linalg.norm(np.cross(right - middle, down - middle), axis=1)
     return before, after, float(np.mean(np.log(np.maximum(area, 1e-12))))
 

@@ -135,9 +135,8 @@ def verdict(
     if any(best.stream == stream and best.kind in kinds for stream, *kinds in delayed):
         # All delay the pan against the images; robot.yaml expects it of the clock of the joints.
         of_joints = (c for c in found if (c.stream, c.kind) == (JOINTS, 'clock'))
-        best = next(
-            (c for c in of_joints if _with_odometry(c, best.score) > best.score - ALIKE), best
-        )
+        least = best.score - ALIKE
+        best = next((c for c in of_joints if _with_odometry(c, best.score) > least), best)
     best = _polished(best)
     # Faults of one clock are not different ones.
     fault = best.stream, best.kind in CLOCKS
@@ -185,11 +184,8 @@ def _cause(
 
 
 def _along(motion: Motion) -> float:
-    """
-    Log-likelihood of the path by the heading, up to a constant.
-
-    A robot drives along its heading, or at a constant angle to it, forwards and backwards.
-    """
+    """Log-likelihood of the path by the heading, up to a constant."""
+    # A robot drives along its heading, or at a constant angle to it, forwards and backwards.
     if motion.odometry is None:
         return 0.0
     begin, end = motion.odometry.seconds[[0, -1]]
@@ -204,12 +200,12 @@ def _along(motion: Motion) -> float:
 
 def _likeliest(make: Callable[[float], Cause], first: float, reach: float) -> Cause:
     """Find the cause with the likeliest value within `reach` of `first`."""
-    found = minimize_scalar(
-        lambda value: -make(float(value)).score,
-        bounds=(first - reach, first + reach),
-        method='bounded',
-        options={'xatol': 1e-4},
-    )
+
+    def badness(value: float) -> float:
+        return -make(float(value)).score
+
+    bounds = first - reach, first + reach
+    found = minimize_scalar(badness, bounds=bounds, method='bounded', options={'xatol': 1e-4})
     return make(float(found.x))
 
 
@@ -233,19 +229,15 @@ def _others(motion: Motion) -> Iterator[Cause]:
         return replace(motion, odometry=driven_again(odometry, **change))
 
     # The pan before a filter of the first order.
-    yield _best(
-        JOINTS,
-        'filter',
-        lambda value: replace(motion, pan=replace(pan, values=pan.values + value * rate)),
-        1.0,
-    )
+    def unfiltered(value: float) -> Motion:
+        return replace(motion, pan=replace(pan, values=pan.values + value * rate))
+
+    yield _best(JOINTS, 'filter', unfiltered, 1.0)
     yield _best(ODOMETRY, 'bias', lambda value: again(bias_rad_s=value), 1.0)
     yield _best(ODOMETRY, 'curve', lambda value: again(curve_rad_m=value), 3.0)
     yield _best(MOUNT, 'ahead', lambda value: replace(motion, axis_xy=(x + value, y)), 2.0)
     yield _best(MOUNT, 'left', lambda value: replace(motion, axis_xy=(x, y + value)), 2.0)
-    yield _best(
-        MOUNT, 'offset', lambda value: replace(motion, offset_xy=(ahead + value, left)), 1.0
-    )
+    yield _best(MOUNT, 'offset', lambda v: replace(motion, offset_xy=(ahead + v, left)), 1.0)
 
 
 def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: float) -> Cause:
@@ -257,11 +249,6 @@ def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: floa
     grid = reach * _GRID
     first = max((make(value) for value in grid.tolist()), key=lambda cause: cause.score)
     return _likeliest(make, first.value, float(grid[1] - grid[0]))
-
-
-def _misfit(residuals: FloatArray) -> FloatArray:
-    """Robust (Cauchy) sum over the last axis."""
-    return np.asarray(np.log1p((residuals / _FIRST_NOISE_RAD) ** 2).sum(-1))
 
 
 def _scales(motion: Motion) -> Iterator[Cause]:
@@ -280,7 +267,8 @@ def _scales(motion: Motion) -> Iterator[Cause]:
         # Very different units, such as ticks, show only in the magnitudes.
         ratio = float(np.median(np.abs(turns - rest)) / max(np.median(np.abs(factor)), 1e-12))
         tried = np.array([*_SCALES, least, ratio, -ratio])
-        scale = float(tried[np.argmin(_misfit(turns - rest - tried[:, None] * factor))])
+        left = (turns - rest - tried[:, None] * factor) / _FIRST_NOISE_RAD
+        scale = float(tried[np.argmin(np.log1p(left**2).sum(1))])
         parallax = motion.parallax()
         for _ in range(3):
             near = fit(turns - rest - scale * factor, np.column_stack([factor, parallax]))
@@ -327,20 +315,26 @@ def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Ca
 
 def _clock_cause(motion: Motion, stream: str, kind: str, clock: Clock) -> Cause:
     """Return the cause that a stream has a clock; late images are the others that are early."""
-    clocks = {
-        JOINTS: {'pan_clock': clock},
-        ODOMETRY: {'odometry_clock': clock},
-        IMAGES: {'pan_clock': clock, 'odometry_clock': clock},
-    }[stream]
     sign = -1.0 if stream == IMAGES else 1.0
     value, offset_s = {
         'clock': (clock.offset_s, sign * clock.offset_s),
         'drift': (clock.drift, sign * clock.offset_s),
         'step': (clock.step_s, clock.step_at_s),
     }[kind]
-    changed = replace(motion, **clocks)  # type: ignore[arg-type]
-    parameters = 1 if kind == 'clock' else 2
+    changed, parameters = _with_clock(motion, stream, clock), 1 if kind == 'clock' else 2
     return _cause(stream, kind, changed, parameters, sign * value, offset_s=offset_s)
+
+
+def _with_clock(motion: Motion, stream: str, clock: Clock) -> Motion:
+    if stream != ODOMETRY:
+        motion = replace(motion, pan_clock=clock)
+    return motion if stream == JOINTS else replace(motion, odometry_clock=clock)
+
+
+def _misfit(motion: Motion, stream: str, clocks: Clock) -> FloatArray:
+    """Robust (Cauchy) misfit of each pair with several clocks, (m, n)."""
+    left = _with_clock(motion, stream, clocks).unexplained()
+    return np.asarray(np.log1p((left / _FIRST_NOISE_RAD) ** 2))
 
 
 def _first_offset(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
@@ -357,22 +351,19 @@ def _first_drift(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
     """Return the best of drifting clocks, those of the hints and a grid, with a near offset."""
     begin, few = float(motion.before_s.min()), _NEAR[:: max(1, len(_NEAR) // 40)]
     drifting = [h for h in hinted if h.drift] + [Clock(0.0, d, begin) for d in _DRIFTS.tolist()]
-    return _best_offset(
-        motion,
-        stream,
-        [
-            (replace(base, offset_s=start), few)
-            for base in drifting
-            for start in {base.offset_s, *(h.offset_s for h in hinted)}
-        ],
-    )
+    grids = [
+        (replace(base, offset_s=start), few)
+        for base in drifting
+        for start in {base.offset_s, *(h.offset_s for h in hinted)}
+    ]
+    return _best_offset(motion, stream, grids)
 
 
 def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArray]]) -> Clock:
     """Clock with the least misfit, of clocks with grids of offsets on top of them."""
     least, found = np.inf, Clock()
     for base, grid in grids:
-        misfit = _misfit(_left(motion, stream, base, grid))
+        misfit = _misfit(motion, stream, base.later(grid[:, None, None])).sum(1)
         # Of equally good offsets, take the smallest.
         best = int(np.argmin(misfit + 1e-6 * np.abs(grid)))
         if misfit[best] < least:
@@ -380,28 +371,13 @@ def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArra
     return found
 
 
-def _left(motion: Motion, stream: str, base: Clock, grid: FloatArray) -> FloatArray:
-    """Residuals of the turns, (m, n), with offsets (m,) on top of a clock."""
-    pan, yaw = motion.panned(), motion.yawed()
-    pairs = np.stack([motion.before_s, motion.after_s])
-    moved = base.at(pairs) + grid[:, None, None]
-    if stream in (JOINTS, IMAGES):
-        turned = motion.pan.at(moved)[..., 0]
-        pan = motion.pan_scale * (turned[:, 1] - turned[:, 0])
-    if stream in (ODOMETRY, IMAGES) and motion.odometry is not None:
-        heading = Track(motion.odometry.seconds, motion.odometry.values[:, 2:])
-        turned = heading.at(moved)[..., 0]
-        yaw = motion.yaw_scale * (turned[:, 1] - turned[:, 0])
-    return np.asarray(motion.turns_rad - pan - yaw)
-
-
 def _offset(motion: Motion, stream: str, first: Clock) -> Cause:
     """Find the likeliest clock with another offset than `first`."""
-    return _likeliest(
-        lambda later: _clock_cause(motion, stream, 'clock', first.later(later)),
-        0.0,
-        2.0 * _FAR_STEP_S,
-    )
+
+    def make(later: float) -> Cause:
+        return _clock_cause(motion, stream, 'clock', first.later(later))
+
+    return _likeliest(make, 0.0, 2.0 * _FAR_STEP_S)
 
 
 def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
@@ -413,16 +389,9 @@ def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
         return _clock_cause(motion, stream, 'drift', replace(first.later(later), drift=drift))
 
     start = np.array([0.0, first.drift])
-    best = minimize(
-        lambda change: -make(change).score,
-        start,
-        method='Nelder-Mead',
-        options={
-            'initial_simplex': start + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]]),
-            'xatol': 1e-4,
-            'maxfev': 120,
-        },
-    )
+    simplex = start + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]])
+    enough = {'initial_simplex': simplex, 'xatol': 1e-4, 'maxfev': 120}
+    best = minimize(lambda x: -make(x).score, start, method='Nelder-Mead', options=enough)
     found = make(best.x)
     if abs(found.value) * span < _LEAST_DRIFT_S:
         return replace(found, kind='clock', value=found.offset_s)
@@ -432,7 +401,7 @@ def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
 def _step(motion: Motion, stream: str) -> Cause:
     """Find the likeliest clock that is off by a constant before, or after, some moment."""
     order = np.argsort(motion.before_s)
-    each = np.log1p((_left(motion, stream, Clock(), _NEAR) / _FIRST_NOISE_RAD) ** 2)[:, order]
+    each = _misfit(motion, stream, Clock(_NEAR[:, None, None]))[:, order]
     right = each[np.abs(_NEAR).argmin()]
     # Sums over the pairs before each pair, and from each pair on.
     off_before = np.cumsum(each, axis=1) - each

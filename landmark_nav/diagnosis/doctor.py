@@ -58,7 +58,7 @@ def check_sweeps(bag: Bag, images: str, known: Calibration, most_images: int) ->
         return found
     slopes = linear(motion)
     if slopes.fits:
-        found += moved_between(motion, partial(_wider, looks, pan))
+        found += moved_between(motion, partial(_motion, looks, pan, *range(2, _WIDEST + 1)))
     else:
         judged = verdict(motion)
         each = _each(motion) if judged.cause.kind == 'none' else []
@@ -83,23 +83,19 @@ def _each(motion: Motion) -> list[Finding]:
     return found
 
 
-def _motion(looks: Looks, pan: Track, apart: int) -> Motion:
-    """Pan, and turn between images `apart` apart."""
-    firsts = np.array([k for k in looks.strips if k + apart in looks.strips], dtype=np.intp)
-    first, second = looks.stream.seconds[np.stack([firsts, firsts + apart])]
-    turns = np.array([looks.compared(k, k + apart)[0] for k in firsts.tolist()])
-    good = np.isfinite(turns) & (second > first)
-    # The robot moves between sweeps.
-    good &= second - first < 3.0 * float(np.median(second - first)) if len(first) else good
-    return Motion(first[good], second[good], turns[good], pan, None)
-
-
-def _wider(looks: Looks, pan: Track) -> Motion:
-    """Pan, and turns between all images 2 to `_WIDEST` apart."""
-    each = [_motion(looks, pan, apart) for apart in range(2, _WIDEST + 1)]
-    pairs = [(m.before_s, m.after_s, m.turns_rad) for m in each]
-    before, after, turns = np.concatenate(pairs, axis=1)
-    return Motion(before, after, turns, pan, None)
+def _motion(looks: Looks, pan: Track, *apart: int) -> Motion:
+    """Pan, and turns between images that are `apart` apart."""
+    pairs = []
+    for step in apart:
+        firsts = np.array([k for k in looks.strips if k + step in looks.strips], dtype=np.intp)
+        first, second = looks.stream.seconds[np.stack([firsts, firsts + step])]
+        turns = np.array([looks.compared(k, k + step)[0] for k in firsts.tolist()])
+        good = np.isfinite(turns) & (second > first)
+        # The robot moves between sweeps.
+        good &= second - first < 3.0 * float(np.median(second - first)) if len(first) else good
+        pairs.append((first[good], second[good], turns[good]))
+    before, after, turned = np.concatenate(pairs, axis=1)
+    return Motion(before, after, turned, pan, None)
 
 
 def _pans(bag: Bag, mount: PanTiltMount) -> list[tuple[int, float]]:

@@ -11,16 +11,7 @@ import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.calibration import Calibration
-from landmark_nav.diagnosis import parts, stamps
-from landmark_nav.diagnosis.advice import (
-    camera_finding,
-    cause_findings,
-    clock_finding,
-    CORRECTED_S,
-    HEADING_ERROR_RAD,
-    motion_findings,
-    step_finding,
-)
+from landmark_nav.diagnosis import advice, parts, stamps
 from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.looks import look, look_corrected, Looks
@@ -89,7 +80,7 @@ class DriveChecks:
         of_camera = []
         if error is not None:
             # All other checks use the corrected setup.
-            self._mount, of_camera = error.setup.mount, [camera_finding(error)]
+            self._mount, of_camera = error.setup.mount, [advice.camera_finding(error)]
         found, delays, healthy = self._judged(looks)
         if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
             setup = None if error is None else error.setup
@@ -117,19 +108,15 @@ class DriveChecks:
                 if not second and (jumps := check_jumps(odometry)) is not None:
                     found.append(jumps)
             found += _frames(odometry, looks.stream, self._mount)
-        if pan is None or len(pan) < 2 or len(looks.stream) < 2:
-            return found, Delays(), True
-        if odometry is not None and len(odometry) < 2:
-            return found, Delays(), True
-        if any(f.name == parts.COVERED and f.level == 'error' for f in content):
-            return found, Delays(), True  # the constant part prevents the measurement of turns
-        streams = [pan] if odometry is None else [pan, odometry]
-        if any(not s.stamps_ns.any() for s in (looks.stream, *streams) if len(s)):
+        streams = [stream for stream in (pan, odometry) if stream is not None]
+        usable = all(len(s) > 1 and s.stamps_ns.any() for s in (looks.stream, *streams))
+        # A constant part of the images prevents the measurement of turns.
+        covered = any(f.name == parts.COVERED and f.level == 'error' for f in content)
+        if pan is None or covered or not usable:
             return found, Delays(), True
         looks = replace(looks, stream=stamps.by_arrival(looks.stream))
-        return self._against_images(
-            looks, [stamps.by_arrival(stream) for stream in streams], found
-        )
+        streams = [stamps.by_arrival(stream) for stream in streams]
+        return self._against_images(looks, streams, found)
 
     @cached_property
     def _joints(self) -> dict[str, Stream]:
@@ -157,7 +144,8 @@ class DriveChecks:
         self, looks: Looks, streams: Sequence[Stream], found: list[Finding]
     ) -> _Judged:
         steps = stamps.lone_steps(looks.stream, streams)
-        found += [step_finding(IMAGES, *one) for one in steps if abs(one[0]) > CORRECTED_S]
+        large = [step for step in steps if abs(step[0]) > advice.CORRECTED_S]
+        found += [advice.step_finding(IMAGES, *step) for step in large]
         first, last = stamps.longest_part(looks.stream)
         streams = [stamps.in_step(stream.logged_within(first, last)) for stream in streams]
         images = looks.stream.logged_within(first, last)
@@ -193,7 +181,7 @@ class DriveChecks:
         path = check_path(streams[1]) if len(streams) > 1 else None
         if path is not None:
             mended = replace(motion, odometry=_odometry_track(streams[1], path.mended))
-            fitting, most = linear(mended), HEADING_ERROR_RAD
+            fitting, most = linear(mended), advice.HEADING_ERROR_RAD
             if fitting.fits and not fitting.heading_rad.beyond(most, most):
                 found, motion, slopes = [path.finding, *found], mended, fitting
             else:
@@ -202,7 +190,7 @@ class DriveChecks:
             jumps = parts.jumping_values(motion)
             if any(f.name == 'odom jumps' for f in found):
                 jumps = _without(jumps, ODOMETRY)
-            found += motion_findings(motion, slopes, self._room) + jumps
+            found += advice.motion_findings(motion, slopes, self._room) + jumps
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
                 found = _without(found, _OF_PATH)
@@ -231,10 +219,10 @@ class DriveChecks:
         }
         judged = verdict(motion, others, _by_twist(streams[1]) if streams[1:] else None, hints)
         cause = judged.cause
-        found += cause_findings(judged)
+        found += advice.cause_findings(judged)
         slopes = linear(cause.motion)
         if slopes.quiet:
-            found += motion_findings(cause.motion, slopes, self._room)
+            found += advice.motion_findings(cause.motion, slopes, self._room)
             right = cause.motion.pan_clock if cause.stream == IMAGES else Clock()
             found += self._truth(images, cause.motion, right)
         if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
@@ -245,7 +233,7 @@ class DriveChecks:
             if not judged.fits:
                 found = [f for s in streams if (f := parts.coarse_values(s)) is not None] or found
             found += _clocks_by_log(motion, hints, slopes)
-        if cause.kind != 'clock' or not 0.0 < abs(cause.value) <= CORRECTED_S:
+        if cause.kind != 'clock' or not 0.0 < abs(cause.value) <= advice.CORRECTED_S:
             return found, Delays(), False
         by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
         delays = Delays(**{by_stream[cause.stream]: cause.value})
@@ -281,17 +269,13 @@ class DriveChecks:
         turns = np.array([looks.compared(*pair)[0] for pair in pairs.tolist()])
         sense = self._mount.pan_sense * (1.0 + self._known['pan_scale'][0])
         joint_times = streams[0].seconds - self._known['joint_delay'][0]
-        return Motion(
-            before,
-            after,
-            turns,
-            Track.of(joint_times, sense * _angles(streams[0])),
-            _odometry_track(streams[1], streams[1].values) if streams[1:] else None,
-            self._mount.axis_xyz[:2],
-            self._mount.optical_center_offset[:2],
-            float(self._mount.azimuth_base_rad(0.0)),
-            self._mount.pan_sense * np.cos(self._mount.camera_roll_rad) < 0.0,
-        )
+        pan = Track.of(joint_times, sense * _angles(streams[0]))
+        odometry = _odometry_track(streams[1], streams[1].values) if streams[1:] else None
+        mount = self._mount
+        levers = mount.axis_xyz[:2], mount.optical_center_offset[:2]
+        hangs = mount.pan_sense * np.cos(mount.camera_roll_rad) < 0.0
+        ahead_rad = float(mount.azimuth_base_rad(0.0))
+        return Motion(before, after, turns, pan, odometry, *levers, ahead_rad, hangs)
 
 
 def _without(found: list[Finding], names: str | tuple[str, ...]) -> list[Finding]:
@@ -366,8 +350,8 @@ def _clocks_by_log(
     off = {}
     for name in (JOINTS, ODOMETRY):
         if slopes is not None and slopes.quiet:
-            late = slopes.pan_clock_s if name == JOINTS else slopes.odometry_clock_s
-            if late.sigma < _KNOWN_S:
+            shown = slopes.pan_clock_s if name == JOINTS else slopes.odometry_clock_s
+            if shown.sigma < _KNOWN_S:
                 continue
         by_log, by_start = (clock.offset_s for clock in hints.get(name, (Clock(), Clock()))[:2])
         if abs(by_log) > _BY_LOG_S:
@@ -376,5 +360,6 @@ def _clocks_by_log(
             off[name] = by_start
     how = ' by times of recording'
     if len(off) == 2 and np.ptp([*off.values()]) < _BY_LOG_S:
-        return [clock_finding(IMAGES, -float(np.mean([*off.values()])), how, corrected=False)]
-    return [clock_finding(name, late, how, corrected=False) for name, late in off.items()]
+        late = -float(np.mean([*off.values()]))
+        return [advice.clock_finding(IMAGES, late, how, corrected=False)]
+    return [advice.clock_finding(name, late, how, corrected=False) for name, late in off.items()]

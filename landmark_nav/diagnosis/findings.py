@@ -41,13 +41,7 @@ class Finding:
 
     def report(self) -> dict[str, Any]:
         """Return the entry of ``check --json``."""
-        return {
-            'name': self.name,
-            'level': self.level,
-            'measured': self.measured,
-            'advice': self.advice,
-            'values': self.values,
-        }
+        return {k: v for k, v in vars(self).items() if k != 'when_read'}
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.matching.strips import Strip, StripView, without_cover
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag, BagMessage
+from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import JointSample
 
@@ -111,11 +111,13 @@ def look(
         try:
             image, seen_by = decode.camera_image(entry.message, cameras.at(stamp), True)
             if view is None:
-                used = setup or _setup(seen_by, known)
+                of_robot = known.camera(seen_by), known.mount, known['camera_tilt'][0]
+                used = setup or CameraSetup(*of_robot)
                 camera = used.camera
                 view = StripView(camera, used.mount, used.tilt_rad)
             width, height = decode.published_size(entry.message)
-            kinds[f'{_kind(entry)} {width} x {height}'] = None
+            form = getattr(entry.message, 'encoding', None) or getattr(entry.message, 'format', '')
+            kinds[f'{str(form)[:40] or "unnamed"} {width} x {height}'] = None
             strips[index] = view.strip(image)
             small[index] = _reduced(image, _SMALL)
             sharpness[index] = _sharpness(image)
@@ -140,19 +142,12 @@ def _reduced(image: ImageArray, size: tuple[int, int]) -> ImageArray:
 
 
 def _sharpness(image: ImageArray) -> float:
-    """
-    Contrast of fine details of a grey image over that of coarse ones.
-
-    Natural scenes have equal contrast at each scale (Field, J. Opt. Soc. Am. A 4(12), 1987).
-    Images of any size are compared at the same width.
-    """
+    """Contrast of fine details of a grey image over that of coarse ones."""
+    # Natural scenes have equal contrast at each scale (Field, J. Opt. Soc. Am. A 4(12), 1987).
+    # Images of any size are compared at the same width.
     height, width = image.shape
-    fine, coarse = (
-        cv2.Laplacian(
-            _reduced(image, (columns, max(columns * height // width, 3))), cv2.CV_32F
-        ).var()
-        for columns in (_WIDTH, _WIDTH // 4)
-    )
+    sizes = ((columns, max(columns * height // width, 3)) for columns in (_WIDTH, _WIDTH // 4))
+    fine, coarse = (cv2.Laplacian(_reduced(image, size), cv2.CV_32F).var() for size in sizes)
     return float(fine / max(coarse, 1.0))
 
 
@@ -163,10 +158,6 @@ def look_corrected(
     looks = look(bag, topic, infos, known, most_images)
     error = camera_error_of(bag, looks, known)
     return (look(bag, topic, infos, known, most_images, error.setup) if error else looks), error
-
-
-def _setup(camera: CameraModel, known: Calibration) -> CameraSetup:
-    return CameraSetup(known.camera(camera), known.mount, known['camera_tilt'][0])
 
 
 def camera_error_of(bag: Bag, looks: Looks, known: Calibration) -> CameraError | None:
@@ -199,12 +190,6 @@ def _chosen(count: int, most: int) -> set[int]:
     runs = max(most // _RUN, 1)
     begins = np.linspace(0, count - _RUN, runs).astype(np.intp)
     return {int(begin) + k for begin in begins for k in range(_RUN)}
-
-
-def _kind(entry: BagMessage) -> str:
-    """Return the encoding of an image as stated in its message."""
-    name = getattr(entry.message, 'encoding', None) or getattr(entry.message, 'format', '')
-    return str(name)[:40] or 'unnamed'
 
 
 def _encoding(failed: list[str], kinds: Collection[str], tried: int) -> Iterable[Finding]:

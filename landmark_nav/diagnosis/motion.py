@@ -18,7 +18,7 @@ Student's t, as turns by images have outliers (Lange, Little, Taylor, J. Am. Sta
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -61,10 +61,10 @@ class Clock:
     A clock relative to that of the images.
 
     It is ahead by `offset_s` at `anchor_s`, and runs faster by the share `drift`. At `step_at_s`
-    it is set ahead by `step_s`.
+    it is set ahead by `step_s`. Several offsets, of shape (m, 1, 1), are several clocks.
     """
 
-    offset_s: float = 0.0
+    offset_s: Any = 0.0
     drift: float = 0.0
     anchor_s: float = 0.0
     step_s: float = 0.0
@@ -73,9 +73,9 @@ class Clock:
     def at(self, seconds: FloatArray) -> FloatArray:
         """Times of this clock at times of the images' clock."""
         ahead = self.offset_s + self.drift * (seconds - self.anchor_s)
-        return seconds + ahead + self.step_s * (seconds >= self.step_at_s)
+        return np.asarray(seconds + ahead + self.step_s * (seconds >= self.step_at_s))
 
-    def later(self, seconds: float) -> Clock:
+    def later(self, seconds: Any) -> Clock:
         """Return the clock that is ahead by `seconds` more."""
         return replace(self, offset_s=self.offset_s + seconds)
 
@@ -158,7 +158,6 @@ class Motion:
     yaw_scale: float = 1.0
 
     def __len__(self) -> int:
-        """Return the number of pairs."""
         return len(self.turns_rad)
 
     def only(self, chosen: BoolArray) -> Motion:
@@ -196,15 +195,15 @@ class Motion:
     def panned(self) -> FloatArray:
         """Turns by the joints, (n,)."""
         times = self.pan_clock.at(np.stack([self.before_s, self.after_s]))
-        before, after = self.pan.at(times)[..., 0]
-        return np.asarray(self.pan_scale * (after - before))
+        pans = self.pan.at(times)[..., 0]
+        return np.asarray(self.pan_scale * np.diff(pans, axis=-2)[..., 0, :])
 
     def yawed(self) -> FloatArray:
         """Turns by the odometry, (n,)."""
         if self.odometry is None:
             return np.zeros(len(self))
-        before, after = self.odometry.at(self._odometry_times())[..., 2]
-        return np.asarray(self.yaw_scale * (after - before))
+        yaws = np.interp(self._odometry_times(), self.odometry.seconds, self.odometry.values[:, 2])
+        return np.asarray(self.yaw_scale * np.diff(yaws, axis=-2)[..., 0, :])
 
     def parallax(self) -> FloatArray:
         """

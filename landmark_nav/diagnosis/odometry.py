@@ -144,15 +144,12 @@ def check_jumps(stream: Stream) -> Finding | None:
         jumps |= (size > least) & (speed > _JUMP * usual)
     if not 0 < jumps.sum() <= _MOST_JUMPS:
         return None
-    first = int(np.argmax(jumps))
-    return Finding(
-        'odom jumps',
-        'warning',
-        f'jumps by {moved[first]:.2f} m and {np.degrees(turned[first]):.0f} deg at '
-        f'{stream.seconds[first + 1]:.1f} s ({jumps.sum()} in all)',
-        'publish odom of the wheels alone, without resets or corrections by a map',
-        {'jumps': int(jumps.sum()), 'metres': float(moved[first])},
-    )
+    first, count = int(np.argmax(jumps)), int(jumps.sum())
+    text = f'jumps by {moved[first]:.2f} m and {np.degrees(turned[first]):.0f} deg at '
+    text += f'{stream.seconds[first + 1]:.1f} s ({count} in all)'
+    advice = 'publish odom of the wheels alone, without resets or corrections by a map'
+    values = {'jumps': count, 'metres': float(moved[first])}
+    return Finding('odom jumps', 'warning', text, advice, values)
 
 
 class Path(NamedTuple):

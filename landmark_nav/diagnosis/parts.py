@@ -62,10 +62,8 @@ def check_content(looks: Looks) -> list[Finding]:
 
 
 def _blank_images(looks: Looks) -> Finding | None:
-    blank = [
-        energy[-1] < _BLANK * len(spectrum) * (len(energy) - 1)
-        for spectrum, energy in looks.strips.values()
-    ]
+    strips = looks.strips.values()
+    blank = [e[-1] < _BLANK * len(spectrum) * (len(e) - 1) for spectrum, e in strips]
     share = float(np.mean(blank)) if blank else 0.0
     if share < _SOME:
         return None
@@ -112,19 +110,14 @@ def _covered_images(looks: Looks) -> Finding | None:
 def _flickering_images(looks: Looks) -> Finding | None:
     light = {k: np.log(max(float(image.mean()), 1.0)) for k, image in looks.small.items()}
     # Second differences ignore a trend, as when the camera turns towards a window.
-    bends = [
-        0.5 * abs(light[k] - 2.0 * light[k + 1] + light[k + 2])
-        for k in light
-        if k + 1 in light and k + 2 in light
-    ]
+    firsts = [k for k in light if k + 1 in light and k + 2 in light]
+    bends = [0.5 * abs(light[k] - 2.0 * light[k + 1] + light[k + 2]) for k in firsts]
     usual = float(np.median(bends)) if len(bends) >= _LEAST_PAIRS else 0.0
     if usual < _FLICKERS:
         return None
     factor = float(np.exp(usual))
     text = f'the brightness changes by a factor of {factor:.1f} from image to image'
-    advice = (
-        'fix exposure and gain, or bind them to the mains (50 or 60 Hz): light or camera flicker'
-    )
+    advice = 'fix exposure and gain, or bind them to the mains (50 or 60 Hz): light flickers'
     return Finding('images exposure', 'warning', text, advice, {'factor': factor})
 
 

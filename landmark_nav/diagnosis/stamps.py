@@ -82,23 +82,18 @@ def check_stamps(stream: Stream) -> list[Finding]:
     period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     rate_hz = 1.0 / period if period else 0.0
     slow = rate_hz < 0.95 * need.rate_hz
-    text, advice = f'{rate_hz:.1f} Hz, {n} messages', f'publish {name} at {need.rate_hz:g} Hz'
-    found.append(
-        Finding(
-            f'{name} rate',
-            'warning' if slow else 'ok',
-            text,
-            f'{advice} at least' if slow else '',
-            {'rate_hz': rate_hz, 'messages': n},
-        )
+    text, advice = (
+        f'{rate_hz:.1f} Hz, {n} messages',
+        f'publish {name} at {need.rate_hz:g} Hz or more',
     )
+    rated, level = {'rate_hz': rate_hz, 'messages': n}, 'warning' if slow else 'ok'
+    found.append(Finding(f'{name} rate', level, text, advice if slow else '', rated))
     longest, longest_s = int(steps.argmax()), float(steps.max())
     if longest_s > max(need.gap_s, 5.0 * period):
-        since_s, until_s = (stream.logged[longest : longest + 2] - stream.logged[0]).tolist()
-        at_s = since_s
+        at_s, until_s = (stream.logged[longest : longest + 2] - stream.logged[0]).tolist()
         text = f'none for {longest_s:.2f} s at {at_s:.1f} s'
         advice = f'localization takes {need.gap_s:g} s: look at {need.what} and the recorder'
-        if until_s - since_s < 0.5 * longest_s:
+        if until_s - at_s < 0.5 * longest_s:
             text = f'stamps go forward by {longest_s:.4g} s at {at_s:.1f} s, recording does not'
             advice = 'its clock was set: set clocks before nodes start, by NTP or chrony'
         gap = {'longest_s': longest_s, 'at_s': at_s}
@@ -157,9 +152,8 @@ def by_arrival(stream: Stream) -> Stream:
     same = np.mean(np.diff(stream.stamps_ns) == 0)
     if same < _REPEATED and not _jitter(stream, ''):
         return stream
-    (drift, offset_s), covariance = np.polyfit(
-        stream.logged, stream.seconds - stream.logged, 1, cov=True
-    )
+    lag = stream.seconds - stream.logged
+    (drift, offset_s), covariance = np.polyfit(stream.logged, lag, 1, cov=True)
     if abs(drift) < _DRIFT_SIGMAS * np.sqrt(covariance[0, 0]):
         drift, offset_s = 0.0, float(np.median(stream.seconds - stream.logged))
     late_ns = np.round(1e9 * (drift * stream.logged + offset_s)).astype(np.int64)
@@ -235,11 +229,7 @@ def clock_hints(images: Stream, others: Mapping[str, Stream]) -> dict[str, list[
         offset = by_log.offset_s - by_images.offset_s if known else 0.0
         start = float(stream.seconds[0]) - begin
         longer = float(np.ptp(stream.seconds)) / extent - 1.0 if extent > 0.0 else 0.0
-        hints[name] = [
-            Clock(offset),
-            Clock(start),
-            Clock(offset, drift, by_images.offset_s),
-            Clock(start, longer, begin),
-        ]
+        drifting = Clock(offset, drift, by_images.offset_s), Clock(start, longer, begin)
+        hints[name] = [Clock(offset), Clock(start), *drifting]
     hints['images'] = [clock for clocks in hints.values() for clock in clocks]
     return hints

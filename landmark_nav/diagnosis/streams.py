@@ -106,18 +106,12 @@ def stream_of(
 ) -> Stream:
     """Arrange the messages of one topic as a stream."""
     width = len(rows[0].values) if rows else 0
-    return Stream(
-        name,
-        topic,
-        np.array([row.stamp_ns for row in rows], dtype=np.int64),
-        np.array([row.logged_ns for row in rows], dtype=np.int64),
-        np.array([row.values for row in rows], dtype=np.float64).reshape(len(rows), width),
-        tuple(dict.fromkeys(row.frame for row in rows)),
-        len(refused),
-        refused[0] if refused else '',
-        bag.start_ns,
-        sum(row.unstamped for row in rows),
-    )
+    stamps, logged = np.array([row[:2] for row in rows], dtype=np.int64).reshape(-1, 2).T
+    values = np.array([row.values for row in rows], dtype=np.float64).reshape(len(rows), width)
+    frames = tuple(dict.fromkeys(row.frame for row in rows))
+    why, unstamped = refused[0] if refused else '', sum(row.unstamped for row in rows)
+    rest = len(refused), why, bag.start_ns, unstamped
+    return Stream(name, topic, stamps, logged, values, frames, *rest)
 
 
 def read_stream(bag: Bag, name: str, topic: str, values: Values = lambda _: np.empty(0)) -> Stream:
@@ -213,9 +207,8 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
         for index, (last, before, rate) in enumerate(tracks):
             since = min(time - last, _MEMORY_S)
             step = np.abs(value - before - rate * since)
-            step = np.where(
-                is_angle, np.minimum(step % _TURN_RAD, _TURN_RAD - step % _TURN_RAD), step
-            )
+            turn = np.minimum(step % _TURN_RAD, _TURN_RAD - step % _TURN_RAD)
+            step = np.where(is_angle, turn, step)
             away = float((step / (speed * since + tolerance)).max())
             if away < least:
                 best, least = index, away

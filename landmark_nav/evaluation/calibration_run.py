@@ -100,11 +100,10 @@ class CalibrationDrive:
     def again(self, calibration: Calibration) -> tuple[Calibration, Residuals]:
         """Return estimate and residuals by the same detections with another prior."""
         config, start = self._config, self.run.start
-        joint = JointFilter(
-            self._landmark_map, calibration, start, config.estimator, config.odometry
-        )
+        landmarks = self._landmark_map
+        joint = JointFilter(landmarks, calibration, start, config.estimator, config.odometry)
         track = self.run.track(config.odometry)
-        seconds, points, weights = [np.empty(0)], [np.empty((0, 2))], [np.empty(0)]
+        parts = [(np.empty(0), np.empty((0, 2)), np.empty(0))]
         for update in sorted(self.run.updates, key=lambda update: update.stamp_ns):
             if update.points is None or update.stamp_ns < start.stamp_ns:
                 continue
@@ -112,12 +111,9 @@ class CalibrationDrive:
             done = joint.observe(replace(update.points, stamp_ns=update.stamp_ns, near=None))
             if not len(done.columns):
                 continue
-            seconds.append(np.full(len(done.columns), 1e-9 * (done.stamp_ns - start.stamp_ns)))
-            points.append(self._focal_px * done.residual)
-            weights.append(done.weight)
-        return joint.calibration, Residuals(
-            np.concatenate(seconds), np.concatenate(points), np.concatenate(weights)
-        )
+            seconds = np.full(len(done.columns), 1e-9 * (done.stamp_ns - start.stamp_ns))
+            parts.append((seconds, self._focal_px * done.residual, done.weight))
+        return joint.calibration, Residuals(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def calibrate_by_drive(
@@ -171,38 +167,29 @@ def broken_promises(drive: CalibrationDrive, given: Calibration) -> dict[str, tu
 
     The detections are used again with the default sigmas of these quantities.
     """
-    exact = {name for name in NAMES if given[name][1] == 0.0}
+    exact = [name for name in NAMES if given[name][1] == 0.0]
     if not exact:
         return {}
     default = Calibration.of_mount(given.mount)
-    loose = given.covariance + np.diag(
-        [default[name][1] ** 2 if name in exact else 0.0 for name in NAMES]
-    )
+    added = [default[name][1] ** 2 if name in exact else 0.0 for name in NAMES]
+    loose = given.covariance + np.diag(added)
     found, _ = drive.again(replace(given, covariance=loose))
     off = {name: (found[name][0] - given[name][0], found[name][1]) for name in exact}
-    return {
-        name: off[name]
-        for name in NAMES
-        if name in exact and abs(off[name][0]) > _CONTRADICTION * off[name][1]
-    }
+    return {name: pair for name, pair in off.items() if abs(pair[0]) > _CONTRADICTION * pair[1]}
 
 
 def advice(unobserved: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
     """Motions that make unobserved quantities observable, and these quantities."""
-    wanted = [
-        (motion, tuple(name for name in shown if name in unobserved))
+    wanted = {
+        motion: tuple(name for name in shown if name in unobserved)
         for motion, shown in _SHOWN_BY.items()
-    ]
-    return [(motion, names) for motion, names in wanted if names]
+    }
+    return [(motion, names) for motion, names in wanted.items() if names]
 
 
 def trade_offs(found: Calibration) -> list[tuple[str, str, float]]:
     """Pairs of quantities that are not separately observable, and their correlation."""
     sigmas = np.where(found.sigmas > 0.0, found.sigmas, 1.0)
     correlation = found.covariance / np.outer(sigmas, sigmas)
-    return [
-        (NAMES[i], NAMES[j], float(correlation[i, j]))
-        for i in range(len(NAMES))
-        for j in range(i + 1, len(NAMES))
-        if abs(correlation[i, j]) > _TRADES_OFF
-    ]
+    pairs = np.argwhere(np.triu(np.abs(correlation) > _TRADES_OFF, 1)).tolist()
+    return [(NAMES[i], NAMES[j], float(correlation[i, j])) for i, j in pairs]

@@ -70,12 +70,8 @@ def learning_report(
         'refused': dict(refused.most_common()),
         'landmarks_per_wall': dict(sorted(walls.items())),
         'walls': {
-            wall.wall_id: {
-                'patches': wall.patches,
-                'before_m': wall.off_m,
-                'sigma_m': wall.sigma_m,
-            }
-            for wall in result.walls
+            k.wall_id: {'patches': k.patches, 'before_m': k.off_m, 'sigma_m': k.sigma_m}
+            for k in result.walls
         },
         'stages': {
             stage: {'seconds': took, 'peak_memory_mb': log.peak_memory_mb[stage]}
@@ -96,13 +92,14 @@ def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
         'vignetting': quality.vignetting,
         'gain_spread': quality.gain_spread,
     }
-    plain = {k: v for k, v in entry.items() if v is None or np.isfinite(v)}
-    terms = {
+    found: dict[str, Any] = {k: v for k, v in entry.items() if v is None or np.isfinite(v)}
+    found['calibration'] = {
         term.name: {'value': term.value, 'sigma': term.sigma, 'significant': term.significant}
         for term in quality.calibration
     }
-    gaps = np.degrees(quality.gaps_rad).round(1).tolist()
-    return {**plain, 'calibration': terms, **({'unmatched_pan_deg': gaps} if gaps else {})}
+    if quality.gaps_rad:
+        found['unmatched_pan_deg'] = np.degrees(quality.gaps_rad).round(1).tolist()
+    return found
 
 
 def _place(
@@ -129,11 +126,8 @@ def _place(
 def _by_mount(
     pose: FloatArray, panorama: Panorama, known: Calibration, own_frame: bool
 ) -> FloatArray:
-    """
-    Derivatives (3, 16) of a pose of the base by the mount, for the measured pose of the axis.
-
-    In the frame of the first sweep, the same errors move its base.
-    """
+    """Derivatives (3, 16) of a pose of the base by the mount, for a measured pose of the axis."""
+    # In the frame of the first sweep, the same errors move its base.
     jacobian = np.zeros((3, len(NAMES)))
     which = [NAMES.index(name) for name in ('axis_x', 'axis_y', 'axis_yaw')]
     lever = [*known.mount.axis_xyz[:2], 0.0]

@@ -43,7 +43,6 @@ class PoseTrack:
         return cls(np.array(stamps, np.int64), np.array(poses, np.float64).reshape(-1, 3))
 
     def __len__(self) -> int:
-        """Return the number of poses."""
         return len(self.stamps_ns)
 
     def seen_from(self, pose: FloatArray, scale: float = 1.0) -> PoseTrack:
@@ -116,27 +115,26 @@ def pose_errors(poses: npt.ArrayLike, truth: npt.ArrayLike) -> FloatArray:
 def error_summary(errors: FloatArray) -> dict[str, float | None]:
     """Metrics of the contract from errors (n, 3); None if all errors are unknown."""
     known = errors[np.all(np.isfinite(errors), axis=1)]
-    keys = (
-        'position_rmse_m',
-        'position_median_m',
-        'position_p95_m',
-        'position_max_m',
-        'heading_rmse_deg',
-        'heading_p95_deg',
-    )
-    if not len(known):
-        return dict.fromkeys(keys)
-    position = np.hypot(known[:, 0], known[:, 1])
-    heading = np.degrees(np.abs(known[:, 2]))
-    values = (
-        np.sqrt(np.mean(position**2)),
-        np.median(position),
-        np.percentile(position, 95),
-        position.max(),
-        np.sqrt(np.mean(heading**2)),
-        np.percentile(heading, 95),
-    )
-    return {key: float(value) for key, value in zip(keys, values, strict=True)}
+    position, heading = np.hypot(known[:, 0], known[:, 1]), np.degrees(np.abs(known[:, 2]))
+    return {
+        f'{name}_{unit}': float(summary(of)) if len(known) else None
+        for name, unit, of, summary in (
+            ('position_rmse', 'm', position, _rms),
+            ('position_median', 'm', position, np.median),
+            ('position_p95', 'm', position, _p95),
+            ('position_max', 'm', position, np.max),
+            ('heading_rmse', 'deg', heading, _rms),
+            ('heading_p95', 'deg', heading, _p95),
+        )
+    }
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _p95(values: FloatArray) -> float:
+    return float(np.percentile(values, 95))
 
 
 def consistency(
@@ -167,18 +165,14 @@ def consistency(
         repeated = float(np.sum((factors.T @ factors) ** 2))
         n = min(n, white.size * len(white) / repeated) if repeated > 0.0 else n
     low, high = chdtri(_DEGREES_OF_FREEDOM * n, [0.975, 0.025]) / n
-    return Consistency(
-        float(np.mean(nees)), float(np.mean(nees < bound)), (float(low), float(high))
-    )
+    inside_95 = float(np.mean(nees < bound))
+    return Consistency(float(np.mean(nees)), inside_95, (float(low), float(high)))
 
 
 def _independent(white: FloatArray) -> float:
-    """
-    Effective number of independent samples among whitened errors (n, 3), for their mean square.
-
-    Errors of a run are correlated: those by the map throughout, those by odometry for some time.
-    The correlation of squares of Gaussians is the square of their correlation.
-    """
+    """Effective number of independent samples among whitened errors (n, 3), by their squares."""
+    # Errors of a run are correlated: those by the map throughout, those by odometry for some time.
+    # The correlation of squares of Gaussians is the square of their correlation.
     n = len(white)
     power = float(np.sum(white * white)) / n
     if power == 0.0:
@@ -249,13 +243,8 @@ def posterior_bound(
     if np.isnan(poses[0]).any():
         return bound
     # Points without noise must not adapt the noise models, and cannot be outliers.
-    noise = replace(
-        config.estimator,
-        tail_freedom=0.0,
-        step_probability=0.0,
-        moved_probability=0.0,
-        learning_sigma=0.0,
-    )
+    adapted = ('tail_freedom', 'step_probability', 'moved_probability', 'learning_sigma')
+    noise = replace(config.estimator, **dict.fromkeys(adapted, 0.0))
     start = PoseEstimate(begin, poses[0], start.covariance)
     ideal = JointFilter(landmark_map, calibration, start, noise, config.odometry)
     track = OdometryTrack(config.odometry)

@@ -230,12 +230,15 @@ def replay(
     searched = [stamp + shift for stamp, shift in zip(searched, shifts, strict=False)]
     if searched:
         start = replace(start, stamp_ns=searched[-1])
-    updates = [_later(u, shift) for u, shift in zip(updates, shifts[len(searched) :], strict=True)]
+    for k, shift in enumerate(shifts[len(searched) :]):
+        stamp, seen = updates[k].stamp_ns + shift, updates[k].observation
+        detections = replace(seen.detections, stamp_ns=stamp)
+        seen = replace(seen, detections=detections)
+        updates[k] = replace(updates[k], stamp_ns=stamp, observation=seen)
     moved = shifts_by_odometry(stamps_ns, range(len(samples)), stamps_ns).tolist()
-    samples = sorted(
-        (replace(s, stamp_ns=s.stamp_ns + later) for s, later in zip(samples, moved, strict=True)),
-        key=lambda sample: sample.stamp_ns,
-    )
+    pairs = zip(samples, moved, strict=True)
+    samples = [replace(sample, stamp_ns=sample.stamp_ns + later) for sample, later in pairs]
+    samples.sort(key=lambda sample: sample.stamp_ns)
     known = shifts_by_odometry([s for s, _ in truth], truth_after, stamps_ns).tolist()
     track = PoseTrack.of((sample.stamp_ns, sample.pose_odom_base) for sample in samples)
     # Dead reckoning passes through the start.
@@ -254,12 +257,3 @@ def replay(
         tuple(samples),
         localizer.calibration,
     )
-
-
-def _later(update: LocalizationUpdate, shift_ns: int) -> LocalizationUpdate:
-    """Shift the stamp of an update."""
-    if not shift_ns:
-        return update
-    stamp, seen = update.stamp_ns + shift_ns, update.observation
-    detections = replace(seen.detections, stamp_ns=stamp)
-    return replace(update, stamp_ns=stamp, observation=replace(seen, detections=detections))

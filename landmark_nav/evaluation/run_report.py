@@ -45,12 +45,8 @@ class RunErrors:
 
 def run_errors(run: Replay) -> RunErrors:
     """Errors of the fused, the triangulated and the dead reckoned poses."""
-    truth = run.truth.at(run.stamps_ns)
-    return RunErrors(
-        metrics.pose_errors(run.fused, truth),
-        metrics.pose_errors(run.fixes, truth),
-        metrics.pose_errors(run.odometry.at(run.stamps_ns), truth),
-    )
+    truth, odometry = run.truth.at(run.stamps_ns), run.odometry.at(run.stamps_ns)
+    return RunErrors(*(pose_errors(poses, truth) for poses in (run.fused, run.fixes, odometry)))
 
 
 def run_report(
@@ -68,40 +64,30 @@ def run_report(
     ``warning`` says why the metrics mean little, and is None if they are meaningful.
     """
     known = calibration if run.calibration is None else run.calibration
-    bound = metrics.posterior_bound(
-        run.truth,
-        [_used(update, run.detection_sigma_factor) for update in run.updates],
-        landmark_map,
-        replace(calibration, values=known.values),
-        config,
-        run.start,
-    )
-    took_ms = 1e3 * run.update_seconds
+    images = [_used(update, run.detection_sigma_factor) for update in run.updates]
+    true = replace(calibration, values=known.values)
+    bound = metrics.posterior_bound(run.truth, images, landmark_map, true, config, run.start)
+    median_ms, p95_ms = (1e3 * np.percentile(run.update_seconds, (50, 95))).tolist()
     stamps = run.stamps_ns
     span_s = 1e-9 * float(max(stamps[-1], run.odometry.stamps_ns[-1]) - run.begin_ns)
     of_poses = pose_report(run, errors, landmark_map)
+    available = of_poses['availability']
+    after_s = 1e-9 * float(run.start.stamp_ns - run.begin_ns)
     return {
         **of_poses,
         'crlb_ratio': metrics.crlb_ratio(errors.fused, bound),
-        'update_ms': {
-            'median': float(np.median(took_ms)),
-            'p95': float(np.percentile(took_ms, 95)),
-        },
+        'update_ms': {'median': median_ms, 'p95': p95_ms},
         'realtime_factor': span_s / run.seconds,
         'result_hash': metrics.result_hash(stamps, run.fused, run.fixes),
         'spells': spells(run),
-        'calibration': None
-        if run.calibration is None
-        else run.calibration.differences(calibration),
+        'calibration': run.calibration and run.calibration.differences(calibration),
         'odometry_noise': {name: getattr(run.odometry_noise, name) for name in _NOISE},
         'sighting_sigma': run.detection_sigma_factor,
-        'found': {
-            'after_s': 1e-9 * float(run.start.stamp_ns - run.begin_ns),
-            'pose': list(run.start.pose),
-        }
-        if run.searched
+        'found': {'after_s': after_s, 'pose': list(run.start.pose)} if run.searched else None,
+        'warning': f'lost in {100.0 * (1.0 - available):.0f} % of the images, where fused is but '
+        'odometry: is the map of this room, and robot.yaml of this robot?'
+        if available < _MOSTLY
         else None,
-        'warning': _warning(of_poses['availability']),
     }
 
 
@@ -110,6 +96,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
     images = len(run.searched) + len(run.updates)
     by_map = run.by_map(landmark_map)
     nees = metrics.consistency(errors.fused, run.fused_covariances, by_map)
+    mean, inside_95, interval_95 = nees or (None, None, None)
     sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
     sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
     return {
@@ -120,10 +107,10 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
         'landmarks': len(landmark_map.landmarks),
         **{name: metrics.error_summary(getattr(errors, name)) for name in _ESTIMATES},
         'nees': {
-            'mean': nees.mean if nees else None,
-            'inside_95': nees.inside_95 if nees else None,
+            'mean': mean,
+            'inside_95': inside_95,
             # Recordings of the nodes lack the errors by the map, without which it is too narrow.
-            'interval_95': list(nees.interval_95) if nees and by_map is not None else None,
+            'interval_95': list(interval_95) if interval_95 and by_map is not None else None,
         },
         'claimed': {
             'position_median_m': float(np.median(sigma_m)),
@@ -165,27 +152,19 @@ def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
     }
 
 
-def _warning(availability: float) -> str | None:
-    if availability >= _MOSTLY:
-        return None
-    return (
-        f'lost in {100.0 * (1.0 - availability):.0f} % of the images, where fused is but '
-        'odometry: is the map of this room, and robot.yaml of this robot?'
-    )
-
-
 def spells(run: Replay) -> list[dict[str, Any]]:
     """List the times at which the state was not OK, with the first reason of each."""
-    found = []
-    for status, group in groupby(run.updates, key=lambda update: update.status):
-        updates = list(group)
-        if status == 'tracking':
-            continue
-        first, last = ((updates[k].stamp_ns - run.begin_ns) * 1e-9 for k in (0, -1))
-        found.append(
-            {'status': status, 'from_s': first, 'to_s': last, 'reason': updates[0].reason}
-        )
-    return found
+    spells = (list(group) for _, group in groupby(run.updates, key=lambda u: u.status))
+    return [
+        {
+            'status': first.status,
+            'from_s': (first.stamp_ns - run.begin_ns) * 1e-9,
+            'to_s': (last.stamp_ns - run.begin_ns) * 1e-9,
+            'reason': first.reason,
+        }
+        for first, *_, last in ((spell[0], *spell) for spell in spells)
+        if first.status != 'tracking'
+    ]
 
 
 def _used(update: LocalizationUpdate, sigma_factor: float) -> ImagePoints:
@@ -245,11 +224,8 @@ def aligned(run: Replay, scaled: bool) -> tuple[Replay, RunErrors, Alignment]:
 
 
 def _likeliest(run: Replay, truth: metrics.PoseTrack, poses: FloatArray) -> metrics.PoseTrack:
-    """
-    Refine the alignment of the ground truth to the likeliest one, by headings and covariances.
-
-    The choice of the map's frame is not an error of the poses.
-    """
+    """Refine the alignment of the truth to the likeliest one, by headings and covariances."""
+    # The choice of the map's frame is not an error of the poses.
     errors = metrics.pose_errors(poses, truth.at(run.stamps_ns))
     known = np.isfinite(errors).all(1)
     at, information = poses[known], np.linalg.inv(run.fused_covariances[known])
@@ -344,11 +320,9 @@ def smooth_run(
         images.append(replace(seen, stamp_ns=update.stamp_ns, near=near))
     joint = JointFilter(landmark_map, calibration, run.start, config.estimator, config.odometry)
     poses = smoothed_poses(joint, track, images, lost)
-    return Smoothed(
-        np.array([pose.stamp_ns for pose in poses], dtype=np.int64),
-        np.array([pose.pose for pose in poses]),
-        np.array([pose.covariance for pose in poses]),
-    )
+    stamps = np.array([pose.stamp_ns for pose in poses], dtype=np.int64)
+    covariances = np.array([pose.covariance for pose in poses])
+    return Smoothed(stamps, np.array([pose.pose for pose in poses]), covariances)
 
 
 def departures(run: Replay, smoothed: Smoothed) -> str:
@@ -377,13 +351,8 @@ def smoothed_report(run: Replay, smoothed: Smoothed) -> dict[str, Any]:
     """Metrics of the smoothed trajectory: errors, as for the other estimates, and NEES."""
     errors = pose_errors(smoothed.poses, run.truth.at(smoothed.stamps_ns))
     nees = consistency(errors, smoothed.covariances)
-    return {
-        **error_summary(errors),
-        'nees': {
-            'mean': nees.mean if nees else None,
-            'inside_95': nees.inside_95 if nees else None,
-        },
-    }
+    mean, inside_95, _ = nees or (None, None, None)
+    return {**error_summary(errors), 'nees': {'mean': mean, 'inside_95': inside_95}}
 
 
 def write_tum_files(run: Replay, folder: Path, smoothed: Smoothed | None = None) -> None:
@@ -404,19 +373,18 @@ def write_tum_files(run: Replay, folder: Path, smoothed: Smoothed | None = None)
         tracks['smoothed'] = smoothed.stamps_ns, smoothed.poses
     for name, (at_ns, poses) in tracks.items():
         known = np.flatnonzero(np.isfinite(poses).all(axis=1))
-        if len(known):
-            # Images may have arrived late.
-            known = known[np.argsort(at_ns[known], kind='stable')]
-            write_atomically(folder / f'{name}.tum', _lines(at_ns[known], poses[known]))
-
-
-def _lines(stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> str:
-    """Format lines ``timestamp tx ty tz qx qy qz qw`` without loss of precision."""
-    return ''.join(
-        f'{stamp // 10**9}.{stamp % 10**9:09d} {x!r} {y!r} 0 0 0 '
-        f'{float(np.sin(heading / 2.0))!r} {float(np.cos(heading / 2.0))!r}\n'
-        for stamp, (x, y, heading) in zip(stamps_ns.tolist(), poses.tolist(), strict=True)
-    )
+        # Images may have arrived late.
+        known = known[np.argsort(at_ns[known], kind='stable')]
+        # Lines ``timestamp tx ty tz qx qy qz qw`` without loss of precision.
+        lines = [
+            f'{stamp // 10**9}.{stamp % 10**9:09d} {x!r} {y!r} 0 0 0 '
+            f'{float(np.sin(heading / 2.0))!r} {float(np.cos(heading / 2.0))!r}\n'
+            for stamp, (x, y, heading) in zip(
+                at_ns[known].tolist(), poses[known].tolist(), strict=True
+            )
+        ]
+        if lines:
+            write_atomically(folder / f'{name}.tum', ''.join(lines))
 
 
 def driven(run: Replay, stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> FloatArray:

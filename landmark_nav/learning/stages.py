@@ -11,14 +11,20 @@ import time
 
 @dataclass
 class StageLog:
-    """Duration of each stage, s, and peak memory of the process at its end, megabytes."""
+    """
+    Duration of each stage, s, and peak memory of the process at its end, megabytes.
+
+    Each start of a stage takes an item of `steps`, such as a progress bar.
+    """
 
     seconds: dict[str, float] = field(default_factory=dict)
     peak_memory_mb: dict[str, float] = field(default_factory=dict)
+    steps: Iterator[object] = field(default_factory=lambda: iter(()))
 
     @contextmanager
     def measure(self, stage: str) -> Iterator[None]:
         """Add the time of the block to a stage."""
+        next(self.steps, None)
         start = time.perf_counter()
         try:
             yield

@@ -63,9 +63,7 @@ class _FreeGrid:
 
     def ways_from(self, start: int) -> tuple[FloatArray, npt.NDArray[np.int32]]:
         """Cost (n,) of the path to each position, and its predecessor (n,)."""
-        cost, before = dijkstra(
-            self._graph, directed=False, indices=start, return_predecessors=True
-        )
+        cost, before = dijkstra(self._graph, False, start, return_predecessors=True)
         return np.asarray(cost), np.asarray(before)
 
     def way(self, before: npt.NDArray[np.int32], start: int, goal: int) -> FloatArray:
@@ -106,7 +104,7 @@ def plan_tour(
     return _rounded(np.array(path))
 
 
-def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> FloatArray:
+def plan_way(scene: Scene, start_xy: FloatArray, goal_xy: FloatArray) -> FloatArray:
     """
     Plan the path (n, 2) from one position to another, as `plan_tour` does.
 
@@ -116,16 +114,11 @@ def plan_way(scene: Scene, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike) -> F
     start, goal = grid.nearest(start_xy), grid.nearest(goal_xy)
     cost, before = grid.ways_from(start)
     if not np.isfinite(cost[goal]):
-        raise LandmarkNavError(
-            f'there is no way from {_place(start_xy)} to {_place(goal_xy)} for the robot'
-        )
+        (x, y), (u, v) = start_xy, goal_xy
+        ends = f'({x:.2f}, {y:.2f}) to ({u:.2f}, {v:.2f})'
+        raise LandmarkNavError(f'there is no way from {ends} for the robot')
     way = grid.way(before, start, goal)
     return _rounded(np.vstack([np.asarray(start_xy)[None], way, np.asarray(goal_xy)[None]]))
-
-
-def _place(xy: npt.ArrayLike) -> str:
-    x, y = np.asarray(xy, dtype=np.float64)
-    return f'({x:.2f}, {y:.2f})'
 
 
 def _turn(path: list[FloatArray], way: FloatArray) -> float:
@@ -159,7 +152,6 @@ class PathFollower:
     """
 
     def __init__(self, path_xy: FloatArray, speed_m_s: float) -> None:
-        """Begin at the start of the path."""
         self._path = np.asarray(path_xy, dtype=np.float64)
         self._speed_m_s = speed_m_s
         self._at = 0

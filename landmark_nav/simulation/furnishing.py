@@ -103,13 +103,8 @@ def move_one_box(scene: Scene, rng: Generator) -> tuple[Box, ...]:
     for _ in range(200):
         shift = rng.uniform(-0.8, 0.8, 2)
         center = np.array(moved.center_xy) + shift
-        box = Box(
-            (float(center[0]), float(center[1])),
-            moved.yaw_rad + float(rng.uniform(-0.3, 0.3)),
-            moved.size_m,
-            moved.material,
-            moved.seed,
-        )
+        yaw_rad = moved.yaw_rad + float(rng.uniform(-0.3, 0.3))
+        box = replace(moved, center_xy=tuple(center.tolist()), yaw_rad=yaw_rad)
         if np.linalg.norm(shift) > 0.3 and _fits(box, rest, scene.room, 0.0):
             return (*rest, box)
     return scene.boxes
@@ -195,16 +190,12 @@ def _place_at_wall(
         if wall.length < size[0] + 0.5:
             continue
         along = float(rng.uniform(size[0] / 2 + 0.02, wall.length - size[0] / 2 - 0.02))
-        start, end = np.array(wall.start), np.array(wall.end)
-        side = (end - start) / wall.length
-        center = start + side * along + wall.normal[:2] * (size[1] / 2 + 0.01)
-        box = Box(
-            (float(center[0]), float(center[1])),
-            float(np.arctan2(side[1], side[0])),
-            (*size, height),
-            str(rng.choice(['wood', 'books', 'wood', 'paint'])),
-            int(rng.integers(2**31)),
-        )
+        side = np.subtract(wall.end, wall.start) / wall.length
+        center = wall.start + side * along + wall.normal[:2] * (size[1] / 2 + 0.01)
+        yaw_rad = float(np.arctan2(side[1], side[0]))
+        material = str(rng.choice(['wood', 'books', 'wood', 'paint']))
+        seed = int(rng.integers(2**31))
+        box = Box(tuple(center.tolist()), yaw_rad, (*size, height), material, seed)
         part = (along - size[0] / 2, along + size[0] / 2)
         free = all(part[1] <= a or part[0] >= b for a, b in strip.taken)
         if (free or not tall) and _fits(box, boxes, room, 0.0):
@@ -218,13 +209,9 @@ def _place_free(boxes: list[Box], room: Room, rng: Generator) -> None:
     """Add a low piece of furniture in the room, with space to pass."""
     for center in rng.uniform(*room.bounds, (40, 2)):
         size = (float(rng.uniform(0.35, 0.6)), float(rng.uniform(0.35, 0.6)))
-        box = Box(
-            (float(center[0]), float(center[1])),
-            float(rng.uniform(-np.pi, np.pi)),
-            (*size, float(rng.uniform(0.4, 0.75))),
-            str(rng.choice(['books', 'paint', 'wood'])),
-            int(rng.integers(2**31)),
-        )
+        yaw_rad, height = float(rng.uniform(-np.pi, np.pi)), float(rng.uniform(0.4, 0.75))
+        material, seed = str(rng.choice(['books', 'paint', 'wood'])), int(rng.integers(2**31))
+        box = Box(tuple(center.tolist()), yaw_rad, (*size, height), material, seed)
         if _fits(box, boxes, room, 0.75):
             boxes.append(box)
             return
@@ -244,9 +231,8 @@ def _fits(box: Box, others: list[Box], room: Room, clearance_m: float) -> bool:
     if not others:
         return True
     rest = Scene(0, room, boxes=tuple(others))
-    apart = min(
-        float(np.linalg.norm(np.array(other.center_xy) - box.center_xy)) for other in others
-    )
+    centers = np.array([other.center_xy for other in others])
+    apart = float(np.linalg.norm(centers - box.center_xy, axis=1).min())
     edges = np.concatenate([other.footprint for other in others])
     distance = np.linalg.norm(outline[:, None] - edges, axis=-1).min()
     inside = rest.distance_to_obstacles(outline) == 0.0
@@ -256,7 +242,7 @@ def _fits(box: Box, others: list[Box], room: Room, clearance_m: float) -> bool:
 def _lamps(room: Room, items: list[WallItem], rng: Generator) -> tuple[Lamp, ...]:
     """Random panels under the ceiling, and daylight at each window."""
     corners = np.array([wall.start for wall in room.walls])
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low, high = room.bounds
     height = max(wall.height for wall in room.walls)
     long = int(np.argmax(high - low))
     lamps = []
@@ -268,20 +254,13 @@ def _lamps(room: Room, items: list[WallItem], rng: Generator) -> tuple[Lamp, ...
             center = 0.5 * (center + corners[room.contains(corners * 0.9 + center * 0.1)].mean(0))
         size = (0.6, 0.6) if rng.random() < 0.5 else (0.3, 1.2)
         tint = 1.0 + rng.uniform(-0.05, 0.05) * np.array([1.0, 0.0, -1.0])
-        lamps.append(
-            Lamp(
-                (float(center[0]), float(center[1]), height),
-                size,
-                float(rng.uniform(0.8, 1.2)),
-                (float(tint[0]), float(tint[1]), float(tint[2])),
-            )
-        )
+        power = float(rng.uniform(0.8, 1.2))
+        lamps.append(Lamp((*center.tolist(), height), size, power, tuple(tint.tolist())))
     for item in items:
         if item.kind == 'blinds':
             at = item.center(room) + 0.15 * room.walls[item.wall].normal
-            position = (float(at[0]), float(at[1]), float(at[2]))
             power = float(rng.uniform(0.15, 0.4))
-            lamps.append(Lamp(position, (0.0, 0.0), power, (1.1, 1.0, 0.92)))
+            lamps.append(Lamp(tuple(at.tolist()), (0.0, 0.0), power, (1.1, 1.0, 0.92)))
     return tuple(lamps)
 
 
@@ -329,9 +308,8 @@ def generate_room(rng: np.random.Generator) -> Room:
     if length > 6.0 and rng.random() < 1.0 / 3.0:
         notch = np.round(np.array([length, width]) * rng.uniform(0.25, 0.4, 2), 1)
         inner = np.array([length, width]) - notch
-        outline = np.array(
-            [[0, 0], [length, 0], [length, inner[1]], inner, [inner[0], width], [0, width]]
-        )
+        foot, head = [[0, 0], [length, 0], [length, inner[1]]], [[inner[0], width], [0, width]]
+        outline = np.array([*foot, inner, *head])
     for axis, size in ((0, length), (1, width)):
         if rng.random() < 0.5:
             outline[:, axis] = size - outline[:, axis]
@@ -350,8 +328,7 @@ def _walls(outline: FloatArray, height: float) -> tuple[Wall, ...]:
         name = names[(-int(side[1]), int(side[0]))]
         used[name] = used.get(name, 0) + 1
         label = name if used[name] == 1 else f'{name}_{used[name]}'
-        ends = [(float(p[0]), float(p[1])) for p in (start, end)]
-        walls.append(Wall(label, ends[0], ends[1], height))
+        walls.append(Wall(label, tuple(start.tolist()), tuple(end.tolist()), height))
     return tuple(walls)
 
 
@@ -365,8 +342,8 @@ def _papers(walls: tuple[Wall, ...], rng: np.random.Generator) -> tuple[Paper, .
     along = first + np.array([0.0, gaps[0], gaps.sum()])
     height = float(np.round(rng.uniform(1.5, 1.7), 2))
     start, end = np.array(wall.start), np.array(wall.end)
-    papers = []
-    for color, distance in zip(rng.permutation(['red', 'green', 'blue']), along, strict=True):
-        x, y = np.round(start + (end - start) * distance / wall.length, 3)
-        papers.append(Paper(str(color), (float(x), float(y), height), *_PAPER_SIZE_M))
-    return tuple(papers)
+    places = np.round(start + (end - start) * along[:, None] / wall.length, 3).tolist()
+    return tuple(
+        Paper(str(color), (x, y, height), *_PAPER_SIZE_M)
+        for color, (x, y) in zip(rng.permutation(['red', 'green', 'blue']), places, strict=True)
+    )

@@ -135,7 +135,6 @@ class PanControl:
         rng: np.random.Generator,
         preferred: npt.NDArray[np.bool_] | None = None,
     ) -> None:
-        """Start without an item."""
         self._scene = scene
         self._mount = mount
         self._limit_rad = pan_limit_rad
@@ -171,9 +170,8 @@ class PanControl:
         weight = np.where(quality > 0.0, together @ (quality * self._liking), 0.0) ** 2
         if self._chosen >= 0:
             # Prefer items in other directions.
-            weight = weight * np.where(
-                np.abs(wrap_rad(pan - pan[self._chosen])) < _ELSEWHERE_RAD, 0.02, 1.0
-            )
+            near = np.abs(wrap_rad(pan - pan[self._chosen])) < _ELSEWHERE_RAD
+            weight = weight * np.where(near, 0.02, 1.0)
             weight[self._chosen] = 0.0
         self._until_s = time_s + float(self._rng.uniform(1.8, 3.2))
         if weight.sum() <= 0.0:

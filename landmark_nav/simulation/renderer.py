@@ -31,7 +31,6 @@ class RayTiles:
     """The rays of all pixels in tiles, and visibility tests for whole tiles."""
 
     def __init__(self, camera: CameraModel) -> None:
-        """Compute the rays."""
         self._shape = (camera.height, camera.width)
         self._focal_px = camera.fx
         self._rows = -(-camera.height // TILE_PX)
@@ -40,9 +39,8 @@ class RayTiles:
         pad = [(0, grid.shape[0] - camera.height), (0, grid.shape[1] - camera.width), (0, 0)]
         grid[..., :2] = np.pad(camera.ray_grid, pad, mode='edge')
         tiles = grid.reshape(self._rows, TILE_PX, self._columns, TILE_PX, 3)
-        self.rays = np.ascontiguousarray(tiles.transpose(0, 2, 4, 1, 3)).reshape(
-            -1, 3, TILE_PX * TILE_PX
-        )
+        tiles = np.ascontiguousarray(tiles.transpose(0, 2, 4, 1, 3))
+        self.rays = tiles.reshape(-1, 3, TILE_PX * TILE_PX)
         self.count = len(self.rays)
         low, high = self.rays.min(axis=2)[:, :2], self.rays.max(axis=2)[:, :2]
         self._middle = np.ones((self.count, 3))
@@ -128,11 +126,8 @@ def sample_texture(
 def _level_of_detail(
     pyramid: Pyramid, form: FloatArray, place: Float32Array, depth_per_px: Float32Array
 ) -> tuple[IndexArray, IndexArray, Float32Array]:
-    """
-    Levels of the pyramid for cells, each (tiles, cells, cells), by the texels per pixel.
-
-    The derivative of (a r) / (w r) along x is (a_x - u w_x) / (w r).
-    """
+    """Levels of the pyramid for cells, each (tiles, cells, cells), by the texels per pixel."""
+    # The derivative of (a r) / (w r) along x is (a_x - u w_x) / (w r).
     w, a, b = form.astype(np.float32)
     octaves = []
     for k, row in enumerate((a, b)):
@@ -205,9 +200,8 @@ class Renderer:
         farthest = back_to_front([solids[k].footprint for k in visible], center[:2], heading)
         rank[visible[farthest]] = np.arange(len(visible))
         order = seen[np.lexsort((seen, rank[group[seen]]))]
-        return self._paint(
-            [surfaces[k] for k in order], forms[order], _overlaps([surfaces[k] for k in order])
-        )
+        chosen = [surfaces[k] for k in order]
+        return self._paint(chosen, forms[order], _overlaps(chosen))
 
     def _paint(
         self, surfaces: list[Surface], forms: FloatArray, spread_px: FloatArray
@@ -243,12 +237,9 @@ class Renderer:
 def _ray_forms(
     surfaces: Sequence[Surface], rotation: FloatArray, center: FloatArray
 ) -> FloatArray:
-    """
-    Linear forms (n, 3, 3) of a ray r in the optical frame.
-
-    With rows w, a, b the ray meets the plane at depth 1 / (w r), at texture coordinates
-    (a r) / (w r) and (b r) / (w r) in [0, 1]. NaN for surfaces seen from behind.
-    """
+    """Linear forms (n, 3, 3) of a ray r in the optical frame."""
+    # With rows w, a, b the ray meets the plane at depth 1 / (w r), at texture coordinates (a r) /
+    # (w r) and (b r) / (w r) in [0, 1]. NaN for surfaces seen from behind.
     corner = np.array([s.corner for s in surfaces]) - center
     across = np.array([s.across for s in surfaces])
     down = np.array([s.down for s in surfaces])
@@ -264,12 +255,9 @@ def _ray_forms(
 
 
 def _overlaps(surfaces: list[Surface]) -> FloatArray:
-    """
-    Extension (n, 4) of each edge, pixels.
-
-    If two surfaces share an edge, the first is extended below the second; otherwise the background
-    would be visible at the seam.
-    """
+    """Extension (n, 4) of each edge, pixels."""
+    # If two surfaces share an edge, the first is extended below the second; otherwise the
+    # background would be visible at the seam.
     corners = np.array([s.corners for s in surfaces])
     middle = 0.5 * (corners + np.roll(corners, -1, axis=1))
     gap = np.abs(middle[:, :, None, None] - middle[None, None]).max(-1)
@@ -315,7 +303,6 @@ class CameraEffects:
     def __init__(
         self, camera: CameraModel, config: CameraEffectsConfig, rng: np.random.Generator
     ) -> None:
-        """Prepare vignetting and noise."""
         self._config = config
         self._rng = rng
         square = np.sum(camera.ray_grid.astype(np.float64) ** 2, -1)
@@ -332,9 +319,8 @@ class CameraEffects:
         if config.blur_sigma_px > 0.0:
             sigma = config.blur_sigma_px
             side = 2 * int(np.ceil(2.5 * sigma)) + 1
-            image = values_of(
-                np.asarray(cv2.GaussianBlur(light_of(image), (side, side), sigma), np.uint16)
-            )
+            blurred = cv2.GaussianBlur(light_of(image), (side, side), sigma)
+            image = values_of(np.asarray(blurred, np.uint16))
         mean = max(float(image[::8, ::8].mean()), 1.0)
         gain = (config.target_brightness / mean) ** config.auto_exposure
         clean = cv2.multiply(image, self._vignette, scale=gain, dtype=cv2.CV_32F)
@@ -345,6 +331,5 @@ class CameraEffects:
         left = int(self._rng.integers(self._noise.shape[1] - columns + 1))
         noise = self._noise[top : top + rows, left : left + columns]
         sigma_map = cv2.LUT(cv2.convertScaleAbs(clean), self._sigma)
-        return np.asarray(
-            cv2.add(clean, cv2.multiply(noise, sigma_map), dtype=cv2.CV_8U), dtype=np.uint8
-        )
+        noisy = cv2.add(clean, cv2.multiply(noise, sigma_map), dtype=cv2.CV_8U)
+        return np.asarray(noisy, dtype=np.uint8)

@@ -226,6 +226,13 @@ def choose_sweep_places(scene: Scene) -> SweepPlaces | None:
     return SweepPlaces(poses, int(shared[i, j].sum()))
 
 
+def sweep_places(scene: Scene) -> SweepPlaces:
+    """Return the places of sweeps of a scene by `generate_scene`, which has some."""
+    places = choose_sweep_places(scene)
+    assert places is not None, 'such scenes have places'
+    return places
+
+
 def item_points(scene: Scene) -> tuple[FloatArray, npt.NDArray[np.intp]]:
     """Centres (n, 3) of the items on walls, and indices of their walls (n,)."""
     points = np.array([item.center(scene.room) for item in scene.items]).reshape(-1, 3)

@@ -13,8 +13,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper, paper_bgr, Room
 from landmark_nav.simulation.scene import Box, Lamp, Scene, WallItem
 from landmark_nav.simulation.surfaces import Surface
-from landmark_nav.simulation.textures import plaster, random_color, wood
-from landmark_nav.simulation.wall_items import draw_item
+from landmark_nav.simulation.textures import Color, draw_item, plaster, random_color, wood
 from landmark_nav.types import FloatArray, ImageArray
 
 _WALL_TEXEL_M = 0.002
@@ -59,8 +58,8 @@ def _drawn_walls(seed: int, room: Room, items: tuple[WallItem, ...]) -> tuple[So
         start, end = np.array(wall.start), np.array(wall.end)
         across = np.append((start - end) / wall.length, 0.0)
         shape = (round(height / _WALL_TEXEL_M), round(wall.length / _WALL_TEXEL_M))
-        tone = (float(color[0]), float(color[1]), float(color[2]))
-        texture = plaster(np.random.default_rng([seed, 2, index]), shape, tone, 0.002)
+        rng = np.random.default_rng([seed, 2, index])
+        texture = plaster(rng, shape, tuple(color.tolist()), 0.002)
         hung = [item for item in items if item.wall == index]
         for item in hung:
             if item.before_m == 0.0:
@@ -68,9 +67,8 @@ def _drawn_walls(seed: int, room: Room, items: tuple[WallItem, ...]) -> tuple[So
                 top = height - item.center_z_m - item.height_m / 2
                 _hang(texture, item, (left / wall.length, top / height), wall.length, height)
         corner = np.array([*end, height])
-        surfaces = [
-            Surface(corner, across, -_UP, wall.length, height, texture, slants=_WALL_SLANTS)
-        ]
+        size = wall.length, height
+        surfaces = [Surface(corner, across, -_UP, *size, texture, slants=_WALL_SLANTS)]
         surfaces += [_item_surface(item, room, across) for item in hung if item.before_m > 0.0]
         surfaces += [
             _paper_surface(paper, across)
@@ -101,10 +99,11 @@ def _hang(
 
 
 def _item_surface(item: WallItem, room: Room, across: FloatArray) -> Surface:
-    corner = item.center(room) - across * item.width_m / 2 + _UP * item.height_m / 2
-    shape = (round(item.height_m / _WALL_TEXEL_M), round(item.width_m / _WALL_TEXEL_M))
-    drawing = draw_item(item.kind, item.seed, shape)
-    return Surface(corner, across, -_UP, item.width_m, item.height_m, drawing, slants=_WALL_SLANTS)
+    size = item.width_m, item.height_m
+    corner = item.center(room) - across * size[0] / 2 + _UP * size[1] / 2
+    columns, rows = (round(length / _WALL_TEXEL_M) for length in size)
+    drawing = draw_item(item.kind, item.seed, (rows, columns))
+    return Surface(corner, across, -_UP, *size, drawing, slants=_WALL_SLANTS)
 
 
 def _paper_surface(paper: Paper, across: FloatArray) -> Surface:
@@ -118,7 +117,7 @@ def box_solid(box: Box) -> Solid:
     """Sides and top of a piece of furniture."""
     rng = np.random.default_rng([box.seed, 3])
     base = np.array([45.0, 75.0, 108.0]) * rng.uniform(0.8, 1.3)
-    color = (float(base[0]), float(base[1]), float(base[2]))
+    color: Color = tuple(base.tolist())
     if box.material == 'paint':
         color = random_color(rng, (0.1, 0.5), (0.4, 0.8))
     elif box.material not in ('wood', 'books'):
@@ -137,18 +136,14 @@ def box_solid(box: Box) -> Solid:
     size = (float(np.linalg.norm(long)), float(np.linalg.norm(deep)))
     texture = _box_texture(box, color, 4, size)
     corner = np.array([*corners[3], height])
-    surfaces.append(
-        Surface(corner, np.append(long / size[0], 0), np.append(deep / size[1], 0), *size, texture)
-    )
+    across, down = np.append(long / size[0], 0.0), np.append(deep / size[1], 0.0)
+    surfaces.append(Surface(corner, across, down, *size, texture))
     return Solid(corners, tuple(surfaces))
 
 
-def _box_texture(
-    box: Box, color: tuple[float, ...], side: int, size: tuple[float, float]
-) -> ImageArray:
+def _box_texture(box: Box, tone: Color, side: int, size: tuple[float, float]) -> ImageArray:
     shape = (max(8, round(size[1] / _BOX_TEXEL_M)), max(8, round(size[0] / _BOX_TEXEL_M)))
     rng = np.random.default_rng([box.seed, 4, side])
-    tone = (color[0], color[1], color[2])
     if box.material == 'books' and side < 4:
         return draw_item('books', int(rng.integers(2**31)), shape)
     if box.material not in ('wood', 'books'):
@@ -168,9 +163,7 @@ def background_surfaces(scene: Scene) -> list[Surface]:
     rng = np.random.default_rng([scene.seed, 5])
     base = np.array([58.0, 88.0, 122.0]) * rng.uniform(0.7, 1.25)
     shape = (round(depth / _FLOOR_TEXEL_M), round(width / _FLOOR_TEXEL_M))
-    floor = wood(
-        rng, shape, (float(base[0]), float(base[1]), float(base[2])), _FLOOR_TEXEL_M, 0.13
-    )
+    floor = wood(rng, shape, tuple(base.tolist()), _FLOOR_TEXEL_M, 0.13)
     east, north = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
     shape = (round(depth / _CEILING_TEXEL_M), round(width / _CEILING_TEXEL_M))
     ceiling = plaster(rng, shape, (168.0, 172.0, 174.0), _CEILING_TEXEL_M)

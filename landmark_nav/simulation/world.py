@@ -53,7 +53,6 @@ class DifferentialDrive:
         free: Callable[[FloatArray], bool],
         rng: np.random.Generator,
     ) -> None:
-        """Draw the systematic errors."""
         self._config = config
         self._free = free
         self._rng = rng
@@ -125,7 +124,6 @@ class Person:
     """A person who walks between random positions with pauses."""
 
     def __init__(self, scene: Scene, robot_xy: FloatArray, rng: np.random.Generator) -> None:
-        """Draw the figure and choose a start far from the robot."""
         self._scene = scene
         self._rng = rng
         self._albedo = _draw_figure(rng)
@@ -159,15 +157,9 @@ class Person:
         view = view / max(float(np.linalg.norm(view)), 1e-6)
         right = np.array([view[1], -view[0]])
         left_end = self._position - 0.5 * _WIDTH_M * right
-        surface = Surface(
-            np.array([*left_end, _HEIGHT_M]),
-            np.append(right, 0.0),
-            np.array([0.0, 0.0, -1.0]),
-            _WIDTH_M,
-            _HEIGHT_M,
-            self._albedo,
-            lit=False,
-        )
+        corner, across = np.array([*left_end, _HEIGHT_M]), np.append(right, 0.0)
+        size = _WIDTH_M, _HEIGHT_M
+        surface = Surface(corner, across, np.array([0, 0, -1.0]), *size, self._albedo, lit=False)
         return Solid(np.array([left_end + _WIDTH_M * right, left_end]), (surface,))
 
     def _free_place(self) -> FloatArray:
@@ -254,9 +246,8 @@ class RobotWorld:
         self._owed_s = 0.0
         self.unit = PanTiltUnit(PanTiltConfig())
         self._drive = DifferentialDrive(DriveConfig(), pose_map_base, self._free, wheels)
-        self._people = [
-            Person(scene, self.true_pose[:2], child) for child in walking.spawn(people)
-        ]
+        people_rngs = walking.spawn(people)
+        self._people = [Person(scene, self.true_pose[:2], each) for each in people_rngs]
         self.renderer = renderer or Renderer(scene, camera)
         self._effects = CameraEffects(camera, CameraEffectsConfig(), noise)
 
@@ -316,13 +307,12 @@ class RobotWorld:
     def odometry_sample(self) -> OdometrySample:
         """Odometry now."""
         drive = self._drive
-        linear, angular = (float(value) for value in drive.measured_twist)
-        return OdometrySample(self.stamp_ns, drive.pose_odom_base.copy(), linear, angular)
+        pose, twist = drive.pose_odom_base.copy(), drive.measured_twist.tolist()
+        return OdometrySample(self.stamp_ns, pose, *twist)
 
     def truth_sample(self) -> OdometrySample:
         """True pose in map, and speeds, for ``ground_truth/odom``."""
-        linear, angular = (float(value) for value in self._drive.twist)
-        return OdometrySample(self.stamp_ns, self.true_pose, linear, angular)
+        return OdometrySample(self.stamp_ns, self.true_pose, *self._drive.twist.tolist())
 
     def camera_frame(self) -> CameraFrame:
         """Capture an image now."""
@@ -330,20 +320,13 @@ class RobotWorld:
         turn, center = self.mount.camera_pose_map(self.true_pose, float(pan), float(tilt))
         people = [person.solid(center[:2]) for person in self._people]
         image = self.renderer.render(turn, center, people)
-        sample = self.joint_sample()
-        return CameraFrame(
-            sample.stamp_ns,
-            self._effects.apply(image),
-            self.camera,
-            sample.pan_rad,
-            sample.tilt_rad,
-        )
+        sample, image = self.joint_sample(), self._effects.apply(image)
+        return CameraFrame(sample.stamp_ns, image, self.camera, sample.pan_rad, sample.tilt_rad)
 
     def _free(self, position_xy: FloatArray) -> bool:
         """Whether a position is in the room, with enough distance from walls and furniture."""
-        inside = bool(self.scene.room.contains(position_xy))
-        clearance = float(self.scene.distance_to_obstacles(position_xy))
-        return inside and clearance >= _ROBOT_RADIUS_M
+        far = self.scene.distance_to_obstacles(position_xy) >= _ROBOT_RADIUS_M
+        return bool(self.scene.room.contains(position_xy) and far)
 
 
 _FRAME = 'camera_optical_frame'
@@ -397,7 +380,6 @@ def drive_messages(
     factory: MessageFactory,
     path_xy: FloatArray,
     pan_control: PanControl,
-    *,
     seconds: float,
     speed_m_s: float = 0.35,
     camera_rate_hz: float = 5.0,
@@ -436,9 +418,8 @@ def _image_messages(
 
 def _joints(world: RobotWorld, factory: MessageFactory) -> Recorded:
     sample = world.joint_sample()
-    return Recorded(
-        'joint_states', encode.joint_state(factory, sample, world.mount), sample.stamp_ns
-    )
+    message = encode.joint_state(factory, sample, world.mount)
+    return Recorded('joint_states', message, sample.stamp_ns)
 
 
 def _truth(world: RobotWorld, factory: MessageFactory) -> Recorded:

@@ -31,9 +31,7 @@ def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator
     is false, or cannot be written.
     """
     if folder.is_dir() and any(folder.iterdir()) and not list(folder.glob(own[0])):
-        raise LandmarkNavError(
-            f'{folder}: holds other files and no {own[0]}: take an empty or a new folder'
-        )
+        raise LandmarkNavError(f'{folder}: holds other files and no {own[0]}: take a new folder')
     if folder.exists() and not folder.is_dir():
         raise LandmarkNavError(f'{folder}: is a file: take another name')
     if any(folder.glob(own[0])):
@@ -41,7 +39,11 @@ def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator
     target = Path(os.path.realpath(folder))
     growing = target.with_name(f'.{target.name}.part-{os.getpid()}')
     try:
-        _clear_dead(target, own)
+        for begun in _of_the_dead(target, 'part'):
+            shutil.rmtree(begun, ignore_errors=True)
+        for old in _of_the_dead(target, 'old') if target.exists() else ():
+            with suppress(OSError):
+                _succeed(old, target, own)
         growing.mkdir(parents=True)
         yield growing
         _swap(growing, target, own)
@@ -56,11 +58,7 @@ def atomic_folder(folder: Path, own: Sequence[str], overwrite: bool) -> Iterator
 
 
 def check_new(overwrite: bool, *outputs: Path) -> None:
-    """
-    Check that no output would be replaced without `overwrite`.
-
-    Raises `LandmarkNavError`: one of the outputs exists, and `overwrite` is false.
-    """
+    """Raise `LandmarkNavError` if one of the outputs exists, and `overwrite` is false."""
     there = [path for path in outputs if path.is_file() or path.is_dir()]
     if there and not overwrite:
         raise LandmarkNavError(
@@ -83,12 +81,13 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         if (descriptor := _descriptor(path)) is not None:
             for stream in filter(None, (sys.stdout, sys.stderr)):
                 stream.flush()
-            _write(os.dup(descriptor), data)
+            with os.fdopen(os.dup(descriptor), 'wb') as opened:
+                opened.write(data)
         elif _is_stream(path):
             # Without O_NONBLOCK, opening a pipe without a reader would block.
-            opened = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
-            os.set_blocking(opened, True)
-            _write(opened, data)
+            with os.fdopen(os.open(path, os.O_WRONLY | os.O_NONBLOCK), 'wb') as opened:
+                os.set_blocking(opened.fileno(), True)
+                opened.write(data)
         else:
             _replace(Path(os.path.realpath(path)), data)
     except OSError as error:
@@ -111,15 +110,8 @@ def _replace(target: Path, data: bytes) -> None:
         with suppress(OSError):  # there is no old file, or the file system has no permissions
             shutil.copymode(target, growing)
         growing.replace(target)
-    except OSError:
-        with suppress(OSError):
-            growing.unlink()
-        raise
-
-
-def _write(descriptor: int, data: bytes) -> None:
-    with os.fdopen(descriptor, 'wb') as stream:
-        stream.write(data)
+    finally:
+        growing.unlink(missing_ok=True)
 
 
 def _descriptor(path: Path) -> int | None:
@@ -170,15 +162,6 @@ def left_over(folder: Path) -> Path | None:
     target = Path(os.path.realpath(folder))
     aside = [] if target.exists() else sorted(target.parent.glob(f'.{target.name}.old-*'))
     return aside[-1] if aside else None
-
-
-def _clear_dead(target: Path, own: Sequence[str]) -> None:
-    """Remove the temporary folders and the replaced folders of processes that have ended."""
-    for begun in _of_the_dead(target, 'part'):
-        shutil.rmtree(begun, ignore_errors=True)
-    for old in _of_the_dead(target, 'old') if target.exists() else ():
-        with suppress(OSError):
-            _succeed(old, target, own)
 
 
 def _of_the_dead(target: Path, kind: str) -> Iterator[Path]:

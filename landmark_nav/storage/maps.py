@@ -26,7 +26,7 @@ from landmark_nav.image_codec import encode_image
 from landmark_nav.storage import reading
 from landmark_nav.storage.atomic_io import atomic_folder, left_over
 from landmark_nav.storage.setup_files import wall_entry, walls_field
-from landmark_nav.types import FloatArray, ImageArray, Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.types import ImageArray, Landmark, LandmarkMap, PoseEstimate
 
 # Greatest magnitude of a negative eigenvalue of the covariance without the shared errors, relative
 # to the norm of the covariance: numbers written by hand are rounded.
@@ -124,6 +124,8 @@ def landmark_of(entry: Any, patch_of: Callable[[str], ImageArray], where: str) -
             f'{where}: covariance is less than what shared_loading makes of it: learn the map '
             'again, or set both to zero for an exact place'
         )
+    # Maps of older versions have no views.
+    viewpoints = reading.array_field(entry, 'views', (None, 3), where) if 'views' in entry else ()
     return Landmark(
         id=identity,
         position=reading.array_field(entry, 'position', (3,), where),
@@ -139,16 +141,9 @@ def landmark_of(entry: Any, patch_of: Callable[[str], ImageArray], where: str) -
         saliency=reading.number_field(entry, 'quality', where),
         views=tuple(
             PatchView(viewpoint, patch_of(view_name(identity, k)))
-            for k, viewpoint in enumerate(_viewpoints(entry, where))
+            for k, viewpoint in enumerate(viewpoints)
         ),
     )
-
-
-def _viewpoints(entry: Any, where: str) -> FloatArray:
-    """Viewpoints (m, 3) of the views of a landmark; none in maps of older versions."""
-    if 'views' not in entry:
-        return np.empty((0, 3))
-    return reading.array_field(entry, 'views', (None, 3), where)
 
 
 def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
@@ -165,9 +160,8 @@ def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
         patch = reading.read_image(folder / name, cv2.IMREAD_GRAYSCALE, _MAX_PATCH_PIXELS)
         pixels += patch.size
         if pixels > _MAX_MAP_PIXELS:
-            raise LandmarkNavError(
-                f'{folder}: the patches have over {_MAX_MAP_PIXELS / 1e6:g} million pixels'
-            )
+            many = f'over {_MAX_MAP_PIXELS / 1e6:g} million pixels'
+            raise LandmarkNavError(f'{folder}: the patches have {many}')
         return patch
 
     return patch_of
@@ -213,12 +207,9 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
         'provenance': dict(landmarks.provenance),
         'walls': [wall_entry(wall) for wall in landmarks.walls],
         'panorama_poses': [
-            {
-                'stamp_ns': int(place.stamp_ns),
-                'pose': listed(place.pose),
-                'covariance': listed(place.covariance),
-            }
-            for place in landmarks.panorama_poses
+            {'stamp_ns': int(k.stamp_ns)}
+            | {'pose': listed(k.pose), 'covariance': listed(k.covariance)}
+            for k in landmarks.panorama_poses
         ],
         'landmarks': [described(landmark) for landmark in landmarks.landmarks],
     }
@@ -252,9 +243,15 @@ def load_map(folder: Path | str) -> LandmarkMap:
     path = folder / 'map.yaml'
     if not path.is_file():
         raise LandmarkNavError(f'{folder}: {_no_map(folder)}')
-    document = reading.read_yaml_mapping(path)
-    _check_version(document, path)
-    where = str(path)
+    document, where = reading.read_yaml_mapping(path), str(path)
+    version = reading.field(document, 'schema_version', where)
+    if version not in _READ or isinstance(version, bool):
+        newer = isinstance(version, int) and version > SCHEMA_VERSION
+        remedy = 'update landmark_nav' if newer else 'learn the map again'
+        raise LandmarkNavError(
+            f'{path}: schema version {shown(version)}, this landmark_nav reads {SCHEMA_VERSION}: '
+            f'{remedy}'
+        )
     entries = reading.list_field(document, 'landmarks', where)
     patch_of = patch_reader(folder)
     landmarks = tuple(
@@ -274,8 +271,12 @@ def load_map(folder: Path | str) -> LandmarkMap:
         known = False
     if not known:
         raise LandmarkNavError(f'{path}: scale_sigma is {shown(sigma)}, not a number from 0 on')
-    poses = reading.list_field(document, 'panorama_poses', where)
-    places = tuple(_pose_of(e, f'{path}: panorama_poses[{k}]') for k, e in enumerate(poses))
+    places = []
+    for k, entry in enumerate(reading.list_field(document, 'panorama_poses', where)):
+        at = f'{path}: panorama_poses[{k}]'
+        stamp_ns = reading.integer_field(entry, 'stamp_ns', at)
+        pose = reading.array_field(entry, 'pose', (3,), at)
+        places.append(PoseEstimate(stamp_ns, pose, reading.covariance_field(entry, 3, at)))
     frame_id, walls = reading.name_field(document, 'frame_id', where), walls_field(document, where)
     made = {str(key): str(value) for key, value in provenance.items()}
     prior, learned = (calibration_of(document, name, where) for name in ('prior', 'calibration'))
@@ -285,15 +286,7 @@ def load_map(folder: Path | str) -> LandmarkMap:
         lacking = factors - learned.by_map.shape[1]
         learned = replace(learned, by_map=np.pad(learned.by_map, ((0, 0), (0, lacking))))
     with inside(path):
-        return LandmarkMap(landmarks, frame_id, walls, places, made, prior, learned)
-
-
-def _pose_of(entry: Any, where: str) -> PoseEstimate:
-    return PoseEstimate(
-        reading.integer_field(entry, 'stamp_ns', where),
-        reading.array_field(entry, 'pose', (3,), where),
-        reading.covariance_field(entry, 3, where),
-    )
+        return LandmarkMap(landmarks, frame_id, walls, tuple(places), made, prior, learned)
 
 
 def _no_map(folder: Path) -> str:
@@ -303,15 +296,3 @@ def _no_map(folder: Path) -> str:
     if left is not None:
         return f'no map there: it was being replaced when that was ended; rename {left} to it'
     return 'no map there (no map.yaml): make one with `landmark-nav learn`'
-
-
-def _check_version(document: dict[str, Any], path: Path) -> None:
-    version = reading.field(document, 'schema_version', str(path))
-    if version in _READ and not isinstance(version, bool):
-        return
-    newer = isinstance(version, int) and version > SCHEMA_VERSION
-    remedy = 'update landmark_nav' if newer else 'learn the map again with `landmark-nav learn`'
-    raise LandmarkNavError(
-        f'{path}: schema version {shown(version)}, this landmark_nav reads {SCHEMA_VERSION}: '
-        f'{remedy}'
-    )

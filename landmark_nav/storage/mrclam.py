@@ -142,17 +142,9 @@ def _detections(
 ) -> tuple[Detections, ...]:
     """Group readings by image; those of one image share a stamp."""
     stamps, which = np.unique(_nanoseconds(seen[:, 0]), return_inverse=True)
-    found = []
-    for k, stamp in enumerate(stamps):
-        rows = np.flatnonzero(which == k)
-        found.append(
-            Detections(
-                int(stamp),
-                subjects[rows],
-                seen[rows, 3],
-                np.full(len(rows), bearing_sigma_rad**2),
-                np.ones(len(rows)),
-                np.zeros((len(rows), 2)),
-            )
-        )
-    return tuple(found)
+    variances, scores = np.full(len(seen), bearing_sigma_rad**2), np.ones(len(seen))
+    arrays = subjects, seen[:, 3], variances, scores, np.zeros((len(seen), 2))
+    return tuple(
+        Detections(int(stamp), *(array[which == k] for array in arrays))
+        for k, stamp in enumerate(stamps)
+    )

@@ -131,12 +131,9 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
 
 
 def _document(events: Iterator[yaml.Event]) -> Any:
-    """
-    Build the value of the single document, without recursion and with bounded steps.
-
-    The constructor of PyYAML follows aliases, whose expansion has no bound, and passes on errors
-    of malformed values with a tag.
-    """
+    """Build the value of the single document, without recursion and with bounded steps."""
+    # The constructor of PyYAML follows aliases, whose expansion has no bound, and passes on errors
+    # of malformed values with a tag.
     document: Any = None
     # Open containers, each with the key that has no value yet.
     opened: list[tuple[Any, Any]] = []
@@ -149,7 +146,14 @@ def _document(events: Iterator[yaml.Event]) -> Any:
                 raise _refused(event, 'a second document begins: keep one')
         if isinstance(event, yaml.NodeEvent):
             nodes += 1
-            _check_node(event, nodes, len(opened))
+            if isinstance(event, yaml.AliasEvent):
+                raise _refused(event, f'*{event.anchor}: write the value instead of an alias')
+            if (tag := getattr(event, 'tag', None)) is not None:
+                what = shown(tag.replace(_TAG, '!!'))
+                raise _refused(event, f'tag {what}: write the value alone')
+            if nodes > _MAX_NODES or len(opened) > _MAX_DEPTH:
+                bounds = f'{_MAX_NODES} values or {_MAX_DEPTH} levels'
+                raise _refused(event, f'more than {bounds}: is it the right file?')
         if isinstance(event, yaml.SequenceStartEvent | yaml.MappingStartEvent):
             opened.append(([] if isinstance(event, yaml.SequenceStartEvent) else {}, _ABSENT))
             continue
@@ -175,16 +179,6 @@ def _document(events: Iterator[yaml.Event]) -> Any:
         else:
             opened[-1] = container, value
     return document
-
-
-def _check_node(event: yaml.NodeEvent, nodes: int, depth: int) -> None:
-    if isinstance(event, yaml.AliasEvent):
-        raise _refused(event, f'*{event.anchor}: write the value instead of an alias')
-    if (tag := getattr(event, 'tag', None)) is not None:
-        raise _refused(event, f'tag {shown(tag.replace(_TAG, "!!"))}: write the value alone')
-    if nodes > _MAX_NODES or depth > _MAX_DEPTH:
-        bounds = f'{_MAX_NODES} values or {_MAX_DEPTH} levels'
-        raise _refused(event, f'more than {bounds}: is it the right file?')
 
 
 def _refused(event: yaml.Event, what: str) -> LandmarkNavError:
@@ -309,7 +303,5 @@ def covariance_field(mapping: Any, size: int, where: str) -> FloatArray:
     eigenvalues = np.linalg.eigvalsh(matrix)
     slack = _ROUNDING * max(float(eigenvalues[-1]), 0.0)
     if np.abs(matrix - matrix.T).max() > slack or eigenvalues[0] < -slack:
-        raise LandmarkNavError(
-            f'{where}: no covariance: it must be symmetric without negative eigenvalues'
-        )
+        raise LandmarkNavError(f'{where}: no covariance: not symmetric, or negative eigenvalues')
     return matrix

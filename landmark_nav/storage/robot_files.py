@@ -17,7 +17,7 @@ from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.storage.reading import array_field, number_field, read_yaml_mapping
-from landmark_nav.storage.setup_files import mount_of, read_robot
+from landmark_nav.storage.setup_files import mount_of, PAN_UNIT, read_robot
 from landmark_nav.types import FloatArray
 
 _LOG = logging.getLogger(__name__)
@@ -49,9 +49,7 @@ def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
         _LOG.warning('%s: nothing is for %s, but for %s', path, ', '.join(nodes), others)
     for _, parameters in applied:
         if not isinstance(parameters, Mapping):
-            raise LandmarkNavError(
-                f'{path}: {_SECTION} is {shown(parameters)}, not a mapping of parameters'
-            )
+            raise LandmarkNavError(f'{path}: {_SECTION} is {shown(parameters)}, not a mapping')
         values |= flat(parameters)
     return {name: value for name, value in values.items() if not name.startswith(_OF_ROS)}
 
@@ -162,9 +160,7 @@ def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None
 def _correlations(entries: Any) -> FloatArray:
     """Return the correlation matrix (16, 16) of entries [name, name, number]."""
     together = np.eye(len(NAMES))
-    wrong = (
-        f'correlations: give entries [name, name, -1 to 1] of two of {", ".join(NAMES[:2])}, ...'
-    )
+    wrong = f'correlations: give [name, name, -1 to 1], with two of {", ".join(NAMES[:2])}, ...'
     if not isinstance(entries, list) or len(entries) > len(NAMES) ** 2:
         raise LandmarkNavError(wrong)
     for entry in entries:
@@ -187,9 +183,8 @@ def _spread(mapping: dict[str, Any], key: str, names: tuple[str, ...], where: st
     largest = _LARGEST[UNITS[names[0]]]
     if min(spread) < 0.0 or max(spread) > largest:
         unit = UNITS[names[0]].replace('1', 'a fraction')
-        raise LandmarkNavError(
-            f'{where}: {key} is {mapping[key]!r}: give sigmas of 0 to {largest:g}, in {unit}'
-        )
+        how = f'give sigmas of 0 to {largest:g}, in {unit}'
+        raise LandmarkNavError(f'{where}: {key} is {mapping[key]!r}: {how}')
     return list(spread)
 
 
@@ -205,24 +200,16 @@ def save_calibration(
 
     def both(name: str, first: str) -> dict[str, list[float]]:
         """Fields of three quantities: values and sigmas."""
-        start = NAMES.index(first)
-        pairs = [calibration[quantity] for quantity in NAMES[start : start + 3]]
-        values, sigmas = (
-            [_rounded(number) for number in part] for part in zip(*pairs, strict=True)
-        )
-        return {name: values, f'{name}_sigma': sigmas}
+        three = slice(NAMES.index(first), NAMES.index(first) + 3)
+        values, sigmas = calibration.values[three], calibration.sigmas[three]
+        return {name: [*map(_rounded, values)], f'{name}_sigma': [*map(_rounded, sigmas)]}
 
     document: dict[str, Any] = {
-        'base_frame': base.base_frame,
-        'pan_joint': base.pan_joint,
-        'tilt_joint': base.tilt_joint,
+        **{name: getattr(base, name) for name in ('base_frame', 'pan_joint', 'tilt_joint')},
         'pan_axis': both('xyz', 'axis_x') | both('rpy', 'axis_roll'),
         **both('optical_center_offset', 'center_x'),
         'pan_sigma': float(base.pan_sigma_rad),
-        'pan_min': float(base.pan_min_rad),
-        'pan_max': float(base.pan_max_rad),
-        'pan_rate': float(base.pan_rate_rad_s),
-        'pan_acceleration': float(base.pan_acceleration_rad_s2),
+        **{key: float(getattr(base, argument)) for key, (argument, *_) in PAN_UNIT.items()},
     }
     if odometry:
         document['odometry'] = dict(odometry)

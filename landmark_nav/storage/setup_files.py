@@ -33,8 +33,6 @@ _MAX_WALL_SIGMA_M = 1.0
 # Greatest angle: half a turn, rounded up. Larger ones are given in degrees.
 _HALF_TURN_RAD = 3.15
 
-# Greatest sigma of the pan; a less certain one gives no information.
-_LARGEST_SIGMA_RAD = 0.1
 # Field -> argument of a mount, range and unit. A joint may make a full turn to both sides; rates
 # and accelerations beyond the range are given in another unit.
 PAN_UNIT = {
@@ -43,6 +41,9 @@ PAN_UNIT = {
     'pan_rate': ('pan_rate_rad_s', 0.01, 100.0, 'radians a second'),
     'pan_acceleration': ('pan_acceleration_rad_s2', 0.01, 1e4, 'radians a second, each second'),
 }
+
+# Greatest sigma of the pan; a less certain one gives no information.
+_RANGES = PAN_UNIT | {'pan_sigma': ('pan_sigma_rad', 0.0, 0.1, 'radians')}
 
 # Frames of REP-105 that are not fixed in a room.
 _MOVING_FRAMES = ('odom', 'base_link', 'base_footprint')
@@ -75,14 +76,13 @@ def load_room(path: Path | str) -> Room:
         hung = reading.list_field(area, 'papers', 'reference_area', _MAX_PAPERS) if area else []
         papers = tuple(_paper(paper, f'papers[{i}]') for i, paper in enumerate(hung))
         for wall in walls:
-            if wall.length > _MAX_WALL_M:
-                raise LandmarkNavError(
-                    f'wall {wall.id} is {wall.length:g} m long: lengths are metres'
-                )
-            if wall.height > _MAX_HEIGHT_M:
-                raise LandmarkNavError(
-                    f'wall {wall.id} is {wall.height:g} m high: lengths are metres'
-                )
+            for size, most, what in (
+                (wall.length, _MAX_WALL_M, 'long'),
+                (wall.height, _MAX_HEIGHT_M, 'high'),
+            ):
+                if size > most:
+                    where = f'wall {wall.id} is {size:g} m {what}'
+                    raise LandmarkNavError(f'{where}: lengths are metres')
         room = Room(walls, papers, reading.name_field(document, 'frame_id', 'room', 'map'))
         if room.frame_id in _MOVING_FRAMES:
             raise LandmarkNavError(f'frame_id is {room.frame_id}, which the robot moves: take map')
@@ -101,24 +101,20 @@ def walls_field(mapping: Any, where: str) -> tuple[Wall, ...]:
 
 def wall_of(entry: Any, where: str) -> Wall:
     """Wall of an entry of a room or a map."""
+    sigma = None
     if isinstance(entry, dict):
         reading.check_spelling(entry, ('id', 'start', 'end', 'height', 'sigma_m'), where)
+        sigma = reading.number_field(entry, 'sigma_m', where) if 'sigma_m' in entry else None
+    if sigma is not None and not 0.0 < sigma <= _MAX_WALL_SIGMA_M:
+        how = f'take more than 0, up to {_MAX_WALL_SIGMA_M:g} m'
+        raise LandmarkNavError(f'{where}: sigma_m is {sigma:g}: {how}')
     return Wall(
         reading.name_field(entry, 'id', where),
         _point(entry, 'start', 2, where),
         _point(entry, 'end', 2, where),
         reading.number_field(entry, 'height', where),
-        _wall_sigma(entry, where) if 'sigma_m' in entry else None,
+        sigma,
     )
-
-
-def _wall_sigma(entry: dict[str, Any], where: str) -> float:
-    sigma = reading.number_field(entry, 'sigma_m', where)
-    if not 0.0 < sigma <= _MAX_WALL_SIGMA_M:
-        raise LandmarkNavError(
-            f'{where}: sigma_m is {sigma:g}: take more than 0, up to {_MAX_WALL_SIGMA_M:g} m'
-        )
-    return sigma
 
 
 def wall_entry(wall: Wall) -> dict[str, Any]:
@@ -147,9 +143,8 @@ def _paper(document: Any, where: str) -> Paper:
         paper_bgr(color)
     width, height = (reading.number_field(document, key, where) for key in ('width', 'height'))
     if not (0.01 <= width <= 5.0 and 0.01 <= height <= 5.0):
-        raise LandmarkNavError(
-            f'{where}: {width:g} x {height:g} m is no size of a paper: lengths are metres'
-        )
+        size = f'{width:g} x {height:g} m is no size of a paper'
+        raise LandmarkNavError(f'{where}: {size}: lengths are metres')
     return Paper(color, _point(document, 'center', 3, where), width, height)
 
 
@@ -213,30 +208,22 @@ def mount_of(document: dict[str, Any], path: Path) -> PanTiltMount:
             axis_rpy=_angles(axis, 'rpy', (3,), 'pan_axis') if 'rpy' in axis else (0.0, 0.0, 0.0),
             optical_center_offset=offset,
             camera_roll_rad=_angles({'camera_roll': 0.0, **document}, 'camera_roll', (), 'robot'),
-            pan_sigma_rad=_sigma(document),
             base_frame=reading.name_field(document, 'base_frame', 'robot', 'base_link'),
             pan_joint=pan,
             tilt_joint=tilt,
             **{
                 argument: _within(document, key, low, high, unit)
-                for key, (argument, low, high, unit) in PAN_UNIT.items()
+                for key, (argument, low, high, unit) in _RANGES.items()
                 if key in document
             },
         )
 
 
-def _sigma(document: dict[str, Any]) -> float:
-    if 'pan_sigma' not in document:
-        return PanTiltMount.pan_sigma_rad
-    return _within(document, 'pan_sigma', 0.0, _LARGEST_SIGMA_RAD, 'radians')
-
-
 def _within(document: dict[str, Any], key: str, low: float, high: float, unit: str) -> float:
     value = reading.number_field(document, key, 'robot')
     if not low <= value <= high:
-        raise LandmarkNavError(
-            f'robot: {key} is {value:g}: take {low:g} to {high:g}; it is in {unit}'
-        )
+        how = f'take {low:g} to {high:g}; it is in {unit}'
+        raise LandmarkNavError(f'robot: {key} is {value:g}: {how}')
     return value
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import cv2
 import numpy as np
@@ -67,9 +68,8 @@ class Pair:
         """Mahalanobis distance of the disagreement (2 degrees of freedom)."""
         # The covariance may be zero.
         covariance = self.covariance + _LEAST_SIGMA_M**2 * np.eye(2)
-        return float(
-            np.sqrt(self.disagreement_m @ np.linalg.solve(covariance, self.disagreement_m))
-        )
+        off = self.disagreement_m
+        return float(np.sqrt(off @ np.linalg.solve(covariance, off)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +99,9 @@ def compare_maps(a: LandmarkMap, b: LandmarkMap) -> Comparison:
 def wall_changes(a: LandmarkMap, b: LandmarkMap) -> dict[str, float]:
     """Greatest shift of the ends of each wall, m, by its id; inf if one map lacks the wall."""
     ends_a, ends_b = ({w.id: np.array([w.start, w.end]) for w in m.walls} for m in (a, b))
+    none = np.full((2, 2), np.inf)
     return {
-        name: float(np.abs(ends_b[name] - ends_a[name]).max())
-        if name in ends_a and name in ends_b
-        else np.inf
+        name: float(np.abs(ends_b.get(name, none) - ends_a.get(name, -none)).max())
         for name in ends_a | ends_b
     }
 
@@ -193,17 +192,10 @@ def resampled(
     center = (np.array(k.patch.shape[::-1]) - 1) / 2.0 + offset / own
     corner = center - scale * (np.array(shape[::-1]) - 1) / 2.0
     where = np.array([[scale[0], 0.0, corner[0]], [0.0, scale[1], corner[1]]])
-    blurred = blur_to(k.patch.astype(np.float32), scale)
-    return np.asarray(
-        cv2.warpAffine(
-            blurred,
-            where,
-            shape[::-1],
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        ),
-        dtype=np.float32,
-    )
+    blurred, linear = blur_to(k.patch.astype(np.float32), scale), cv2.INTER_LINEAR
+    how: dict[str, Any] = {'flags': linear | cv2.WARP_INVERSE_MAP}
+    how['borderMode'] = cv2.BORDER_REPLICATE
+    return np.asarray(cv2.warpAffine(blurred, where, shape[::-1], **how), dtype=np.float32)
 
 
 # Greatest distance of a patch from the plane of its wall, to both sides, and beyond its ends.
@@ -223,13 +215,12 @@ def problems_of_map(landmarks: LandmarkMap) -> list[str]:
     problems = list(_problems_of_room(landmarks))
     walls = {wall.id: wall for wall in landmarks.walls}
     for k in landmarks.landmarks:
-        problems += [f'landmark {k.id}: {text}' for text in _problems_of_landmark(k)]
+        found = list(_problems_of_landmark(k))
         if k.wall_id in walls:
-            problems += [
-                f'landmark {k.id}: {text}' for text in _problems_on_wall(k, walls[k.wall_id])
-            ]
+            found += _problems_on_wall(k, walls[k.wall_id])
         elif walls and k.wall_id:
-            problems.append(f'landmark {k.id}: its wall {k.wall_id!r} is not in the map')
+            found.append(f'its wall {k.wall_id!r} is not in the map')
+        problems += [f'landmark {k.id}: {text}' for text in found]
     return problems
 
 
@@ -264,9 +255,8 @@ def _problems_of_landmark(k: Landmark) -> Iterator[str]:
     rows, columns = k.patch.shape
     squeeze = (k.width_m / columns) / (k.height_m / rows)
     if abs(np.log(squeeze)) > _MAX_SQUEEZE:
-        yield (
-            f'{k.width_m:.2f} x {k.height_m:.2f} m do not fit a patch of {columns} x {rows} texels'
-        )
+        size = f'{k.width_m:.2f} x {k.height_m:.2f} m'
+        yield f'{size} do not fit a patch of {columns} x {rows} texels'
     viewpoints = np.array([k.viewpoint, *(view.viewpoint for view in k.views)])
     if np.any((viewpoints - k.position) @ k.normal <= 0.0):
         yield 'was learned from behind its wall'

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
-from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.se2 import compose, rot_z, rotation
-from landmark_nav.geometry.walls import Room
+from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.matching import match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate, Refusal
 from landmark_nav.upkeep.comparison import (
@@ -102,7 +101,8 @@ def align_frames(a: LandmarkMap, b: LandmarkMap) -> FrameAlignment:
     Raises `LandmarkNavError`: the maps have too few landmarks in common, or more than one
     transformation fits.
     """
-    scale_sigma = float(np.hypot(_scale_sigma(a), _scale_sigma(b)))
+    sigma_a, sigma_b = (m.scale_sigma or _MEASURED_SCALE_SIGMA for m in (a, b))
+    scale_sigma = float(np.hypot(sigma_a, sigma_b))
     matches = _matches(a, b, scale_sigma)
     best, explained = _best(a, b, matches, scale_sigma)
     needed = max(_LEAST_SUPPORT, _LEAST_SHARE * min(len(a.landmarks), len(b.landmarks)))
@@ -159,9 +159,10 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
         covariance = by_own @ place.covariance @ by_own.T
         return replace(place, pose=compose(pose, way), covariance=covariance)
 
-    def ends(end: tuple[float, float]) -> tuple[float, float]:
-        x, y, _ = placed(np.array([*end, 0.0])).tolist()
-        return x, y
+    def walled(wall: Wall) -> Wall:
+        start, end = (placed(np.array([*p, 0.0]))[:2].tolist() for p in (wall.start, wall.end))
+        height = scale * wall.height + alignment.rise_m
+        return replace(wall, start=tuple(start), end=tuple(end), height=height)
 
     known = b.calibration
     if known is not None and known.by_map is not None:
@@ -169,15 +170,7 @@ def in_frame_of(alignment: FrameAlignment, b: LandmarkMap) -> LandmarkMap:
     return replace(
         b,
         landmarks=tuple(moved(k) for k in b.landmarks),
-        walls=tuple(
-            replace(
-                w,
-                start=ends(w.start),
-                end=ends(w.end),
-                height=scale * w.height + alignment.rise_m,
-            )
-            for w in b.walls
-        ),
+        walls=tuple(walled(wall) for wall in b.walls),
         panorama_poses=tuple(posed(place) for place in b.panorama_poses),
         calibration=known,
     )
@@ -192,26 +185,25 @@ def _by_frame(ways: FloatArray) -> FloatArray:
     return jacobian
 
 
-def _scale_sigma(landmarks: LandmarkMap) -> float:
-    return landmarks.scale_sigma or _MEASURED_SCALE_SIGMA
-
-
 def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
     """Similar textures at the same height, the best first."""
-    textured_a = [i for i, k in enumerate(a.landmarks) if k.patch.size]
-    textured_b = [j for j, k in enumerate(b.landmarks) if k.patch.size]
     texels = [k.width_m / k.patch.shape[1] for m in (a, b) for k in m.landmarks if k.patch.size]
     texel = float(np.median(texels)) if texels else 1.0
-    images_a = {i: _image(a.landmarks[i], texel) for i in textured_a}
-    images_b = {j: _image(b.landmarks[j], texel) for j in textured_b}
+    images_a, images_b = (
+        [
+            (k, resampled(k, texel, _shape(k, texel), np.zeros(2)), index)
+            for index, k in enumerate(one.landmarks)
+            if k.patch.size
+        ]
+        for one in (a, b)
+    )
     rows = []
-    for i in textured_a:
-        for j in textured_b:
-            one, other = a.landmarks[i], b.landmarks[j]
+    for one, image_a, i in images_a:
+        for other, image_b, j in images_b:
             apart = abs(one.position[2] - other.position[2])
             if apart > 0.5 * max(one.height_m, other.height_m) + _GATE_SIGMAS * _HEIGHT_SIGMA_M:
                 continue
-            found = _offset(images_a[i], images_b[j])
+            found = _offset(image_a, image_b)
             if found is None:
                 continue
             score, offset_a, offset_b = found
@@ -227,9 +219,8 @@ def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
     return _Matches(table[:, 1:4], table[:, 4:7], wrap_rad(table[:, 7]), index[:, 0], index[:, 1])
 
 
-def _image(k: Landmark, texel_m: float) -> Float32Array:
-    shape = max(int(k.height_m / texel_m), 1), max(int(k.width_m / texel_m), 1)
-    return resampled(k, texel_m, shape, np.zeros(2))
+def _shape(k: Landmark, texel_m: float) -> tuple[int, int]:
+    return max(int(k.height_m / texel_m), 1), max(int(k.width_m / texel_m), 1)
 
 
 def _offset(a: Float32Array, b: Float32Array) -> tuple[float, FloatArray, FloatArray] | None:
@@ -283,20 +274,8 @@ def _best(
         return None, np.zeros(0, dtype=np.bool_)
     agree = _agreement(matches, scale_sigma)
     first = int(np.argmax(_distinct(agree, matches)))
-    start = matches.turn_rad[first]
-    return _fitted(a, b, matches, agree[first], start, scale_sigma), agree[first]
-
-
-def _fitted(
-    a: LandmarkMap,
-    b: LandmarkMap,
-    matches: _Matches,
-    agree: BoolArray,
-    turn_rad: float,
-    scale_sigma: float,
-) -> FrameAlignment:
-    """Pose and scale by Gauss-Newton from the inliers `agree`; inliers are updated each round."""
-    chosen = matches.chosen(agree)
+    # Pose and scale by Gauss-Newton from these inliers, which are updated in each round.
+    chosen, turn_rad = matches.chosen(agree[first]), matches.turn_rad[first]
     state = np.array([*(chosen.in_a - chosen.in_b @ rot_z(turn_rad).T).mean(0), turn_rad, 0.0])
     # Both frames are on the floor, except for the effect of the scale at a given camera height.
     height_sigma = np.hypot(_HEIGHT_SIGMA_M, scale_sigma * np.abs(matches.in_a[:, 2]).max())
@@ -317,8 +296,9 @@ def _fitted(
         # Only height and logarithm of the scale have a prior, with mean 0.
         state = state + covariance @ (np.einsum('mil,ml->i', weighed, off[which]) - prior @ state)
     support = matches.chosen(which).landmarks
-    pose = np.array([*state[:2], wrap_rad(state[3])])
-    return FrameAlignment(pose, float(state[2]), float(np.exp(state[4])), covariance, support)
+    pose, rise_m = np.array([*state[:2], wrap_rad(state[3])]), float(state[2])
+    found = FrameAlignment(pose, rise_m, float(np.exp(state[4])), covariance, support)
+    return found, agree[first]
 
 
 # Greatest shift of a wall between two maps in one frame.
@@ -362,23 +342,22 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
         if pair.texture is not Texture.UNKNOWN and _older_stays(pair)
     }
     first_free = int(max(older.ids, default=-1)) + 1
-    factors_older, factors_newer = _factors(older), _factors(newer)
+    factors_older, factors_newer = (m.shared_loadings.shape[2] for m in (older, newer))
     added = [k for k in newer.landmarks if k.id not in kept_out]
     provenance = {key: text for key, text in newer.provenance.items() if key not in _OF_FRAME}
-    return LandmarkMap(
-        (
-            *(_padded(k, 0, factors_newer) for k in older.landmarks if k.id not in outdated),
-            *(
-                replace(_padded(k, factors_older, 0), id=first_free + i)
-                for i, k in enumerate(added)
-            ),
-        ),
-        older.frame_id,
-        older.walls,
-        (*older.panorama_poses, *newer.panorama_poses),
-        {**provenance, **older.provenance, 'merged': '2 maps'},
-        newer.prior,
-        _shifted(newer.calibration, factors_older),
+    known = newer.calibration
+    if known is not None and known.by_map is not None:
+        known = replace(known, by_map=np.pad(known.by_map, ((0, 0), (factors_older, 0))))
+    kept = [_padded(k, 0, factors_newer) for k in older.landmarks if k.id not in outdated]
+    for number, k in enumerate(added, first_free):
+        kept.append(replace(_padded(k, factors_older, 0), id=number))
+    return replace(
+        older,
+        landmarks=tuple(kept),
+        panorama_poses=(*older.panorama_poses, *newer.panorama_poses),
+        provenance={**provenance, **older.provenance, 'merged': '2 maps'},
+        prior=newer.prior,
+        calibration=known,
     )
 
 
@@ -425,13 +404,6 @@ def _on_wall_of(landmarks: LandmarkMap, k: Landmark) -> Landmark | None:
     return replace(k, wall_id=landmarks.walls[nearest].id)
 
 
-def _shifted(known: Calibration | None, factors: int) -> Calibration | None:
-    """Calibration of the newer map; its factors follow the `factors` of the older one."""
-    if known is None or known.by_map is None:
-        return known
-    return replace(known, by_map=np.pad(known.by_map, ((0, 0), (factors, 0))))
-
-
 def _check_agreement(comparison: Comparison) -> None:
     """Check that most common textures are unchanged, at locations consistent with covariances."""
     pairs, changed = comparison.of(Texture.SAME), comparison.of(Texture.CHANGED)
@@ -448,10 +420,6 @@ def _check_agreement(comparison: Comparison) -> None:
             f'know lie over {_MAX_SIGMAS:g} sigma apart (up to {100 * worst:.1f} cm): '
             'learn again the one that is wrong (`landmark-nav map diff` lists them)'
         )
-
-
-def _factors(landmarks: LandmarkMap) -> int:
-    return landmarks.landmarks[0].shared_loading.shape[1] if landmarks.landmarks else 0
 
 
 def _padded(k: Landmark, before: int, after: int) -> Landmark:

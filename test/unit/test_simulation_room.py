@@ -21,7 +21,7 @@ from landmark_nav.simulation.setup_documents import (
     start_document,
 )
 from landmark_nav.simulation.solids import back_to_front
-from landmark_nav.simulation.wall_items import draw_item
+from landmark_nav.simulation.textures import draw_item
 from landmark_nav.simulation.world import Person
 from landmark_nav.storage.setup_files import load_robot, load_room
 

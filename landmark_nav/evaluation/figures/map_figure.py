@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -45,21 +46,14 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     for place in landmarks.panorama_poses:
         style.add_ellipse(axes, place.pose, place.covariance[:2, :2], style.FUSED, _MAGNIFIED)
     style.draw_sweep_places(axes, [place.pose for place in landmarks.panorama_poses], 'sweep')
-    axes.set_title(
-        f'{len(landmarks.landmarks)} landmarks learned from '
-        f'{len(landmarks.panorama_poses)} panoramas'
-    )
+    sweeps = len(landmarks.panorama_poses)
+    axes.set_title(f'{len(landmarks.landmarks)} landmarks learned from {sweeps} panoramas')
     style.plain(axes)
     text = 'landmark, its normal, its number where there is room'
+    large = f'3 sigma, {_MAGNIFIED:.0f} times as large'
     handles = [
         style.key(style.LANDMARK, 'o', text, linestyle='-'),
-        style.key(
-            style.LANDMARK,
-            'o',
-            f'3 sigma, {_MAGNIFIED:.0f} times as large',
-            markersize=13,
-            alpha=0.35,
-        ),
+        style.key(style.LANDMARK, 'o', large, markersize=13, alpha=0.35),
         style.key(style.FUSED, '^', 'sweep, arrow along base_link +x'),
     ]
     drawn = list(papers)
@@ -113,12 +107,10 @@ def number_landmarks(
     obstacles = np.concatenate(taken), np.concatenate(taken_sizes)
     free = style.free_labels(places - 0.5 * sizes, sizes, *obstacles)
     places, ids = places[free], ids[free]
+    look: dict[str, Any] = {'fontsize': 7, 'ha': 'center', 'va': 'center', 'zorder': 8}
     for number, (x, y) in zip(ids, places, strict=True):
-        text = axes.text(
-            x, y, str(number), fontsize=7, ha='center', va='center', color='#333333', zorder=8
-        )
         # The text is inside the axes; to check that in the layout is slow.
-        text.set_in_layout(False)
+        axes.text(x, y, str(number), color='#333333', **look).set_in_layout(False)
 
 
 _COUNT = 3
@@ -182,14 +174,9 @@ def _draw_area(axes: Axes, landmark: Landmark, room: Room) -> None:
     """Draw one landmark and its observation area."""
     x, y = (np.arange(a, b + _CELL_M, _CELL_M) for a, b in zip(*room.bounds, strict=True))
     cells = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    seen = observed_well(
-        landmark.position[None],
-        landmark.normal[None],
-        landmark.viewpoint[None],
-        cells,
-        _BOUNDS.min_sampling,
-        _BOUNDS.max_sampling,
-    )[:, 0]
+    place, normal, viewpoint = landmark.position, landmark.normal, landmark.viewpoint
+    bounds = _BOUNDS.min_sampling, _BOUNDS.max_sampling
+    seen = observed_well(place[None], normal[None], viewpoint[None], cells, *bounds)[:, 0]
     seen &= room.contains(cells) & room.visible(cells, landmark.position[:2])
     area = seen.reshape(len(y), len(x)).astype(float)
     axes.contourf(x, y, area, _LEVELS, colors=style.FIX, alpha=0.45, zorder=1)
@@ -293,9 +280,8 @@ def _draw_plan(
     for k in np.flatnonzero(shown):
         landmark = landmarks.landmarks[k]
         point = landmark.position[:2]
-        axes.plot(
-            *np.stack([eye, point], -1), color=style.FUSED, alpha=0.12, linewidth=0.8, zorder=1
-        )
+        ray = np.stack([eye, point], -1)
+        axes.plot(*ray, color=style.FUSED, alpha=0.12, linewidth=0.8, zorder=1)
         style.add_ellipse(axes, point, landmark.covariance[:2, :2], style.LANDMARK, _ENLARGED)
     axes.plot(*landmarks.positions[shown, :2].T, 'o', color=style.LANDMARK, markersize=5, zorder=6)
 
@@ -312,12 +298,12 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     _draw_accuracy(axes, plan.accuracy_map)
     style.draw_walls(axes, room.walls, _PLAN_MARGIN_M)
     style.draw_papers(axes, room.papers)
-    handles = [
-        style.key(style.FUSED, '^', f'proposed: {_cost(plan.best)} in the mean over the floor')
-    ]
     style.draw_sweep_places(axes, plan.best.poses_map_base, 'place')
     middle = plan.random[len(plan.random) // 2]
-    handles.append(style.key('white', '', f'median of random places: {_cost(middle)}'))
+    text = f'proposed: {1e3 * plan.best.cost_m:.2f} mm in the mean over the floor'
+    handles = [style.key(style.FUSED, '^', text)]
+    text = f'median of random places: {1e3 * middle.cost_m:.2f} mm'
+    handles.append(style.key('white', '', text))
     axes.set_title(
         f'Expected localization error, {len(plan.best.poses_map_base)} panoramas, '
         f'{plan.best.landmarks.sum():.0f} landmarks',
@@ -331,30 +317,21 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
 
 def _draw_accuracy(axes: Axes, forecast: Forecast) -> None:
     """Draw a heat map in millimetres with lines of equal error; unknown cells are blank."""
-    (x, column), (y, row) = (
-        np.unique(np.round(values, 6), return_inverse=True) for values in forecast.floor_xy.T
-    )
+    at = np.round(forecast.floor_xy.T, 6)
+    (x, column), (y, row) = (np.unique(values, return_inverse=True) for values in at)
     error = np.full((len(y), len(x)), np.nan)
     sigma_mm = 1e3 * forecast.sigma_m
     error[row, column] = np.where(np.isfinite(sigma_mm), sigma_mm, np.nan)
     known = error[np.isfinite(error)]
     low, high = (float(np.quantile(known, q)) for q in (0.0, 0.98))
     axes.set_facecolor('#f4f4f4')
-    heat = axes.pcolormesh(
-        x, y, error, cmap='viridis_r', vmin=low, vmax=max(high, low + 0.1), zorder=1,
-        shading='nearest',
-    )  # fmt: skip
+    look: dict[str, Any] = {'cmap': 'viridis_r', 'vmin': low, 'vmax': max(high, low + 0.1)}
+    heat = axes.pcolormesh(x, y, error, zorder=1, shading='nearest', **look)
     figure = axes.figure
     bar = figure.colorbar(heat, ax=axes, shrink=0.75, extend='max', pad=0.02)
     bar.set_label('position error, root of the trace [mm]')
     bar.outline.set_visible(False)
     if min(error.shape) >= 2 and high > low:
-        levels = np.quantile(known, [0.25, 0.5, 0.75, 0.95])
-        lines = axes.contour(
-            x, y, error, np.unique(np.round(levels, 2)), colors='white', linewidths=0.8, zorder=2
-        )
-        bar.add_lines(lines)
-
-
-def _cost(forecast: Forecast) -> str:
-    return f'{1e3 * forecast.cost_m:.2f} mm'
+        levels = np.unique(np.round(np.quantile(known, [0.25, 0.5, 0.75, 0.95]), 2))
+        look = {'colors': 'white', 'linewidths': 0.8, 'zorder': 2}
+        bar.add_lines(axes.contour(x, y, error, levels, **look))

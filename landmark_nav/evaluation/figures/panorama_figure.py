@@ -125,11 +125,11 @@ def _name_papers(axes: Axes, panorama: Panorama, room: Room) -> None:
     for k, (column, row, half, color) in enumerate(sorted(seen)):
         way = -1.0 if row - half > _NAMES_PX else 1.0
         offset = (0.0, -way * _LINE_PT * (1.2 + k % 2))
+        at = (column, row + way * (half + 3.0))
+        box = {'boxstyle': 'round,pad=0.15', 'facecolor': 'white', 'linewidth': 0.0}
         axes.annotate(
-            f'{color} paper', (column, row + way * (half + 3.0)), offset,
-            textcoords='offset points', ha='center', va='center', fontsize=12,
-            arrowprops={'arrowstyle': '->'},
-            bbox={'boxstyle': 'round,pad=0.15', 'facecolor': 'white', 'linewidth': 0.0},
+            f'{color} paper', at, offset, textcoords='offset points', ha='center', va='center',
+            fontsize=12, arrowprops={'arrowstyle': '->'}, bbox=box,
         )  # fmt: skip
 
 
@@ -221,15 +221,13 @@ def draw_features_alone(
         everything.sort(key=lambda candidate: -candidate.saliency)
         chosen = _inside(strip, panorama, everything)[:_PATCHES]
         above, view = panel.subplots(2, 1)
-        title = (
-            f'{_title(name)}\n{len(attended.refused)} of {len(everything)} attended are refused'
-        )
+        refusals = f'{len(attended.refused)} of {len(everything)} attended are refused'
+        title = f'{_title(name)}\n{refusals}'
         show(above, strip.cut(maps.saliency), title)
         show(view, strip.cut(panorama.image))
         for number, (candidate, place) in enumerate(chosen, 1):
-            color, line = (
-                (style.ODOMETRY, '--') if id(candidate) in refused else (style.LANDMARK, '-')
-            )
+            wrong = id(candidate) in refused
+            color, line = (style.ODOMETRY, '--') if wrong else (style.LANDMARK, '-')
             mark(view, place, candidate, str(number), color, line)
     text = (
         'Figure 7. What attention selects by one feature at a time. Above, conspicuity maps; '

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.map_figure import draw_landmarks
@@ -25,21 +24,15 @@ def draw_trajectory(
     draw_landmarks(axes, landmark_map)
     fixes = run.fixes
     axes.plot(*fixes[:, :2].T, '.', color=style.FIX, markersize=4, label='triangulated', zorder=3)
-    axes.plot(*run.odometry.poses[:, :2].T, color=style.ODOMETRY, label='odometry alone', zorder=4)
+    lines = [(run.odometry.poses[:, :2].T, style.ODOMETRY, 1.5, 'odometry alone')]
     if len(run.truth):
-        axes.plot(
-            *run.truth.poses[:, :2].T, color=style.TRUTH, linewidth=3.0, label='truth', zorder=4
-        )
-    axes.plot(
-        *driven(run, run.stamps_ns, run.fused),
-        color=style.FUSED,
-        linewidth=1.4,
-        label='fused',
-        zorder=5,
-    )
+        lines.append((run.truth.poses[:, :2].T, style.TRUTH, 3.0, 'truth'))
+    lines.append((driven(run, run.stamps_ns, run.fused), style.FUSED, 1.4, 'fused'))
     if smoothed is not None:
         line = driven(run, smoothed.stamps_ns, smoothed.poses)
-        axes.plot(*line, color=style.SMOOTHED, linewidth=1.0, label='smoothed', zorder=5)
+        lines.append((line, style.SMOOTHED, 1.0, 'smoothed'))
+    for line, color, width, label in lines:
+        axes.plot(*line, color=color, linewidth=width, label=label, zorder=4)
     axes.plot(*run.start.pose[:2], 'o', color=style.TRUTH, markersize=7, label='start', zorder=6)
     axes.plot([], [], 'o', color=style.LANDMARK, markersize=4, label='landmark')
     style.keep_in_view(axes, np.concatenate([run.odometry.poses[:, :2], run.fused[:, :2]]), 0.2)
@@ -63,29 +56,16 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
     seconds = 1e-9 * (run.stamps_ns - run.begin_ns).astype(np.float64)
     by_axis = errors_by_axis(run, errors.fused, errors.triangulation)
     for axes, one in zip(rows[:3], by_axis, strict=True):
-        axes.fill_between(
-            seconds,
-            -one.band,
-            one.band,
-            color=style.FUSED,
-            alpha=0.18,
-            linewidth=0,
-            label='±3 sigma',
-        )
+        look = {'color': style.FUSED, 'alpha': 0.18, 'linewidth': 0, 'label': '±3 sigma'}
+        axes.fill_between(seconds, -one.band, one.band, **look)
         axes.plot(seconds, one.fixes, '.', color=style.FIX, markersize=3, label='triangulated')
         axes.plot(seconds, one.fused, color=style.FUSED, linewidth=1.3, label='fused')
         axes.axhline(0.0, color=style.TRUTH, linewidth=0.6)
         axes.set_ylim(-one.limit, one.limit)
         beyond = int(np.sum(np.abs(one.fixes) > one.limit))
         if beyond:
-            axes.annotate(
-                f'{beyond} triangulated beyond',
-                (0.995, 1.0),
-                xycoords='axes fraction',
-                ha='right',
-                va='bottom',
-                fontsize=8,
-            )
+            place = {'xycoords': 'axes fraction', 'ha': 'right', 'va': 'bottom', 'fontsize': 8}
+            axes.annotate(f'{beyond} triangulated beyond', (0.995, 1.0), **place)
         axes.set_ylabel(one.label)
         style.plain(axes)
     _strip(rows[3], run, seconds)
@@ -103,13 +83,14 @@ def _strip(axes: Axes, run: Replay, seconds: FloatArray) -> None:
     """Draw for each image whether it gave a fix, whether fusion used it, whether it was lost."""
     fixed = np.isfinite(run.fixes[:, 0])
     used = np.array([update.used > 0 for update in run.updates])
-    marks: tuple[tuple[str, npt.NDArray[np.bool_], str], ...] = (
-        ('triangulated', fixed, style.FIX),
-        ('used by fusion', used, style.FUSED),
+    names = []
+    for height, (name, where, color) in enumerate((
         ('lost', run.lost, style.ODOMETRY),
-    )
-    for height, (_, where, color) in enumerate(reversed(marks)):
+        ('used by fusion', used, style.FUSED),
+        ('triangulated', fixed, style.FIX),
+    )):  # fmt: skip
         axes.plot(seconds[where], np.full(int(where.sum()), height), '|', color=color, ms=9)
-    axes.set_yticks(range(3), [f'{name} {int(where.sum())}' for name, where, _ in reversed(marks)])
+        names.append(f'{name} {int(where.sum())}')
+    axes.set_yticks(range(3), names)
     axes.set_ylim(-0.6, 2.6)
     style.plain(axes)

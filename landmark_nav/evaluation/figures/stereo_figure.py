@@ -145,9 +145,8 @@ def _pixel(panorama: Panorama, points: FloatArray) -> FloatArray:
 def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room, landmark: Landmark) -> float:
     """Draw a heat map of sigmas, and the rays to a landmark; return the least sigma, mm."""
     pair = result.panoramas[0], result.panoramas[1]
-    x, y = (
-        np.arange(low, high + _CELL_M, _CELL_M) for low, high in zip(*room.bounds, strict=True)
-    )
+    low, high = room.bounds
+    x, y = (np.arange(a, b + _CELL_M, _CELL_M) for a, b in zip(low, high, strict=True))
     cells = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     sigma = 1e3 * ray_sigma_m(pair, cells)
     inside = room.contains(cells)
@@ -155,16 +154,14 @@ def _draw_uncertainty(axes: Axes, result: LearningResult, room: Room, landmark: 
         inside &= room.visible(panorama.center_map[:2], cells)
     sigma[~inside] = np.nan
     grid = sigma.reshape(len(y), len(x))
-    heat = axes.pcolormesh(
-        x, y, grid, cmap='viridis_r', norm=LogNorm(1.0, 100.0), shading='nearest', zorder=1
-    )
+    norm = LogNorm(1.0, 100.0)
+    heat = axes.pcolormesh(x, y, grid, cmap='viridis_r', norm=norm, shading='nearest', zorder=1)
     lines = axes.contour(x, y, grid, _LEVELS_MM, colors='white', linewidths=1.0, zorder=2)
     style.draw_walls(axes, room.walls, _MARGIN_M)
     bar = axes.figure.colorbar(heat, ax=axes, shrink=0.7, extend='both')
     bar.add_lines(lines)
-    bar.set_ticks(
-        (1.0, *_LEVELS_MM, 100.0), labels=[f'{mm:g}' for mm in (1.0, *_LEVELS_MM, 100.0)]
-    )
+    ticks = (1.0, *_LEVELS_MM, 100.0)
+    bar.set_ticks(ticks, labels=[f'{mm:g}' for mm in ticks])
     bar.minorticks_off()
     bar.set_label('standard deviation of a landmark from two rays [mm]')
     centers = np.array([p.center_map[:2] for p in pair])

@@ -54,14 +54,9 @@ def save(figure: Figure, path: Path) -> None:
     is required for axes of equal scale, which do not fill their layout; it draws everything twice.
     """
     drawn = BytesIO()
-    figure.savefig(
-        drawn,
-        metadata={'Software': None},
-        bbox_inches='tight',
-        pad_inches=0.12,
-        # Higher levels halve the size, but take many times as long.
-        pil_kwargs={'compress_level': 1},
-    )
+    # Higher levels halve the size, but take many times as long.
+    fast: dict[str, Any] = {'metadata': {'Software': None}, 'pil_kwargs': {'compress_level': 1}}
+    figure.savefig(drawn, bbox_inches='tight', pad_inches=0.12, **fast)
     write_atomically(path, drawn.getvalue())
 
 
@@ -78,21 +73,15 @@ def legend_beside(
 ) -> None:
     """Add a legend above or below the axes, where it covers no data."""
     chosen = axes.get_legend_handles_labels()[0] if handles is None else handles
-    above = where == 'above'
-    axes.legend(
-        handles=chosen,
-        loc='lower center' if above else 'upper center',
-        bbox_to_anchor=(0.5, 1.0 if above else -0.1),
-        ncols=columns,
-        frameon=False,
-    )
+    side, at = ('lower', 1.0) if where == 'above' else ('upper', -0.1)
+    place: dict[str, Any] = {'loc': f'{side} center', 'bbox_to_anchor': (0.5, at)}
+    axes.legend(handles=chosen, ncols=columns, frameon=False, **place)
 
 
 def key(color: str, marker: str, label: str, **more: Any) -> Line2D:
     """Entry of a legend: a marker, without a line unless `linestyle` gives one."""
-    return Line2D(
-        [], [], **{'color': color, 'marker': marker, 'linestyle': '', **more}, label=label
-    )
+    look = {'color': color, 'marker': marker, 'linestyle': '', **more}
+    return Line2D([], [], **look, label=label)
 
 
 def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
@@ -152,10 +141,8 @@ def add_ellipse(
     variances, axes_2d = np.linalg.eigh(covariance)
     width, height = 6.0 * scale * np.sqrt(np.maximum(variances[::-1], 0.0))
     angle = np.degrees(np.arctan2(axes_2d[1, 1], axes_2d[0, 1]))
-    ellipse = Ellipse(
-        (center[0], center[1]), width, height, angle=angle, color=color, alpha=0.35, linewidth=0.8,
-        zorder=4,
-    )  # fmt: skip
+    look = {'angle': angle, 'color': color, 'alpha': 0.35, 'linewidth': 0.8, 'zorder': 4}
+    ellipse = Ellipse((center[0], center[1]), width, height, **look)
     ellipse.set_in_layout(False)
     axes.add_patch(ellipse)
 

@@ -7,14 +7,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
-from functools import cache
 from importlib.resources import files
 import json
 from pathlib import Path
 from typing import Any, TypedDict
 
 import cv2
-from jinja2 import Environment, Template
+from jinja2 import Environment
 import numpy as np
 import numpy.typing as npt
 
@@ -23,15 +22,7 @@ from landmark_nav.errors import release, UsageError
 from landmark_nav.evaluation.calibration_run import Residuals
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.report.tables import (
-    calibration_tables,
-    calibration_verdict,
-    drive_tables,
-    drive_verdict,
-    learning_tables,
-    learning_verdict,
-    STATUS,
-)
+from landmark_nav.evaluation.report import tables
 from landmark_nav.evaluation.run_report import driven, errors_by_axis, RunErrors, Smoothed
 from landmark_nav.geometry.walls import Paper, paper_bgr
 from landmark_nav.image_codec import encode_image
@@ -120,46 +111,47 @@ def drive_page(
 
     Landmarks are projected into the images by `calibration`.
     """
-    chosen = _moments(run)
-    drive = _drive(run, chosen, landmarks, calibration, strip, smoothed)
+    # Images by time, thinned, with all changes of the state.
+    order = np.argsort(run.stamps_ns, kind='stable')
+    status = np.array([run.updates[k].status for k in order])
+    shown = np.arange(len(order)) % -(-len(order) // _MOST_MOMENTS) == 0
+    shown[1:] |= status[1:] != status[:-1]
+    chosen = np.asarray(order[shown])
     found = Counter(int(k) for u in run.updates for k in u.observation.detections.ids)
-    expected = found + Counter(k for u in run.updates for k in _missed(u))
+    missed = (u.observation.detections.missed for u in run.updates)
+    expected = found + Counter(int(k) for ids in missed for k in ids)
     data = {
         'map': _map(landmarks, papers, found, expected),
-        'run': drive,
+        'run': _drive(run, chosen, landmarks, calibration, strip, smoothed),
         'images': [_base64(copied) for _, copied in sorted(strip.jpegs.items())],
         'charts': _charts(run, errors, chosen),
     }
-    return Page(
-        verdict=drive_verdict(report),
-        tables=drive_tables(report),
-        charts_title='Errors over time' if len(run.truth) else 'Claimed errors over time',
-        data=data,
-    )
+    title = 'Errors over time' if len(run.truth) else 'Claimed errors over time'
+    return _page(tables.drive_verdict(report), tables.drive_tables(report), data, title)
+
+
+def _page(
+    verdict: dict[str, str], rows: list[dict[str, Any]], data: dict[str, Any], title: str = ''
+) -> Page:
+    return {'verdict': verdict, 'tables': rows, 'charts_title': title, 'data': data}
 
 
 def learning_page(
     report: Mapping[str, Any], result: LearningResult, papers: Iterable[Paper] = ()
 ) -> Page:
     """Page of a learned map; `report` is that of `learning_report`."""
-    return Page(
-        verdict=learning_verdict(report, result.warning),
-        tables=learning_tables(report),
-        charts_title='',
-        data={'map': _map(result.map, papers), 'panoramas': panoramas(result)},
-    )
+    verdict = tables.learning_verdict(report, result.warning)
+    data = {'map': _map(result.map, papers), 'panoramas': panoramas(result)}
+    return _page(verdict, tables.learning_tables(report), data)
 
 
 def calibration_page(
     report: Mapping[str, Any], residuals: tuple[Residuals, Residuals] | None
 ) -> Page:
     """Page of a calibration; `residuals` are those of the last drive before and after."""
-    return Page(
-        verdict=calibration_verdict(report),
-        tables=calibration_tables(report),
-        charts_title='Landmarks in images, measured minus predicted',
-        data={'charts': _residual_charts(*residuals) if residuals else []},
-    )
+    verdict, rows = tables.calibration_verdict(report), tables.calibration_tables(report)
+    data = {'charts': _residual_charts(*residuals) if residuals else []}
+    return _page(verdict, rows, data, 'Landmarks in images, measured minus predicted')
 
 
 def _numbers(values: npt.ArrayLike, digits: int) -> Any:
@@ -218,16 +210,6 @@ def _map(
     }
 
 
-def _moments(run: Replay) -> npt.NDArray[np.intp]:
-    """Indices of the updates that are shown, by time; they include all changes of the state."""
-    order = np.argsort(run.stamps_ns, kind='stable')
-    every = -(-len(order) // _MOST_MOMENTS)
-    status = np.array([run.updates[k].status for k in order])
-    shown = np.arange(len(order)) % every == 0
-    shown[1:] |= status[1:] != status[:-1]
-    return np.asarray(order[shown])
-
-
 def _drive(
     run: Replay,
     chosen: npt.NDArray[np.intp],
@@ -264,7 +246,7 @@ def _drive(
         'level': _numbers(levels, 4),
         'truth': _numbers(run.truth.at(stamps), 4),
         'fix': _numbers(run.fixes[chosen, :2], 4),
-        'status': [STATUS.get(update.status, update.status) for update in updates],
+        'status': [tables.STATUS.get(update.status, update.status) for update in updates],
         'reason': [known.index(reason) for reason in reasons],
         'reasons': known,
         'camera': _numbers(azimuths, 4),
@@ -284,34 +266,22 @@ def _drive(
     }
 
 
-def _missed(update: LocalizationUpdate) -> list[int]:
-    return [int(k) for k in update.observation.detections.missed]
-
-
-def _used(update: LocalizationUpdate, landmarks: LandmarkMap) -> tuple[set[int], str]:
-    """Ids of the landmarks that corrected the pose, and the reason for the others."""
-    if isinstance(update.taken, Refusal):
-        return set(), str(update.taken)
-    if update.taken is None:
-        # A recording of the nodes contains the detections only.
-        return set(update.observation.detections.ids.tolist()), ''
-    return set(landmarks.ids[update.taken.used].tolist()), 'outlier'
-
-
 def _seen(
     update: LocalizationUpdate,
     frame: CameraFrame | None,
     landmarks: LandmarkMap,
     calibration: Calibration,
 ) -> list[dict[str, Any]]:
-    """
-    Landmarks of one image: found and used, found and not used, or not found.
-
-    `outline` are the corners of the patch as predicted by the fused pose, pixels.
-    """
+    """Landmarks of one image: found and used, found and not used, or not found."""
+    # `outline` are the corners of the patch as predicted by the fused pose, pixels.
     observation, found = update.observation, update.observation.detections
-    used, why = _used(update, landmarks)
-    reasons = {**dict.fromkeys(_missed(update), 'not found'), **observation.refused}
+    # Landmarks that corrected the pose: a recording of the nodes contains the detections only.
+    used, why = set(found.ids.tolist()), ''
+    if isinstance(update.taken, Refusal):
+        used, why = set(), str(update.taken)
+    elif update.taken is not None:
+        used, why = set(landmarks.ids[update.taken.used].tolist()), 'outlier'
+    reasons = {**dict.fromkeys(found.missed.tolist(), 'not found'), **observation.refused}
     entries = [
         {
             'id': int(k),
@@ -343,11 +313,8 @@ def _seen(
 
 
 def _charts(run: Replay, errors: RunErrors, chosen: npt.NDArray[np.intp]) -> list[dict[str, Any]]:
-    """
-    Errors ahead, to the left and in heading, +-3 sigma and protection levels.
-
-    Without ground truth, triangulated poses are compared with the fused ones.
-    """
+    """Errors ahead, to the left and in heading, +-3 sigma and protection levels."""
+    # Without ground truth, triangulated poses are compared with the fused ones.
     known = len(run.truth) > 0
     off = errors.triangulation if known else pose_errors(run.fixes, run.fused)
     levels = np.array([(np.nan,) * 2 if u.level is None else tuple(u.level) for u in run.updates])
@@ -361,18 +328,13 @@ def _charts(run: Replay, errors: RunErrors, chosen: npt.NDArray[np.intp]) -> lis
              one.fixes),
             ('fused', 'line', 'fused', one.fused),
         ]  # fmt: skip
-        charts.append(
-            {
-                'label': one.label,
-                'limit': round(one.limit, 4),
-                't': seconds,
-                'series': [
-                    {'name': name, 'kind': kind, 'color': color, 'y': _numbers(y[chosen], 4)}
-                    for name, kind, color, y in series
-                    if np.isfinite(y).any()
-                ],
-            }
-        )
+        shown = [
+            {'name': name, 'kind': kind, 'color': color, 'y': _numbers(y[chosen], 4)}
+            for name, kind, color, y in series
+            if np.isfinite(y).any()
+        ]
+        limit = round(one.limit, 4)
+        charts.append({'label': one.label, 'limit': limit, 't': seconds, 'series': shown})
     return charts
 
 
@@ -383,15 +345,8 @@ def _residual_charts(before: Residuals, after: Residuals) -> list[dict[str, Any]
         series = []
         for found, color, name in ((before, 'odometry', 'before'), (after, 'fused', 'after')):
             kept = found.weights > _LEAST_WEIGHT
-            series.append(
-                {
-                    'name': name,
-                    'kind': 'dots',
-                    'color': color,
-                    't': _numbers(found.seconds[kept], 3),
-                    'y': _numbers(found.points_px[kept, k], 2),
-                }
-            )
+            t, y = _numbers(found.seconds[kept], 3), _numbers(found.points_px[kept, k], 2)
+            series.append({'name': name, 'kind': 'dots', 'color': color, 't': t, 'y': y})
         limit = 1.2 * float(np.quantile(np.abs(every), _REACH))
         rms = f'RMS {before.rms_px[k]:.2f} before, {after.rms_px[k]:.2f} after'
         label = f'residual {where} [px], {rms}'
@@ -447,7 +402,8 @@ def page_html(page: Page, title: str, command: str, inputs: Mapping[str, object]
     now = datetime.now().astimezone().strftime('%Y-%m-%d %H:%M %z')
     # Only a `<` in the data could end the script element.
     data = json.dumps(page['data'], separators=(',', ':'), allow_nan=False)
-    return _template().render(
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(_resource('page.html.j2')).render(
         page=page,
         title=title,
         command=command,
@@ -457,12 +413,6 @@ def page_html(page: Page, title: str, command: str, inputs: Mapping[str, object]
         js=_resource('page.js'),
         made={'date': now, 'landmark_nav': release()},
     )
-
-
-@cache
-def _template() -> Template:
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(_resource('page.html.j2'))
 
 
 def _resource(name: str) -> str:

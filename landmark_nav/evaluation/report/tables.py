@@ -134,14 +134,13 @@ def drive_tables(report: Mapping[str, Any]) -> list[Table]:
         )
         tables.insert(0, _table('Errors', ('error', *names), rows, note, _WHOSE))
     if spells := report['spells']:
+        times = (tuple(f'{s[key]:.1f}' for key in ('from_s', 'to_s')) for s in spells)
         rows = (
-            _row(STATUS.get(s['status'], s['status']), f'{s["from_s"]:.1f}', f'{s["to_s"]:.1f}',
-                 s['reason'], time_s=s['from_s'])
-            for s in spells
-        )  # fmt: skip
-        tables.append(
-            _table('Times that are not OK', ('state', 'from [s]', 'to [s]', 'reason'), rows)
+            _row(STATUS.get(s['status'], s['status']), *at, s['reason'], time_s=s['from_s'])
+            for s, at in zip(spells, times, strict=True)
         )
+        head = ('state', 'from [s]', 'to [s]', 'reason')
+        tables.append(_table('Times that are not OK', head, rows))
     if calibration := report.get('calibration'):
         tables.append(_calibration_table(calibration))
     if checks := [c for c in report.get('checks', ()) if c['level'] != 'ok']:
@@ -226,25 +225,20 @@ def learning_verdict(report: Mapping[str, Any], warning: str) -> dict[str, str]:
 
 def learning_tables(report: Mapping[str, Any]) -> list[Table]:
     """Sweeps, refusals and stages of learning."""
-    sweeps = (
-        _row(
-            f'{number}', sweep['frames'],
-            *(f'{value:.3f}' for value in sweep['pose'][:2]),
-            f'{np.degrees(sweep["pose"][2]):.2f}',
-            f'{1e3 * np.hypot(*sweep["sigma"][:2]):.1f}',
-            cell(sweep.get('error_position_m'), 1e3, 1), sweep['candidates'], sweep['elected'],
-        )
-        for number, sweep in enumerate(report['sweeps'], 1)
-    )  # fmt: skip
+    sweeps = []
+    for number, sweep in enumerate(report['sweeps'], 1):
+        x, y, heading = sweep['pose']
+        pose = f'{x:.3f}', f'{y:.3f}', f'{np.degrees(heading):.2f}'
+        sigma = f'{1e3 * np.hypot(*sweep["sigma"][:2]):.1f}'
+        error = cell(sweep.get('error_position_m'), 1e3, 1)
+        counts = sweep['candidates'], sweep['elected']
+        sweeps.append(_row(f'{number}', sweep['frames'], *pose, sigma, error, *counts))
     head = ('sweep', 'frames', 'x [m]', 'y [m]', 'heading [deg]', 'sigma [mm]', 'error [mm]')
     found = report.get('unmeasured', {}).get('sources', {})
-    sources = (
-        _row(
-            name, s['sheets'] or '-', f'{100.0 * (s["scale"] - 1.0):+.2f}',
-            f'{100.0 * s["sigma"]:.2g}', f'{s["inflation"]:.1f}',
-        )
-        for name, s in found.items()
-    )  # fmt: skip
+    sources = []
+    for name, s in found.items():
+        scale, sigma = f'{100.0 * (s["scale"] - 1.0):+.2f}', f'{100.0 * s["sigma"]:.2g}'
+        sources.append(_row(name, s['sheets'] or '-', scale, sigma, f'{s["inflation"]:.1f}'))
     stages = (
         _row(name.replace('_', ' '), f'{s["seconds"]:.1f}', f'{s["peak_memory_mb"]:.0f}')
         for name, s in report['stages'].items()

@@ -127,9 +127,8 @@ class _Scene:
             drive['reasons'][drive['reason'][k]],
         ]
         if truth[0] is not None:
-            texts.append(
-                f'error {100.0 * np.hypot(pose[0] - truth[0], pose[1] - truth[1]):.1f} cm'
-            )
+            off_m = np.hypot(pose[0] - truth[0], pose[1] - truth[1])
+            texts.append(f'error {100.0 * off_m:.1f} cm')
         if level[0] is not None:
             texts.append(f'protection level {100.0 * level[0]:.1f} cm (drawn 10 x)')
         used = sum(bool(one.get('used')) for one in drive['seen'][k])

@@ -51,64 +51,9 @@ def relative_name(topic: str) -> str:
 
     ``/robot1/odom`` is ``odom``, ``/ground_truth/odom`` is not.
     """
-    topic = _normal(topic)
+    topic = normal_topic(topic)
     ends = [name for name in TOPIC_TYPES if topic.endswith('/' + name)]
     return max(ends, key=len) if ends else topic[1:]
-
-
-def find_topic(
-    name: str, types: Mapping[str, str], given: Mapping[str, str] | None = None
-) -> str | None:
-    """
-    Return the topic of a bag that the contract calls `name`; None if there is none.
-
-    `given` are topics of the bag by names in the contract, by the user. The type of an image topic
-    decides whether it is raw or compressed, not the given name. Raises `LandmarkNavError`: the
-    topic is ambiguous, has another type, or the given one is not in the bag.
-    """
-    topics = {_normal(topic): topic for topic in types}
-    by_user = {
-        _with_form(key, types.get(topics.get(_normal(topic), ''), '')): _normal(topic)
-        for key, topic in (given or {}).items()
-    }
-    if name in by_user:
-        found = [topics[by_user[name]]] if by_user[name] in topics else []
-        if not found:
-            raise LandmarkNavError(
-                f'--topic {name}={by_user[name]}: not in the bag; there are {listed(topics)}'
-            )
-    else:
-        found = [
-            topics[t] for t in topics if relative_name(t) == name and t not in by_user.values()
-        ]
-    if len(found) > 1 and f'/{name}' in topics:
-        found = [topics[f'/{name}']]
-    if len(found) > 1:
-        found = [topic for topic in found if types[topic] == TOPIC_TYPES[name]] or found
-    if len(found) > 1:
-        raise LandmarkNavError(
-            f'several topics could be {name} ({listed(found)}): say which by --topic '
-            f'{name}={sorted(found)[0]}'
-        )
-    if not found:
-        return None
-    if types[found[0]] != TOPIC_TYPES[name]:
-        raise LandmarkNavError(
-            f'topic {found[0]} is of type {types[found[0]]}, not {TOPIC_TYPES[name]}'
-        )
-    return found[0]
-
-
-def remedy_of_missing(names: Iterable[str], types: Mapping[str, str]) -> str:
-    """Advice if no topic has one of `names`; it lists unknown topics of a matching type."""
-    others = sorted(topic for topic in types if relative_name(topic) not in TOPIC_TYPES)
-    choices = [
-        f'--topic {name}={topic}'
-        for name in names
-        for topic in others
-        if types[topic] == TOPIC_TYPES[name]
-    ]
-    return f'record it, or give {" or ".join(choices[:2])}' if choices else 'record it'
 
 
 def listed(names: Iterable[str]) -> str:
@@ -118,12 +63,12 @@ def listed(names: Iterable[str]) -> str:
     return ', '.join(ordered[:_MOST_NAMES]) + more
 
 
-def _normal(topic: str) -> str:
+def normal_topic(topic: str) -> str:
     """Absolute topic without repeated or trailing slashes."""
     return '/' + '/'.join(part for part in topic.split('/') if part)
 
 
-def _with_form(name: str, type_name: str) -> str:
+def with_form(name: str, type_name: str) -> str:
     """Name in the contract by the type: images have one name raw, another compressed."""
     base = name.removesuffix('/compressed')
     forms = {
@@ -154,7 +99,6 @@ class MessageReader:
     """
 
     def __init__(self, info: ChannelInfo) -> None:
-        """Check the definition."""
         self.type_name = STANDARD_NAMES.get(info.type_name, info.type_name)
         self._ros1 = info.message_encoding == 'ros1'
         if not self._ros1 and (
@@ -174,7 +118,16 @@ class MessageReader:
             self._store: Typestore = standard
             return
         try:
-            defined = _parsed(info)
+            if len(info.schema) > _MAX_CHARACTERS:
+                raise ValueError('too long')
+            defined: dict[str, Any] = {}
+            if info.schema_encoding in ('ros2msg', ''):
+                defined = get_types_from_msg(info.schema, info.type_name)
+            else:
+                # Such lines separate the definitions of several files.
+                for part in info.schema.split('=' * 80 + '\n'):
+                    text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
+                    defined |= get_types_from_idl(text) if text.strip() else {}
             # Definitions of ROS 1 do not include built-in types such as time.
             fields = ours | {name: entry[1] for name, entry in defined.items()}
             if self._ros1:
@@ -216,25 +169,10 @@ def has_header(type_name: str) -> bool:
     return bool(fields) and fields[0][1] == (Nodetype.NAME, 'std_msgs/msg/Header')
 
 
-def _parsed(info: ChannelInfo) -> dict[str, Any]:
-    if len(info.schema) > _MAX_CHARACTERS:
-        raise ValueError('too long')
-    if info.schema_encoding in ('ros2msg', ''):
-        return get_types_from_msg(info.schema, info.type_name)
-    types: dict[str, Any] = {}
-    # Such lines separate the definitions of several files.
-    for part in info.schema.split('=' * 80 + '\n'):
-        text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
-        types |= get_types_from_idl(text) if text.strip() else {}
-    return types
-
-
 def _size(fields: Mapping[str, Any], name: str, inside: tuple[str, ...]) -> int:
     """Number of fields of a message, including those of its parts; recursion is refused."""
     if name in inside:
-        raise LandmarkNavError(
-            f'the definition of {name} in the bag contains itself: record it again'
-        )
+        raise LandmarkNavError(f'the definition of {name} contains itself: record it again')
     total = 0
     for _, description in fields[name]:
         count, element = 1, description

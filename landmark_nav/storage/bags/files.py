@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, contextmanager, suppress
 from functools import partial
@@ -14,7 +15,6 @@ from urllib.parse import quote
 from weakref import finalize
 
 from rosbags.interfaces import (
-    Connection,
     Qos,
     QosDurability,
     QosHistory,
@@ -50,21 +50,24 @@ class RosbagsFile:
     complete, damaged = True, False
 
     def __init__(self, path: Path, name: Path | None = None) -> None:
-        """Open a file; messages call it `name`."""
         self.name = name or path
         with path.open('rb') as stream:
             ros1 = stream.read(7) == b'#ROSBAG'
         with _naming(self.name):
             self._reader = _ros1(path) if ros1 else _sqlite3(path)
         finalize(self, _close, self._reader)
-        self._infos = {
-            connection.id: _info(connection, 'ros1' if ros1 else 'cdr')
-            for connection in self._reader.connections
-        }
-        self.counts: dict[container.ChannelInfo, int] = {}
+        self._infos: dict[int, container.ChannelInfo] = {}
+        self.counts = Counter[container.ChannelInfo]()
         for connection in self._reader.connections:
-            info = self._infos[connection.id]
-            self.counts[info] = self.counts.get(info, 0) + connection.msgcount
+            definition = connection.msgdef
+            self._infos[connection.id] = info = container.ChannelInfo(
+                connection.topic,
+                connection.msgtype,
+                'ros1' if ros1 else 'cdr',
+                _ENCODINGS[definition.format.name],
+                definition.data,
+            )
+            self.counts[info] += connection.msgcount
         of_time = self._reader if isinstance(self._reader, Ros1Reader) else self._reader.metadata
         filled = any(self.counts.values())
         self.first_ns = of_time.start_time if filled else 0
@@ -77,10 +80,9 @@ class RosbagsFile:
             return
         with _naming(self.name):
             for connection, stamp_ns, data in self._reader.messages(wanted):
+                info = self._infos[connection.id]
                 # SQLite keeps values of any type.
-                yield container.RawMessage(
-                    self._infos[connection.id], int(stamp_ns), bytes(memoryview(data))
-                )
+                yield container.RawMessage(info, int(stamp_ns), bytes(memoryview(data)))
 
 
 def _close(reader: Ros1Reader | Sqlite3Reader) -> None:
@@ -128,31 +130,16 @@ def _ros1(path: Path) -> Ros1Reader:
     reader = Ros1Reader(path)
     reader.open()
     names = {unbounded: name for name, unbounded in decompressors.items()}
-    reader.chunks = {
-        place: chunk._replace(
-            decompressor=partial(
-                container.unpack, compression=names[chunk.decompressor], size=None
-            )
-        )
-        for place, chunk in reader.chunks.items()
-    }
+    for place, chunk in reader.chunks.items():
+        name = names[chunk.decompressor]
+        bounded = partial(container.unpack, compression=name, size=None)
+        reader.chunks[place] = chunk._replace(decompressor=bounded)
     return reader
 
 
 def _check_channels(count: int) -> None:
     if count > container.MAX_CHANNELS:
         raise ValueError(f'{count} channels, more than a robot has')
-
-
-def _info(connection: Connection, encoding: str) -> container.ChannelInfo:
-    definition = connection.msgdef
-    return container.ChannelInfo(
-        connection.topic,
-        connection.msgtype,
-        encoding,
-        _ENCODINGS[definition.format.name],
-        definition.data,
-    )
 
 
 BagFile = container.McapFile | RosbagsFile
@@ -222,30 +209,22 @@ def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], b
     information = read_yaml_mapping(metadata).get('rosbag2_bagfile_information')
     if not isinstance(information, dict):
         raise LandmarkNavError(f'{metadata}: not the description of a rosbag2 bag')
-    names = list(_names(information.get('relative_file_paths')))
-    # A file may have been compressed after the metadata were written.
-    found = {
-        name: _first(path / f'{name}{end}' for end in ('', *_PACKED_SUFFIXES)) for name in names
-    }
-    missing = [name for name, file in found.items() if file is None]
-    if missing or not names:
-        raise LandmarkNavError(
-            f'{metadata}: names {", ".join(missing[:3]) or "no file"}, which is not there'
-        )
-    # Compressed files are recognised by their first bytes, not by the metadata.
-    by_message = str(information.get('compression_mode')).lower() == 'message'
-    return [file for file in found.values() if file is not None], by_message
-
-
-def _names(listed: Any) -> Iterator[str]:
-    """Yield names of files of a bag, without folders: files are searched in its folder only."""
-    for name in listed if isinstance(listed, list) else ():
-        if isinstance(name, str) and Path(name).name:
-            yield Path(name).name
-
-
-def _first(paths: Iterator[Path]) -> Path | None:
-    return next((path for path in paths if path.is_file()), None)
+    listed = information.get('relative_file_paths')
+    found = []
+    for entry in listed if isinstance(listed, list) else ():
+        # Files are searched in the folder of the bag only. They may have been compressed after the
+        # metadata were written; their first bytes tell.
+        name = Path(entry).name if isinstance(entry, str) else ''
+        files = [path / f'{name}{end}' for end in ('', *_PACKED_SUFFIXES)] if name else []
+        there = [file for file in files if file.is_file()]
+        if name and not there:
+            raise LandmarkNavError(f'{metadata}: names {name}, which is not there')
+        found += there[:1]
+    if not found:
+        raise LandmarkNavError(f'{metadata}: names no file, which is not there')
+    return list(dict.fromkeys(found)), str(
+        information.get('compression_mode')
+    ).lower() == 'message'
 
 
 def _without_metadata(path: Path, on_warning: Callable[[str], None]) -> list[Path]:
@@ -262,9 +241,8 @@ def _without_metadata(path: Path, on_warning: Callable[[str], None]) -> list[Pat
             f'{path}: holds {len(inside)} bags ({", ".join(inside[:5])}): give one of them, '
             f'such as {path / inside[0]}'
         )
-    raise LandmarkNavError(
-        f'{path}: not a bag: a folder without metadata.yaml and without bag files: {_WHAT}'
-    )
+    what = 'a folder without metadata.yaml and without bag files'
+    raise LandmarkNavError(f'{path}: not a bag: {what}: {_WHAT}')
 
 
 def _bag_files(folder: Path) -> list[Path]:
@@ -346,10 +324,8 @@ class BagWriter:
         """Append a serialised message: CDR with its four bytes of encapsulation."""
         topic = '/' + topic.lstrip('/')
         if topic not in self._connections:
+            qos = [_LATCHED] if topic in _LATCHED_TOPICS else []
             self._connections[topic] = self._writer.add_connection(
-                topic,
-                type_name,
-                typestore=self._store,
-                offered_qos_profiles=[_LATCHED] if topic in _LATCHED_TOPICS else [],
+                topic, type_name, typestore=self._store, offered_qos_profiles=qos
             )
         self._writer.write(self._connections[topic], stamp_ns, data)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from landmark_nav.arrays import IntArray
-from landmark_nav.errors import inside, LandmarkNavError, why
+from landmark_nav.errors import LandmarkNavError, why
 from landmark_nav.messages.decode.headers import is_unstamped, set_stamp
 from landmark_nav.storage.bags import definitions
 from landmark_nav.storage.bags.container import ChannelInfo, RawMessage, unpack, ZSTD
@@ -38,7 +38,6 @@ class BagMessage:
     """A message of a bag with its log time, deserialised when `message` is first used."""
 
     def __init__(self, raw: RawMessage, reader: definitions.MessageReader, bag: Bag) -> None:
-        """Keep the serialised message."""
         self.topic = raw.channel.topic
         self.type_name = reader.type_name
         self.stamp_ns = raw.stamp_ns
@@ -62,9 +61,8 @@ class BagMessage:
         message = self._guarded(lambda: self._reader.message(self.data))
         if is_unstamped(message) and self.stamp_ns:
             if not self._bag.is_unstamped(self.topic):
-                raise LandmarkNavError(
-                    f'{self._bag.path}: a message on {self.topic} has no stamp, others do'
-                )
+                where = f'{self._bag.path}: a message on {self.topic}'
+                raise LandmarkNavError(f'{where} has no stamp, others do')
             set_stamp(message, self.stamp_ns)
         return message
 
@@ -72,9 +70,8 @@ class BagMessage:
     def header_ns(self) -> int:
         """Stamp of the header, read from the bytes without a check; 0 if they are too short."""
         try:
-            seconds, nanoseconds = struct.unpack_from(
-                '<iI' if self.data[1] else '>iI', self.data, 4
-            )
+            order = '<' if self.data[1] else '>'
+            seconds, nanoseconds = struct.unpack_from(f'{order}iI', self.data, 4)
         except (LandmarkNavError, struct.error, IndexError):
             return 0
         return int(seconds) * 1_000_000_000 + int(nanoseconds)
@@ -118,7 +115,6 @@ class Bag:
         on_warning: Callable[[str], None] = _LOG.warning,
         topics: Mapping[str, str] | None = None,
     ) -> None:
-        """Open the files and list their topics."""
         self.path = Path(path)
         self.warn = on_warning
         self._given = dict(topics or {})
@@ -135,9 +131,8 @@ class Bag:
         self.counts: dict[str, int] = {}
         for file in self._files:
             for info, count in file.counts.items():
-                self.types[info.topic] = definitions.STANDARD_NAMES.get(
-                    info.type_name, info.type_name
-                )
+                name = definitions.STANDARD_NAMES.get(info.type_name, info.type_name)
+                self.types[info.topic] = name
                 self.counts[info.topic] = self.counts.get(info.topic, 0) + count
         filled = [file for file in self._files if any(file.counts.values())]
         self.start_ns = min((file.first_ns for file in filled), default=0)
@@ -172,12 +167,40 @@ class Bag:
         return next((topic for name in names if (topic := self._find(name))), None)
 
     def _find(self, name: str) -> str | None:
-        if ':' in self._given.get(name, ''):
+        if ':' in self.given(name):
             return None  # a frame of /tf takes its place
-        with inside(self.path):
-            topic = definitions.find_topic(name, self._filled(), self._given)
-        given = {other.strip('/') for other in self._given.values()}
-        if topic is not None and topic.strip('/') not in {name, *given}:
+        types, wanted = self._filled(), definitions.TOPIC_TYPES[name]
+        topics = {definitions.normal_topic(topic): topic for topic in types}
+        by_user = {}
+        for key, topic in self._given.items():
+            given = definitions.normal_topic(topic)
+            by_user[definitions.with_form(key, types.get(topics.get(given, ''), ''))] = given
+        if name in by_user:
+            if by_user[name] not in topics:
+                raise LandmarkNavError(
+                    f'{self.path}: --topic {name}={by_user[name]}: not in the bag; there are '
+                    f'{definitions.listed(topics)}'
+                )
+            found = [topics[by_user[name]]]
+        else:
+            others = set(topics) - set(by_user.values())
+            found = [
+                topics[t] for t in topics if t in others and definitions.relative_name(t) == name
+            ]
+            exact = [topic for topic in found if topic.strip('/') == name]
+            found = exact or [topic for topic in found if types[topic] == wanted] or found
+        if len(found) > 1:
+            raise LandmarkNavError(
+                f'{self.path}: several topics could be {name} ({definitions.listed(found)}): say '
+                f'which by --topic {name}={min(found)}'
+            )
+        if not found:
+            return None
+        (topic,) = found
+        if types[topic] != wanted:
+            is_of = f'topic {topic} is of type {types[topic]}'
+            raise LandmarkNavError(f'{self.path}: {is_of}, not {wanted}')
+        if name not in by_user and topic.strip('/') != name:
             self.inform(f'{topic} is taken for {name}')
         return topic
 
@@ -205,9 +228,17 @@ class Bag:
         if topic := self.find(*alternatives):
             return topic
         there = definitions.listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
+        choices = [
+            f'--topic {name}={topic}'
+            for name in alternatives
+            for topic, kind in sorted(self._filled().items())
+            if kind == definitions.TOPIC_TYPES[name]
+            and definitions.relative_name(topic) not in definitions.TOPIC_TYPES
+        ]
+        remedy = f', or give {" or ".join(choices[:2])}' if choices else ''
         raise LandmarkNavError(
-            f'{self.path}: topic {alternatives[0]} is missing: '
-            f'{definitions.remedy_of_missing(alternatives, self._filled())}; there are {there}'
+            f'{self.path}: topic {alternatives[0]} is missing: record it{remedy}; there are '
+            f'{there}'
         )
 
     def _filled(self) -> dict[str, str]:
@@ -370,9 +401,8 @@ class MessageFilter:
         if not self._complaints:
             return
         count = len(self._complaints)
-        self._bag.warn(
-            f'{count} of {self._used + count} {self._what} left out: {self._complaints[0]}'
-        )
+        which = f'{count} of {self._used + count} {self._what}'
+        self._bag.warn(f'{which} left out: {self._complaints[0]}')
 
 
 def decoded(

@@ -41,7 +41,7 @@ def truth_decoder(bag: Bag, topic: str) -> Callable[[BagMessage], PoseEstimate]:
 
 
 def _shift_ns(bag: Bag, topic: str) -> int:
-    names = (name for name in _BESIDE for name in bag.candidates(name)[:1])
+    names = (topic for name in _BESIDE for topic in bag.candidates(name)[:1])
     beside = next((name for name in names if name in bag.stamps_ns), None)
     if beside is None or topic not in bag.stamps_ns:
         return 0
@@ -93,9 +93,25 @@ def sensor_events(
         round(delay_s * 1e9) for delay_s in (joint_delay_s, image_delay_s, odometry_delay_s)
     )
     depth = decode.BitDepth()
+
+    def frame(entry: BagMessage) -> CameraFrame:
+        stamped = decode.stamp_ns(entry.message.header)
+        stamp = stamped - late_image
+        pixels, camera = decode.camera_image(entry.message, cameras.at(stamped), True, depth)
+        sample = joints.at(stamp + late_joints, entry.stamp_ns)
+        if isinstance(sample, Refusal):
+            raise LandmarkNavError(
+                f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it '
+                f'({sample}): record joint_states at 10 Hz at least, on the same clock'
+            )
+        return CameraFrame(image=pixels, camera=camera, **(vars(sample) | {'stamp_ns': stamp}))
+
+    def earlier(sample: OdometrySample) -> OdometrySample:
+        return replace(sample, stamp_ns=sample.stamp_ns - late_odometry)
+
     decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
-        images: lambda entry: _frame(bag, entry, cameras, joints, late_joints, late_image, depth),
-        odometry: lambda entry: _earlier(decode.odometry(entry.message), late_odometry),
+        images: frame,
+        odometry: lambda entry: earlier(decode.odometry(entry.message)),
     }
     if truth is not None:
         decoders[truth] = truth_decoder(bag, truth)
@@ -159,37 +175,3 @@ def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
     if truth := bag.find('ground_truth/odom'):
         decoders[truth] = truth_decoder(bag, truth)
     yield from _usable(bag, once(bag.messages(decoders)), decoders, {})
-
-
-def _earlier(sample: OdometrySample, late_ns: int) -> OdometrySample:
-    return replace(sample, stamp_ns=sample.stamp_ns - late_ns) if late_ns else sample
-
-
-def _frame(
-    bag: Bag,
-    entry: BagMessage,
-    cameras: CameraInfos,
-    joints: JointLog,
-    late_joints_ns: int,
-    late_image_ns: int,
-    depth: decode.BitDepth,
-) -> CameraFrame:
-    stamped = decode.stamp_ns(entry.message.header)
-    stamp = stamped - late_image_ns
-    pixels, camera = decode.camera_image(entry.message, cameras.at(stamped), True, depth)
-    sample = joints.at(stamp + late_joints_ns, entry.stamp_ns)
-    if isinstance(sample, Refusal):
-        raise LandmarkNavError(
-            f'{bag.path}: {entry.topic} at {stamp * 1e-9:.3f} s has no joint state near it '
-            f'({sample}): record joint_states at 10 Hz at least, on the same clock'
-        )
-    return CameraFrame(
-        stamp,
-        pixels,
-        camera,
-        sample.pan_rad,
-        sample.tilt_rad,
-        pan_rate_rad_s=sample.pan_rate_rad_s,
-        pan_sigma_rad=sample.pan_sigma_rad,
-        pan_track=sample.pan_track,
-    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import csv
 from dataclasses import dataclass, field, replace
 from io import StringIO
@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from landmark_nav.arrays import IntArray
 from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -21,35 +20,6 @@ from landmark_nav.storage.bags.reader import Bag, BagMessage, decoded, MessageFi
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.storage.reading import read_image, read_text
 from landmark_nav.types import CameraFrame, JointSample, PoseEstimate, Sweep
-
-
-def check_coverage(
-    bag: Bag,
-    start_ns: int,
-    frames: Sequence[CameraFrame],
-    missing: Sequence[JointSample],
-    *,
-    cut_off: bool,
-) -> bool:
-    """
-    Report the angles that a sweep does not cover by the `warn` of its bag; is it usable?
-
-    `missing` angles of the trajectory have no frame. A sweep that may be cut off must be complete.
-    Raises `LandmarkNavError`: the sweep has no frame.
-    """
-    where = f'{bag.path}: the sweep of {start_ns * 1e-9:.1f} s'
-    pans = [frame.pan_rad for frame in frames]
-    half_fov = frames[0].camera.half_fov_rad if frames else 0.0
-    lacks = describe_coverage(pans, half_fov, [sample.pan_rad for sample in missing])
-    if lacks and cut_off:
-        bag.warn(f'{where} was cut off, {lacks}: left out')
-        return False
-    if not frames:
-        raise LandmarkNavError(f'{where} has no frames, {lacks}: record sweep/image')
-    if lacks:
-        bag.warn(f'{where} is incomplete: {lacks}')
-    return True
-
 
 # Greatest difference of the stamps of a frame and of its sample in the trajectory.
 _SAME_FRAME_NS = 5_000_000
@@ -100,7 +70,14 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
     """
     topic = bag.require(*SWEEP_IMAGES)
     cameras = CameraInfos.read(bag, 'sweep/camera_info', 'camera/camera_info')
-    numbers = _numbers(bag, topic)
+    message_filter = MessageFilter(bag, topic, 'images')
+    stamps = [
+        message_filter.take(lambda entry: decode.stamp_ns(entry.message.header), entry)
+        for entry in bag.messages([topic])
+    ]
+    message_filter.report()
+    # Images are counted from 1.
+    numbers = {stamp: number for number, stamp in enumerate(stamps, 1) if stamp is not None}
     plans = _plans(bag, mount, set(numbers))
     poses = _poses(bag, plans)
     at = {stamp: (plan, k) for plan in plans for k, stamp in enumerate(plan.stamps_ns)}
@@ -111,31 +88,13 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
         while not plan.is_complete and (entry := next(entries, None)) is not None:
             _add(bag, entry, cameras, depth, at)
         last = plan is plans[-1]
-        frames = [
-            replace(plan.frames[k], image=depth.lowered(plan.frames[k].image, plan.bits[k]))
-            for k in sorted(plan.frames)
-        ]
-        missing = [
-            sample
-            for sample, stamp in zip(plan.samples, plan.stamps_ns, strict=True)
-            if stamp is None
-        ]
+        ordered = [(plan.frames[stamp], plan.bits[stamp]) for stamp in sorted(plan.frames)]
+        frames = [replace(one, image=depth.lowered(one.image, bits)) for one, bits in ordered]
         if plan.unusable:
             _check_unusable(bag, topic, plan, numbers, frames)
-        if check_coverage(bag, plan.start_ns, frames, missing, cut_off=last and not bag.complete):
+        if _covers(bag, plan, frames, cut_off=last and not bag.complete):
             yield Sweep(plan.start_ns, tuple(frames), pose)
         plan.frames.clear()
-
-
-def _numbers(bag: Bag, topic: str) -> dict[int, int]:
-    """Number of each image of a topic, counted from 1, by stamp."""
-    message_filter = MessageFilter(bag, topic, 'images')
-    stamps = [
-        message_filter.take(lambda entry: decode.stamp_ns(entry.message.header), entry)
-        for entry in bag.messages([topic])
-    ]
-    message_filter.report()
-    return {stamp: number for number, stamp in enumerate(stamps, 1) if stamp is not None}
 
 
 def _add(
@@ -162,9 +121,8 @@ def _add(
     sample = plan.samples[k]
     plan.unusable.pop(stamp, None)
     plan.bits[stamp] = depth.bits
-    plan.frames[stamp] = CameraFrame(
-        sample.stamp_ns, image, camera, sample.pan_rad, sample.tilt_rad
-    )
+    angles = sample.pan_rad, sample.tilt_rad
+    plan.frames[stamp] = CameraFrame(sample.stamp_ns, image, camera, *angles)
 
 
 def _check_unusable(
@@ -195,6 +153,24 @@ def _check_unusable(
         gap = describe_coverage(pans, half_fov)
         raise LandmarkNavError(f'{bag.path}: {which}, and then {gap}: record it again')
     bag.warn(f'{bag.path}: {which}: {reason}')
+
+
+def _covers(bag: Bag, plan: _Plan, frames: Sequence[CameraFrame], *, cut_off: bool) -> bool:
+    """Report the angles that a sweep lacks; is it usable? One that is `cut_off` must be whole."""
+    where = f'{bag.path}: the sweep of {plan.start_ns * 1e-9:.1f} s'
+    pans = [frame.pan_rad for frame in frames]
+    half_fov = frames[0].camera.half_fov_rad if frames else 0.0
+    samples = zip(plan.samples, plan.stamps_ns, strict=True)
+    missing = [sample.pan_rad for sample, stamp in samples if stamp is None]
+    lacks = describe_coverage(pans, half_fov, missing)
+    if lacks and cut_off:
+        bag.warn(f'{where} was cut off, {lacks}: left out')
+        return False
+    if not frames:
+        raise LandmarkNavError(f'{where} has no frames, {lacks}: record sweep/image')
+    if lacks:
+        bag.warn(f'{where} is incomplete: {lacks}')
+    return True
 
 
 def _plans(bag: Bag, mount: PanTiltMount, left: set[int]) -> list[_Plan]:
@@ -228,7 +204,10 @@ def measured_pans(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[JointSample, 
             if not entry.header_ns:
                 raise LandmarkNavError('a trajectory has no stamp, that of its first frame')
             samples = decode.sweep_trajectory(entry.message, mount, dropped.append)
-            if not _are_near(samples, images_ns):
+            sampled_ns = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
+            first = np.searchsorted(images_ns, sampled_ns - _SAME_FRAME_NS)
+            after = np.searchsorted(images_ns, sampled_ns + _SAME_FRAME_NS, 'right')
+            if not (first < after).any():
                 raise LandmarkNavError(
                     f'that of {1e-9 * entry.header_ns:.1f} s has no image at its times: stamp '
                     'both by one clock'
@@ -240,13 +219,6 @@ def measured_pans(bag: Bag, mount: PanTiltMount) -> Iterator[tuple[JointSample, 
             count = f'{len(dropped)} of {len(dropped) + len(samples)} points'
             bag.inform(f'{topic}: {count} left out: {dropped[0]}')
         yield tuple(sorted(samples, key=lambda sample: sample.stamp_ns))
-
-
-def _are_near(samples: Iterable[JointSample], images_ns: IntArray) -> bool:
-    """Whether any sample is of the time of an image; `images_ns` (n,) are sorted."""
-    stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
-    first = np.searchsorted(images_ns, stamps - _SAME_FRAME_NS)
-    return bool(np.any(first < np.searchsorted(images_ns, stamps + _SAME_FRAME_NS, 'right')))
 
 
 def _take(samples: tuple[JointSample, ...], left: set[int]) -> tuple[int | None, ...]:

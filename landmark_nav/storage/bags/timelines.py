@@ -44,7 +44,6 @@ class JointHistory:
     def __init__(
         self, samples: Iterable[JointSample], tilts: Iterable[tuple[int, float]] = ()
     ) -> None:
-        """Sort the measurements by time."""
         self._tilts = np.array(sorted(tilts)).T
         by_stamp = {sample.stamp_ns: sample for sample in samples}
         self._stamps = sorted(by_stamp)
@@ -64,15 +63,21 @@ class JointHistory:
         if rate is not None and beyond_ns <= _SAME_TIME_NS:
             share = (stamp_ns - first.stamp_ns) / gap_ns
             pan_rad = without_turns(first.pan_rad)
+            tilt_rad = first.tilt_rad + share * (second.tilt_rad - first.tilt_rad)
+            # The pan around this time, within the history.
+            begin = max(bisect_right(self._stamps, stamp_ns - _TRACK_NS) - 1, 0)
+            near = slice(begin, bisect_left(self._stamps, stamp_ns + _TRACK_NS) + 1)
+            turns_rad = pan_rad - self._pans_rad[later - 1]
             return JointSample(
                 stamp_ns,
                 pan_rad + share * (self._pans_rad[later] - self._pans_rad[later - 1]),
-                self._tilt_rad(
-                    stamp_ns, first.tilt_rad + share * (second.tilt_rad - first.tilt_rad)
-                ),
+                self._tilt_rad(stamp_ns, tilt_rad),
                 rate,
                 abs(share * (1.0 - share)) * gap_ns * 1e-9 * self._rate_change(later, rate),
-                self._track(stamp_ns, pan_rad - self._pans_rad[later - 1]),
+                PanTrack(
+                    1e-9 * (np.array(self._stamps[near]) - stamp_ns),
+                    np.array(self._pans_rad[near]) + turns_rad,
+                ),
             )
         nearest = min(first, second, key=lambda sample: abs(sample.stamp_ns - stamp_ns))
         if abs(nearest.stamp_ns - stamp_ns) <= _SAME_TIME_NS:
@@ -88,15 +93,6 @@ class JointHistory:
         """Tilt at a time: that reported with the pan, unless the tilt joint has its own driver."""
         return float(np.interp(stamp_ns, *self._tilts)) if len(self._tilts) else with_pan_rad
 
-    def _track(self, stamp_ns: int, turns_rad: float) -> PanTrack:
-        """Pan around a time within the history, shifted by `turns_rad`."""
-        first = max(bisect_right(self._stamps, stamp_ns - _TRACK_NS) - 1, 0)
-        near = slice(first, bisect_left(self._stamps, stamp_ns + _TRACK_NS) + 1)
-        return PanTrack(
-            1e-9 * (np.array(self._stamps[near]) - stamp_ns),
-            np.array(self._pans_rad[near]) + turns_rad,
-        )
-
     def _rate(self, later: int) -> float | None:
         """Rate of the pan, rad/s, from the previous sample to sample `later`; None if unknown."""
         if not 0 < later < len(self._samples):
@@ -107,12 +103,9 @@ class JointHistory:
         return 1e9 * turned_rad / gap_ns if known else None
 
     def _rate_change(self, later: int, rate: float) -> float:
-        """
-        Greatest deviation of the rate within an interval from its mean `rate`.
-
-        It is the difference to the rates of the intervals before and after, as the rate changes
-        if a joint starts, stops or oscillates. If both are unknown, the joint may have stopped.
-        """
+        """Greatest deviation of the rate within an interval from its mean `rate`."""
+        # It is the difference to the rates of the intervals before and after, as the rate changes
+        # if a joint starts, stops or oscillates. If both are unknown, the joint may have stopped.
         beside = (self._rate(later - 1), self._rate(later + 1))
         changes = [abs(other - rate) for other in beside if other is not None]
         if not changes:
@@ -243,9 +236,8 @@ def too_fast(samples: Iterable[JointSample]) -> Refusal | None:
     rate = float(np.median(np.abs(moving[:, 1]) / moving[:, 0]))
     if rate <= _FASTEST_RAD_S:
         return None
-    return Refusal(
-        f'the pan turns by {rate:.0f} rad/s', 'are these degrees or ticks, or of two publishers?'
-    )
+    why = 'are these degrees or ticks, or of two publishers?'
+    return Refusal(f'the pan turns by {rate:.0f} rad/s', why)
 
 
 class CameraInfos:

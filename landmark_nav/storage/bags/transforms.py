@@ -41,31 +41,24 @@ def joints_of_transforms(
     Raises `LandmarkNavError`: `frame` is not in ``/tf``, or does not turn about the pan axis.
     """
     topic = bag.find('tf')
-    if topic is None and frame:
-        raise LandmarkNavError(f'{bag.path}: there is no /tf, of which to take {frame}')
-    if topic is None:
+    if topic is None and not frame:
         return []
-    entries = list(_transforms(bag, topic))
+    entries = _transforms(bag, topic)
     moving = {child for _, _, child, _, _ in entries}
     pan_frame = frame.lstrip('/') if frame else _frame_of(mount.pan_joint, moving)
-    if pan_frame is None or (frame and pan_frame not in moving):
-        if frame:
-            raise LandmarkNavError(
-                f'{bag.path}: {topic} has no frame {frame}: it has {listed(moving) or "none"}'
-            )
+    if frame and pan_frame not in moving:
+        raise LandmarkNavError(
+            f'{bag.path}: {topic or "/tf"} has no frame {frame}: it has {listed(moving) or "none"}'
+        )
+    if pan_frame is None:
         bag.inform(
             f'{topic} has no frame named after {mount.pan_joint}, but {listed(moving)}: give the '
             'one that turns with it by --topic joint_states=/tf:FRAME'
         )
         return []
     tilt_frame = _frame_of(mount.tilt_joint, moving)
-    static_topic = bag.find('tf_static')
-    tree = {
-        child: (parent, rotation)
-        for _, _, child, parent, rotation in (
-            _transforms(bag, static_topic) if static_topic else ()
-        )
-    }
+    fixed = _transforms(bag, bag.find('tf_static'))
+    tree = {child: (parent, rotation) for _, _, child, parent, rotation in fixed}
     axis = rotation_rpy(mount.axis_rpy)
     tilt_rad = 0.0
     found = []
@@ -88,22 +81,18 @@ def joints_of_transforms(
     return found
 
 
-def _transforms(bag: Bag, topic: str) -> list[tuple[int, int, str, str, FloatArray]]:
+def _transforms(bag: Bag, topic: str | None) -> list[tuple[int, int, str, str, FloatArray]]:
     """Log times, stamps, child frames, parent frames and rotations of the transforms."""
 
     def rotations(entry: BagMessage) -> list[tuple[int, int, str, str, FloatArray]]:
-        return [
-            (
-                entry.stamp_ns,
-                decode.stamp_ns(one.header),
-                str(one.child_frame_id).lstrip('/'),
-                str(one.header.frame_id).lstrip('/'),
-                _rotation(one.transform.rotation),
-            )
-            for one in entry.message.transforms
-        ]
+        found = []
+        for one in entry.message.transforms:
+            child, parent = (str(k).lstrip('/') for k in (one.child_frame_id, one.header.frame_id))
+            rotation, stamp_ns = _rotation(one.transform.rotation), decode.stamp_ns(one.header)
+            found.append((entry.stamp_ns, stamp_ns, child, parent, rotation))
+        return found
 
-    return [one for part in decoded(bag, topic, rotations) for one in part]
+    return [one for part in decoded(bag, topic, rotations) for one in part] if topic else []
 
 
 def _rotation(quaternion: Any) -> FloatArray:
@@ -117,9 +106,8 @@ def _rotation(quaternion: Any) -> FloatArray:
 def _frame_of(joint: str, frames: set[str]) -> str | None:
     """Frame that URDF files name after a joint; None if there is none, or no unique one."""
     stem = joint.removesuffix('_joint')
-    names = (
-        decode.matching_name(name, frames) for name in (f'{stem}_link', f'{stem}_frame', stem)
-    )
+    of_joint = f'{stem}_link', f'{stem}_frame', stem
+    names = (decode.matching_name(name, frames) for name in of_joint)
     return next(filter(None, names), None)
 
 
@@ -195,9 +183,8 @@ class RobotTransforms:
         if pose_odom_base is None:
             return []
         pose_map_odom = se2.compose(fused.pose, se2.inverse(pose_odom_base))
-        return [
-            encode.planar_transform(str(message.header.frame_id), self._odom_frame, pose_map_odom)
-        ]
+        frame = str(message.header.frame_id)
+        return [encode.planar_transform(frame, self._odom_frame, pose_map_odom)]
 
     def _of_joints(self, message: Any) -> list[encode.Transform]:
         stamp_ns, pan_rad, tilt_rad = decode.joint_angles(message, self._mount)
