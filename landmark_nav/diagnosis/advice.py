@@ -40,6 +40,9 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
     values = {'late_s': late_s}
     if corrected and abs(late_s) <= CORRECTED_S:
         advice = 'corrected here; on the robot stamp at the time of measurement'
+        if stream == IMAGES:
+            both = f'{late_s:+.3f} to image_delay, {-late_s:+.3f} to joint_delay'
+            advice = f'corrected here; in robot.yaml add {both}'
         # `evaluate` reports the joint delay more accurately in a separate line.
         by_map = stream == JOINTS
         if by_map:

@@ -116,7 +116,13 @@ class DriveChecks:
             return found, Delays(), True
         looks = replace(looks, stream=stamps.by_arrival(looks.stream))
         streams = [stamps.by_arrival(stream) for stream in streams]
+        streams[1:] = map(self._by_images, streams[1:])
         return self._against_images(looks, streams, found)
+
+    def _by_images(self, stream: Stream) -> Stream:
+        """Return odometry or truth by the clock of the images, as far as it is known."""
+        late_ns = round(1e9 * self._mount.image_delay_s)
+        return replace(stream, stamps_ns=stream.stamps_ns + late_ns)
 
     @cached_property
     def _joints(self) -> dict[str, Stream]:
@@ -248,7 +254,7 @@ class DriveChecks:
             return []
         # Only the part of the recording with images counts.
         truth = read_stream(self._bag, 'ground_truth', topic, _odometry_of)
-        truth = truth.logged_within(*images.logged_ns[[0, -1]].tolist())
+        truth = self._by_images(truth.logged_within(*images.logged_ns[[0, -1]].tolist()))
         if len(truth) < 2:
             return []
         track = _odometry_track(truth, truth.values)

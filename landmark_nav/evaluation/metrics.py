@@ -258,8 +258,11 @@ def posterior_bound(
                 moved += 1
             track.add(OdometrySample(seen.stamp_ns, pose))
             move_to(seen.stamp_ns, ideal, track)
+            state = ideal.snapshot
             points = project(
-                ideal.snapshot.mean, landmark_map.positions[seen.columns], seen
+                state.mean,
+                landmark_map.positions[seen.columns],
+                replace(seen, moved_back=state.moved_back),
             ).points
             ideal.observe(replace(seen, points=points, near=None))
             bound[k] = ideal.estimate.covariance

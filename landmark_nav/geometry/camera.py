@@ -495,6 +495,8 @@ class PanTiltMount:
         Limits of the pan joint.
     pan_rate_rad_s, pan_acceleration_rad_s2 : float
         Rate and acceleration of the pan joint, for the duration of moves.
+    image_delay_s : float
+        Time by which the stamps of images lag those of odometry.
     """
 
     axis_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -509,6 +511,7 @@ class PanTiltMount:
     pan_max_rad: float = math.pi
     pan_rate_rad_s: float = 1.0
     pan_acceleration_rad_s2: float = 8.0
+    image_delay_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the limits."""

@@ -11,6 +11,7 @@ from math import hypot, log, sqrt
 import numpy as np
 
 from landmark_nav.calibration import Calibration
+from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.estimator import (
     EstimatorConfig,
     ImagePoints,
@@ -175,7 +176,9 @@ class Fusion:
             bend = hypot(bend, joints.pan_sigma_rad)
         # The pan may begin to turn meanwhile, or between joint states.
         bent = np.diag([0.0, 0.0, bend**2])
-        found = replace(found, covariance=found.covariance + bent)
+        back = self._track.motion_back(found.stamp_ns, self._prior.base.image_delay_s)
+        pose = compose(found.pose, inverse(back))
+        found = replace(found, pose=pose, covariance=found.covariance + bent)
         self._place(found, rate)
 
     def use_camera(self, intrinsics: FloatArray | None) -> None:

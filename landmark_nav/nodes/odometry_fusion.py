@@ -106,10 +106,13 @@ class OdometryFusionNode(ConfiguredNode):
         late = self._fusion.late
         if not late.matters:
             return ''
-        return (
+        advice = (
             f'; joint_states are stamped {1e3 * late.delay_s:.1f} ms late, which is put right; at '
             f'once with joint_delay: {late.delay_s:.4f} in robot.yaml'
         )
+        if late.delay_s < 0.0:
+            advice += '; or the images are late: landmark-nav check on a recording tells'
+        return advice
 
     def _mount_advice(self) -> str:
         """Significant deviations of the estimated calibration from robot.yaml."""

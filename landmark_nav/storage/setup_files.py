@@ -40,6 +40,7 @@ PAN_UNIT = {
     'pan_max': ('pan_max_rad', -6.2832, 6.2832, 'radians'),
     'pan_rate': ('pan_rate_rad_s', 0.01, 100.0, 'radians a second'),
     'pan_acceleration': ('pan_acceleration_rad_s2', 0.01, 1e4, 'radians a second, each second'),
+    'image_delay': ('image_delay_s', -1.0, 1.0, 'seconds'),
 }
 
 # Greatest sigma of the pan; a less certain one gives no information.

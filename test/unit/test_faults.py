@@ -496,3 +496,17 @@ def test_images_that_show_nothing_do_not_hold_up_the_verdict_where_odometry_stop
     assert reported[0] == 'tracking'
     assert 'tracking' not in reported[10:]
     assert reported[-1] == 'lost'
+
+
+def test_images_of_a_known_delay_give_poses_at_their_stamps(sensed):
+    behind, late_s = 2, 0.1
+    given = [
+        (step, frame and replace(frame, stamp_ns=step.stamp_ns))
+        for (step, _), (_, frame) in zip(sensed[behind:], sensed, strict=False)
+    ]
+    known = replace(KNOWN, base=replace(MOUNT, image_delay_s=late_s))
+    nees, unknown = (
+        np.mean([m.nees for m in run(given, untouched, calibration=calibration)])
+        for calibration in (known, KNOWN)
+    )
+    assert nees < 5.0 < unknown

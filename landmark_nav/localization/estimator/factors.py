@@ -19,6 +19,7 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import NAMES
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.se2 import compose, compose_jacobians
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.types import FloatArray
 
@@ -78,6 +79,8 @@ class ImagePoints:
     by_lens : ndarray, shape (m, 2, 3), optional
         Derivatives of the undistorted points of given pixels by focal scale, principal point and
         distortion; `points` are linearly extrapolated to the lens of camera_info.
+    moved_back : ndarray, shape (3,)
+        Pose of the base when the image was taken, in the base at the stamp.
     lost : bool
         Whether the pose was lost before: then no step is assumed, as another place is likelier.
     """
@@ -97,6 +100,7 @@ class ImagePoints:
     near: FloatArray | None = None
     sizes: FloatArray | None = None
     by_lens: FloatArray | None = None
+    moved_back: FloatArray = field(default_factory=lambda: np.zeros(3))
     lost: bool = False
 
     def __len__(self) -> int:
@@ -235,7 +239,9 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
 
     Points behind the camera are marked in `ahead`; their values are finite.
     """
-    x, y, heading, pitch, floor_roll = state[:5].tolist()
+    x, y, heading = compose(state[:3], seen.moved_back).tolist()
+    by_base, _ = compose_jacobians(state[:3], seen.moved_back)
+    pitch, floor_roll = state[FLOOR_TILT:SCALE].tolist()
     pans, by_delay = seen.pans(float(state[DELAY]))
     scale = 1.0 + float(state[PAN_SCALE])
     tilt = seen.tilt_rad + float(state[TILT])
@@ -282,7 +288,8 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     points[:, 0] += state[PRINCIPAL]
     by_pan = scale * flat_by[:, :, 14]
     by_state = np.zeros((count, 2, STATES))
-    by_state[:, :, :SCALE] = flat_by[:, :, :5]
+    by_state[:, :, :FLOOR_TILT] = flat_by[:, :, :3] @ by_base
+    by_state[:, :, FLOOR_TILT:SCALE] = flat_by[:, :, 3:5]
     by_state[:, :, _AXIS:ROLL] = flat_by[:, :, 5:14]
     by_state[:, 0, ROLL], by_state[:, 1, ROLL] = points[:, 1], -focal * turned[:, 0]
     by_state[:, :, TILT] = flat_by[:, :, 15]

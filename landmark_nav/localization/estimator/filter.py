@@ -20,6 +20,7 @@ from scipy.special import expit
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, LENS, NAMES
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.se2 import compose, compose_jacobians
 from landmark_nav.localization.estimator.config import EstimatorConfig, Step
 from landmark_nav.localization.estimator.correction import corrected, usable
 from landmark_nav.localization.estimator.factors import (
@@ -54,6 +55,7 @@ from landmark_nav.localization.odometry.noise import (
     sensed_variances,
     slip_variance,
 )
+from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import Expectation, FloatArray, LandmarkMap, PoseEstimate
 
 # Own errors of landmarks leave the state when less than this share is left.
@@ -164,21 +166,20 @@ class JointFilter:
 
     @property
     def expectation(self) -> Expectation:
-        """Expected pose of the camera, with the covariance that the search of landmarks needs."""
+        """Expected pose in an image of this time, with the covariance that its search needs."""
         state = self._state
-        x, y = state.mean[CALIBRATION : CALIBRATION + 2].tolist()
-        c, s = np.cos(state.mean[2]), np.sin(state.mean[2])
+        pose = compose(state.mean[:3], state.moved_back)
+        axis = [*state.mean[CALIBRATION : CALIBRATION + 2], 0.0]
+        by_base, _ = compose_jacobians(state.mean[:3], state.moved_back)
+        by_pose, by_axis = compose_jacobians(pose, axis)
         rows = np.zeros((3, STATES))
-        rows[:, :3] = np.eye(3)
-        rows[0, 2], rows[1, 2] = -s * x - c * y, c * x - s * y
-        rows[:2, CALIBRATION : CALIBRATION + 2] = [[c, -s], [s, c]]
+        rows[:, :3] = by_pose @ by_base
+        rows[:2, CALIBRATION : CALIBRATION + 2] = by_axis[:2, :2]
         rows[2, YAW] = 1.0
         covariance = rows @ state.covariance[:STATES, :STATES] @ rows.T
         which = [FLOOR_TILT, CALIBRATION + NAMES.index('axis_pitch'), TILT]
         tilt = float(np.sqrt(max(state.covariance[np.ix_(which, which)].sum(), 0.0)))
-        return Expectation(
-            state.stamp_ns, state.mean[:3].copy(), covariance, self.calibration, tilt
-        )
+        return Expectation(state.stamp_ns, pose, covariance, self.calibration, tilt)
 
     def with_landmarks(self) -> FloatArray:
         """Covariance (3, 2 n) of the pose with x and y of all landmarks, as the map has them."""
@@ -324,6 +325,11 @@ class JointFilter:
         """Return to a snapshot."""
         self._state = snapshot
 
+    def look_back(self, track: OdometryTrack) -> None:
+        """Take note of the motion of the base since an image of this time was taken."""
+        back = track.motion_back(self._state.stamp_ns, self._prior.base.image_delay_s)
+        self._state = replace(self._state, moved_back=back)
+
     def mark(self) -> None:
         """Restart `carried`, the derivative by the present state."""
         self._state = replace(self._state, carried=np.eye(CALIBRATION))
@@ -398,6 +404,7 @@ class JointFilter:
         map, and second detections of a landmark.
         """
         seen = usable(seen, len(self._errors.positions))
+        seen = replace(seen, moved_back=self._state.moved_back)
         if not len(seen):
             self._state = replace(self._state, stamp_ns=max(self._state.stamp_ns, seen.stamp_ns))
             self.predicted = self._state

@@ -70,6 +70,8 @@ class State:
     own: FloatArray
     way_m: float = 0.0
     seconds: float = 0.0
+    # Pose of the base when an image of this time was taken, in the base at this time.
+    moved_back: FloatArray = field(default_factory=lambda: np.zeros(3))
     # Derivative of pose, tilt of the floor and odometry by those after the last image.
     carried: FloatArray = field(default_factory=lambda: np.eye(CALIBRATION))
     # Sum (2, 16) of the corrections of the calibration by images, and of their variances.

@@ -26,10 +26,10 @@ REACH_NS = 10 * 10**9
 def move_to(stamp_ns: int, joint: JointFilter, track: OdometryTrack) -> None:
     """Predict a filter to a time by odometry."""
     begin = joint.snapshot.stamp_ns
-    if stamp_ns <= begin:
-        return
-    for since, until in pairwise(steps_ns(begin, stamp_ns, _STEP_NS)):
-        joint.move(until, track.motion(since, until))
+    if stamp_ns > begin:
+        for since, until in pairwise(steps_ns(begin, stamp_ns, _STEP_NS)):
+            joint.move(until, track.motion(since, until))
+    joint.look_back(track)
 
 
 class Timeline:

@@ -251,6 +251,13 @@ class OdometryTrack:
         jitter = (2.0 * variance for variance in self._jitter.variances)
         return Motion(increment, seconds, min(blind, _LONGEST_S), ahead, *jitter)
 
+    def motion_back(self, stamp_ns: int, seconds: float) -> FloatArray:
+        """Pose (3,) of the base some time before a time, in the base at that time."""
+        if not (self._stamps and seconds):
+            return np.zeros(3)
+        earlier_ns = stamp_ns - round(1e9 * seconds)
+        return relative(self._pose(stamp_ns), self._pose(earlier_ns))
+
     def trim(self, before_ns: int) -> None:
         """Drop samples that are not needed for motions that start at `before_ns` or later."""
         keep = bisect_right(self._stamps, before_ns) - 1
