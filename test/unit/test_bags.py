@@ -346,22 +346,6 @@ def test_a_damaged_chunk_is_left_out_and_reported(tmp_path, damage, compression,
     assert all('damaged' in line and len(line) - len(str(path)) < 200 for line in warnings)
 
 
-@pytest.mark.parametrize('compression', CompressionType)
-def test_a_chunk_that_is_cut_off_is_read_to_there_if_it_is_not_compressed(tmp_path, compression):
-    path = tmp_path / 'cut.mcap'
-    with foreign_bag(path, compression=compression, chunk_size=400) as add:
-        add('/text', TEXT, 'cdr', [HI] * 100)
-    with path.open('rb') as stream:
-        chunk = make_reader(stream).get_summary().chunk_indexes[1]
-    middle = chunk.chunk_start_offset + chunk.chunk_length // 2
-    path.write_bytes(path.read_bytes()[:middle])
-    bag = Bag(path, [].append)
-    last = [entry.stamp_ns for entry in bag.messages()][-1]
-    assert not bag.complete
-    assert (last >= chunk.message_start_time) == (compression is CompressionType.NONE)
-    assert last < chunk.message_end_time
-
-
 def _in(chunk, stamp):
     return chunk.message_start_time <= stamp <= chunk.message_end_time
 

@@ -66,11 +66,6 @@ def test_where_nothing_is_named_nothing_changes(tmp_path, text):
     assert load(tmp_path, text) == PLAIN
 
 
-def test_parameters_of_ros_itself_are_passed_over(tmp_path):
-    given = 'use_sim_time: true, qos_overrides: {/odom: {subscription: {depth: 1}}}'
-    assert load(tmp_path, for_all(given)) == PLAIN
-
-
 def test_a_file_for_other_nodes_alone_is_reported(tmp_path, caplog):
     load(tmp_path, 'odometry_fuson: {ros__parameters: {map_frame: own}}', 'odometry_fusion')
     assert 'odometry_fuson' in caplog.text
@@ -165,11 +160,6 @@ class Sample(Config):
     turn_rad: float = parameter(0.5, 'An angle', minimum=-3.2, maximum=3.2)
     mode: str = parameter('fast', 'What to do', choices=('fast', 'good'))
     active: bool = parameter(True, 'Whether at all')
-
-
-def test_bounds_belong_to_the_range():
-    assert Sample(ratio=0.0, count=1, mode='good', active=False).ratio == 0.0
-    assert Sample(ratio=1.0, count=10**9).count == 10**9
 
 
 @pytest.mark.parametrize(
