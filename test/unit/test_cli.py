@@ -99,20 +99,6 @@ def test_a_reader_that_leaves_is_no_error():
         process.wait(timeout=20)
 
 
-def test_help_loads_nothing_heavy():
-    code = (
-        'import sys\n'
-        'from landmark_nav.cli.main import main\n'
-        'main(["--help"])\n'
-        'heavy = {"numpy", "cv2", "scipy", "matplotlib", "rosbags", "rclpy"} & set(sys.modules)\n'
-        'sys.exit(f"loaded {heavy}" if heavy else 0)\n'
-    )
-    result = subprocess.run(
-        [sys.executable, '-c', code], capture_output=True, text=True, timeout=20
-    )
-    assert result.returncode == 0, result.stderr
-
-
 @pytest.mark.parametrize(
     ('arguments', 'complaint'),
     [
