@@ -286,30 +286,6 @@ def test_missing_ambiguous_and_wrong_topics_are_reported(tmp_path):
         bag.find('joint_states')
 
 
-@pytest.mark.parametrize(
-    'options',
-    [
-        {'repeat_channels': False, 'repeat_schemas': False},
-        {'repeat_channels': False},
-        {'repeat_schemas': False},
-        {'use_statistics': False},
-        {'repeat_channels': False, 'use_chunking': False},
-    ],
-)
-def test_what_a_summary_may_leave_out_is_found_in_the_file(tmp_path, options):
-    path = tmp_path / 'bare.mcap'
-    with foreign_bag(path, **options) as add:
-        add('/text', TEXT, 'cdr', [HI] * 7)
-    warnings = []
-    bag = Bag(path, warnings.append)
-    assert bag.types == {'/text': 'std_msgs/msg/String'}
-    assert bag.counts == {'/text': 7}
-    assert bag.duration_s == pytest.approx(6e-9)
-    assert [entry.message.data for entry in bag.messages(['/text'])] == ['hi'] * 7
-    assert bag.complete
-    assert warnings == []
-
-
 def changed(content, at, size, value):
     return content[:at] + bytes([value]) * size + content[at + size :]
 

@@ -331,17 +331,6 @@ def test_a_lens_that_folds_back_in_the_corners_is_used_inside_of_that():
     assert np.linalg.norm(np.nan_to_num(back) - [254.0, 193.5], axis=1).max() < 0.51 * 570.0
 
 
-@pytest.mark.parametrize('shift', [0.05, 0.1, 0.13])
-def test_a_tangential_fold_is_one_too(shift):
-    camera = CameraModel(**SIZE, distortion=(0.0, 0.0, shift, -shift))
-    rays = camera.unproject(np.random.default_rng(0).uniform(-0.5, [511.5, 383.5], (500, 2)))
-    back = camera.project(rays)
-    seen = np.isfinite(back).all(axis=1)
-    assert seen.mean() > 0.4
-    np.testing.assert_allclose(camera.unproject(back[seen]), rays[seen], atol=1e-3)
-    assert bool(camera.restriction) == (shift > 0.1)
-
-
 @pytest.mark.parametrize('distortion', [(0.9,), (3.0,), (-0.3, 0.1, 0.02, -0.02), (0.0,) * 5])
 @pytest.mark.parametrize('prism', [(), (0.0, 0.0, 0.0, 0.01, 0.002, -0.02, 0.003)])
 def test_strong_lenses_and_thin_prisms_invert(distortion, prism):

@@ -135,25 +135,6 @@ def test_noise_and_papers_that_hang_askew_stay_within_the_covariance():
     assert 0.3 < np.mean(nees) / 4.0 < 2.0
 
 
-@pytest.mark.parametrize(('scale', 'words'), [(1.0, ''), (1.03, 'larger'), (0.975, 'smaller')])
-def test_a_room_that_is_scaled_with_its_papers_is_reported(scale, words):
-    room, pose = rectangle_room(papers=EAST), np.array([3.5, 2.0, 0.3])
-    sweep = sweep_at(scene_of(room), pose, np.random.default_rng(7))
-    papers = tuple(
-        replace(p, center=(scale * p.center[0], scale * p.center[1], p.center[2])) for p in EAST
-    )
-    given = rectangle_room(6.0 * scale, 5.0 * scale, papers)
-    place = locate(sweep, given)
-    if not words:
-        assert not place.warning
-        return
-    share = re.search(rf'look (\S+) % {words} than given', place.warning)
-    assert share is not None
-    assert float(share[1]) == pytest.approx(100.0 * abs(scale - 1.0), abs=0.8)
-    # The place is right in the room as it is given.
-    assert np.hypot(*error_of(place, pose * [scale, scale, 1.0])[:2]) < 0.02
-
-
 def response(image, gamma):
     return np.asarray(255.0 * (image / 255.0) ** (1.0 / gamma))
 

@@ -17,7 +17,7 @@ from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.storage.bags.timelines import JointHistory
 from landmark_nav.storage.bags.transforms import RobotTransforms
-from landmark_nav.types import CameraFrame, JointSample, OdometrySample, Refusal
+from landmark_nav.types import CameraFrame, JointSample, OdometrySample
 
 PANS = 0.3 * (0.2 * np.arange(10) + 0.02)
 
@@ -245,29 +245,6 @@ def test_a_topic_that_is_no_name_of_ours_is_wrong_usage(capsys, value):
 
 
 MS = 1_000_000
-
-
-RATE = 0.9
-
-
-def turning(*stamps_ms):
-    return JointHistory(JointSample(t * MS, 1e-3 * RATE * t, -2e-4 * t) for t in stamps_ms)
-
-
-@pytest.mark.parametrize(
-    ('known_ms', 'at_ms', 'words'),
-    [
-        ((), 100, 'no joint_states'),
-        ((100, 120), 172, 'joint_states are 52 ms behind'),
-        ((100,), 105, 'joint_states are 5 ms behind'),
-        ((100, 120), 80, 'joint_states begin 20 ms later'),
-        ((100, 1300), 150, 'no joint_states for 1.2 s'),
-    ],
-)
-def test_what_no_joint_state_gives_is_refused(known_ms, at_ms, words):
-    refusal = turning(*known_ms).at(at_ms * MS)
-    assert isinstance(refusal, Refusal)
-    assert str(refusal) == words
 
 
 def interpolated(true, step_ms, period_ms, shift_ms=0):

@@ -1,5 +1,4 @@
 from dataclasses import replace
-import json
 
 import cv2
 import numpy as np
@@ -14,12 +13,7 @@ from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.scene import Box, choose_sweep_places, EYE_HEIGHT_M, Scene, WallItem
 from landmark_nav.simulation.setup_documents import (
     as_measured,
-    robot_document,
-    room_document,
-    scene_document,
-    start_document,
 )
-from landmark_nav.storage.setup_files import load_robot, load_room
 
 SEEDS = range(30)
 MOUNT = PanTiltMount((0.08, 0.0, 1.1), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -63,20 +57,6 @@ class TestRooms:
         boxes = move_one_box(scene, np.random.default_rng(0))
         assert len(boxes) == len(scene.boxes)
         assert len(set(boxes) - set(scene.boxes)) == 1
-
-
-def test_documents_are_read_back(tmp_path, scenes):
-    scene = scenes[1]
-    (tmp_path / 'room.yaml').write_text(room_document(scene.room))
-    assert load_room(tmp_path / 'room.yaml') == scene.room
-    mount = PanTiltMount(
-        (0.1, 0.0, 1.2), (0.0, 0.01, 0.0), (0.03, 0.0, 0.0), pan_min_rad=-2.9, pan_rate_rad_s=0.5
-    )
-    (tmp_path / 'robot.yaml').write_text(robot_document(mount))
-    assert load_robot(tmp_path / 'robot.yaml') == mount
-    assert json.loads(start_document(np.array([1.0, 2.0, 0.5])))['pose'] == [1.0, 2.0, 0.5]
-    items = json.loads(scene_document(scene))['items']
-    assert [item['kind'] for item in items].count('target') == 1
 
 
 def closed_room(corners):

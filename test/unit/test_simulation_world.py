@@ -13,7 +13,6 @@ from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.pan_tilt_unit import PanControl
-from landmark_nav.simulation.renderer import CameraEffects, CameraEffectsConfig
 from landmark_nav.simulation.scene import choose_sweep_places
 from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import (
@@ -139,7 +138,6 @@ class TestCommand:
 
 
 DT = 1.0 / 60.0
-SMALL_CAMERA = CameraModel(128, 96, 100.0, 100.0, 63.5, 47.5)
 
 
 EXACT = DriveConfig(scale_sigma=0.0, track_sigma=0.0, slip_sigma_m=0.0, encoder_step_m=0.0)
@@ -163,18 +161,6 @@ class TestDifferentialDrive:
             chord = np.hypot(x, y) / np.sinc(0.5 * turn / np.pi)
             ways.append(chord / np.linalg.norm(base.pose_map_base[:2] - [1.0, 2.0]) - 1.0)
         assert np.std(ways) == pytest.approx(0.01 / np.sqrt(2.0), rel=0.15)
-
-
-class TestCameraEffects:
-    def test_a_lens_mixes_light(self):
-        config = CameraEffectsConfig(
-            vignetting=0.0, auto_exposure=0.0, blur_sigma_px=1.0, read_noise=0.0, shot_noise=0.0
-        )
-        stripes = np.tile(np.array([0, 255], np.uint8), (96, 64))
-        effects = CameraEffects(SMALL_CAMERA, config, np.random.default_rng(0))
-        mixed = effects.apply(np.repeat(stripes[..., None], 3, axis=2))
-        # Half the light is a value of 188 in sRGB.
-        assert mixed[10:-10, 10:-10].mean() == pytest.approx(188.0, abs=1.0)
 
 
 class TestDrivePath:
