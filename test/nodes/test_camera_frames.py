@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.util import find_spec
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,12 +11,9 @@ import numpy as np
 import pytest
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.messages import decode, encode
-from landmark_nav.messages.factory import rosbag_factory
-from landmark_nav.ros import topics
+from landmark_nav.messages import encode
 from landmark_nav.ros.camera_frames import CameraFrames, ImageSource
 from landmark_nav.ros.inputs import IrrelevantError
-from landmark_nav.ros.node import LandmarkNode
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.types import JointSample, Refusal
 
@@ -101,47 +97,6 @@ def test_a_tilt_of_another_driver_is_waited_for_and_kept():
     assert [tilt for _, tilt in frames._tilts] == [0.2]
 
 
-def test_a_prefixed_pan_joint_is_heard_and_others_are_named():
-    logged: list[str] = []
-    callbacks: dict[str, Any] = {}
-    node: Any = SimpleNamespace(
-        listen=lambda topic, call, **_: callbacks.setdefault(topic, call),
-        get_logger=lambda: SimpleNamespace(info=logged.append),
-    )
-    frames = CameraFrames(node, MOUNT)
-
-    def hear(name, angle):
-        message = encode.joint_state(ros_factory, JointSample(10**9, angle), MOUNT)
-        message.name, message.position = [name], [angle]
-        callbacks['joint_states'](message)
-
-    with pytest.raises(IrrelevantError, match='left_wheel arrive, not pan_joint'):
-        hear('left_wheel', 1.0)
-    assert frames.pan_rad is None
-    for _ in range(3):
-        hear('robot1/pan_joint', 0.2)
-        with pytest.raises(IrrelevantError):
-            hear('left_wheel', 2.0)
-    assert frames.pan_rad == 0.2
-    assert logged == ['joint_states: joint robot1/pan_joint for pan_joint is taken']
-
-
-def test_messages_without_stamps_have_the_time_of_arrival():
-    noted: list[str] = []
-    heard: list[int] = []
-    node: Any = SimpleNamespace(
-        get_clock=lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=7_000_000_005)),
-        note=noted.append,
-    )
-    stamped = LandmarkNode._stamped(
-        node, 'joint_states', lambda message: heard.append(decode.stamp_ns(message.header))
-    )
-    for stamp_ns in (0, 4_000_000_000):
-        stamped(encode.joint_state(ros_factory, JointSample(stamp_ns, 0.0), MOUNT))
-    assert heard == [7_000_000_005, 4_000_000_000]
-    assert len(noted) == 1
-
-
 RAW, COMPRESSED = 'camera/image_raw', 'camera/image_raw/compressed'
 
 
@@ -185,35 +140,3 @@ def test_raw_images_are_taken_while_no_compressed_ones_come():
     source.close()
     node.tick()
     assert not node.heard
-
-
-class Recorder:
-    """In place of a node: keeps what is published, by topic."""
-
-    def __init__(self):
-        self.sent: dict[str, list[Any]] = {}
-
-    def create_publisher(self, _kind, topic, _qos):
-        messages = self.sent[topic] = []
-        return type('Publisher', (), {'publish': staticmethod(messages.append)})
-
-
-@pytest.mark.parametrize('installed', [True, False])
-def test_transforms_are_sent_where_their_type_is_installed(installed, monkeypatch):
-    node, mount = Recorder(), PanTiltMount()
-    if installed:
-        monkeypatch.setattr(topics, 'find_spec', lambda _name: True)
-        monkeypatch.setattr(topics, 'message_class', lambda name: name)
-        monkeypatch.setattr(topics, 'ros_factory', rosbag_factory())
-    elif find_spec('tf2_msgs') is not None:
-        pytest.skip('tf2_msgs is installed')
-    broadcaster = topics.TransformBroadcaster(node)  # type: ignore[arg-type]
-    broadcaster.send_static(1, [encode.camera_transform(mount, 'optical')])
-    broadcaster.send(2, encode.joint_transforms(mount, JointSample(2, 0.5)))
-    broadcaster.send(3, [encode.planar_transform('odom', 'base_link', np.array([1.0, 2.0, 0.3]))])
-    children = {
-        topic: [one.child_frame_id for message in messages for one in message.transforms]
-        for topic, messages in node.sent.items()
-    }
-    moving = ['pan_link', 'tilt_link', 'base_link']
-    assert children == ({'/tf': moving, '/tf_static': ['optical']} if installed else {})

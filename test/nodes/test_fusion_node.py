@@ -128,18 +128,6 @@ def test_detections_of_another_clock_do_not_set_the_time_of_what_is_fused(fusion
     assert 'detections dropped' in fusion.reason()
 
 
-def test_odometry_that_is_not_a_number_is_named_and_the_next_is_used(fusion):
-    fusion.start(0, 1.0)
-    for k, way_m in enumerate((0.0, 0.02, np.inf, np.nan)):
-        fusion.odometry(k, way_m)
-    reason = fusion.reason()
-    assert 'odom dropped' in reason
-    assert 'nan: not a number' in reason
-    fusion.odometry(4)
-    pose = decode.odometry(fusion.published[-1]).pose_odom_base
-    assert pose[0] == pytest.approx(1.0 + 4 * SPEED_M_S * 1e-9 * PERIOD_NS, abs=0.01)
-
-
 def test_map_to_odom_is_broadcast_once_for_each_stamp(fusion):
     sent = []
     fusion.node._transform = SimpleNamespace(send=lambda stamp_ns, _: sent.append(stamp_ns))

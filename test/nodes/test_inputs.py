@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from typing import Any
 
@@ -127,13 +126,6 @@ def test_what_never_gets_its_other_half_makes_way_whatever_its_stamp(graph, seco
     assert len(came) == 1
 
 
-@pytest.mark.parametrize('value', ['perfect', '', 5, True])
-def test_a_reliability_that_is_none_is_refused_in_a_line(graph, value):
-    with pytest.raises(LandmarkNavError, match=r'^qos_overrides of odom.*best_effort') as refused:
-        Listener(context=graph.context, **reliability('subscription', value))
-    assert len(str(refused.value)) <= 200
-
-
 def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(graph, domain_id):
     graph.listener.fails = True
     health = graph.health()
@@ -154,33 +146,6 @@ def test_what_nobody_sends_is_named_in_full_with_what_could_be_it(graph, domain_
     context.try_shutdown()
 
 
-def test_a_pan_that_is_only_in_transforms_is_asked_for_as_joint_states(graph):
-    graph.listener.fails = True
-    # Whatever the type: the ROS wheels have no tf2_msgs.
-    graph.publisher('robot_state_publisher', '/tf', 'std_msgs/msg/String')
-    words = '/robot/joint_states (nobody publishes it; angles in /tf are not read: publish a'
-    graph.until(graph.reports(words), int)
-
-
-def test_what_is_awaited_is_logged_and_once_that_it_is_there(graph, caplog, monkeypatch):
-    # Another test may have sent what the package logs to a node.
-    package = logging.getLogger('landmark_nav')
-    monkeypatch.setattr(package, 'propagate', True)
-    monkeypatch.setattr(package, 'handlers', [])
-    caplog.set_level(logging.INFO, 'landmark_nav')
-    graph.listener.announce()
-    (ready,) = caplog.messages
-    assert '/robot/odom, /robot/joint_states' in ready.rpartition(';')[2]
-    wheels, unit = graph.publisher('w', '/robot/odom'), graph.publisher('u', '/robot/joint_states')
-    graph.until(lambda: bool(graph.listener.odometry), lambda: wheels.publish(odometry(NOW_NS)))
-    graph.health()
-    assert caplog.messages == [ready]
-    graph.until(lambda: bool(graph.listener.joints), lambda: unit.publish(joints(NOW_NS)))
-    graph.health()
-    graph.health()
-    assert len(caplog.messages) == 2
-
-
 def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph):
     wheels = graph.publisher('wheels', '/robot/odom')
     send = lambda: wheels.publish(odometry(NOW_NS, np.nan))  # noqa: E731
@@ -194,19 +159,6 @@ def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph):
         lambda: bool(graph.listener.odometry), lambda: wheels.publish(odometry(NOW_NS, 1.0))
     )
     assert graph.listener.odometry[0].pose_odom_base[0] == 1.0
-
-
-def test_joints_of_other_names_are_listed_until_the_pan_comes(graph):
-    unit = graph.publisher('unit', '/robot/joint_states')
-    wrong = 'neck_pan, neck_tilt arrive, not pan_joint: set pan_joint in robot.yaml'
-    graph.until(
-        graph.reports(f'/robot/joint_states: {wrong}'),
-        lambda: unit.publish(joints(NOW_NS, 'neck_pan', 'neck_tilt')),
-    )
-    graph.until(lambda: bool(graph.listener.joints), lambda: unit.publish(joints(NOW_NS)))
-    unit.publish(joints(NOW_NS, 'wheel_left', 'wheel_right'))
-    graph.executor.spin_once(timeout_sec=0.1)
-    assert 'arrive, not' not in graph.health().reason
 
 
 def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph):
@@ -260,15 +212,6 @@ def test_a_clock_that_does_not_come_is_reported(graph):
     graph.until(
         lambda: graph.listener.get_clock().now().nanoseconds == 5 * NS, lambda: clock.publish(tick)
     )
-
-
-def test_two_nodes_of_one_name_are_reported(graph):
-    assert 'two nodes' not in graph.health().reason
-    twin = Listener(context=graph.context)
-    graph.add(twin)
-    graph.until(graph.reports('two nodes are named /robot/listener'), int)
-    twin._checked_health()
-    assert 'two nodes are named /robot/listener' in twin._checked_health().reason
 
 
 def test_a_service_that_fails_answers(graph):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import cv2
@@ -11,7 +10,6 @@ import pytest
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.observer import Observation
-from landmark_nav.messages import decode
 from landmark_nav.nodes import live_pose
 from landmark_nav.nodes.live_pose import LivePose, LiveView
 from landmark_nav.ros.health import Health, Level
@@ -50,46 +48,6 @@ def estimate(k, x, y=0.0):
 
 def odometry(k, x):
     return OdometrySample(k * PERIOD_NS, np.array([x, 5.0, 0.1]))
-
-
-def test_paths_come_to_who_subscribes_not_too_often_and_begin_anew(graph, node):
-    live = LivePose(node, 'map')
-    came: dict[str, list[Any]] = {'odometry_fusion/path': [], 'odometry_fusion/odometry_path': []}
-    for topic, messages in came.items():
-        node.listen(topic, messages.append)
-    graph.until(lambda: all(one.output.get_subscription_count() for one in live._paths))
-    begun_s, k = time.monotonic(), 0
-    while time.monotonic() - begun_s < 1.2:
-        # The robot drives along x; odometry is off by a tenth.
-        live.show(estimate(k, 0.01 * k), odometry(k, 0.011 * k), lambda: None)
-        graph.executor.spin_once(timeout_sec=0.005)
-        k += 1
-    graph.until(lambda: all(came.values()))
-    rate_hz = len(came['odometry_fusion/path']) / (time.monotonic() - begun_s)
-    assert rate_hz <= 5.5
-    fused, alone = (messages[-1].poses for messages in came.values())
-    assert fused[0].pose.position.x == alone[0].pose.position.x == 0.0
-    # Of the same times, though one may be a message ahead.
-    x = {decode.stamp_ns(one.header): one.pose.position.x for one in fused}
-    stamped = [(decode.stamp_ns(one.header), one.pose.position.x) for one in alone]
-    both = [(odometry_x, x[stamp]) for stamp, odometry_x in stamped if stamp in x]
-    assert len(both) > 1
-    assert all(odometry_x == pytest.approx(1.1 * fused_x) for odometry_x, fused_x in both)
-    assert max(abs(one.pose.position.y) for one in fused) == 0.0
-    # Who comes later sees the way up to now, though the robot stands.
-    late: list[Any] = []
-    node.listen('odometry_fusion/path', late.append)
-
-    def standing():
-        live.show(estimate(k, 0.01 * k), odometry(k, 0.011 * k), lambda: None)
-        return bool(late)
-
-    graph.until(standing)
-    assert len(late[-1].poses) == len(live._paths[0]._poses)
-    # Played anew, the clock is set back.
-    time.sleep(0.25)
-    live.show(estimate(0, 2.0), odometry(0, 2.0), lambda: None)
-    graph.until(lambda: [len(messages[-1].poses) for messages in came.values()] == [1, 1])
 
 
 def no(*_given, **_named):

@@ -3,21 +3,17 @@
 import os
 from pathlib import Path
 import signal
-import sqlite3
 import subprocess
 import sys
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 import pytest
-from rclpy.clock_type import ClockType
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import get_typestore, Stores
 
 from landmark_nav.demo.supervisor import node_command, node_commands, node_environment
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.nodes.room_simulator import RoomSimulatorNode
-from landmark_nav.nodes.triplet_selector import TripletSelectorNode
 
 NODES = {
     'landmark_learner': ('room_file',),
@@ -57,21 +53,6 @@ def test_what_cannot_run_states_why(node, arguments, words, domain_id):
     assert words in reported[0]
 
 
-def test_a_parameter_file_that_ros_cannot_read_is_named(domain_id):
-    *by_rcl, own = output_of(['--params-file', 'nowhere.yaml'], domain_id)
-    assert "parse params file: '--params-file nowhere.yaml'" in own
-    assert all('rcl' in line for line in by_rcl)
-
-
-@pytest.mark.parametrize(('argument', 'status'), [('--help', 0), ('robot_file:=r.yaml', 2)])
-def test_arguments_that_are_not_of_ros_are_answered_with_the_usage(argument, status):
-    command = [sys.executable, '-m', 'landmark_nav.nodes.odometry_fusion', argument]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30)
-    assert done.returncode == status
-    assert 'usage: odometry_fusion [--ros-args' in done.stdout
-    assert not done.stderr
-
-
 def output_of(arguments, domain_id, node='sweep_capture'):
     """Lines of a node that cannot run."""
     command = [sys.executable, '-m', f'landmark_nav.nodes.{node}', '--ros-args', *arguments]
@@ -79,34 +60,6 @@ def output_of(arguments, domain_id, node='sweep_capture'):
     done = subprocess.run(command, capture_output=True, text=True, timeout=30, env=environment)
     assert done.returncode == 1
     return done.stderr.strip().splitlines()
-
-
-def test_without_ros_one_line_states_what_to_install():
-    script = 'import sys; sys.modules["rclpy"] = None; import landmark_nav.nodes.sweep_capture'
-    done = subprocess.run(
-        [sys.executable, '-c', script], capture_output=True, text=True, timeout=30
-    )
-    assert done.returncode == 1
-    assert "pip install '.[ros]'" in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-
-
-def periods(node, kind):
-    """Periods of the timers on such clocks, s."""
-    return sorted(1e-9 * t.timer_period_ns for t in node.timers if t.clock.clock_type is kind)
-
-
-@pytest.mark.parametrize('node', [RoomSimulatorNode, TripletSelectorNode])
-def test_no_timer_runs_by_the_time_of_the_system(node, graph, setup_files):
-    started = graph.make(node, robot_file=setup_files['robot_file'])
-    assert len(periods(started, ClockType.STEADY_TIME)) == len(list(started.timers)) > 1
-
-
-def test_choices_keep_to_the_time_of_a_bag_and_diagnostics_do_not(graph, setup_files):
-    robot = setup_files['robot_file']
-    selector = graph.make(TripletSelectorNode, robot_file=robot, use_sim_time=True)
-    assert len(periods(selector, ClockType.ROS_TIME)) == 2
-    assert periods(selector, ClockType.STEADY_TIME) == pytest.approx([1.0])
 
 
 def played(bag, domain_id):
@@ -130,21 +83,6 @@ def test_a_bag_of_ros_1_is_played(tmp_path, domain_id):
     status, reported = played(tmp_path / 'notes.bag', domain_id)
     assert status == 0, reported
     assert 'is played' in reported
-
-
-def test_messages_that_cannot_be_read_end_the_playback(tmp_path, domain_id):
-    base = sqlite3.connect(tmp_path / 'odd.db3')
-    base.execute('CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)')
-    base.execute('CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)')
-    base.execute("INSERT INTO topics VALUES (1, '/note', 'std_msgs/msg/String', 'cdr')")
-    base.execute('INSERT INTO messages VALUES (1, 1, 5, 7)')
-    base.commit()
-    base.close()
-    status, reported = played(tmp_path / 'odd.db3', domain_id)
-    assert status == 1
-    assert 'playback ends early: ' in reported
-    assert 'is played' not in reported
-    assert 'Traceback' not in reported
 
 
 FUSION, LEARNER = 'odometry_fusion', 'landmark_learner'

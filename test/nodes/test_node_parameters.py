@@ -110,33 +110,6 @@ def test_a_bad_value_is_named(context, name, value, words):
         ConfiguredNode(Whole(), context=context, parameter_overrides=overrides)
 
 
-def test_a_name_that_nothing_has_is_reported_with_what_it_looks_like(context, capfd):
-    given = {'countt': 3, 'section.rat_hz': 2.0, 'of_another': 2, 'section.fixed': 2.0}
-    overrides = [Parameter(name, value=value) for name, value in given.items()]
-    node = ConfiguredNode(Whole(), context=context, parameter_overrides=overrides)
-    assert node.config == Whole()
-    reported = capfd.readouterr().err
-    for name, meant in (('countt', 'count'), ('section.rat_hz', 'section.rate_hz')):
-        assert f"'{name}': did you mean {meant}?" in reported
-    assert 'section.fixed' in reported
-    assert 'of_another' not in reported
-
-
-def test_former_names_are_taken_or_go_to_the_robot_or_are_ignored(context, capfd):
-    given = {'command_type': 'JointState', 'joint_delay_s': 0.02, 'capture.pan_min_rad': -1.0}
-    given |= {'odometry.scale_sigma': 0.1, 'period_s': 0.2, 'look_around.after_s': 1.0}
-    overrides = [Parameter(name, value=value) for name, value in given.items()]
-    node = ConfiguredNode(
-        Configuration(), READS['room_simulator'], context=context, parameter_overrides=overrides
-    )
-    assert node.config.command.type == 'JointState'
-    assert node.config.look_around == Configuration().look_around
-    odometry = {'scale_sigma': 0.1}
-    assert node.robot == {'joint_delay': 0.02, 'pan_min': -1.0, 'odometry': odometry}
-    reported = capfd.readouterr().err
-    assert all(name in reported for name in given)
-
-
 @pytest.mark.parametrize('name', sorted(READS))
 def test_the_file_of_users_gives_the_defaults_of_every_node(name, context):
     arguments = ['--ros-args', '--params-file', str(shipped_config('landmark_nav.yaml'))]

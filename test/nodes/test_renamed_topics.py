@@ -60,14 +60,6 @@ def test_a_subscriber_to_the_former_name_is_served_and_named(graph):
     assert NEW in warning
 
 
-def test_a_publisher_of_the_former_name_is_heard_and_named(graph):
-    listener, received = watched(graph, 'new'), []
-    listener.create_subscription(Int32, NEW, take(received), 10)
-    publisher = plain(graph, 'old').create_publisher(Int32, FORMER, 10)
-    publish_until(graph, publisher, received)
-    assert any('/old' in text and NEW in text for text in listener.warned)
-
-
 def test_between_new_nodes_each_message_arrives_once(graph):
     sender, listener, received = watched(graph, 'sender'), watched(graph, 'listener'), []
     listener.create_subscription(Int32, NEW, take(received), 10)

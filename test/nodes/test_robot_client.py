@@ -6,7 +6,6 @@ import pytest
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-from landmark_nav.cli.status import current
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
@@ -59,42 +58,9 @@ def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(domain_id, monkeyp
         assert node.asked == 1
 
 
-def test_a_service_that_is_not_there_is_not_waited_for_until_its_answer_would_be_late(
-    domain_id, monkeypatch
-):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    monkeypatch.setattr('landmark_nav.ros.robot_client._START_S', 0.2)
-    with (
-        RobotClient(domain_id) as client,
-        pytest.raises(LandmarkNavError, match=f'service count in ROS domain {domain_id}'),
-    ):
-        client.call('count', 240.0)
-
-
 @pytest.mark.parametrize('text', ['500', '-1', 'seven', '1e2', '9' * 400, '0x1'])
 def test_a_domain_that_cannot_be_is_refused(text, monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', text)
     with pytest.raises(LandmarkNavError, match='0 to 232') as refused:
         RobotClient()
     assert len(str(refused.value)) < 100
-
-
-def test_a_timeout_reports_the_last_diagnostics_of_the_nodes(domain_id, monkeypatch):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with (
-        RobotClient(domain_id, lambda: None) as client,
-        pytest.raises(LandmarkNavError, match='for rain; last heard: nothing of any node'),
-    ):
-        client.wait(lambda: False, 0.1, 'rain')
-    with (
-        counting(domain_id) as (_, executor),
-        RobotClient(domain_id, lambda: executor.spin_once(timeout_sec=0.0)) as client,
-    ):
-        client.wait(lambda: 'counter' in client.unheard(), 10.0, 'its publisher')
-        client.wait(lambda: 'counter' in client.status, 10.0, 'its first word')
-        assert 'counter' not in client.unheard()
-        heard = client.status['counter']
-        assert current(heard, heard.heard_s + 1.5) is heard
-        assert current(heard, heard.heard_s + 60.0).level not in ('OK', 'DEGRADED')
-        with pytest.raises(LandmarkNavError, match='for rain; last heard: counter: counting'):
-            client.wait(lambda: False, 0.1, 'rain')

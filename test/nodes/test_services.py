@@ -17,14 +17,13 @@ from std_srvs.srv import Trigger
 from landmark_nav.demo.supervisor import node_command, node_environment
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import encode
 from landmark_nav.nodes.landmark_learner import LandmarkLearnerNode
 from landmark_nav.ros.robot_client import ServiceDiscovery
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import JointSample, LandmarkMap, OdometrySample, Panorama
+from landmark_nav.types import JointSample, LandmarkMap, OdometrySample
 
 
 def small_map():
@@ -71,18 +70,6 @@ def test_one_stamp_that_is_off_costs_the_learner_no_odometry(graph, setup_files)
     assert len(node._unmeasured._odometry) == 1
     with pytest.raises(LandmarkNavError, match='two panoramas from different places, not 0'):
         node._learn()
-
-
-def test_panoramas_without_stamps_do_not_replace_each_other(graph, setup_files):
-    node = graph.make(LandmarkLearnerNode, room_file=setup_files['room_file'])
-    shape = (40, 400)
-    for grey in (10, 20, 20):
-        view = Panorama(
-            0, np.full((*shape, 3), grey, np.uint8), np.ones(shape, np.bool_),
-            Cylinder(400, 40, 64.0, 199.5, 20.0), np.zeros(3), 0.0, 1e-4 * np.eye(4),
-        )  # fmt: skip
-        node._on_panorama(*encode.panorama(ros_factory, view, 'map'))
-    assert len(node._panoramas) == 2
 
 
 @pytest.mark.parametrize(

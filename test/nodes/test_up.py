@@ -104,15 +104,6 @@ def status(environment):
     return printed.splitlines() if code == 0 else []
 
 
-def test_without_nodes_the_domain_is_named(domain_id, monkeypatch, capsys):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    monkeypatch.setattr('landmark_nav.cli.status._NO_NODE_S', 0.5)
-    assert main(['status']) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert str(domain_id) in line
-
-
 @pytest.mark.parametrize(
     'command', [['up'], ['up', '--room', 'room.yaml'], ['drive'], ['call', 'cook']]
 )

@@ -1,6 +1,7 @@
 """Benchmarks with small inputs: their bounds hold, and no kept figure gets worse."""
 
 from dataclasses import replace
+import gzip
 import json
 
 from bad_sweeps import cases, judge
@@ -18,16 +19,9 @@ SEED = 5100
 CAMERA = CameraModel(300, 300, 230.0, 230.0, 149.5, 149.5)
 
 
-@pytest.fixture(scope='module')
-def known():
-    return {case.name: replace(case, camera=CAMERA, frames=16) for case in cases(SEED)}
-
-
-@pytest.mark.parametrize(
-    'name', ['an overexposed window', 'upside down, as given', 'people in most images']
-)
-def test_a_map_is_right_or_the_refusal_clear(known, name, tmp_path):
-    good, reported = judge(known[name], tmp_path, SEED)
+def test_a_map_is_right_where_people_are_in_most_images(tmp_path):
+    (case,) = (case for case in cases(SEED) if case.name == 'people in most images')
+    good, reported = judge(replace(case, camera=CAMERA, frames=16), tmp_path, SEED)
     assert good, reported
 
 
@@ -58,6 +52,14 @@ def test_bench_times_every_stage_beside_a_reference(tmp_path, capsys, monkeypatc
 
 
 def test_bearings_keep_commanded_odometry_on_the_floor(shared_data, tmp_path):
-    report = driven(3, shared_data / 'mrclam', tmp_path)
+    # The first minutes of it.
+    for path in (shared_data / 'mrclam').glob('*.dat*'):
+        text = path.read_bytes()
+        if path.suffix == '.gz':
+            lines = gzip.decompress(text).splitlines(keepends=True)
+            begin = float(next(line for line in lines if line[:1] != b'#').split()[0])
+            text = b''.join(k for k in lines if k[:1] == b'#' or float(k.split()[0]) < begin + 400)
+        (tmp_path / path.name.removesuffix('.gz')).write_bytes(text)
+    report = driven(3, tmp_path, tmp_path)
     assert meets_bounds(report, 3)
     assert report['odometry']['position_rmse_m'] > 5.0 * report['fused']['position_rmse_m']

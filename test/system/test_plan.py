@@ -65,19 +65,6 @@ def test_a_plan_is_written_and_drawn(folder, capsys):
     assert (folder / 'new' / 'plan.png').read_bytes() == drawn
 
 
-def test_another_camera_and_a_room_without_papers_give_other_plans(folder):
-    assert plan(folder, out='a.yaml') == 0
-    assert plan(folder, '--focal', '300', '--size', '640', '480', out='b.yaml') == 0
-    room = load_room(folder / 'room.yaml')
-    (folder / 'room.yaml').write_text(room_document(Room(room.walls)))
-    assert plan(folder, out='c.yaml') == 0
-    first, second, third = (yaml.safe_load((folder / f'{k}.yaml').read_text()) for k in 'abc')
-    camera = {'focal_px': 300.0, 'width': 640, 'height': 480}
-    assert second['camera'] == {**camera, 'pan_rad': [-3.141593, 3.141593]}
-    assert first['predicted'] != second['predicted']
-    assert first['predicted'] != third['predicted']
-
-
 @pytest.mark.parametrize(
     ('options', 'out', 'status', 'message'),
     [

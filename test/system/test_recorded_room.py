@@ -87,14 +87,13 @@ def test_landmarks_lie_where_things_really_hang_or_stand(figures):
     assert min(np.linalg.norm(k.position - centers[target]) for k in landmarks) < 0.02
 
 
-@pytest.mark.parametrize('plan', [True, False], ids=['plan', 'no plan'])
-def test_sigmas_of_sweeps_hold_what_is_unknown_of_the_mount(plan, tmp_path):
+def test_sigmas_of_sweeps_hold_what_is_unknown_of_the_mount(tmp_path):
     mount = load_robot(BAGS / 'robot.yaml')
     (x, y, z), robot = mount.axis_xyz, tmp_path / 'robot.yaml'
     off = replace(mount, axis_xyz=(x + 0.02, y - 0.03, z), axis_rpy=(0.0, 0.0, 0.02))
     save_calibration(Calibration.of_mount(off), robot)
     files = ['--robot', robot, '--out', tmp_path / 'map', '--json', tmp_path / 'learn.json']
-    files += ['--room', BAGS / 'room.yaml'] if plan else ['--paper-size', 0.21, 0.297]
+    files += ['--room', BAGS / 'room.yaml']
     assert main([str(word) for word in ('learn', BAGS / 'learn', *files)]) == 0
     sweeps = json.loads((tmp_path / 'learn.json').read_text())['sweeps']
     assert max(sweep['error_position_m'] for sweep in sweeps) > 0.02
@@ -118,6 +117,8 @@ def test_a_sweep_that_is_read_twice_shows_no_more(monkeypatch):
     given = Calibration.of_mount(replace(mount, camera_roll_rad=0.02))
     bag = Bag(BAGS / 'learn')
     sweep = next(read_sweeps(bag, mount))
+    # A third of the frames still overlap.
+    sweep = replace(sweep, frames=sweep.frames[::3])
     monkeypatch.setattr('landmark_nav.cli.learn.read_sweeps', lambda *_: iter([sweep, sweep]))
     panoramas, _ = panoramas_of_bag(bag, room, given, PanoramaStages(), StageLog())
     first, second = (panorama.calibration for panorama in panoramas)
@@ -140,29 +141,12 @@ def driven(recorded, tmp_path):
     return run
 
 
-def test_joint_states_that_are_stamped_late_are_reported_and_put_right(
-    figures, driven, tmp_path, capsys
-):
-    run = driven(late_drive(Bag(BAGS / 'drive'), tmp_path / 'late', 0.04))
-    delay = run['calibration']['joint_delay']
-    assert delay['value'] == pytest.approx(0.04, abs=0.002)
-    usual = figures[0]['fused_position_rmse_m']
-    assert run['fused']['position_rmse_m'] < 1.3 * usual + 1e-3
-    assert 'joint_delay' in capsys.readouterr().out
-
-
 def test_joint_states_that_become_late_are_not_put_right_from_the_start(driven, tmp_path):
     """What is measured in the end is wrong before."""
     run = driven(late_drive(Bag(BAGS / 'drive'), tmp_path / 'late', 0.2, 6.0))
     assert run['calibration']['joint_delay']['value'] == pytest.approx(0.2, abs=0.005)
     assert run['silently_wrong'] == 0
     assert run['nees']['mean'] < run['nees']['interval_95'][1]
-
-
-def test_images_are_drawn(figures):
-    for name in ('map/map.png', 'map/panorama_1.png', 'map/panorama_2.png'):
-        assert (figures[1] / name).stat().st_size > 10_000
-    assert (figures[1] / 'run.html').stat().st_size > 100_000
 
 
 def test_a_camera_that_was_displaced_while_switched_off_finds_its_place(driven, tmp_path):
@@ -182,18 +166,15 @@ def test_what_a_starved_machine_loses_is_in_the_covariance(driven, tmp_path):
     assert run['availability'] > 0.9
 
 
-@pytest.mark.parametrize('start', [True, False])
-def test_the_estimator_is_as_good_where_the_mount_is_exact(driven, start):
-    run = driven(known=Calibration.exact(load_robot(BAGS / 'robot.yaml')), start=start)
-    assert (run['found'] is None) == start
+def test_the_estimator_is_as_good_where_the_mount_is_exact(driven):
+    run = driven(known=Calibration.exact(load_robot(BAGS / 'robot.yaml')))
     assert run['integrity']['undetected_wrong'] == 0
     assert run['fused']['position_median_m'] < 0.01
-    if start:
-        bounds = json.loads((BAGS / 'expected.json').read_text())
-        assert run['fused']['position_rmse_m'] < bounds['fused_position_rmse_m']['most']
-        assert run['fused']['heading_rmse_deg'] < bounds['fused_heading_rmse_deg']['most']
-        assert run['availability'] == 1.0
-        assert run['integrity']['coverage_99'] > 0.97
+    bounds = json.loads((BAGS / 'expected.json').read_text())
+    assert run['fused']['position_rmse_m'] < bounds['fused_position_rmse_m']['most']
+    assert run['fused']['heading_rmse_deg'] < bounds['fused_heading_rmse_deg']['most']
+    assert run['availability'] == 1.0
+    assert run['integrity']['coverage_99'] > 0.97
 
 
 @pytest.mark.parametrize(
@@ -201,7 +182,6 @@ def test_the_estimator_is_as_good_where_the_mount_is_exact(driven, start):
     [
         {'axis_yaw': 0.0122},
         {'center_x': 0.03, 'center_y': 0.01},
-        {'axis_x': 0.03},
         {'axis_pitch': 0.014, 'camera_roll': 0.014, 'axis_z': 0.03},
     ],
 )

@@ -39,18 +39,9 @@ def driven(study, learned, folder, mount, more=''):
     return report
 
 
-def test_a_mount_that_is_known(study, learned, tmp_path):
-    exact = f'{MOUNT}\n  xyz_sigma: 0.0001\n  rpy_sigma: 0.0001'
-    others = 'optical_center_offset_sigma: 0.0001\ncamera_roll_sigma: 0.0001\n'
-    report = driven(study, learned, tmp_path, exact, others)
-    assert report['fused']['position_rmse_m'] <= 0.01
-    assert report['fused']['heading_rmse_deg'] <= 0.15
-
-
-@pytest.mark.parametrize('off_rad', [0.0, 0.0122])
-def test_a_drive_shows_the_pan_zero_of_a_mount_without_sigmas(study, learned, tmp_path, off_rad):
-    # Reached: 0.15 and 0.14 degrees over all of the drive, the first images included.
-    mount = MOUNT.replace('rpy: [0.0, 0.0, 0.0]', f'rpy: [0.0, 0.0, {off_rad}]')
+def test_a_drive_shows_the_pan_zero_of_a_mount_without_sigmas(study, learned, tmp_path):
+    # Reached: 0.14 degrees over all of the drive, the first images included.
+    mount = MOUNT.replace('rpy: [0.0, 0.0, 0.0]', 'rpy: [0.0, 0.0, 0.0122]')
     report = driven(study, learned, tmp_path, mount)
     assert report['fused']['heading_rmse_deg'] <= 0.2
     assert report['fused']['position_rmse_m'] <= 0.015

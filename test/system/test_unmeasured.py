@@ -5,13 +5,13 @@ import json
 from harness import BAGS, evaluate, start_of
 import numpy as np
 import pytest
-from unmeasured import moved, with_odometry
+from unmeasured import with_odometry
 
 from landmark_nav.cli.main import main
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.geometry import se2
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.setup_files import load_room, room_text
+from landmark_nav.storage.setup_files import load_room
 
 pytestmark = pytest.mark.usefixtures('undrawn')
 ROBOT = str(BAGS / 'robot.yaml')
@@ -67,19 +67,6 @@ def test_the_map_serves_a_drive(learned, tmp_path):
     assert run['fused_after_scale']['position_rmse_m'] < 0.012
     assert run['fused']['position_rmse_m'] > run['fused_after_scale']['position_rmse_m']
     assert run['availability'] > 0.9
-
-
-def test_walls_that_are_off_are_found_and_written(tmp_path):
-    true = load_room(BAGS / 'room.yaml')
-    off = moved(true, np.random.default_rng(1))
-    (tmp_path / 'off.yaml').write_text(room_text(off))
-    words = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--room', str(tmp_path / 'off.yaml')]
-    words += ['--out', str(tmp_path / 'map'), '--walls-out', str(tmp_path / 'found.yaml')]
-    assert main(words) == 0
-    for wall, found in zip(true.walls, load_room(tmp_path / 'found.yaml').walls, strict=True):
-        middle = np.mean([found.start, found.end], 0)
-        assert found.sigma_m is not None
-        assert abs((middle - wall.start) @ wall.normal[:2]) < min(0.03, 3.0 * found.sigma_m)
 
 
 def test_papers_at_unknown_places_give_the_scale(tmp_path):

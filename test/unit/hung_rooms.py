@@ -20,8 +20,6 @@ ROOM = rectangle_room(6.0, 5.0)
 
 CONFIG = AdjustmentConfig()
 COMMON = CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma
-# Sigmas are what they are said to be: nothing of them is estimated.
-AS_EXPECTED = AdjustmentConfig(camera_weight=1e9, place_weight=1e9, room_weight=1e9)
 # x, y, z, heading: one at the seam of angles.
 POSES = np.array([[2.1, 1.9, 1.1, 3.12], [3.9, 2.8, 1.1, -1.4]])
 
@@ -125,10 +123,6 @@ def given_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> 
     error[:, 2] = np.sqrt(0.9) * rng.normal(0.0, np.sqrt(PRIOR[2, 2]))
     error[:, 2] += np.sqrt(0.1) * rng.normal(0.0, np.sqrt(PRIOR[2, 2]), count)
     return world.poses + factor * error
-
-
-def draw(rng: np.random.Generator, world: World) -> Adjustment:
-    return solve(world, measurements_of(world, rng), given_poses(world, rng))
 
 
 def total_covariance(found: Adjustment) -> FloatArray:

@@ -11,7 +11,7 @@ from test_maps import make_map
 from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.storage.atomic_io import atomic_folder, check_writable, write_atomically
-from landmark_nav.storage.maps import load_map, save_map
+from landmark_nav.storage.maps import save_map
 
 
 @pytest.fixture
@@ -162,30 +162,6 @@ def test_an_open_file_of_the_process_is_written_in_its_order(stream, tmp_path):
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, cwd=tmp_path)
     assert done.stdout == b'one\ntwo\nthree\n', done.stderr
     assert (tmp_path / 'link').is_symlink()
-
-
-def test_names_that_the_locale_lacks_are_written_and_printed(tmp_path):
-    """A map in a folder of Latin letters, where the locale knows ASCII alone."""
-    code = (
-        'import sys\n'
-        'from test_maps import make_map\n'
-        'from landmark_nav.storage.maps import save_map\n'
-        'from landmark_nav.cli.main import main\n'
-        'for folder in sys.argv[1:]:\n'
-        '    save_map(make_map(), folder)\n'
-        "    assert main(['map', 'migrate', folder]) == 0\n"
-    )
-    ascii_alone = {'LC_ALL': 'C', 'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0'}
-    folders = [os.fsencode(tmp_path) + b'/' + name for name in ('m\u00e4p'.encode(), b'm\xe4p')]
-    done = subprocess.run(
-        [sys.executable, '-c', code, *folders],
-        env={**os.environ, **ascii_alone},
-        cwd=Path(__file__).parent,
-        capture_output=True,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count(b'landmarks, schema version') == 2
-    assert [len(load_map(os.fsdecode(folder)).landmarks) for folder in folders] == [3, 3]
 
 
 def test_a_full_disk_is_one_line(tmp_path):

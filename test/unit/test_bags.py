@@ -286,30 +286,6 @@ def test_missing_ambiguous_and_wrong_topics_are_reported(tmp_path):
         bag.find('joint_states')
 
 
-@pytest.mark.parametrize(
-    'options',
-    [
-        {'repeat_channels': False, 'repeat_schemas': False},
-        {'repeat_channels': False},
-        {'repeat_schemas': False},
-        {'use_statistics': False},
-        {'repeat_channels': False, 'use_chunking': False},
-    ],
-)
-def test_what_a_summary_may_leave_out_is_found_in_the_file(tmp_path, options):
-    path = tmp_path / 'bare.mcap'
-    with foreign_bag(path, **options) as add:
-        add('/text', TEXT, 'cdr', [HI] * 7)
-    warnings = []
-    bag = Bag(path, warnings.append)
-    assert bag.types == {'/text': 'std_msgs/msg/String'}
-    assert bag.counts == {'/text': 7}
-    assert bag.duration_s == pytest.approx(6e-9)
-    assert [entry.message.data for entry in bag.messages(['/text'])] == ['hi'] * 7
-    assert bag.complete
-    assert warnings == []
-
-
 def changed(content, at, size, value):
     return content[:at] + bytes([value]) * size + content[at + size :]
 
@@ -344,22 +320,6 @@ def test_a_damaged_chunk_is_left_out_and_reported(tmp_path, damage, compression,
     assert stamps == known or (not indexed and stamps == whole_to_the_break)
     assert 1 <= len(warnings) <= (1 if indexed else 2)
     assert all('damaged' in line and len(line) - len(str(path)) < 200 for line in warnings)
-
-
-@pytest.mark.parametrize('compression', CompressionType)
-def test_a_chunk_that_is_cut_off_is_read_to_there_if_it_is_not_compressed(tmp_path, compression):
-    path = tmp_path / 'cut.mcap'
-    with foreign_bag(path, compression=compression, chunk_size=400) as add:
-        add('/text', TEXT, 'cdr', [HI] * 100)
-    with path.open('rb') as stream:
-        chunk = make_reader(stream).get_summary().chunk_indexes[1]
-    middle = chunk.chunk_start_offset + chunk.chunk_length // 2
-    path.write_bytes(path.read_bytes()[:middle])
-    bag = Bag(path, [].append)
-    last = [entry.stamp_ns for entry in bag.messages()][-1]
-    assert not bag.complete
-    assert (last >= chunk.message_start_time) == (compression is CompressionType.NONE)
-    assert last < chunk.message_end_time
 
 
 def _in(chunk, stamp):

@@ -120,36 +120,10 @@ def test_furniture_makes_a_map_of_a_room_with_bare_walls():
     check(result, furniture())
 
 
-def test_what_a_mirror_shows_is_a_place_behind_it():
-    """An opening shows a second room, as a mirror does: it is seen through the wall."""
-    behind = tuple(board((3.6 + 0.2 * k, -1.2 + 0.8 * k, 1.2), 60 + k) for k in range(3))
-    bare = walls()
-    scene = Scene((bare[0], *bare[2:], *furniture(), *behind))
-    result = learned([scene, scene])
-    check(result, (*furniture(), *behind))
-
-
-def test_what_a_window_shows_far_away_is_no_landmark():
-    rng = np.random.default_rng(5)
-    texture = smooth_texture(rng, 80.0, 12.0, 1.0)
-    far = Board(np.array([40.0, 0.0, 1.5]), np.array([-1.0, 0.0, 0.0]), 80.0, 12.0, texture)
-    bare = walls()
-    scene = Scene((bare[0], *bare[2:], *furniture(), far))
-    result = learned([scene, scene])
-    check(result, furniture())
-
-
 @pytest.mark.parametrize('count', [6, 14])
 def test_posters_that_repeat_make_a_right_map_or_none(count):
     boards = furniture(count, alike=True)
     scene = Scene((*walls(), *boards))
-    assert '\n' not in learned_or_refused(scene, boards)
-
-
-@pytest.mark.parametrize('ends', [False, True])
-def test_a_corridor_with_bare_walls_makes_a_right_map_or_none(ends):
-    boards = (board((4.5, 0.2, 1.2), 81, 1.2), board((-2.5, 0.1, 1.2), 82, 1.2)) if ends else ()
-    scene = Scene((*walls(12.0, 4.6)[::2], *boards))
     assert '\n' not in learned_or_refused(scene, boards)
 
 

@@ -1,10 +1,14 @@
 """A file of runs becomes stages, each done once; two tables are compared run by run."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from landmark_nav.batch.jobs import read_runs
+from landmark_nav.batch.jobs import Outcome, read_runs
 from landmark_nav.batch.results import compare, read_table
+from landmark_nav.cli import batch
+from landmark_nav.cli.main import main
 from landmark_nav.configuration import load_configuration
 from landmark_nav.errors import LandmarkNavError
 
@@ -70,6 +74,14 @@ def test_parameters_of_a_grid_and_contents_of_files_make_a_stage(recordings):
         'runs: [{learn: {bag: /, robot: nothing}}]',
         'runs: [{folder: rooms/**/*, simulate: {}}]',
         'runs: [{simulate: {config: [1]}}]',
+        'runs: [{simulate: {config: nowhere.yaml}}]',
+        'runs: [{simulate: {seed: 1}, reasoning: quick}]',
+        'runs: [{simulate: 3}]',
+        'runs: [3]',
+        'runs: [{simulate: {}}]\ngrid: 3',
+        'runs: [{simulate: {seed: 1}}]\ngrid: {simulate.seed.x: [1]}',
+        'runs: [{folder: nowhere, simulate: {}}]',
+        "runs: [{simulate: {room: ''}}]",
         'runs: [{learn: {bag: , robot: robot.yaml}}]',
         f'runs: [{{simulate: {{}}}}]\ngrid: {HUGE_GRID}',
     ],
@@ -111,3 +123,27 @@ def test_only_a_change_beyond_its_interval_is_worse():
 def test_one_run_that_fails_now_is_worse():
     failures, *_ = compare(table([0.01], 'no place found'), table([0.01]))
     assert failures.worse
+
+
+def test_a_batch_prints_what_failed_and_what_got_worse(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path('jobs.yaml').write_text('runs: [{simulate: {}}]\ngrid: {simulate.seed: [1, 2]}')
+    command = ['batch', 'jobs.yaml', '--out']
+
+    def ended(*reasons):
+        monkeypatch.setattr(
+            batch, 'run_all', lambda runs, *_: zip(runs, map(Outcome, reasons), strict=True)
+        )
+
+    ended('', '')
+    assert main([*command, 'before']) == 0
+    ended('', 'no place <found>')
+    assert main([*command, 'now', '--against', 'before']) == 1
+    printed = capsys.readouterr().out
+    assert 'seed=2: failed: no place <found>' in printed
+    assert 'worse' in printed
+    assert '1 of 2 runs done' in printed
+    assert 'no place &lt;found&gt;' in Path('now/index.html').read_text()
+    assert main([*command, 'now', '--scheduler', 'nowhere']) == 2
+    Path('jobs.yaml').write_text('runs: [{simulate: {sede: 1}}]')
+    assert main([*command, 'now']) == 2

@@ -99,20 +99,6 @@ def test_a_reader_that_leaves_is_no_error():
         process.wait(timeout=20)
 
 
-def test_help_loads_nothing_heavy():
-    code = (
-        'import sys\n'
-        'from landmark_nav.cli.main import main\n'
-        'main(["--help"])\n'
-        'heavy = {"numpy", "cv2", "scipy", "matplotlib", "rosbags", "rclpy"} & set(sys.modules)\n'
-        'sys.exit(f"loaded {heavy}" if heavy else 0)\n'
-    )
-    result = subprocess.run(
-        [sys.executable, '-c', code], capture_output=True, text=True, timeout=20
-    )
-    assert result.returncode == 0, result.stderr
-
-
 @pytest.mark.parametrize(
     ('arguments', 'complaint'),
     [
@@ -164,27 +150,6 @@ def test_a_shell_completes_commands_and_options(line, offered, tmp_path):
     command = [sys.executable, '-m', 'landmark_nav']
     subprocess.run(command, env=environment, timeout=120, check=False)
     assert offered in (tmp_path / 'offered').read_text()
-
-
-@pytest.mark.parametrize(
-    ('typed', 'velocity'),
-    [
-        ('w', (0.2, 0.0)),
-        ('s', (-0.2, 0.0)),
-        ('a', (0.0, 0.5)),
-        ('\x1b[A', (0.2, 0.0)),
-        ('\x1b[C', (0.0, -0.5)),
-        ('q', (0.2, 0.5)),
-        ('w ', (0.0, 0.0)),
-        ('W', (0.2, 0.0)),
-        ('+w', (0.25, 0.0)),
-        ('\x00\udcff\x1b', (0.0, 0.0)),
-    ],
-)
-def test_a_key_moves_the_robot(typed, velocity):
-    keys = Keys(0.2, 0.5)
-    keys.press(typed, 10.0)
-    assert keys.velocity(10.1) == pytest.approx(velocity)
 
 
 def test_the_robot_stops_without_keys():

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
 
-from landmark_nav.cli import learn
-from landmark_nav.cli.main import main
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.parameters import Config, leaves, parameter
+from landmark_nav.parameters import leaves
 from landmark_nav.storage.robot_files import flat, shipped_config
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
@@ -64,11 +60,6 @@ def test_what_is_named_changes_and_all_else_stays(tmp_path):
 @pytest.mark.parametrize('text', ['', '# estimator: 1\n', for_all(''), for_all('estimator: {}')])
 def test_where_nothing_is_named_nothing_changes(tmp_path, text):
     assert load(tmp_path, text) == PLAIN
-
-
-def test_parameters_of_ros_itself_are_passed_over(tmp_path):
-    given = 'use_sim_time: true, qos_overrides: {/odom: {subscription: {depth: 1}}}'
-    assert load(tmp_path, for_all(given)) == PLAIN
 
 
 def test_a_file_for_other_nodes_alone_is_reported(tmp_path, caplog):
@@ -126,63 +117,3 @@ def test_facts_of_the_robot_still_come_from_where_they_were(tmp_path, name, fact
 def test_what_cannot_be_is_named(tmp_path, text, complaint):
     with pytest.raises(LandmarkNavError, match=rf'config\.yaml.*{complaint}'):
         load(tmp_path, text)
-
-
-def test_learn_takes_parameters_of_all_its_stages(tmp_path, monkeypatch, capsys):
-    met: list[Any] = []
-
-    def panorama_from_sweep(*arguments):
-        met.append(arguments[3])
-        return SimpleNamespace(calibration=None)
-
-    def learn_from_panoramas(panoramas, room, config, log):
-        met.append(config)
-        raise LandmarkNavError('enough')
-
-    monkeypatch.setattr('landmark_nav.diagnosis.looks.camera_error_of', lambda *_: None)
-    monkeypatch.setattr(learn, 'panorama_from_sweep', panorama_from_sweep)
-    monkeypatch.setattr(learn, 'learn_from_panoramas', learn_from_panoramas)
-    path = tmp_path / 'learn.yaml'
-    path.write_text(for_all('attention: {candidates: 50}, election: {max_count: 9}'))
-    files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(ROBOT), '--config', str(path)]
-    words = ['learn', str(BAGS / 'learn'), *files, '--out', str(tmp_path / 'map')]
-    assert main(words) == 1
-    assert 'enough' in capsys.readouterr().err
-    assert len(met) == 3
-    for config in met:
-        assert (config.attention.candidates, config.election.max_count) == (50, 9)
-        assert config.stereo == PLAIN.stereo
-    path.write_text(for_all('attention: {candidates: 0}'))
-    assert main(words) == 1
-    assert str(path) in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ['learn.yaml']
-
-
-@dataclass(frozen=True)
-class Sample(Config):
-    ratio: float = parameter(0.5, 'A share', minimum=0.0, maximum=1.0)
-    count: int = parameter(3, 'How many', minimum=1)
-    turn_rad: float = parameter(0.5, 'An angle', minimum=-3.2, maximum=3.2)
-    mode: str = parameter('fast', 'What to do', choices=('fast', 'good'))
-    active: bool = parameter(True, 'Whether at all')
-
-
-def test_bounds_belong_to_the_range():
-    assert Sample(ratio=0.0, count=1, mode='good', active=False).ratio == 0.0
-    assert Sample(ratio=1.0, count=10**9).count == 10**9
-
-
-@pytest.mark.parametrize(
-    ('values', 'message'),
-    [
-        ({'ratio': 1.01}, 'parameter ratio of Sample is 1.01: take 0 to 1'),
-        ({'ratio': float('nan')}, 'parameter ratio of Sample is nan: take a number'),
-        ({'turn_rad': 90.0}, r'turn_rad of Sample is 90: take -3\.2 to 3\.2; it is in radians'),
-        ({'count': -(10**40)}, r'count of Sample is -1e\+40: take 1 to any'),
-        ({'count': 0}, 'parameter count of Sample is 0: take 1 to any'),
-        ({'mode': 'slow'}, "parameter mode of Sample is 'slow': take one of fast, good"),
-    ],
-)
-def test_what_is_outside_is_named(values, message):
-    with pytest.raises(LandmarkNavError, match=message):
-        Sample(**values)

@@ -14,10 +14,8 @@ from landmark_nav.localization.estimator import (
     EstimatorConfig,
     filter,
     ImagePoints,
-    Integrity,
     JointFilter,
     protection_level,
-    Status,
 )
 from landmark_nav.localization.estimator.factors import CALIBRATION, DELAY, moved, project, STATES
 from landmark_nav.localization.estimator.timeline import Timeline
@@ -127,14 +125,6 @@ def test_recovers_the_pose_without_noise():
     assert np.abs(run.errors[fixed][3:]).max() < 1e-6
 
 
-def test_what_is_exact_never_changes():
-    exactly = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 0.0))
-    run = driven(simulated(2, seconds=8.0), prior=exactly)
-    assert (run.filter.calibration.values == exactly.values).all()
-    assert not run.filter.calibration.covariance.any()
-    assert run.filter.contradiction[1] < 4.0
-
-
 @pytest.mark.parametrize(
     ('name', 'error'),
     [('axis_x', 0.08), ('center_y', 0.01), ('camera_roll', 0.01), ('focal_scale', 0.01)],
@@ -192,13 +182,6 @@ def test_an_error_of_the_mount_is_found(name, error, within):
     assert np.sqrt(np.mean(np.sum(run.errors[80:, :2] ** 2, axis=1))) < 0.03
 
 
-def test_the_height_of_the_camera_is_found_though_not_on_which_side_of_the_joint():
-    true = TAPE.with_values(axis_z=1.13)
-    found = driven(simulated(8, TAPE, true)).filter.calibration
-    assert found['axis_z'][0] + found['center_z'][0] == pytest.approx(1.13, abs=0.005)
-    assert {'axis_z', 'center_z'} <= set(found.unobserved(TAPE)) | {'axis_z'}
-
-
 def test_a_robot_that_stands_does_not_learn_its_pan_zero():
     drive = simulated(3, TAPE, TAPE.with_values(axis_yaw=0.012), seconds=16.0)
     still = Motion(np.zeros(3), 0.05)
@@ -212,42 +195,10 @@ def test_a_robot_that_stands_does_not_learn_its_pan_zero():
     assert run.nees.max() < 16.0
 
 
-@pytest.mark.parametrize('seed', [0, 2, 3])
-def test_noise_is_learned_where_a_robot_stands_and_a_landmark_moves(seed):
-    drive, rng = simulated(seed, TAPE, seconds=8.0), np.random.default_rng(seed)
-    drive.start = replace(drive.start, pose=drive.poses[0])
-    seen = next(event for event in drive.events if isinstance(event, ImagePoints) and len(event))
-    still, drive.events, drive.poses = Motion(np.zeros(3), 0.1), [], drive.poses[:1] * 400
-    for k in range(400):
-        off = 0.01 * rng.normal(size=(len(seen), 2)) * (k % 60 >= 40)
-        drive.events += [still, replace(seen, points=seen.points + off)]
-    joint = driven(drive).filter
-    assert np.linalg.eigvalsh(joint.snapshot.scales.covariance)[0] > 0.0
-    assert least_by_no_noise(joint) > -1e-6
-
-
-@pytest.mark.parametrize('seed', range(2))
-def test_noise_of_a_filter_that_goes_on_elsewhere_is_part_of_its_covariance(seed):
-    joint = driven(simulated(seed, TAPE, seconds=8.0)).filter
-    assert least_by_no_noise(joint) > -1e-6
-    place = PoseEstimate(joint.estimate.stamp_ns, np.ones(3), 1e-6 * np.eye(3))
-    for rate in (None, 0.0, 1.0):
-        assert least_by_no_noise(joint.placed(place, rate)) > -1e-6
-
-
-def least_by_no_noise(joint):
-    """Least part of a covariance, in sigmas, that noise does not cause."""
-    snapshot = joint.snapshot
-    left = snapshot.covariance[:STATES, :STATES] - snapshot.by_noise.sum(axis=0)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(snapshot.covariance)[:STATES], 1e-20))
-    return np.linalg.eigvalsh(scale[:, None] * left * scale)[0]
-
-
-@pytest.mark.parametrize('share', [0.15, 0.3])
-def test_outliers_cost_little(share):
+def test_outliers_cost_little():
     clean, degraded = (
         [driven(simulated(seed, outliers=part, seconds=24.0)) for seed in range(4)]
-        for part in (0.0, share)
+        for part in (0.0, 0.3)
     )
 
     def rms(runs):
@@ -256,23 +207,6 @@ def test_outliers_cost_little(share):
 
     assert rms(degraded) < 2.0 * rms(clean)
     assert np.mean([run.nees.mean() for run in degraded]) < 6.0
-
-
-@pytest.mark.parametrize('seed', [1, 2, 3, 4])
-def test_a_wrong_match_leaves_an_unknown_pose_to_the_others(seed):
-    drive = simulated(seed, seconds=6.0)
-    images = [event for event in drive.events if isinstance(event, ImagePoints)]
-    at = next(k for k, seen in enumerate(images) if len(seen) >= 4)
-    few = images[at].chosen(np.arange(len(images[at])) < 4)
-    few, first = replace(few, near=drive.poses[at]), np.arange(4) == 0
-    wrong = replace(few, points=few.points + 0.06 * first[:, None])
-    unknown = PoseEstimate(0, drive.poses[at] + [0.2, -0.2, 0.1], np.diag([1.0, 1.0, 0.3]))
-    poses = []
-    for seen in (wrong, few.chosen(~first)):
-        joint = JointFilter(drive.landmark_map, drive.prior, unknown)
-        joint.observe(seen)
-        poses.append(joint.estimate.pose)
-    assert poses[0] == pytest.approx(poses[1], abs=5e-3)
 
 
 def displaced(rad, at):
@@ -292,25 +226,8 @@ def test_a_knock_of_the_camera_is_noticed_at_once():
     assert np.hypot(*run.errors[60:, :2].T).max() < 0.05
 
 
-@pytest.mark.parametrize('seed', range(6))
-def test_a_misplaced_landmark_is_no_knock(seed):
-    drive = simulated(seed, seconds=24.0)
-    seen_most = np.bincount(
-        np.concatenate([e.columns for e in drive.events if isinstance(e, ImagePoints)])
-    ).argmax()
-
-    def change(_, seen):
-        off = 0.03 * (seen.columns == seen_most)
-        return replace(seen, points=seen.points + off[:, None])
-
-    run = driven(drive, changed=change)
-    assert not any(update.stepped for update in run.updates)
-    assert (run.nees < 31.8).all()
-
-
-@pytest.mark.parametrize('way_m', [0.2, 0.3])
 @pytest.mark.parametrize('seed', range(8))
-def test_an_object_moved_since_learning_alone_in_an_image_is_no_knock(seed, way_m):
+def test_an_object_moved_since_learning_alone_in_an_image_is_no_knock(seed):
     drive, known, alone = simulated(seed, seconds=24.0), set(), []
 
     def change(k, seen):
@@ -322,7 +239,7 @@ def test_an_object_moved_since_learning_alone_in_an_image_is_no_knock(seed, way_
         to = drive.landmark_map.positions[seen.columns, :2] - drive.poses[k - 1][:2]
         # Along the line of sight a motion looks like an error of the pose that the prior allows.
         ahead = to[new].mean(axis=0)
-        motion = way_m * np.array([-ahead[1], ahead[0]]) / np.hypot(*ahead)
+        motion = 0.3 * np.array([-ahead[1], ahead[0]]) / np.hypot(*ahead)
         left = np.arctan2(*(to + motion).T[::-1]) - np.arctan2(*to.T[::-1])
         to_right = np.stack([-wrap_rad(left), np.zeros(len(left))], axis=1)
         return replace(seen, points=seen.points + to_right).chosen(new)
@@ -400,14 +317,6 @@ def test_what_is_no_measurement_changes_nothing(change):
     assert (run.filter.snapshot.covariance == before.covariance).all()
 
 
-def test_blind_motion_widens_the_pose():
-    drive = simulated(6, seconds=4.0)
-    joint = driven(drive).filter
-    before = np.trace(joint.estimate.covariance[:2, :2])
-    joint.move(5 * NS, Motion(np.zeros(3), 1.0, blind_seconds=1.0))
-    assert np.trace(joint.estimate.covariance[:2, :2]) > before + 0.2
-
-
 def test_the_noise_of_the_wheels_is_learned():
     quiet = OdometryNoiseConfig().scaled(3.0, 3.0, 3.0)
     factors = driven(simulated(9), odometry=quiet).filter.noise_factors
@@ -445,17 +354,6 @@ def test_late_images_and_odometry_give_the_same_as_in_order():
         found = run([*on_time, *arrivals])
         assert found.pose == pytest.approx(expected.pose, abs=1e-9)
         assert found.covariance == pytest.approx(expected.covariance, abs=1e-12)
-
-
-def test_an_image_that_comes_too_late_is_refused():
-    drive = simulated(10, seconds=6.0)
-    odometry = OdometryNoiseConfig()
-    joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
-    line = Timeline(joint, OdometryTrack(odometry), window_s=1.0)
-    images = [event for event in drive.events if isinstance(event, ImagePoints)]
-    for seen in images[1:]:
-        line.add_image(seen)
-    assert isinstance(line.add_image(images[0]), Refusal)
 
 
 def test_the_protection_level_holds():
@@ -498,40 +396,6 @@ def test_a_pose_that_the_camera_found_is_off_by_what_the_mount_is_off_by():
         squares.append(error @ np.linalg.solve(covariance, error))
     # The pose has no errors of its own: three numbers are drawn.
     assert 2.5 < np.mean(squares) < 3.6
-
-
-@pytest.mark.parametrize('gap_s', [0.5, 1.5, 4.0])
-def test_odometry_that_stops_and_comes_back_does_no_harm(gap_s):
-    drive = simulated(12, seconds=14.0)
-    odometry, begin = OdometryNoiseConfig(), round(6.0 * NS)
-    joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
-    line = Timeline(joint, OdometryTrack(odometry), window_s=1.0)
-    stamp, pose, image = 0, np.zeros(3), 0
-    line.add_odometry(OdometrySample(0, pose))
-    for event in drive.events:
-        if isinstance(event, Motion):
-            stamp += round(event.seconds * NS)
-            pose = compose(pose, event.increment)
-            if not begin < stamp < begin + round(gap_s * NS):
-                forward, _, turn = (event.increment / event.seconds).tolist()
-                line.add_odometry(OdometrySample(stamp, pose, forward, turn))
-            continue
-        update = line.add_image(event)
-        assert not isinstance(update, Refusal)
-        assert not update.stepped
-        found = line.estimate(event.stamp_ns)
-        error = found.pose - drive.poses[image]
-        assert error @ np.linalg.solve(found.covariance, error) < 31.8
-        image += 1
-    assert np.hypot(*error[:2]) < 0.02
-
-
-def test_an_image_without_what_should_be_seen_degrades_at_once():
-    integrity, good = Integrity(), PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
-    update = driven(simulated(5, seconds=4.0)).updates[-1]
-    for missed, status in ((0, Status.OK), (0, Status.OK), (8, Status.DEGRADED), (0, Status.OK)):
-        integrity.add(0, None if missed else update, missed)
-        assert integrity.status(good)[0] is status
 
 
 def test_errors_of_landmarks_are_bounded_in_number_and_stay_consistent(monkeypatch):

@@ -11,9 +11,9 @@ from wire import FACTORY, over_the_wire
 
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, LENS, NAMES
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import PanTrack, wrap_rad
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.localization.estimator import JointFilter, Status
+from landmark_nav.localization.estimator import Status
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.localization.triplet.look_around import is_known
@@ -108,50 +108,6 @@ def test_messages_lose_nothing():
     assert (speeds.linear_m_s, speeds.angular_rad_s) == (0.3, -0.2)
 
 
-@pytest.mark.parametrize('seconds', [3600, 1_000_000, 1_700_000_000])
-def test_a_clock_that_is_set_forward_costs_a_bounded_time(monkeypatch, seconds):
-    drive = simulated(3, seconds=2.0)
-    fusion = fused(drive)
-    for what in arriving(drive):
-        take(fusion, what)
-    moves: list[int] = []
-    move = JointFilter.move
-    monkeypatch.setattr(
-        JointFilter, 'move', lambda self, stamp, by: (moves.append(stamp), move(self, stamp, by))
-    )
-    for k in range(100):
-        fusion.add_odometry(OdometrySample(seconds * NS + k * NS // 20, np.zeros(3)))
-    estimate = fusion.estimate()
-    assert estimate is not None
-    assert len(moves) < 10_000
-    assert np.isfinite(estimate.covariance).all()
-    assert fusion.status_at()[0] is Status.LOST
-
-
-def test_a_kidnapped_robot_is_reported_lost():
-    drive, rng = simulated(11, seconds=24.0), np.random.default_rng(0)
-    fusion, images = fused(drive), 0
-    for what in arriving(drive):
-        if not isinstance(what, OdometrySample):
-            images += 1
-            if images > 60:
-                points = rng.uniform(-0.4, 0.4, what[0].points.shape)
-                what = replace(what[0], points=points), what[1]
-        take(fusion, what)
-        estimate = fusion.estimate()
-        assert estimate is not None
-        assert is_known(estimate) is (fusion.status_at()[0] is not Status.LOST)
-    assert fusion.status_at()[0] is Status.LOST
-    level = fusion.level(estimate)
-    assert level.position_m > 2.0
-    expected = fusion.expectation(estimate.stamp_ns)
-    assert expected is not None
-    # It goes on looking where it was: if that shows again, it knows.
-    assert np.trace(expected.covariance[:2, :2]) < 0.1
-    fusion.place(replace(estimate, covariance=1e-4 * np.eye(3)))
-    assert fusion.status_at()[0] is not Status.LOST
-
-
 def test_a_wrong_start_teaches_nothing():
     drive = simulated(4, seconds=20.0, prior=Calibration.of_mount(MOUNT))
     fusion, right = fused(drive), fused(drive)
@@ -175,23 +131,6 @@ def test_a_wrong_start_teaches_nothing():
     assert np.abs(error(fusion, drive)[:2]).max() < 0.03
 
 
-@pytest.mark.parametrize('aside_m', [0.0, 0.1, 1.0])
-def test_a_wrong_start_is_lost_for_good_and_its_calibration_forgotten(aside_m):
-    drive = simulated(6, seconds=4.0, prior=Calibration.of_mount(MOUNT))
-    fusion = fused(drive)
-    off = drive.poses[0] + [aside_m, 0.0, 0.0]
-    fusion.initialize(PoseEstimate(0, off, np.diag(np.square([0.05, 0.05, 0.035]))))
-    given = fusion.calibration
-    for what in arriving(drive):
-        take(fusion, what)
-    wrong = aside_m > 0.5
-    assert (fusion.status_at()[0] is Status.LOST) is wrong
-    learned = not np.array_equal(fusion.calibration.values, given.values)
-    assert learned is not wrong
-    fusion.place(drive.start)
-    assert fusion.status_at()[0] is not Status.LOST
-
-
 def test_what_a_map_was_learned_with_is_the_prior():
     drive = simulated(4, seconds=2.0, prior=Calibration.of_mount(MOUNT))
     found = Calibration(drive.prior.values + 1e-3, 1e-4 * drive.prior.covariance)
@@ -207,35 +146,6 @@ def test_what_a_map_was_learned_with_is_the_prior():
     other = Fusion(LandmarkMap(()), drive.prior.with_values(axis_x=0.5))
     other.change_map(landmarks)
     assert other.calibration['axis_x'][0] == 0.5
-
-
-def test_another_map_leaves_the_pose_and_what_was_learned():
-    drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
-    fusion, arrivals = fused(drive), list(arriving(drive))
-    for what in arrivals[:150]:
-        take(fusion, what)
-    before, learned = fusion.estimate(), fusion.calibration
-    fusion.change_map(LandmarkMap(drive.landmark_map.landmarks[::2]))
-    after = fusion.estimate()
-    assert before is not None
-    assert after is not None
-    assert after.pose == pytest.approx(before.pose)
-    assert after.covariance == pytest.approx(before.covariance)
-    assert fusion.calibration.sigmas == pytest.approx(learned.sigmas)
-    for what in arrivals[150:]:
-        take(fusion, what)
-    assert np.abs(error(fusion, drive)[:2]).max() < 0.05
-
-
-def test_the_same_map_again_changes_nothing():
-    drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
-    fusion, same = fused(drive), fused(drive)
-    for k, what in enumerate(arriving(drive)):
-        take(fusion, what)
-        take(same, what)
-        if not k % 20:
-            same.change_map(replace(drive.landmark_map))
-    assert same.estimate().covariance == pytest.approx(fusion.estimate().covariance)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize('moved_m', [0.002, 5.0])
@@ -282,29 +192,6 @@ def test_bearings_count_where_joints_or_points_are_missing(without):
     assert fusion.status_at()[0] is Status.OK
 
 
-def test_what_can_not_be_used_does_no_harm():
-    drive = simulated(5, seconds=4.0)
-    fusion, clean = fused(drive), fused(drive)
-    for what in arriving(drive):
-        take(clean, what)
-        if isinstance(what, OdometrySample):
-            take(fusion, what)
-            continue
-        found, joints = what
-        unknown = replace(found, ids=found.ids + 1000, missed=np.array([4000]))
-        fusion.add_detections(unknown, joints)
-        fusion.add_detections(replace(found, points=np.full_like(found.points, np.nan)), joints)
-        fusion.add_detections(found, replace(joints, pan_rad=np.nan))
-        far = replace(found, stamp_ns=found.stamp_ns + 1000 * NS)
-        assert isinstance(fusion.add_detections(far, joints), Refusal)
-        take(fusion, what)
-    assert isinstance(fusion.add_odometry(OdometrySample(5 * NS, np.full(3, np.nan))), Refusal)
-    found_pose, expected = fusion.estimate(), clean.estimate()
-    assert found_pose is not None
-    assert expected is not None
-    assert found_pose.pose == pytest.approx(expected.pose, abs=1e-9)
-
-
 def test_a_start_that_is_no_pose_is_refused_and_changes_nothing():
     drive = simulated(5, seconds=2.0)
     fusion = fused(drive)
@@ -321,28 +208,6 @@ def test_a_start_that_is_no_pose_is_refused_and_changes_nothing():
     assert before is not None
     assert after is not None
     assert after.pose == pytest.approx(before.pose)
-
-
-def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():
-    pans = PanTrack(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.0, 1.0]))
-    start = PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
-    prior = Calibration.of_mount(MOUNT, {'axis_yaw': 1e-4})
-    sigmas = []
-    for joints in (
-        JointSample(0, 0.0),
-        JointSample(0, 0.0, 0.0, 1.0, pan_track=pans),
-        JointSample(0, 0.0, pan_sigma_rad=0.2),
-    ):
-        fusion = Fusion(LandmarkMap(()), prior)
-        fusion.place(start, joints)
-        estimate, expected = fusion.estimate(), fusion.expectation(0)
-        assert estimate is not None
-        assert expected is not None
-        sigmas.append(np.sqrt(estimate.covariance[2, 2]))
-    assert sigmas[0] < 0.005
-    # Half a turn a second of 0.2 s: two sigmas.
-    assert sigmas[1] == pytest.approx(0.1, rel=0.1)
-    assert sigmas[2] == pytest.approx(0.2, rel=0.1)
 
 
 def test_the_protection_level_follows_from_the_covariance():
@@ -373,26 +238,6 @@ def test_silence_is_reported():
     status, reason = fusion.status_at(5 * NS)
     assert status is not Status.OK
     assert 'no odometry for' in reason
-
-
-@pytest.mark.parametrize('width', [320, 640])
-def test_a_principal_point_that_a_driver_rounds_does_not_forget_the_lens(width, caplog):
-    drive = simulated(5, seconds=12.0, prior=Calibration.of_mount(MOUNT))
-    fusion, images = fused(drive), 0
-    rounded = INTRINSICS + 0.5 / width * np.array([0.0, 0.0, 1.0, 1.0, 0.0])
-    for what in arriving(drive):
-        if not isinstance(what, OdometrySample):
-            images += 1
-            camera = rounded if images > 30 and images % 2 else INTRINSICS
-            what = replace(what[0], intrinsics=camera), what[1]
-        before = fusion.calibration
-        take(fusion, what)
-        if images > 30:
-            for name in ('focal_scale', 'distortion'):
-                assert fusion.calibration[name][1] < 1.1 * before[name][1]
-    assert len(caplog.messages) == 1
-    off = fusion.calibration.values - drive.true.values
-    assert (np.abs(off) < 5.0 * fusion.calibration.sigmas + 1e-9).all()
 
 
 @pytest.mark.parametrize(('since', 'is_learned'), [(0, True), (40, True), (40, False)])

@@ -16,13 +16,10 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import observed_well, relative_sampling
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.debug_image import draw_observation
-from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.expectation import Expectation
-from landmark_nav.localization.estimator import EstimatorConfig
 from landmark_nav.localization.expected_poses import ExpectedPoses, SpreadCorrection
-from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
-from landmark_nav.localization.observer import most_informative, Observation, Observer
+from landmark_nav.localization.observer import most_informative, Observation
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.localization.triplet import CameraState, TripletConfig
 from landmark_nav.localization.triplet.selection import ActiveCamera
@@ -39,10 +36,6 @@ from landmark_nav.types import (
 )
 
 EXACT = Calibration.exact(MOUNT)
-
-
-def observer(config=None):
-    return Observer(MAP, EXACT, config or ImageStagesConfig(), EstimatorConfig())
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +85,6 @@ def test_fixes_err_as_their_covariances_say(run):
     sigma = np.array([np.sqrt(np.diag(fix.covariance)) for fix, _ in run.fixes])
     assert np.abs(errors / sigma).max() < 4.5
     assert np.mean((errors / sigma) ** 2) < 2.5
-
-
-def test_no_more_landmarks_are_searched_than_allowed():
-    few = LocalizationConfig(detection=DetectionConfig(target_count=3, max_count=2))
-    updates = localize(seconds=2.0, config=few).updates
-    assert max(len(update.observation.expected) for update in updates) == 2
 
 
 DRIVE = Path(__file__).resolve().parents[2] / 'bags' / 'drive'
@@ -285,14 +272,6 @@ poses = st.tuples(places, places, angles).map(np.array)
 small = st.tuples(*3 * [st.floats(-0.3, 0.3)]).map(np.array)
 
 
-@given(fused=poses, odometry=poses)
-def test_without_a_time_all_of_it_comes_at_once(fused, odometry):
-    spread = SpreadCorrection(0.0)
-    for stamp_ns, pose in enumerate((fused, fused + np.array([1.0, 2.0, 0.5]))):
-        error = compose(spread.at(stamp_ns, pose, odometry), odometry) - pose
-        assert np.abs([*error[:2], wrap_rad(error[2])]).max() < 1e-9
-
-
 @given(fused=poses, odometry=poses, correction=small)
 def test_a_correction_decays_at_the_base_wherever_odom_begins(fused, odometry, correction):
     spread = SpreadCorrection(2.0)
@@ -302,15 +281,6 @@ def test_a_correction_decays_at_the_base_wherever_odom_begins(fused, odometry, c
         error = fused + correction - shown
         error[2] = wrap_rad(error[2])
         np.testing.assert_allclose(error, correction * np.exp(-0.25 * k), atol=1e-9)
-
-
-def test_the_way_between_is_followed_without_lag():
-    spread = SpreadCorrection(5.0)
-    offset = np.array([3.0, -1.0, 0.7])
-    for k in range(20):
-        odometry = np.array([0.1 * k, 0.02 * k, 0.05 * k])
-        shown = spread.at(k * SECOND_NS // 10, compose(offset, odometry), odometry)
-        np.testing.assert_allclose(shown, offset, atol=1e-9)
 
 
 def test_a_new_start_and_a_clock_set_back_are_not_spread():

@@ -104,15 +104,6 @@ def test_a_template_without_one_clear_place_is_refused(search, template, reason)
         assert isinstance(match_template(search, template, max_second_ratio=1.01), Match)
 
 
-def test_the_negative_of_a_patch_aligns_with_nothing():
-    template = Texture(5).sample(32, 28, 12.0, 12.0)
-    search = Texture(5).sample(56, 52)
-    found = align(search, template, (12.0, 12.0), (0.0, 0.0))
-    assert found is not None
-    np.testing.assert_allclose(found.xy, [27.5, 25.5], atol=1e-3)
-    assert align(255.0 - search, template, (12.0, 12.0), (0.0, 0.0)) is None
-
-
 SIZE = 28 + 2 * MARGIN
 
 

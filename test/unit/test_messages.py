@@ -9,7 +9,7 @@ from wire import assert_same, both, FACTORY, MOUNT, over_the_wire, STAMP
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import INTRINSICS, PanTiltMount
+from landmark_nav.geometry.camera import INTRINSICS
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
@@ -43,23 +43,6 @@ def test_joints_come_back_and_foreign_joints_are_none(deliver):
     assert decode.joint_angles(deliver(msg), MOUNT) == (STAMP, sample.pan_rad, sample.tilt_rad)
     msg.name = ['wheel_left', 'wheel_right']
     assert decode.joint_angles(deliver(msg), MOUNT) == (STAMP, None, None)
-
-
-@both
-def test_a_tilt_comes_alone_where_its_joint_has_a_driver_of_its_own(deliver):
-    msg = encode.joint_state(FACTORY, JointSample(STAMP, 1.25, -0.5), MOUNT)
-    msg.name = ['wheel_left', MOUNT.tilt_joint]
-    assert decode.joint_angles(deliver(msg), MOUNT) == (STAMP, None, -0.5)
-
-
-def test_detections_of_older_recordings_know_of_no_delay():
-    names = [name for name in DETECTIONS.fields.names if name not in DETECTIONS.optional]
-    older = np.ones(3, dtype=[(name, DETECTIONS.fields[name]) for name in names])
-    older['id'] = range(3)
-    msg = pack_cloud(FACTORY, encode.header(FACTORY, STAMP, 'base_link'), older)
-    again = decode.detections(msg)
-    assert len(again) == 3
-    assert again.joint_delay_s == 0.0
 
 
 def some_panorama():
@@ -191,15 +174,6 @@ def test_what_is_sent_comes_back(deliver, sent, write, read):
         over_the_wire(markers)
     # Positions in images and views travel as four bytes.
     assert_same(read(*map(deliver, messages), *mount), sent, rtol=1e-6)
-
-
-def test_a_covariance_comes_with_odometry_and_a_pan_by_its_name():
-    message = over_the_wire(encode.odometry(FACTORY, ODOMETRY, COVARIANCE, frame_id='map'))
-    np.testing.assert_array_equal(decode.pose_estimate(message).covariance, COVARIANCE)
-    with pytest.raises(LandmarkNavError, match='neck'):
-        decode.sweep_trajectory(
-            encode.sweep_trajectory(FACTORY, JOINTS, MOUNT), PanTiltMount(pan_joint='neck')
-        )
 
 
 def test_a_trajectory_before_its_start_is_refused():
@@ -427,14 +401,6 @@ def test_stamps_that_are_no_time_are_refused(sec, nanosec):
         decode.odometry(msg)
 
 
-@pytest.mark.parametrize('turn', [{'w': 0.0}, {'x': 2.0}])
-def test_odometry_without_a_heading_is_refused(turn):
-    msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
-    vars(msg.pose.pose.orientation).update(turn)
-    with pytest.raises(LandmarkNavError, match=r'zero quaternion|fallen over'):
-        decode.odometry(msg)
-
-
 def landmarks(**changed):
     """Messages of a map in which one landmark is changed."""
     first, *others = some_map(5, 2).landmarks
@@ -485,15 +451,6 @@ def test_what_learning_can_not_have_found_is_refused(at, value):
     with pytest.raises(LandmarkNavError) as refused:
         decode.landmark_map(pack_cloud(FACTORY, HEAD, rows), atlas)
     assert len(str(refused.value)) < 200
-
-
-def test_patches_that_fill_the_memory_are_refused():
-    msg, atlas = landmarks()
-    rows = rows_of(msg)
-    rows['atlas_x'] = rows['atlas_y'] = 0
-    rows['atlas_width'], rows['atlas_height'] = atlas.width, atlas.height
-    with pytest.raises(LandmarkNavError, match='do not fit an atlas'):
-        decode.landmark_map(pack_cloud(FACTORY, HEAD, rows), atlas)
 
 
 def test_panoramas_of_another_size_or_shape_are_refused():

@@ -258,13 +258,3 @@ def test_a_robot_that_was_carried_off_is_found():
     for part in (slice(0, 30), slice(50, None)):
         assert (squares[part] < 31.8).all()
         assert np.median(np.hypot(*smoothed[part, :2].T)) < 0.02
-
-
-@pytest.mark.parametrize('count', [0, 1])
-def test_few_images_are_enough(count):
-    drive = simulated(1, seconds=2.0)
-    images = [event for event in drive.events if isinstance(event, ImagePoints)][:count]
-    joint = JointFilter(drive.landmark_map, drive.prior, drive.start)
-    track = OdometryTrack(OdometryNoiseConfig())
-    track.add(OdometrySample(0, np.zeros(3)))
-    assert len(smoothed_poses(joint, track, images)) == count

@@ -12,17 +12,12 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints, JointFilter
 from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig, twist_motion
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation.model import triangulate_three
-from landmark_nav.localization.triplet import TripletConfig, visible_landmarks
-from landmark_nav.messages import decode, encode
-from landmark_nav.messages.factory import rosbag_factory
-from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate
 
@@ -161,21 +156,6 @@ def converted(log, tmp_path_factory):
     return bag
 
 
-def test_what_a_bag_of_it_holds(converted, log):
-    bag = Bag(converted)
-    assert set(bag.types) == {'/detections', '/odom', '/ground_truth/odom'}
-    detections = [decode.detections(m.message) for m in bag.messages(['/detections'])]
-    ids = np.concatenate([seen.ids for seen in detections])
-    assert set(ids.tolist()) <= set(range(6, 13))
-    truth = next(iter(bag.messages(['/ground_truth/odom']))).message
-    assert truth.header.frame_id == 'map'
-    # The delay shows in the stamps of the odometry.
-    first = decode.odometry(next(iter(bag.messages(['/odom']))).message)
-    assert first.stamp_ns * 1e-9 - BEGIN_S == pytest.approx(0.2, abs=0.03)
-    start = json.loads(converted.with_name('run_start.json').read_text())['pose']
-    np.testing.assert_allclose(start, [0.5, -0.4, 0.3], atol=0.05)
-
-
 def test_evaluated_smoothed_and_exported(converted, tmp_path, capsys):
     start = json.loads(converted.with_name('run_start.json').read_text())['pose']
     config = tmp_path / 'config.yaml'
@@ -202,22 +182,6 @@ def test_evaluated_smoothed_and_exported(converted, tmp_path, capsys):
     away = rows['smoothed'][:, 1:3] - rows['truth'][:, 1:3]
     rmse = np.sqrt(np.mean(np.sum(away**2, axis=1)))
     assert rmse == pytest.approx(report['smoothed']['position_rmse_m'], abs=1e-9)
-
-
-def test_points_without_an_image_cross_all_borders(converted, capsys):
-    """They are kept and sent like other landmarks, but no camera is to look for a texture."""
-    assert main(['map', 'diff', f'{converted}_map', f'{converted}_map']) == 0
-    assert 'no landmark moved or changed' in capsys.readouterr().out
-    points = load_map(f'{converted}_map')
-    np.testing.assert_allclose(points.positions[:, :2], POSTS)
-    cloud, atlas, _ = encode.landmark_map(rosbag_factory(), points, 5)
-    sent = decode.landmark_map(cloud, atlas)
-    assert sent.ids.tolist() == points.ids.tolist()
-    assert all(not landmark.patch.size for landmark in sent.landmarks)
-    camera = CameraModel(640, 480, 400.0, 400.0, 319.5, 239.5)
-    prior = PoseEstimate(0, np.array([0.0, 0.2, 0.0]), 1e-4 * np.eye(3))
-    view = visible_landmarks(prior, points, camera, PanTiltMount(), 0.0, 0.0, TripletConfig())
-    assert not len(view)
 
 
 SUBSETS = np.array(list(combinations(range(4), 3)))

@@ -1,5 +1,4 @@
 from dataclasses import replace
-import pickle
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,12 +12,11 @@ from landmark_nav.localization.odometry.commanded import command_delay_s, integr
 from landmark_nav.localization.odometry.noise import (
     fraction_of_motion,
     Motion,
-    motion_variances,
     OdometryNoiseConfig,
     slip_variance,
     twist_motion,
 )
-from landmark_nav.localization.odometry.track import Distrusted, HORIZON_S, OdometryTrack
+from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
 from landmark_nav.types import Detections, OdometrySample
 
 CONFIG = OdometryNoiseConfig()
@@ -43,15 +41,6 @@ def test_fraction_of_an_arc_is_the_shorter_arc(speed, rate, share):
     whole = twist_motion(speed, rate, 1.0)
     part = fraction_of_motion(whole, share)
     np.testing.assert_allclose(part, twist_motion(speed, rate, share), atol=1e-9)
-
-
-def test_variances_add_up_over_parts():
-    straight = Motion(np.array([1.0, 0.0, 0.3]), 2.0, 0.5)
-    part = Motion(straight.increment / 4.0, 0.5, 0.125)
-    np.testing.assert_allclose(
-        motion_variances(straight, CONFIG), 4.0 * motion_variances(part, CONFIG)
-    )
-    assert np.all(motion_variances(Motion(np.zeros(3), 1.0), CONFIG) > 0.0)
 
 
 @given(st.floats(-1.0, -0.01), st.floats(0.01, 3.0))
@@ -127,39 +116,6 @@ class TestTrack:
         np.testing.assert_allclose(relative(expected, motion.increment), 0.0, atol=1e-9)
         assert motion.blind_seconds == 0.0
 
-    def test_a_stand_takes_no_room_and_changes_no_motion(self):
-        """A way until 0.78 s, nothing until 2 s, then ten minutes on the spot."""
-        track, sizes = OdometryTrack(CONFIG), []
-        for k in range(40):
-            assert track.add(sample(0.02 * k)) is None
-        for k in range(20, 6001):
-            spot = OdometrySample(k * 10**8, twist_motion(SPEED, RATE, 1.0))
-            assert track.add(spot) is None
-            if k in (50, 6000):
-                sizes.append(len(pickle.dumps(track)))
-        assert sizes[1] < sizes[0] + 100
-        for begin, end, way, blind in [
-            (0.1, 0.7, 0.6, 0.0),
-            (0.5, 2.0, 0.5, 1.22),
-            (1.5, 5.0, 0.0, 0.5),
-            (2.0, 500.0, 0.0, 0.0),
-            (500.0, 700.0, 0.0, 100.0 - HORIZON_S),
-        ]:
-            motion = track.motion(round(1e9 * begin), round(1e9 * end))
-            assert motion.blind_seconds == pytest.approx(blind)
-            if begin != 1.5:
-                arc = twist_motion(SPEED, RATE, way)
-                np.testing.assert_allclose(motion.increment, arc, atol=1e-9)
-
-    def test_trims_but_keeps_what_later_motions_need(self):
-        track = circle_track()
-        before = track.motion(620_000_000, 910_000_000)
-        track.trim(620_000_000)
-        assert track.stamps_ns == (600_000_000, 10**9)
-        np.testing.assert_array_equal(
-            track.motion(620_000_000, 910_000_000).increment, before.increment
-        )
-
 
 def test_a_source_that_gives_no_speeds_goes_on_as_its_poses_did():
     """As scan matchers publish it."""
@@ -174,15 +130,6 @@ def test_a_source_that_gives_no_speeds_goes_on_as_its_poses_did():
 
 BEGIN_NS = 1_248_444_175_000_000_000
 STEP_NS = 20_000_000
-
-
-def test_constant_commands_make_an_arc_that_starts_later():
-    stamps = BEGIN_NS + STEP_NS * np.arange(101)
-    commands = np.tile([0.3, 0.5], (101, 1))
-    samples = integrate_commands(stamps, commands, 0.25)
-    assert samples[0].stamp_ns == BEGIN_NS + 250_000_000
-    np.testing.assert_allclose(samples[-1].pose_odom_base, twist_motion(0.3, 0.5, 2.0))
-    assert (samples[7].linear_m_s, samples[7].angular_rad_s) == (0.3, 0.5)
 
 
 def late_robot(delay_s):
@@ -209,16 +156,6 @@ def late_robot(delay_s):
 @pytest.mark.parametrize('delay_s', [0.0, 0.13, 0.4])
 def test_the_delay_is_found_without_truth(delay_s):
     assert command_delay_s(*late_robot(delay_s)) == pytest.approx(delay_s, abs=0.011)
-
-
-def test_mistaken_landmarks_do_not_matter():
-    stamps, commands, detections = late_robot(0.2)
-    rng = np.random.default_rng(4)
-    mixed = [
-        replace(seen, ids=(seen.ids + 1) % 3) if rng.random() < 0.15 else seen
-        for seen in detections
-    ]
-    assert command_delay_s(stamps, commands, mixed) == pytest.approx(0.2, abs=0.02)
 
 
 def test_nothing_seen_twice_or_never_turned():

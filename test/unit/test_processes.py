@@ -44,26 +44,6 @@ def test_what_waits_makes_way_for_what_is_newer():
     assert worker.dropped == 4
 
 
-def test_the_thread_ends_after_what_it_is_at():
-    done: list[int] = []
-    began = Event()
-
-    def work(number):
-        began.set()
-        time.sleep(0.2)
-        done.append(number)
-
-    worker = LatestOnlyWorker(work)
-    worker.take(0)
-    assert began.wait(5.0)
-    worker.take(1)
-    worker.close()
-    worker.take(2)
-    assert done == [0]
-    time.sleep(0.3)
-    assert done == [0]
-
-
 def test_ages_by_another_clock_are_none():
     latency = Latency()
     assert latency.values() == {}
@@ -115,18 +95,6 @@ def test_a_process_that_does_not_end_is_killed(number):
             threading.Event().wait()
     """)
     assert (done.returncode, done.stdout, done.stderr) == (0, 'asked\n', '')
-
-
-def test_a_process_that_holds_the_interpreter_is_killed():
-    done = run("""
-        import re
-        asked = threading.Event()
-        with ShutdownGuard(asked.set, 0.2):
-            os.kill(os.getpid(), signal.SIGTERM)
-            asked.wait()
-            re.match('(a|a)*c', 'a' * 60 + 'b')
-    """)
-    assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
 
 
 def test_afterwards_signals_are_what_they_were():
@@ -235,32 +203,6 @@ def test_a_killed_supervisor_leaves_no_process_behind(tmp_path):
         time.sleep(0.01)
 
 
-COMMAND = 'import landmark_nav.cli.main as m; seen = early(); m.main(["map", "--help"])'
-NODE = 'import landmark_nav.nodes; seen = early()'
-
-
-def after(start, **environment):
-    """Threads that are allowed then, by each variable, and whether NumPy was there too early."""
-    names = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS')
-    inherited = {key: value for key, value in os.environ.items() if key not in names}
-    lines = ('import os, sys', 'def early(): return "numpy" in sys.modules', start)
-    reported = f'print(*(os.environ[n] for n in {names}), seen)'
-    done = subprocess.run(
-        [sys.executable, '-c', '\n'.join((*lines, reported))],
-        env={**inherited, **environment},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stdout.splitlines()[-1].split()
-
-
-@pytest.mark.parametrize('start', [COMMAND, NODE])
-def test_one_thread_unless_set_otherwise(start):
-    assert after(start) == ['1', '1', 'False']
-    assert after(start, OPENBLAS_NUM_THREADS='2') == ['2', '1', 'False']
-
-
 NUMBERS = [signal.SIGINT, signal.SIGTERM]
 
 
@@ -302,14 +244,6 @@ def test_a_node_ends_quietly(number, after_s, tmp_path):
     assert signalled(command, number, after_s) == (0, '')
 
 
-def test_importing_nodes_leaves_signals_alone():
-    pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-    before = [signal.getsignal(number) for number in NUMBERS]
-    import landmark_nav.nodes  # noqa: F401
-
-    assert [signal.getsignal(number) for number in NUMBERS] == before
-
-
 @pytest.mark.parametrize('number', NUMBERS)
 def test_work_that_is_interrupted_cleans_up(number):
     cleaned = []
@@ -329,25 +263,6 @@ def test_work_that_is_interrupted_cleans_up(number):
         signal.signal(number, before)
     assert interrupt.value.args == (number,)
     assert cleaned == ['first', 'second']
-
-
-def test_signals_blocked_by_the_parent_are_handled():
-    script = """
-        import os, signal, sys
-        from landmark_nav.signals import end_at_once
-        end_at_once(7)
-        print('went on')
-    """
-    process = subprocess.Popen(
-        [sys.executable, '-c', textwrap.dedent(script)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.pthread_sigmask(signal.SIG_BLOCK, NUMBERS),
-    )
-    process.send_signal(signal.SIGINT)
-    output, complaint = process.communicate(timeout=30)
-    assert (process.returncode, output, complaint) == (7, '', '')
 
 
 def test_an_executable_blocks_signals_until_its_program_handles_them(tmp_path):

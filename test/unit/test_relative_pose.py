@@ -15,9 +15,8 @@ from landmark_nav.learning.relative_pose.epipolar import (
     RelativePoseConfig,
     STATE,
 )
-from landmark_nav.learning.relative_pose.features import Features, like_pairs
+from landmark_nav.learning.relative_pose.features import Features
 from landmark_nav.learning.relative_pose.poses import relative_poses
-from landmark_nav.learning.relative_pose.two_views import along_curves, TwoViews
 from landmark_nav.types import PlaceChain
 
 CONFIG = RelativePoseConfig()
@@ -93,9 +92,8 @@ def test_poses_are_recovered_and_scale_is_that_of_odometry(count):
 
 @pytest.mark.parametrize('moved_m', [0.1, 0.2])
 @pytest.mark.parametrize('wall', [False, True])
-@pytest.mark.parametrize('seed', [11, 12])
-def test_things_that_move_together_do_not_make_a_wrong_pose_certain(moved_m, wall, seed):
-    rng = np.random.default_rng(seed)
+def test_things_that_move_together_do_not_make_a_wrong_pose_certain(moved_m, wall):
+    rng = np.random.default_rng(11)
     points = room_points(rng, 300)
     seen, later = np.stack([points, points]), rng.uniform(size=300) < 0.35
     if wall:
@@ -120,12 +118,6 @@ def test_the_pose_that_most_agree_on_is_found_among_things_that_moved():
     seen[1, later] += [0.2, 0.1, 0.0]
     result = relative_poses(features(POSES[:2], seen, rng), [odometry(POSES[:2])], LEVER, CONFIG)
     assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.3
-
-
-@pytest.mark.parametrize('seed', [1, 2])
-def test_where_nothing_moved_there_is_no_doubt(seed):
-    result = found(POSES[:2], POSES[:2], seed)
-    assert np.linalg.norm(result.doubt[2::STATE], axis=1).max() < CONFIG.heading_sigma_rad
 
 
 def test_heading_that_slipped_is_recovered_with_less_certain_scale():
@@ -157,19 +149,6 @@ def test_odometry_that_contradicts_the_panoramas_is_refused(wrong, count, sigma)
     known = odometry(np.array([[0.0, 0.0, 0.0], wrong]), *sigma)
     with pytest.raises(LandmarkNavError, match='odom and panoramas disagree'):
         relative_poses(seen, [known], LEVER, CONFIG)
-
-
-def test_poses_that_differ_little_become_one_along_epipolar_curves():
-    rng = np.random.default_rng(9)
-    seen = features(POSES[:2], room_points(rng, 250), rng)
-    heading, direction = POSES[1, 2], np.arctan2(POSES[1, 1], POSES[1, 0])
-    around = [
-        TwoViews(heading, direction + off, np.zeros(2), 0.0, 20) for off in (0.05, -0.05, 1.5)
-    ]
-    best, *others = along_curves(around, like_pairs(*seen), CONFIG)
-    assert [best.heading_rad, best.direction_rad] == pytest.approx([heading, direction], abs=4e-3)
-    assert best.support > 200
-    assert all(other.support < 0.5 * best.support for other in others)
 
 
 def test_panoramas_of_different_rooms_are_refused():

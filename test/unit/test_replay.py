@@ -8,7 +8,6 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import error_summary
 from landmark_nav.evaluation.replay import replay, shifts_by_odometry
-from landmark_nav.evaluation.report.tables import drive_verdict
 from landmark_nav.evaluation.run_report import run_errors, run_report, smooth_run, write_tum_files
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -88,33 +87,6 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
     assert 0.0 <= first['availability'] <= 1.0
     assert first['crlb_ratio'] > 0.0
     assert first['triangulation']['position_rmse_m'] is None
-
-
-def test_stretches_without_tracking_are_reported_with_the_first_reason():
-    done = run(drive())
-    shown = [(0, 'tracking', ''), (3, 'lost', '<nothing>'), (9, 'coasting', 'later')]
-    updates = [
-        replace(update, status=status, reason=f'{reason}{k}')
-        for k, update in enumerate(done.updates)
-        for _, status, reason in [[s for s in shown if s[0] <= k][-1]]
-    ]
-    done = replace(done, updates=tuple(updates))
-    report = run_report(done, run_errors(done), a_map(), ROBOT, CONFIG)
-    assert [(s['status'], s['reason']) for s in report['spells']] == [
-        ('lost', '<nothing>3'),
-        ('coasting', 'later9'),
-    ]
-    at_s = (done.stamps_ns - done.stamps_ns[0]) * 1e-9
-    ends = [(s['from_s'], s['to_s']) for s in report['spells']]
-    np.testing.assert_allclose(ends, [(at_s[3], at_s[8]), (at_s[9], at_s[-1])], atol=1e-6)
-    assert drive_verdict(report)['level'] != 'good'
-    assert report['warning'] is None
-    gone = tuple(replace(update, status='lost') for update in done.updates[3:])
-    done = replace(done, updates=(*done.updates[:3], *gone))
-    report = run_report(done, run_errors(done), a_map(), ROBOT, CONFIG)
-    reported = 'lost in 81 % of the images'
-    assert reported in drive_verdict(report)['text']
-    assert drive_verdict(report)['level'] == 'bad'
 
 
 @pytest.mark.parametrize(

@@ -169,28 +169,6 @@ def test_the_slider_moves_the_robot_and_every_image_loads(opened):
     assert chrome.get_log('browser') == []
 
 
-@pytest.mark.parametrize('dark', [False, True])
-def test_on_a_phone_nothing_is_cut(opened, dark):
-    chrome = opened(page_of(), 390, dark, 'a_bag_with_a_name_' * 8)
-    wide = chrome.execute_script(
-        'return [...document.querySelectorAll("body *")].filter((one) => !one.closest("svg") &&'
-        'one.getClientRects().length && one.getBoundingClientRect().right > 390.5)'
-        '.map((one) => one.outerHTML.slice(0, 80))'
-    )
-    assert wide == []
-    assert chrome.execute_script('return document.documentElement.scrollWidth') <= 390
-
-
-def test_figures_follow_dark_mode(opened):
-    read = (
-        'const of = (name) => getComputedStyle(document.querySelector(name));'
-        'return [of("body").backgroundColor, of(".plan").backgroundColor,'
-        'of("#charts .line").stroke, of("#charts text").fill]'
-    )
-    light, dark = (opened(page_of(), dark=dark).execute_script(read) for dark in (False, True))
-    assert all(one != other for one, other in zip(light, dark, strict=True))
-
-
 def test_what_comes_from_outside_is_text(opened):
     chrome = opened(page_of(), title=HOSTILE)
     press(chrome, 'End')

@@ -9,17 +9,15 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.messages import encode
-from landmark_nav.messages.decode import JointNames
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.storage.bags import Bag, BagWriter, sensor_events
 from landmark_nav.storage.bags.timelines import JointHistory
 from landmark_nav.storage.bags.transforms import RobotTransforms
-from landmark_nav.types import CameraFrame, JointSample, OdometrySample, Refusal
+from landmark_nav.types import CameraFrame, JointSample, OdometrySample
 
 PANS = 0.3 * (0.2 * np.arange(10) + 0.02)
 
@@ -74,18 +72,6 @@ def test_a_prefixed_joint_is_taken_if_it_is_the_only_one(tmp_path, name):
     assert f'{name} for pan_joint' in warnings[0]
 
 
-@pytest.mark.parametrize(
-    ('field', 'value', 'reported'),
-    [
-        ('position', np.array([0.1, np.nan]), f'of {MOUNT.tilt_joint} .* is nan'),
-        ('name', ['shoulder', 'elbow'], 'elbow, shoulder arrive, not pan_joint'),
-    ],
-)
-def test_joints_without_an_angle_or_of_other_names_are_named(tmp_path, field, value, reported):
-    with pytest.raises(LandmarkNavError, match=reported):
-        pans(with_joints(tmp_path, lambda message: setattr(message, field, value)))
-
-
 @pytest.mark.parametrize('turns', [-100_000, -1, 0, 1, 100_000])
 def test_whole_turns_that_a_joint_counts_do_not_matter(tmp_path, turns):
     def count(message):
@@ -105,14 +91,6 @@ def test_the_topic_with_the_pan_joint_is_taken(tmp_path):
             yield topic, message
 
     assert pans(rewritten(tmp_path, wheels))[0] == pytest.approx(PANS)
-
-
-def test_names_of_joints_are_kept_in_bounded_memory():
-    names = JointNames(MOUNT)
-    for k in range(10_000):
-        names.add([f'joint{k}'])
-    assert not names.pan_arrives
-    assert len(names.missing) < 200
 
 
 def transform(parent, child, rotation, stamp):
@@ -267,46 +245,6 @@ def test_a_topic_that_is_no_name_of_ours_is_wrong_usage(capsys, value):
 
 
 MS = 1_000_000
-RATE = 0.9
-
-
-def turning(*stamps_ms):
-    return JointHistory(JointSample(t * MS, 1e-3 * RATE * t, -2e-4 * t) for t in stamps_ms)
-
-
-@pytest.mark.parametrize(
-    ('known_ms', 'at_ms', 'words'),
-    [
-        ((), 100, 'no joint_states'),
-        ((100, 120), 172, 'joint_states are 52 ms behind'),
-        ((100,), 105, 'joint_states are 5 ms behind'),
-        ((100, 120), 80, 'joint_states begin 20 ms later'),
-        ((100, 1300), 150, 'no joint_states for 1.2 s'),
-    ],
-)
-def test_what_no_joint_state_gives_is_refused(known_ms, at_ms, words):
-    refusal = turning(*known_ms).at(at_ms * MS)
-    assert isinstance(refusal, Refusal)
-    assert str(refusal) == words
-
-
-@pytest.mark.parametrize('period_ms', [10, 20, 50])
-def test_what_interpolation_leaves_open_is_claimed(period_ms):
-    """A unit that turns here and there, and swings after each stop."""
-    rng, step_ms = np.random.default_rng(1), 5
-    unit, true = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.0)), []
-    for k in range(4000):
-        if k % 250 == 0:
-            unit.command(rng.uniform(-2.0, 2.0))
-        unit.step(1e-3 * step_ms)
-        true.append(unit.angles_rad[0])
-    off, sigma = interpolated(np.array(true), step_ms, period_ms)
-    every = period_ms // step_ms
-    assert not sigma[::every].any()
-    between = np.arange(len(off)) % every > 0
-    normalized = (off / np.hypot(sigma, 1e-4))[between]
-    assert np.sqrt(np.mean(np.square(normalized))) < 1.0
-    assert np.mean(np.abs(normalized) > 3.0) < 0.01
 
 
 def interpolated(true, step_ms, period_ms, shift_ms=0):
@@ -322,42 +260,32 @@ def interpolated(true, step_ms, period_ms, shift_ms=0):
     return off, sigma
 
 
-@pytest.mark.parametrize(('period_ms', 'shift_ms'), [(100, 0), (100, 30), (200, 0), (200, 70)])
-def test_what_few_joint_states_do_not_show_is_claimed(period_ms, shift_ms):
-    """A unit that is sent on ten times a second turns unevenly; it starts, stops and swings."""
-    rng, step_ms, goal, rate = np.random.default_rng(2), 5, 0.0, 0.0
+STEP_MS = 5
+
+
+@pytest.fixture(scope='module')
+def uneven():
+    """Pans of a unit that is sent on ten times a second; it starts, stops and swings."""
+    rng, goal, rate = np.random.default_rng(2), 0.0, 0.0
     unit, smooth = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.0, pan_limit_rad=6.3)), []
     for k in range(24_000):
         if k % 300 == 0:
             rate = float(rng.choice([0.0, 0.2, 0.4])) * (-1.0 if goal > 0.0 else 1.0)
-        goal += 1e-3 * step_ms * rate
+        goal += 1e-3 * STEP_MS * rate
         unit.command(goal)
-        unit.step(1e-3 * step_ms)
+        unit.step(1e-3 * STEP_MS)
         smooth.append(unit.angles_rad[0])
     # Ten times a second faster and slower by a quarter.
-    phase = 2.0 * np.pi * 10.0 * 1e-3 * step_ms * np.arange(len(smooth))
-    true = smooth + 0.25 * np.gradient(smooth) / np.diff(phase)[0] * np.sin(phase)
-    off, sigma = interpolated(true, step_ms, period_ms, shift_ms)
+    phase = 2.0 * np.pi * 10.0 * 1e-3 * STEP_MS * np.arange(len(smooth))
+    return smooth + 0.25 * np.gradient(smooth) / np.diff(phase)[0] * np.sin(phase)
+
+
+@pytest.mark.parametrize(('period_ms', 'shift_ms'), [(100, 0), (100, 30), (200, 0), (200, 70)])
+def test_what_few_joint_states_do_not_show_is_claimed(uneven, period_ms, shift_ms):
+    off, sigma = interpolated(uneven, STEP_MS, period_ms, shift_ms)
     normalized = off / np.hypot(sigma, 2e-4)
     assert np.sqrt(np.mean(np.square(normalized))) < 1.0
     assert np.mean(np.abs(normalized) > 5.0) < 0.002
-
-
-@pytest.mark.parametrize('period_ms', [20, 200])
-def test_a_driver_that_reports_the_pan_within_half_a_turn(period_ms):
-    stamps_ms = range(0, 20_000, period_ms)
-    true = [1e-3 * RATE * t for t in stamps_ms]
-    known = zip(stamps_ms, wrap_rad(true).tolist(), strict=True)
-    history = JointHistory(JointSample(t * MS, pan) for t, pan in known)
-    for t in range(1000, 19_000, 7):
-        found = history.at(t * MS)
-        assert isinstance(found, JointSample)
-        assert wrap_rad(found.pan_rad - 1e-3 * RATE * t) == pytest.approx(0.0, abs=1e-9)
-        assert abs(found.pan_rad) < np.pi + 1e-3 * RATE * period_ms
-        assert found.pan_rate_rad_s == pytest.approx(RATE)
-        assert found.pan_track is not None
-        turned = found.pan_track.at([-0.3, 0.0, 0.3]) - found.pan_rad
-        np.testing.assert_allclose(turned, [-0.3 * RATE, 0.0, 0.3 * RATE], atol=1e-9)
 
 
 def test_a_tilt_of_another_driver_is_interpolated_and_stays():

@@ -11,7 +11,7 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.se2 import rot_z, rotation
+from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
@@ -25,9 +25,9 @@ from landmark_nav.learning.relative_pose.scale import (
     SheetSource,
 )
 from landmark_nav.learning.relative_pose.sheet_tracks import FINE, sheet_misses, sheet_tracks
-from landmark_nav.learning.relative_pose.two_views import two_views_of, TwoViews
+from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
-from landmark_nav.types import FloatArray, Panorama, PlaceChain
+from landmark_nav.types import Panorama, PlaceChain
 
 CYLINDER = Cylinder.with_resolution(550.0, -0.4, 0.4)
 A4 = SheetsConfig(paper_width_m=0.21, paper_height_m=0.297)
@@ -93,41 +93,6 @@ def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
     off = seen.position - middle
     assert np.linalg.norm(off) < 0.03
     assert off @ np.linalg.solve(seen.covariance, off) < 16.0
-
-
-@pytest.mark.parametrize('slant_rad', [0.0, 0.6, -0.8])
-@pytest.mark.parametrize('hidden', [0.0, 0.4])
-def test_a_paper_partly_hidden_from_one_view_gives_no_length(slant_rad, hidden):
-    paper = np.full((4, 10, 3), np.array(paper_bgr('green')), np.uint8)
-    partly = paper.copy()
-    partly[:, : round(10 * hidden)] = 150
-    middles = np.array([[2.0, 1.1, 0.3], [1.4, -0.3, 0.3]])
-    facing = np.arctan2(-middles[:, 1], -middles[:, 0])
-    # The sheet has one direction in the room, which both viewpoints have in common.
-    slants = slant_rad + facing.mean() - facing
-    seen = [
-        find_sheets(panorama(with_sheet(texture, (0.21, 0.297), middle, slant)), A4)
-        for texture, middle, slant in zip((paper, partly), middles, slants, strict=True)
-    ]
-    way = (middles[0] - middles[1])[:2]
-    pose = TwoViews(0.0, float(np.arctan2(way[1], way[0])), np.zeros(2), 0.0, 100)
-    _, lengths = sheet_tracks(seen, {(0, 1): pose}, FINE)
-    assert set(lengths) == (set() if hidden else {(0, 1)})
-
-
-@pytest.mark.parametrize('tilt_rad', [(0.02, 0.0), (-0.01, 0.02)])
-def test_the_pose_of_one_view_in_another_does_not_depend_on_the_map(
-    tilt_rad,
-):
-    level = np.array([[0.0, 0, 0.3, 0, 0, 0], [1.7, 0.6, 0.8, 0.0, 0.0, 0.0]])
-    expected = two_views_of(level, 0, 1)
-    tilted = level.copy()
-    for state in tilted:  # the whole map leans about its origin
-        state[3] = center(state)[:2] @ [-tilt_rad[1], tilt_rad[0]]
-        state[4:] = rotation(-state[2]) @ tilt_rad
-    found = two_views_of(tilted, 0, 1)
-    assert found.slope == pytest.approx(expected.slope, abs=1e-3)
-    assert found.tilt_rad == pytest.approx(expected.tilt_rad, abs=1e-3)
 
 
 STATES = np.array([[0.08, 0, 0, 1.1, 0, 0], [1.77, 0.64, 0.5, 1.102, 0.004, -0.003]])
@@ -238,8 +203,6 @@ def test_sources_that_disagree_are_named_with_their_sigmas(caplog):
 COARSE = Cylinder.with_resolution(200.0, -0.3, 0.3)
 SHAPE = (COARSE.height, COARSE.width)
 
-Rectangle = tuple[FloatArray, float, float, float, float]
-
 
 def hue_deg(color):
     blue, green, red = paper_bgr(color)
@@ -279,17 +242,6 @@ def azimuths(blobs):
     return np.asarray(blobs.edges[:, :2].mean(axis=1))
 
 
-def test_a_paper_is_found_among_books_that_have_rather_its_hue():
-    books: list[Rectangle] = [
-        (color_of('green'), 40.0 + 16.0 * (k % 30), 10.0 + 45.0 * (k // 30), 8.0, 20.0)
-        for k in range(60)
-    ]
-    yellowish = 0.85 * color_of('green') + 0.15 * color_of('yellow')
-    blobs = search_in(wall_with([*books, (yellowish, 700.0, 30.0, 22.0, 31.0)])).blobs('green')
-    azimuth = COARSE.azimuth_rad(700.0 + 10.5)
-    assert np.abs(azimuths(blobs) - azimuth).min() < 0.01
-
-
 @pytest.mark.parametrize('light', [(1.0, 1.0, 1.0), (0.5, 0.75, 1.0), (0.25, 0.24, 0.2)], ids=str)
 def test_each_colour_is_found_among_the_others_in_any_light(light):
     names = sorted(NAMED_HUES_DEG)
@@ -307,15 +259,6 @@ def test_each_colour_is_found_among_the_others_in_any_light(light):
         )
         # Neighbours in hue are there too, and fit worse.
         assert (blobs.misfit[1:] > blobs.misfit[0] + 1.0).all()
-
-
-def test_a_blob_is_found_once_across_the_seam():
-    red = color_of('red')
-    image = wall_with([(red, 300.0, 30.0, 14.0, 20.0), (red, SHAPE[1] - 12.0, 30.0, 24.0, 30.0)])
-    blobs = search_in(image).blobs('red')
-    expected = COARSE.azimuth_rad(np.array([307.0, SHAPE[1]]))
-    off = np.angle(np.exp(1j * (azimuths(blobs)[:, None] - expected)))
-    assert (np.abs(off) < 0.006).sum(axis=0).tolist() == [1, 1]
 
 
 @pytest.mark.parametrize(
@@ -374,9 +317,3 @@ def test_edges_in_jpeg_with_halved_colours_are_unbiased(blur_px, side):
     # Colours are halved: an edge between two of their pixels is drawn to one of them.
     assert np.abs(color).max() < 0.3
     assert abs(np.mean(color)) < 0.05
-
-
-def test_where_there_is_no_paper_there_is_no_edge():
-    assert np.isnan(edges_of(wall_with([]), 200.0, 0.6, 0.0, 0)[0]).all()
-    far = wall_with([(color_of('red'), 230.0, 40.0, 40.0, 40.0)])
-    assert np.isnan(edges_of(far, 200.0, 0.6, 0.0, 0)[0]).all()

@@ -1,6 +1,4 @@
 from dataclasses import replace
-from itertools import pairwise
-import json
 
 import cv2
 import numpy as np
@@ -10,20 +8,12 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.simulation.furnishing import generate_scene, hang_tags, move_one_box
+from landmark_nav.simulation.furnishing import generate_scene, move_one_box
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.scene import Box, choose_sweep_places, EYE_HEIGHT_M, Scene, WallItem
 from landmark_nav.simulation.setup_documents import (
     as_measured,
-    robot_document,
-    room_document,
-    scene_document,
-    start_document,
 )
-from landmark_nav.simulation.solids import back_to_front
-from landmark_nav.simulation.textures import draw_item
-from landmark_nav.simulation.world import Person
-from landmark_nav.storage.setup_files import load_robot, load_room
 
 SEEDS = range(30)
 MOUNT = PanTiltMount((0.08, 0.0, 1.1), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -40,23 +30,6 @@ class TestRooms:
         assert len({str(scene.room) for scene in scenes}) == len(scenes)
         images = [item.seed for scene in scenes for item in scene.items]
         assert len(set(images)) > 0.99 * len(images)
-
-    def test_nothing_overlaps_on_a_wall(self, scenes):
-        for scene in scenes:
-            for index, wall in enumerate(scene.room.walls):
-                things = [
-                    (item.along_m - item.width_m / 2, item.along_m + item.width_m / 2)
-                    for item in scene.items
-                    if item.wall == index
-                ]
-                for paper in scene.room.papers:
-                    if scene.room.nearest_wall(paper.center[:2]) == index:
-                        at = np.linalg.norm(np.array(paper.center[:2]) - wall.start)
-                        things.append((at - paper.width / 2, at + paper.width / 2))
-                things.sort()
-                assert things[0][0] > 0.0
-                assert things[-1][1] < wall.length
-                assert all(a[1] < b[0] for a, b in pairwise(things))
 
     def test_every_room_shows_papers_and_target_to_two_places(self, scenes):
         for scene in scenes:
@@ -84,61 +57,6 @@ class TestRooms:
         boxes = move_one_box(scene, np.random.default_rng(0))
         assert len(boxes) == len(scene.boxes)
         assert len(set(boxes) - set(scene.boxes)) == 1
-
-
-class TestScene:
-    room = generate_scene(4).room
-
-    @pytest.mark.parametrize(('height', 'seen'), [(0.8, True), (1.8, False)])
-    def test_tall_furniture_hides_and_low_does_not(self, height, seen):
-        scene = Scene(0, self.room, boxes=(Box((3.0, 2.0), 0.4, (0.5, 0.5, height), 'wood', 0),))
-        assert scene.sees([3.0, 4.0], [3.0, 0.0], EYE_HEIGHT_M) == seen
-        assert scene.sees([5.0, 4.0], [5.0, 0.0], EYE_HEIGHT_M)
-
-
-class TestPainterOrder:
-    def test_a_person_is_painted_after_the_wall_behind(self):
-        wall, person = np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[1.5, 1.0], [1.0, 1.0]])
-        assert back_to_front([person, wall], np.array([1.2, 2.5]), -np.pi / 2) == [1, 0]
-
-
-class TestLightAndPosters:
-    @pytest.mark.parametrize('kind', ['photo', 'poster', 'shelf', 'blinds', 'door', 'target'])
-    def test_images_have_texture_and_come_out_of_their_seed(self, kind):
-        first = draw_item(kind, 1, (160, 120))
-        assert first.shape == (160, 120, 3)
-        assert first.dtype == np.uint8
-        assert first.std() > 12.0
-        assert np.array_equal(first, draw_item(kind, 1, (160, 120)))
-        assert (kind == 'target') == np.array_equal(first, draw_item(kind, 2, (160, 120)))
-
-    def test_people_walk_where_there_is_space(self, scenes):
-        scene = scenes[2]
-        robot = choose_sweep_places(scene).poses[0, :2]
-        people = [Person(scene, robot, child) for child in np.random.default_rng(0).spawn(3)]
-        seen = []
-        for _ in range(300):
-            for person in people:
-                person.step(0.1, robot)
-            seen.append([person.solid(robot).footprint.mean(axis=0) for person in people])
-        seen = np.array(seen)
-        assert np.ptp(seen, axis=0).max(axis=-1).min() > 0.5
-        assert scene.distance_to_obstacles(seen).min() > 0.1
-        assert np.linalg.norm(seen - robot, axis=-1).min() > 0.6
-
-
-def test_documents_are_read_back(tmp_path, scenes):
-    scene = scenes[1]
-    (tmp_path / 'room.yaml').write_text(room_document(scene.room))
-    assert load_room(tmp_path / 'room.yaml') == scene.room
-    mount = PanTiltMount(
-        (0.1, 0.0, 1.2), (0.0, 0.01, 0.0), (0.03, 0.0, 0.0), pan_min_rad=-2.9, pan_rate_rad_s=0.5
-    )
-    (tmp_path / 'robot.yaml').write_text(robot_document(mount))
-    assert load_robot(tmp_path / 'robot.yaml') == mount
-    assert json.loads(start_document(np.array([1.0, 2.0, 0.5])))['pose'] == [1.0, 2.0, 0.5]
-    items = json.loads(scene_document(scene))['items']
-    assert [item['kind'] for item in items].count('target') == 1
 
 
 def closed_room(corners):
@@ -173,32 +91,6 @@ def test_a_measured_room_has_its_walls_a_few_millimetres_off_and_still_closed(ro
     if papers:
         assert 0.0008 < np.sqrt(np.mean(np.sum(np.square(papers), -1)) / 2.0) < 0.0012
     assert 0.0035 < np.std(heights) < 0.0065
-
-
-@pytest.mark.parametrize('number', [0, 7, 300])
-def test_a_tag_is_read_as_its_number(number):
-    drawn = cv2.copyMakeBorder(draw_item('tag', number, (120, 120)), 40, 40, 40, 40, 0, None, 90)
-    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    _, found, _ = cv2.aruco.ArucoDetector(family).detectMarkers(drawn)
-    assert found.ravel().tolist() == [number]
-
-
-@pytest.mark.parametrize('seed', [12, 13])
-def test_tags_hang_where_nothing_else_does(seed):
-    scene = generate_scene(seed)
-    items = hang_tags(scene, 1.0)
-    tags = items[len(scene.items) :]
-    assert items[: len(scene.items)] == scene.items
-    assert [tag.seed for tag in tags] == list(range(len(tags)))
-    assert len(tags) > 5
-    for tag in tags:
-        for other in items:
-            if other is not tag and other.wall == tag.wall:
-                apart = abs(tag.along_m - other.along_m), abs(tag.center_z_m - other.center_z_m)
-                sizes = tag.width_m + other.width_m, tag.height_m + other.height_m
-                assert any(a >= 0.5 * s for a, s in zip(apart, sizes, strict=True))
-        for paper in scene.room.papers:
-            assert np.linalg.norm(tag.center(scene.room) - paper.center) > 0.5 * tag.width_m
 
 
 CAMERA = CameraModel(
@@ -317,12 +209,3 @@ def test_nearer_things_cover_farther_ones(renderer):
     cv2.fillConvexPoly(inside, np.rint(hull).astype(np.int32), 1)
     assert changed[cv2.dilate(inside, np.ones((7, 7))) == 0].sum() == 0
     assert changed[cv2.erode(inside, np.ones((7, 7))) == 1].mean() > 0.95
-
-
-def test_a_camera_of_two_million_pixels_shows_the_same_as_a_small_one():
-    small = CameraModel(480, 270, 300.0, 300.0, 239.5, 134.5)
-    rotation, center = OFF_CENTRE.camera_pose_map(np.array([2.0, 2.2, 0.4]), 0.3)
-    views = [Renderer(SCENE, camera).render(rotation, center) for camera in (
-        small, small.resized(1920, 1080))]  # fmt: skip
-    reduced = cv2.resize(views[1], (480, 270), interpolation=cv2.INTER_AREA)
-    assert np.abs(views[0].astype(float) - reduced).mean() < 4.0

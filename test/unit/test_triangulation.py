@@ -2,7 +2,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
@@ -13,7 +12,6 @@ from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     base_from_axis,
     bearing_gradients,
-    bearing_residuals,
     danger_distance,
     triangulate_three,
 )
@@ -60,14 +58,6 @@ class TestRecovery:
         pose = np.array([x, y, heading])
         found = triangulate(LANDMARKS, bearings(pose, LANDMARKS), variances(6))
         np.testing.assert_allclose(expect_fix(found).pose[:2], pose[:2], atol=1e-6)
-
-    def test_finds_outliers(self):
-        seen = bearings(POSE, LANDMARKS)
-        seen[2] += 0.03
-        seen[4] -= 1.0
-        fix = expect_fix(triangulate(LANDMARKS, seen, variances(6)))
-        np.testing.assert_array_equal(np.flatnonzero(~fix.used), [2, 4])
-        np.testing.assert_allclose(fix.pose, POSE, atol=1e-6)
 
     @pytest.mark.parametrize('seed', range(10))
     def test_finds_mistaken_landmarks(self, seed):
@@ -130,11 +120,6 @@ class TestRefusal:
     def test_bearings_that_do_not_meet(self):
         seen = bearings(POSE, LANDMARKS[:4]) + np.array([0.0, 0.1, 0.0, -0.1])
         expect_refusal(triangulate(LANDMARKS[:4], seen, variances(4)), 'do not meet')
-
-    def test_too_close_to_a_landmark(self):
-        pose = np.array([2.2, 3.8, 0.0])
-        found = triangulate(LANDMARKS, bearings(pose, LANDMARKS), variances(6))
-        expect_refusal(found, 'too close')
 
     def test_far_from_the_expected_place(self):
         seen = bearings(POSE, LANDMARKS)
@@ -209,33 +194,3 @@ def test_recovers_the_pose(landmarks, pose):
     found = triangulate_three(landmarks, bearings(pose, landmarks))
     np.testing.assert_allclose(found[:2], pose[:2], atol=1e-8)
     assert abs(wrap_rad(found[2] - pose[2])) < 1e-8
-
-
-def test_agrees_with_brute_force_on_noisy_bearings():
-    rng = np.random.default_rng(5)
-    compared = 0
-    while compared < 100:
-        landmarks, pose = rng.uniform(-5.0, 5.0, (3, 2)), rng.uniform(-3.0, 3.0, 3)
-        seen = bearings(pose, landmarks) + rng.normal(0.0, 1e-3, 3)
-        if danger_distance(pose[:2], landmarks)[1] < 0.15:
-            continue
-        if np.hypot(*(landmarks - pose[:2]).T).min() < 0.5:
-            continue
-
-        def misfit(guess, k=landmarks, b=seen):
-            return bearing_residuals(guess, k, b)
-
-        brute = least_squares(misfit, pose, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
-        found = triangulate_three(landmarks, seen)
-        np.testing.assert_allclose(found[:2], brute[:2], atol=1e-9)
-        assert abs(wrap_rad(found[2] - brute[2])) < 1e-9
-        compared += 1
-
-
-@pytest.mark.parametrize('second', [[-3.0, 0.0], [3.0, 0.0]])
-def test_two_landmarks_in_one_line_with_the_robot(second):
-    landmarks = np.array([[1.0, 0.0], second, [0.0, 2.0]])
-    for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
-        pose = np.array([0.0, 0.0, 2.9])
-        found = triangulate_three(landmarks[order], bearings(pose, landmarks[order]))
-        np.testing.assert_allclose(found, pose, atol=1e-12)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -24,7 +23,6 @@ from landmark_nav.localization.triplet import (
     visible_landmarks,
 )
 from landmark_nav.localization.triplet.look_around import (
-    is_known,
     LookAround,
     LookAroundConfig,
     views_around,
@@ -37,8 +35,7 @@ from landmark_nav.localization.triplet.search import (
     pair_tables,
     position_variance,
 )
-from landmark_nav.localization.triplet.selection import ActiveCamera
-from landmark_nav.types import Detections, Landmark, LandmarkMap, PoseEstimate, Refusal, Triplet
+from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate, Refusal, Triplet
 
 WIDTH, DEPTH = 6.6, 4.4
 CAMERA = CameraModel(512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', (-0.1, 0.02))
@@ -121,32 +118,6 @@ class TestSelection:
             assert np.abs(wrap_rad(triplet.bearing_rad - triplet.pan_rad)).max() < 0.42
             assert triplet.stamp_ns == PRIOR.stamp_ns
 
-    def test_joint_limits(self):
-        landmark_map = random_map(40)
-        limits = (0.4, 1.1)
-        triplet = chosen(
-            select_triplet(
-                PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(limits_rad=limits)
-            )
-        )
-        assert limits[0] <= triplet.pan_rad <= limits[1]
-        wide = (2.0 * np.pi - 0.5, 2.0 * np.pi + 3.0)
-        turned = chosen(
-            select_triplet(
-                PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(limits_rad=wide)
-            )
-        )
-        assert wide[0] <= turned.pan_rad <= wide[1]
-
-    def test_pan_across_the_seam(self):
-        prior = PoseEstimate(0, np.array([3.0, 2.0, np.pi]), PRIOR.covariance)
-        landmark_map = LandmarkMap(
-            tuple(landmark(k, (WIDTH, y), (-1.0, 0.0), 1.2) for k, y in enumerate((1.0, 2.1, 3.1)))
-        )
-        triplet = chosen(select_triplet(prior, landmark_map, CAMERA, MOUNT, CONFIG))
-        assert abs(wrap_rad(triplet.pan_rad - np.pi)) < 0.1
-        assert set(triplet.ids) == {100, 101, 102}
-
     def test_hysteresis(self):
         landmark_map = random_map(40)
         first = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
@@ -193,61 +164,6 @@ class TestRefusal:
         found = select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, strict)
         assert isinstance(found, Refusal)
         assert 'accurate enough' in found.reason
-
-
-def camera_image(found, missed=None):
-    n = len(found)
-    return Detections(
-        0,
-        np.array(found, dtype=np.int64),
-        np.zeros(n),
-        np.full(n, 1e-6),
-        np.ones(n),
-        np.zeros((n, 2)),
-        missed=np.array(missed or [], dtype=np.int64),
-    )
-
-
-class TestOneView:
-    def test_an_image_that_hangs_no_more_is_given_up(self):
-        camera = ActiveCamera(random_map(40), MOUNT, CONFIG)
-        first = camera.choose(PRIOR, CAMERA, CameraState(0.0)).chosen
-        assert isinstance(first, Triplet)
-        gone = int(first.ids[0])
-        for _ in range(60):
-            camera.saw(camera_image([], [gone]))
-        later = camera.choose(PRIOR, CAMERA, CameraState(0.0)).chosen
-        assert isinstance(later, Triplet)
-        assert gone not in later.ids
-
-
-class TestVisibility:
-    def test_wall_between(self):
-        behind = landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2)
-        behind = replace(behind, viewpoint=np.array([4.25, 2.2, 1.1]))
-        prior = PoseEstimate(0, np.array([2.0, 2.0, 0.0]), PRIOR.covariance)
-        view = (CAMERA, MOUNT, 0.0, 0.0, CONFIG)
-        assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=ROOM), *view)) == 1
-        corners = [
-            (0.0, 0.0), (4.0, 0.0), (4.0, 2.5), (4.2, 2.5), (4.2, 0.0), (WIDTH, 0.0),
-            (WIDTH, DEPTH), (0.0, DEPTH),
-        ]  # fmt: skip
-        walls = tuple(
-            Wall(str(k), corners[k], corners[(k + 1) % len(corners)], 2.6)
-            for k in range(len(corners))
-        )
-        assert len(visible_landmarks(prior, LandmarkMap((behind,), walls=walls), *view)) == 0
-
-    def test_patch_must_be_whole_in_the_image(self):
-        landmark_map = LandmarkMap((landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),))
-        prior = PoseEstimate(0, np.array([3.0, 2.0, 0.0]), PRIOR.covariance)
-        seen = [
-            len(visible_landmarks(prior, landmark_map, CAMERA, MOUNT, pan, 0.0, CONFIG))
-            for pan in (0.0, 0.36, 0.41, np.pi)
-        ]
-        assert seen == [1, 1, 0, 0]
-        high = visible_landmarks(prior, landmark_map, CAMERA, MOUNT, 0.0, -0.5, CONFIG)
-        assert len(high) == 0
 
 
 class TestGeometry:
@@ -321,32 +237,6 @@ class TestSearch:
 
 
 class TestRanking:
-    def test_the_spread_of_the_prior_counts(self):
-        """A small one changes next to nothing, a wide one makes near landmarks a gamble."""
-
-        def scores(sigma_m):
-            prior = PoseEstimate(0, PRIOR.pose, np.diag([sigma_m, sigma_m, 0.005]) ** 2)
-            # Without margins for it, so that the same views remain.
-            config = TripletConfig(margin_sigmas=0.0)
-            ranking = rank_triplets(prior, random_map(40), CAMERA, MOUNT, config)
-            return float(ranking.score[0]), set(chosen(ranking.chosen).ids.tolist())
-
-        exact, ids = scores(1e-6)
-        for sigma_m in (0.01, 0.04, 0.06):
-            score, others = scores(sigma_m)
-            assert score == pytest.approx(exact, rel=0.02)
-            assert others == ids
-        assert scores(0.4)[0] > 1.1 * exact
-
-    def test_turning_costs(self):
-        landmark_map = random_map(40)
-        hasty = TripletConfig(dwell_time_s=0.05)
-        for pan in (-2.0, 0.0, 2.0):
-            free = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG)
-            near = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, hasty, CameraState(pan))
-            assert near.travel_s[0] <= travel_s(abs(chosen(free.chosen).pan_rad - pan), 1.0, 8.0)
-            assert abs(chosen(near.chosen).pan_rad - pan) < 1.0
-
     def test_reasons(self):
         landmark_map = random_map(40)
         ranking = rank_triplets(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG, CameraState(0.0))
@@ -406,18 +296,3 @@ def test_it_waits_then_goes_round_and_round():
     once = looked_around(around, 14.0)
     assert len({round(target, 6) for target in once}) == 10
     assert len(looked_around(LookAround(LookAroundConfig(after_s=0.0), FULL), 30.0)) > 20
-
-
-def test_it_goes_on_where_the_joint_is_stuck():
-    stuck = looked_around(LookAround(LookAroundConfig(after_s=0.0), FULL), 40.0, limit_rad=1.0)
-    assert min(stuck) < -1.0
-    assert max(stuck) > 1.0
-
-
-@pytest.mark.parametrize(
-    ('sigma', 'known'),
-    [((0.1, 0.1, 0.1), True), ((0.4, 0.4, 0.1), False), ((0.1, 0.1, 0.6), False)],
-)
-def test_what_counts_as_known(sigma, known):
-    pose = PoseEstimate(0, np.zeros(3), np.diag(np.square(sigma)))
-    assert is_known(pose) is known
