@@ -131,3 +131,29 @@ def test_odometry_that_slipped_aside_makes_a_right_map_or_none():
     slipped = POSES + np.array([[0.0, 0.0, 0.0], [-0.18, 0.46, 0.0]])
     refused = learned_or_refused(furnished(), furniture(), slipped, scale_off=0.5)
     assert not refused or 'odom' in refused
+
+
+def test_what_a_mirror_shows_is_a_place_behind_it():
+    """An opening shows a second room, as a mirror does: it is seen through the wall."""
+    behind = tuple(board((3.6 + 0.2 * k, -1.2 + 0.8 * k, 1.2), 60 + k) for k in range(3))
+    bare = walls()
+    scene = Scene((bare[0], *bare[2:], *furniture(), *behind))
+    result = learned([scene, scene])
+    check(result, (*furniture(), *behind))
+
+
+def test_what_a_window_shows_far_away_is_no_landmark():
+    rng = np.random.default_rng(5)
+    texture = smooth_texture(rng, 80.0, 12.0, 1.0)
+    far = Board(np.array([40.0, 0.0, 1.5]), np.array([-1.0, 0.0, 0.0]), 80.0, 12.0, texture)
+    bare = walls()
+    scene = Scene((bare[0], *bare[2:], *furniture(), far))
+    result = learned([scene, scene])
+    check(result, furniture())
+
+
+@pytest.mark.parametrize('ends', [False, True])
+def test_a_corridor_with_bare_walls_makes_a_right_map_or_none(ends):
+    boards = (board((4.5, 0.2, 1.2), 81, 1.2), board((-2.5, 0.1, 1.2), 82, 1.2)) if ends else ()
+    scene = Scene((*walls(12.0, 4.6)[::2], *boards))
+    assert '\n' not in learned_or_refused(scene, boards)

@@ -162,3 +162,17 @@ def test_the_robot_stops_without_keys():
     keys.press('wx', 2.0)
     assert keys.ended
     assert keys.velocity(2.1) == (0.0, 0.0)
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        'import sys\n'
+        'from landmark_nav.cli.main import main\n'
+        'main(["--help"])\n'
+        'heavy = {"numpy", "cv2", "scipy", "matplotlib", "rosbags", "rclpy"} & set(sys.modules)\n'
+        'sys.exit(f"loaded {heavy}" if heavy else 0)\n'
+    )
+    result = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, timeout=20
+    )
+    assert result.returncode == 0, result.stderr

@@ -425,3 +425,14 @@ def test_nanoseconds_of_another_unit_are_named(unit_ns, named):
     units = [f.measured for f in found if f.name == 'images stamps']
     assert len(units) == (named is not None)
     assert named is None or named in units[0]
+
+
+@pytest.mark.parametrize(
+    ('odometry_s', 'stream'), [(0.0, JOINTS), (0.018, JOINTS), (0.05, IMAGES)]
+)
+def test_odometry_that_is_a_little_late_does_not_speak_for_images(odometry_s, stream, drive):
+    late = replace(drive, pan_clock=Clock(0.05), odometry_clock=Clock(odometry_s))
+    turns = late.panned() + late.yawed() + late.parallax() @ [1.0 / 3.0, 0.0]
+    noise = np.random.default_rng(3).normal(0.0, 0.002, len(turns))
+    cause = verdict(replace(drive, turns_rad=turns + noise)).cause
+    assert (cause.stream, cause.kind) == (stream, 'clock')

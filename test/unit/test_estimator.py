@@ -404,3 +404,27 @@ def test_errors_of_landmarks_are_bounded_in_number_and_stay_consistent(monkeypat
     assert max(len(run.filter.snapshot.landmarks) for run in runs) <= 10
     assert all(np.mean(run.nees < 31.8) == 1.0 for run in runs)
     assert max(np.hypot(*run.errors[-1, :2]) for run in runs) < 0.02
+
+
+def test_what_is_exact_never_changes():
+    exactly = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, 0.0))
+    run = driven(simulated(2, seconds=8.0), prior=exactly)
+    assert (run.filter.calibration.values == exactly.values).all()
+    assert not run.filter.calibration.covariance.any()
+    assert run.filter.contradiction[1] < 4.0
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_a_misplaced_landmark_is_no_knock(seed):
+    drive = simulated(seed, seconds=24.0)
+    seen_most = np.bincount(
+        np.concatenate([e.columns for e in drive.events if isinstance(e, ImagePoints)])
+    ).argmax()
+
+    def change(_, seen):
+        off = 0.03 * (seen.columns == seen_most)
+        return replace(seen, points=seen.points + off[:, None])
+
+    run = driven(drive, changed=change)
+    assert not any(update.stepped for update in run.updates)
+    assert (run.nees < 31.8).all()

@@ -138,3 +138,16 @@ def test_without_facades_a_room_goes_around_what_is_seen(count):
     assert room.contains(around).all()
     assert count == 0 or np.mean(room.contains(xyz[:, :2])) > 0.8
     assert all(wall.sigma_m for wall in room.walls)
+
+
+def test_two_posters_on_walls_that_meet_make_no_facade_across_the_corner():
+    """Any two small groups of points have a line in common."""
+    rng = np.random.default_rng(8)
+    height = rng.uniform(0.8, 1.8, 40)
+    one = np.column_stack([rng.uniform(5.2, 5.35, 40), np.zeros(40), height])
+    other = np.column_stack([np.full(40, 6.0), rng.uniform(0.65, 0.8, 40), height])
+    xyz = np.vstack([one, other])
+    xyz[:, :2] += rng.normal(0, 0.01, (80, 2))
+    facades = find_facades(seen(xyz, 0.03), CONFIG)
+    across = np.array([0.7, 0.6]) / np.hypot(0.7, 0.6)
+    assert not any(abs(facade.along @ across) > 0.9 for facade in facades)

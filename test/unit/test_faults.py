@@ -429,3 +429,28 @@ def test_images_of_a_known_delay_give_poses_at_their_stamps(sensed):
         for calibration in (known, KNOWN)
     )
     assert nees < 5.0 < unknown
+
+
+@pytest.mark.parametrize('seconds', [1.5, 3.0])
+def test_a_delay_that_is_over_is_taken_back(sensed, seconds):
+    localizer = Localizer(MAP, KNOWN, LocalizationConfig())
+    localizer.initialize(PoseEstimate(0, START, np.diag(START_SIGMA**2)))
+    delays = []
+    for step, frame in sensed:
+        since = step.stamp_ns * 1e-9 - FAULT_S
+        localizer.add_odometry(step.odometry)
+        if frame is not None and since < seconds + 3.0:
+            localizer.add_frame(stamped_late(frame, LATE_S if 0.0 < since < seconds else 0.0))
+            delays.append(localizer.late.delay_s)
+    assert max(delays) > 0.15
+    # The joints show nothing of longer ones.
+    assert np.abs(delays).max() < 0.4
+    assert abs(delays[-1]) < max(0.02, 4.0 * localizer.late.sigma_s)
+
+
+def test_poses_that_jitter_are_weighed_as_such(sensed):
+    rng = np.random.default_rng(3)
+    jitter = wheels(lambda s: moved(s, s.pose_odom_base + rng.normal(0.0, [0.01, 0.01, 0.005])))
+    nees = [m.nees for m in run(sensed, jitter) if m.after_s > 2.0]
+    assert np.mean(nees) < 4.5
+    assert np.max(nees) < 25.0

@@ -11,7 +11,7 @@ from wire import FACTORY, over_the_wire
 
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, LENS, NAMES
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import Status
 from landmark_nav.localization.fusion import Fusion
@@ -272,3 +272,91 @@ def test_a_camera_info_that_changes_restarts_the_estimate_of_the_lens(since, is_
     assert abs(focal - (before[0] / after[0] - 1.0)) < 5.0 * sigma
     assert np.abs(error(fusion, drive)[:2]).max() < 0.02
     assert fusion.status_at()[0] is Status.OK
+
+
+@pytest.mark.parametrize('width', [320, 640])
+def test_a_principal_point_that_a_driver_rounds_does_not_forget_the_lens(width, caplog):
+    drive = simulated(5, seconds=12.0, prior=Calibration.of_mount(MOUNT))
+    fusion, images = fused(drive), 0
+    rounded = INTRINSICS + 0.5 / width * np.array([0.0, 0.0, 1.0, 1.0, 0.0])
+    for what in arriving(drive):
+        if not isinstance(what, OdometrySample):
+            images += 1
+            camera = rounded if images > 30 and images % 2 else INTRINSICS
+            what = replace(what[0], intrinsics=camera), what[1]
+        before = fusion.calibration
+        take(fusion, what)
+        if images > 30:
+            for name in ('focal_scale', 'distortion'):
+                assert fusion.calibration[name][1] < 1.1 * before[name][1]
+    assert len(caplog.messages) == 1
+    off = fusion.calibration.values - drive.true.values
+    assert (np.abs(off) < 5.0 * fusion.calibration.sigmas + 1e-9).all()
+
+
+def test_another_map_leaves_the_pose_and_what_was_learned():
+    drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
+    fusion, arrivals = fused(drive), list(arriving(drive))
+    for what in arrivals[:150]:
+        take(fusion, what)
+    before, learned = fusion.estimate(), fusion.calibration
+    fusion.change_map(LandmarkMap(drive.landmark_map.landmarks[::2]))
+    after = fusion.estimate()
+    assert before is not None
+    assert after is not None
+    assert after.pose == pytest.approx(before.pose)
+    assert after.covariance == pytest.approx(before.covariance)
+    assert fusion.calibration.sigmas == pytest.approx(learned.sigmas)
+    for what in arrivals[150:]:
+        take(fusion, what)
+    assert np.abs(error(fusion, drive)[:2]).max() < 0.05
+
+
+def test_the_same_map_again_changes_nothing():
+    drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
+    fusion, same = fused(drive), fused(drive)
+    for k, what in enumerate(arriving(drive)):
+        take(fusion, what)
+        take(same, what)
+        if not k % 20:
+            same.change_map(replace(drive.landmark_map))
+    assert same.estimate().covariance == pytest.approx(fusion.estimate().covariance)  # type: ignore[union-attr]
+
+
+def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():
+    pans = PanTrack(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.0, 1.0]))
+    start = PoseEstimate(0, np.zeros(3), 1e-6 * np.eye(3))
+    prior = Calibration.of_mount(MOUNT, {'axis_yaw': 1e-4})
+    sigmas = []
+    for joints in (
+        JointSample(0, 0.0),
+        JointSample(0, 0.0, 0.0, 1.0, pan_track=pans),
+        JointSample(0, 0.0, pan_sigma_rad=0.2),
+    ):
+        fusion = Fusion(LandmarkMap(()), prior)
+        fusion.place(start, joints)
+        estimate, expected = fusion.estimate(), fusion.expectation(0)
+        assert estimate is not None
+        assert expected is not None
+        sigmas.append(np.sqrt(estimate.covariance[2, 2]))
+    assert sigmas[0] < 0.005
+    # Half a turn a second of 0.2 s: two sigmas.
+    assert sigmas[1] == pytest.approx(0.1, rel=0.1)
+    assert sigmas[2] == pytest.approx(0.2, rel=0.1)
+
+
+@pytest.mark.parametrize('aside_m', [0.0, 0.1, 1.0])
+def test_a_wrong_start_is_lost_for_good_and_its_calibration_forgotten(aside_m):
+    drive = simulated(6, seconds=4.0, prior=Calibration.of_mount(MOUNT))
+    fusion = fused(drive)
+    off = drive.poses[0] + [aside_m, 0.0, 0.0]
+    fusion.initialize(PoseEstimate(0, off, np.diag(np.square([0.05, 0.05, 0.035]))))
+    given = fusion.calibration
+    for what in arriving(drive):
+        take(fusion, what)
+    wrong = aside_m > 0.5
+    assert (fusion.status_at()[0] is Status.LOST) is wrong
+    learned = not np.array_equal(fusion.calibration.values, given.values)
+    assert learned is not wrong
+    fusion.place(drive.start)
+    assert fusion.status_at()[0] is not Status.LOST

@@ -184,3 +184,9 @@ def test_misses_are_zero_for_true_poses_and_their_slopes_are_right():
         step[view] = 1e-7 * rng.normal(size=6)
         moved = misses(states + step, pairs, NOISE_RAD)[0]
         assert moved - off == pytest.approx(slopes[:, view] @ step[view], abs=1e-5)
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_where_nothing_moved_there_is_no_doubt(seed):
+    result = found(POSES[:2], POSES[:2], seed)
+    assert np.linalg.norm(result.doubt[2::STATE], axis=1).max() < CONFIG.heading_sigma_rad

@@ -229,3 +229,25 @@ def test_a_video_shows_the_drive(tmp_path, camera):
     moved = [np.abs(frames[k] - frames[k + 2]).sum((0, 2)) for k in (2, 12, 22)]
     middles = [float(np.average(np.arange(800), weights=one > 500)) for one in moved]
     assert middles == sorted(middles)
+
+
+@pytest.mark.parametrize('dark', [False, True])
+def test_on_a_phone_nothing_is_cut(opened, dark):
+    chrome = opened(page_of(), 390, dark, 'a_bag_with_a_name_' * 8)
+    wide = chrome.execute_script(
+        'return [...document.querySelectorAll("body *")].filter((one) => !one.closest("svg") &&'
+        'one.getClientRects().length && one.getBoundingClientRect().right > 390.5)'
+        '.map((one) => one.outerHTML.slice(0, 80))'
+    )
+    assert wide == []
+    assert chrome.execute_script('return document.documentElement.scrollWidth') <= 390
+
+
+def test_figures_follow_dark_mode(opened):
+    read = (
+        'const of = (name) => getComputedStyle(document.querySelector(name));'
+        'return [of("body").backgroundColor, of(".plan").backgroundColor,'
+        'of("#charts .line").stroke, of("#charts text").fill]'
+    )
+    light, dark = (opened(page_of(), dark=dark).execute_script(read) for dark in (False, True))
+    assert all(one != other for one, other in zip(light, dark, strict=True))

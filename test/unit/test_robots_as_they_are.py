@@ -350,3 +350,22 @@ def test_the_tree_leads_from_the_map_to_the_camera(mount):
     rotation, center = mount.camera_pose_map(fused, joints.pan_rad, joints.tilt_rad)
     np.testing.assert_allclose(pose[:3, :3], rotation, atol=1e-9)
     np.testing.assert_allclose(pose[:3, 3], center, atol=1e-9)
+
+
+@pytest.mark.parametrize('period_ms', [10, 20, 50])
+def test_what_interpolation_leaves_open_is_claimed(period_ms):
+    """A unit that turns here and there, and swings after each stop."""
+    rng, step_ms = np.random.default_rng(1), 5
+    unit, true = PanTiltUnit(PanTiltConfig(encoder_step_rad=0.0)), []
+    for k in range(4000):
+        if k % 250 == 0:
+            unit.command(rng.uniform(-2.0, 2.0))
+        unit.step(1e-3 * step_ms)
+        true.append(unit.angles_rad[0])
+    off, sigma = interpolated(np.array(true), step_ms, period_ms)
+    every = period_ms // step_ms
+    assert not sigma[::every].any()
+    between = np.arange(len(off)) % every > 0
+    normalized = (off / np.hypot(sigma, 1e-4))[between]
+    assert np.sqrt(np.mean(np.square(normalized))) < 1.0
+    assert np.mean(np.abs(normalized) > 3.0) < 0.01

@@ -92,3 +92,8 @@ def test_two_places_that_the_prior_allows_are_none():
     )
     assert isinstance(place, Refusal)
     assert place.reason == 'not unique'
+
+
+def test_a_pose_that_is_claimed_to_be_known_is_taken_at_its_word():
+    seen = look(reported(np.array([0.6, 0.3, 0.2]), SURE))
+    assert len(seen.detections) <= 1
