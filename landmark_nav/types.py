@@ -68,7 +68,7 @@ class PoseEstimate:
 @dataclass(frozen=True, eq=False)
 class Expectation(PoseEstimate):
     """
-    Expected pose of the base at a time, and calibration, for the search for landmarks.
+    Expected pose of the base in an image of a time, and calibration, for the search for landmarks.
 
     The covariance is that of the pan axis with the azimuth of the camera: errors of heading and
     pan zero that cancel are not part of it. Of the calibration, only standard deviations are used,

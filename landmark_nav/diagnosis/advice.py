@@ -40,7 +40,7 @@ def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool 
     values = {'late_s': late_s}
     if corrected and abs(late_s) <= CORRECTED_S:
         advice = 'corrected here; on the robot stamp at the time of measurement'
-        if stream == IMAGES:
+        if stream == IMAGES and late_s > 0.0:
             both = f'{late_s:+.3f} to image_delay, {-late_s:+.3f} to joint_delay'
             advice = f'corrected here; in robot.yaml add {both}'
         # `evaluate` reports the joint delay more accurately in a separate line.

@@ -21,6 +21,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator import ImagePoints, JointFilter
 from landmark_nav.localization.estimator.factors import project
+from landmark_nav.localization.estimator.smoothing import ErrorRepetition
 from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
@@ -91,18 +92,28 @@ _FIVE_SIGMA = 5.0
 _RESOLUTION = 1e-6
 
 
+class Bound(NamedTuple):
+    """
+    Bound of the covariances (n, 3, 3) of poses at images, and what is independent among them.
+
+    `independent` is the number of independent errors with the same variance of the mean NEES, NaN
+    if it is unknown.
+    """
+
+    covariances: FloatArray
+    independent: float
+
+
 class Consistency(NamedTuple):
     """
     Normalised estimation errors squared.
 
-    With consistent covariances the expectation of `mean` is 3, and `mean` lies inside
-    `interval_95` in 19 of 20 runs, each with a newly drawn map and errors of the same correlation.
-    `inside_95` is the share of errors within the 95 % bound of a single error.
+    With consistent covariances the expectation of `mean` is 3. `inside_95` is the share of errors
+    within the 95 % bound of a single error.
     """
 
     mean: float
     inside_95: float
-    interval_95: tuple[float, float]
 
 
 def pose_errors(poses: npt.ArrayLike, truth: npt.ArrayLike) -> FloatArray:
@@ -137,18 +148,11 @@ def _p95(values: FloatArray) -> float:
     return float(np.percentile(values, 95))
 
 
-def consistency(
-    errors: FloatArray, covariances: FloatArray, by_map: FloatArray | None = None
-) -> Consistency | None:
+def consistency(errors: FloatArray, covariances: FloatArray) -> Consistency | None:
     """
     Compare errors (n, 3), NaN if unknown, with their estimated covariances (n, 3, 3).
 
-    `by_map` (n, 3, m) are derivatives of the errors by m factors of unit variance that generate
-    the errors of the map. The factors are constant over a run and correlate all its errors. None
-    if all errors are unknown.
-
-    Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
-    section 5.4.
+    None if all errors are unknown.
     """
     known = np.all(np.isfinite(errors), axis=1)
     if not np.any(known):
@@ -157,33 +161,19 @@ def consistency(
     white = np.linalg.solve(roots, errors[known][..., None])[..., 0]
     nees = np.sum(white * white, axis=1)
     bound = chdtri(_DEGREES_OF_FREEDOM, 0.05)
-    n = _independent(white)
-    if by_map is not None:
-        # The variance of a sum of squares of Gaussians is twice the sum of their squared
-        # correlations.
-        factors = np.linalg.solve(roots, by_map[known]).reshape(white.size, -1)
-        repeated = float(np.sum((factors.T @ factors) ** 2))
-        n = min(n, white.size * len(white) / repeated) if repeated > 0.0 else n
-    low, high = chdtri(_DEGREES_OF_FREEDOM * n, [0.975, 0.025]) / n
-    inside_95 = float(np.mean(nees < bound))
-    return Consistency(float(np.mean(nees)), inside_95, (float(low), float(high)))
+    return Consistency(float(np.mean(nees)), float(np.mean(nees < bound)))
 
 
-def _independent(white: FloatArray) -> float:
-    """Effective number of independent samples among whitened errors (n, 3), by their squares."""
-    # Errors of a run are correlated: those by the map throughout, those by odometry for some time.
-    # The correlation of squares of Gaussians is the square of their correlation.
-    n = len(white)
-    power = float(np.sum(white * white)) / n
-    if power == 0.0:
-        return float(n)
-    repeated = 0.0
-    for lag in range(1, n):
-        correlation = float(np.sum(white[lag:] * white[:-lag])) / ((n - lag) * power)
-        if correlation <= 0.0:
-            break
-        repeated += correlation**2
-    return n / (1.0 + 2.0 * repeated)
+def nees_interval_95(independent: float) -> tuple[float, float]:
+    """
+    Interval that holds the mean NEES of 19 of 20 runs with so many independent errors.
+
+    Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
+    section 5.4.
+    """
+    n = independent
+    low, high = (chdtri(_DEGREES_OF_FREEDOM * n, [0.975, 0.025]) / n).tolist()
+    return low, high
 
 
 def undetected_failures(
@@ -225,9 +215,9 @@ def posterior_bound(
     calibration: Calibration,
     config: LocalizationConfig,
     start: PoseEstimate,
-) -> FloatArray:
+) -> Bound:
     """
-    Bound (n, 3, 3) of the covariance of the pose at each image; NaN if the truth is unknown.
+    Bound of the covariance of the pose at each image, NaN where the truth is unknown.
 
     For a nonlinear system with Gaussian noise the bound obeys the covariance recursion of the
     extended Kalman filter linearised along the true trajectory (Taylor, IEEE Trans. Automatic
@@ -238,10 +228,11 @@ def posterior_bound(
     impossible, all is NaN.
     """
     bound = np.full((len(images), 3, 3), np.nan)
+    unknown = Bound(bound, np.nan)
     begin = max(start.stamp_ns, int(truth.stamps_ns[0])) if len(truth) else 0
     poses = truth.at([begin, *(seen.stamp_ns for seen in images)])
     if np.isnan(poses[0]).any():
-        return bound
+        return unknown
     # Points without noise must not adapt the noise models, and cannot be outliers.
     adapted = ('tail_freedom', 'step_probability', 'moved_probability', 'learning_sigma')
     noise = replace(config.estimator, **dict.fromkeys(adapted, 0.0))
@@ -249,6 +240,7 @@ def posterior_bound(
     ideal = JointFilter(landmark_map, calibration, start, noise, config.odometry)
     track = OdometryTrack(config.odometry)
     moved = int(np.searchsorted(truth.stamps_ns, begin))
+    repetition = ErrorRepetition(len(images))
     try:
         for k, (seen, pose) in enumerate(zip(images, poses[1:], strict=True)):
             if np.isnan(pose).any() or seen.stamp_ns < begin:
@@ -257,6 +249,7 @@ def posterior_bound(
                 track.add(OdometrySample(int(truth.stamps_ns[moved]), truth.poses[moved]))
                 moved += 1
             track.add(OdometrySample(seen.stamp_ns, pose))
+            before = ideal.snapshot
             move_to(seen.stamp_ns, ideal, track)
             state = ideal.snapshot
             points = project(
@@ -266,6 +259,9 @@ def posterior_bound(
             ).points
             ideal.observe(replace(seen, points=points, near=None))
             bound[k] = ideal.estimate.covariance
+            repetition.add(before, state, ideal)
+            ideal.mark()
     except (np.linalg.LinAlgError, FloatingPointError):
         bound[:] = np.nan
-    return bound
+        return unknown
+    return Bound(bound, repetition.independent)

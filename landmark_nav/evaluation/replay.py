@@ -65,10 +65,6 @@ def shifts_by_odometry(
     return shift[np.where(early, following, np.where(late, stepped - 1, last))]
 
 
-# Variances of a map below this share of the largest one are zero up to rounding.
-_ROUNDING = 1e-12
-
-
 @dataclass(frozen=True, eq=False)
 class Replay:
     """
@@ -121,18 +117,6 @@ class Replay:
         for sample in self.samples:
             track.add(sample)
         return track
-
-    def by_map(self, landmark_map: LandmarkMap) -> FloatArray | None:
-        """Derivatives (n, 3, m) of the fused poses by factors of unit variance of the map."""
-        parts = [update.with_landmarks for update in self.updates]
-        known = [part for part in parts if part is not None]
-        if not known or len(known) < len(parts):
-            return None
-        variance, factor = np.linalg.eigh(landmark_map.joint_covariance_xy)
-        # The covariance may be singular: landmarks may be exact, or fully correlated.
-        varies = variance > _ROUNDING * variance[-1]
-        by_factors = np.vstack(known) @ (factor[:, varies] / np.sqrt(variance[varies]))
-        return np.asarray(by_factors.reshape(len(known), 3, -1))
 
     @property
     def fixes(self) -> FloatArray:

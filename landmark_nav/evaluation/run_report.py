@@ -63,19 +63,16 @@ def run_report(
     was given; ``spells`` are the stretches of images in which the state was degraded or lost;
     ``warning`` says why the metrics mean little, and is None if they are meaningful.
     """
-    known = calibration if run.calibration is None else run.calibration
-    images = [_used(update, run.detection_sigma_factor) for update in run.updates]
-    true = replace(calibration, values=known.values)
-    bound = metrics.posterior_bound(run.truth, images, landmark_map, true, config, run.start)
+    bound = bound_of(run, landmark_map, calibration, config)
     median_ms, p95_ms = (1e3 * np.percentile(run.update_seconds, (50, 95))).tolist()
     stamps = run.stamps_ns
     span_s = 1e-9 * float(max(stamps[-1], run.odometry.stamps_ns[-1]) - run.begin_ns)
-    of_poses = pose_report(run, errors, landmark_map)
+    of_poses = pose_report(run, errors, landmark_map, bound.independent)
     available = of_poses['availability']
     after_s = 1e-9 * float(run.start.stamp_ns - run.begin_ns)
     return {
         **of_poses,
-        'crlb_ratio': metrics.crlb_ratio(errors.fused, bound),
+        'crlb_ratio': metrics.crlb_ratio(errors.fused, bound.covariances),
         'update_ms': {'median': median_ms, 'p95': p95_ms},
         'realtime_factor': span_s / run.seconds,
         'result_hash': metrics.result_hash(stamps, run.fused, run.fixes),
@@ -91,12 +88,28 @@ def run_report(
     }
 
 
-def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> dict[str, Any]:
-    """Metrics that depend on the poses of a run only; ``claimed`` are their sigmas."""
+def bound_of(
+    run: Replay, landmark_map: LandmarkMap, calibration: Calibration, config: LocalizationConfig
+) -> metrics.Bound:
+    """Bound of the errors of a run with this prior calibration."""
+    known = calibration if run.calibration is None else run.calibration
+    images = [_used(update, run.detection_sigma_factor) for update in run.updates]
+    true = replace(calibration, values=known.values)
+    return metrics.posterior_bound(run.truth, images, landmark_map, true, config, run.start)
+
+
+def pose_report(
+    run: Replay, errors: RunErrors, landmark_map: LandmarkMap, independent: float = np.nan
+) -> dict[str, Any]:
+    """
+    Metrics that depend on the poses of a run only; ``claimed`` are their sigmas.
+
+    `independent` is that of `metrics.Bound`; without it there is no interval of NEES.
+    """
     images = len(run.searched) + len(run.updates)
-    by_map = run.by_map(landmark_map)
-    nees = metrics.consistency(errors.fused, run.fused_covariances, by_map)
-    mean, inside_95, interval_95 = nees or (None, None, None)
+    nees = metrics.consistency(errors.fused, run.fused_covariances)
+    mean, inside_95 = nees or (None, None)
+    known = nees is not None and np.isfinite(independent)
     sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
     sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
     return {
@@ -109,8 +122,7 @@ def pose_report(run: Replay, errors: RunErrors, landmark_map: LandmarkMap) -> di
         'nees': {
             'mean': mean,
             'inside_95': inside_95,
-            # Recordings of the nodes lack the errors by the map, without which it is too narrow.
-            'interval_95': list(interval_95) if interval_95 and by_map is not None else None,
+            'interval_95': list(metrics.nees_interval_95(independent)) if known else None,
         },
         'claimed': {
             'position_median_m': float(np.median(sigma_m)),
@@ -351,7 +363,7 @@ def smoothed_report(run: Replay, smoothed: Smoothed) -> dict[str, Any]:
     """Metrics of the smoothed trajectory: errors, as for the other estimates, and NEES."""
     errors = pose_errors(smoothed.poses, run.truth.at(smoothed.stamps_ns))
     nees = consistency(errors, smoothed.covariances)
-    mean, inside_95, _ = nees or (None, None, None)
+    mean, inside_95 = nees or (None, None)
     return {**error_summary(errors), 'nees': {'mean': mean, 'inside_95': inside_95}}
 
 

@@ -343,17 +343,12 @@ class Fusion:
         return self._integrity.inflated_if_lost(self._line.estimate(stamp_ns), self._wrong)
 
     def expectation(self, stamp_ns: int) -> Expectation | None:
-        """Expected pose of the camera at a time; None before a pose is known."""
+        """Expected pose in an image of a time; None before a pose is known."""
         if self._line is None:
             return None
         expected = self._line.filter_at(stamp_ns).expectation
         known = replace(expected.calibration, intrinsics=self._prior.intrinsics)
         return replace(expected, calibration=known)
-
-    def with_landmarks(self, stamp_ns: int) -> FloatArray:
-        """Covariance (3, 2 n) of the pose at a time with x and y of all landmarks."""
-        assert self._line is not None, 'a pose is known'
-        return self._line.filter_at(stamp_ns).with_landmarks()
 
     def level(self, estimate: PoseEstimate) -> ProtectionLevel:
         """Bound of the error of an estimate at 99 %."""

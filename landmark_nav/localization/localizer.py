@@ -26,7 +26,6 @@ from landmark_nav.parameters import OF_ROBOT
 from landmark_nav.types import (
     CameraFrame,
     Detections,
-    FloatArray,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -61,8 +60,6 @@ class LocalizationUpdate:
         Estimate at the image's stamp, after the update.
     status, reason : str
         ``tracking``, ``coasting`` or ``lost`` after the update, and the reason for the last two.
-    with_landmarks : ndarray, shape (3, 2 n), optional
-        Covariance of `fused` with the positions of all landmarks.
     search : PoseEstimate or Refusal, optional
         Result of the relocalization, if it was run.
     level : ProtectionLevel, optional
@@ -79,7 +76,6 @@ class LocalizationUpdate:
     fused: PoseEstimate
     status: str
     reason: str
-    with_landmarks: FloatArray | None = None
     search: PoseEstimate | Refusal | None = None
     level: ProtectionLevel | None = None
     points: ImagePoints | None = None
@@ -235,7 +231,6 @@ class Localizer:
             fused,
             status,
             reason,
-            self._fusion.with_landmarks(stamp),
             level=self._fusion.level(fused),
             points=points,
             taken=taken,

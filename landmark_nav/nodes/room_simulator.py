@@ -131,7 +131,8 @@ class RoomSimulatorNode(ConfiguredNode):
 
     def _take_image(self) -> None:
         """Publish camera_info; render and publish an image if there are subscribers."""
-        stamp, camera = self._world.stamp_ns, self._world.camera
+        world, camera = self._world, self._world.camera
+        stamp = world.stamp_ns + round(1e9 * world.mount.image_delay_s)
         self._info.publish(encode.camera_info(ros_factory, camera, stamp, _OPTICAL_FRAME))
         wanted = [item for item in self._images.items() if item[0].get_subscription_count()]
         if wanted:

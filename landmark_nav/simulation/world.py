@@ -321,7 +321,8 @@ class RobotWorld:
         people = [person.solid(center[:2]) for person in self._people]
         image = self.renderer.render(turn, center, people)
         sample, image = self.joint_sample(), self._effects.apply(image)
-        return CameraFrame(sample.stamp_ns, image, self.camera, sample.pan_rad, sample.tilt_rad)
+        stamp_ns = sample.stamp_ns + round(1e9 * self.mount.image_delay_s)
+        return CameraFrame(stamp_ns, image, self.camera, sample.pan_rad, sample.tilt_rad)
 
     def _free(self, position_xy: FloatArray) -> bool:
         """Whether a position is in the room, with enough distance from walls and furniture."""

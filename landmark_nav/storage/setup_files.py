@@ -34,13 +34,13 @@ _MAX_WALL_SIGMA_M = 1.0
 _HALF_TURN_RAD = 3.15
 
 # Field -> argument of a mount, range and unit. A joint may make a full turn to both sides; rates
-# and accelerations beyond the range are given in another unit.
+# and accelerations beyond the range are given in another unit. Images are never early.
 PAN_UNIT = {
     'pan_min': ('pan_min_rad', -6.2832, 6.2832, 'radians'),
     'pan_max': ('pan_max_rad', -6.2832, 6.2832, 'radians'),
     'pan_rate': ('pan_rate_rad_s', 0.01, 100.0, 'radians a second'),
     'pan_acceleration': ('pan_acceleration_rad_s2', 0.01, 1e4, 'radians a second, each second'),
-    'image_delay': ('image_delay_s', -1.0, 1.0, 'seconds'),
+    'image_delay': ('image_delay_s', 0.0, 1.0, 'seconds'),
 }
 
 # Greatest sigma of the pan; a less certain one gives no information.

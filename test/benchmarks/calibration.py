@@ -32,8 +32,14 @@ import numpy as np
 from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.calibration_run import calibrate_by_drive
-from landmark_nav.evaluation.metrics import consistency, pose_errors, undetected_failures
+from landmark_nav.evaluation.metrics import (
+    consistency,
+    nees_interval_95,
+    pose_errors,
+    undetected_failures,
+)
 from landmark_nav.evaluation.replay import Replay
+from landmark_nav.evaluation.run_report import bound_of
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
@@ -88,19 +94,20 @@ class Line:
     undetected: int
 
     @classmethod
-    def of(cls, run: Replay, landmarks: LandmarkMap) -> Line:
-        """Return those of a run."""
+    def of(cls, run: Replay, landmarks: LandmarkMap, known: Calibration) -> Line:
+        """Return those of a run with this prior calibration."""
         errors = pose_errors(run.fused, run.truth.at(run.stamps_ns))
         steps = np.hypot(*np.diff(run.odometry.poses[:, :2], axis=0).T)
         way = np.interp(
             run.stamps_ns, run.odometry.stamps_ns, np.concatenate([[0.0], np.cumsum(steps)])
         )
-        nees = consistency(errors, run.fused_covariances, run.by_map(landmarks))
+        nees = consistency(errors, run.fused_covariances)
         assert nees is not None, 'the drive has ground truth'
+        bound = bound_of(run, landmarks, known, LocalizationConfig())
         whole, later = summary(errors), summary(errors[way > AFTER_M])
         return cls(
             *(whole['rmse'], whole['heading'], later['rmse'], later['heading']),
-            *(nees.mean, nees.interval_95),
+            *(nees.mean, nees_interval_95(bound.independent)),
             undetected_failures(errors, run.fused_covariances, run.tracking),
         )
 
@@ -191,7 +198,7 @@ def drawn_line(seed: int, folder: Path, sigmas: dict[str, float]) -> str:
     robot = DrawnRoom(seed, 16.0, folder, sigmas)
     drive = robot.learned(Calibration.of_mount(DEFAULT_MOUNT))
     run = drive.run(robot.events(drive))
-    line = Line.of(run, drive.landmarks)
+    line = Line.of(run, drive.landmarks, drive.known)
     away = summary(pose_errors(run.fused, run.truth.at(run.stamps_ns)))['max']
     worst = most_sigmas(drive.known.values - robot.true.values, drive.known.sigmas)
     return (
@@ -212,7 +219,8 @@ def room_line(seed: int, folder: Path, seconds: float) -> str:
     nees = float(off @ np.linalg.solve(found.covariance, off))
     exact = Calibration(true.values, 1e-10 * np.eye(len(NAMES)))
     by_found, by_true = (
-        Line.of(drive.run(events, prior), drive.landmarks).position_mm for prior in (found, exact)
+        Line.of(drive.run(events, prior), drive.landmarks, prior).position_mm
+        for prior in (found, exact)
     )
     lever = f'{1e3 * np.hypot(*off[:2]):5.1f} +- {1e3 * np.hypot(*sigmas[:2]):4.1f} mm'
     yaw, focal, delay = (
@@ -278,7 +286,7 @@ def main() -> int:
                     continue
                 known = landmarks.calibration_from(wrong)
                 drive = Drive(args.study / 'drive', landmarks, known, start)
-                line = Line.of(drive.run(events), landmarks)
+                line = Line.of(drive.run(events), landmarks, known)
                 reached = line.meets(GOALS.get(name, GOAL))
                 good &= reached
                 lines.append(

@@ -15,7 +15,7 @@ from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints, project
 from landmark_nav.localization.estimator.filter import JointFilter
-from landmark_nav.localization.estimator.state import Update
+from landmark_nav.localization.estimator.state import State, Update
 from landmark_nav.localization.odometry.noise import (
     Motion,
     OdometryNoiseConfig,
@@ -180,8 +180,9 @@ def driven(
     odometry: OdometryNoiseConfig | None = None,
     prior: Calibration | None = None,
     changed: Callable[[int, ImagePoints], ImagePoints] = lambda _, seen: seen,
+    after: Callable[[JointFilter, State], None] = lambda _joint, _moved: None,
 ) -> Run:
-    """Run the joint filter along a drive."""
+    """Run the joint filter along a drive; `after` each image with the state before it."""
     joint = JointFilter(drive.landmark_map, prior or drive.prior, drive.start, config, odometry)
     errors, covariances, updates, stamp = [], [], [], 0
     for event in drive.events:
@@ -189,8 +190,10 @@ def driven(
             stamp += round(event.seconds * NS)
             joint.move(stamp, event)
             continue
+        moved = joint.snapshot
         if len(event):
             updates.append(joint.observe(changed(len(errors), event)))
+        after(joint, moved)
         estimate = joint.estimate
         error = estimate.pose - drive.poses[len(errors)]
         error[2] = wrap_rad(error[2])

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from bare_landmarks import bare_landmark
-from drawn_drives import driven, NS, simulated
+from drawn_drives import driven, MOUNT, NS, simulated
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -12,6 +12,7 @@ from landmark_nav.evaluation.metrics import (
     consistency,
     crlb_ratio,
     error_summary,
+    nees_interval_95,
     pose_errors,
     PoseTrack,
     posterior_bound,
@@ -22,7 +23,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints, JointFilter
-from landmark_nav.localization.estimator.smoothing import smoothed_poses
+from landmark_nav.localization.estimator.smoothing import ErrorRepetition, smoothed_poses
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
@@ -92,8 +93,9 @@ def test_errors_of_the_claimed_size_are_consistent():
     root = rng.normal(size=(3, 3)) * 0.1
     errors = rng.normal(size=(20000, 3)) @ root.T
     covariances = np.broadcast_to(root @ root.T, (20000, 3, 3))
-    mean, inside, interval = consistency(errors, covariances)
-    assert interval[0] < 3.0 < interval[1] < interval[0] + 0.25
+    mean, inside = consistency(errors, covariances)
+    low, high = nees_interval_95(len(errors))
+    assert low < mean < high < low + 0.2
     assert mean == pytest.approx(3.0, abs=0.08)
     assert inside == pytest.approx(0.95, abs=0.005)
     assert crlb_ratio(errors, covariances) == pytest.approx(1.0, abs=0.02)
@@ -103,22 +105,24 @@ def test_errors_of_the_claimed_size_are_consistent():
     assert crlb_ratio(nothing, covariances[:3]) is None
 
 
-@pytest.mark.parametrize(('kept', 'of_map'), [(0.0, 0.0), (0.9, 0.0), (0.995, 0.0), (0.0, 2 / 3)])
-def test_nees_interval_allows_for_errors_that_repeat(kept, of_map):
-    """Errors last for a while, or a share of their variance is the map's, drawn once a run."""
-    rng = np.random.default_rng(2)
-    runs = [rng.normal(size=(200, 3))]
-    for _ in range(200):
-        runs.append(kept * runs[-1] + rng.normal(size=(200, 3)) * np.sqrt(1.0 - kept**2))
-    errors = np.sqrt(1.0 - of_map) * np.array(runs) + np.sqrt(of_map) * rng.normal(size=(200, 3))
-    by_map = np.broadcast_to(np.sqrt(of_map) * np.eye(3), (201, 3, 3)) if of_map else None
-    covariances = np.broadcast_to(np.eye(3), (201, 3, 3))
-    found = [consistency(run, covariances, by_map) for run in errors.swapaxes(0, 1)]
-    low, high = np.array([one.interval_95 for one in found]).T
-    means = np.array([one.mean for one in found])
-    assert np.mean((low < means) & (means < high)) >= 0.84 + 0.09 * (of_map > 0.0)
-    if not of_map:
-        assert (np.median(high - low) > 3.0) == (kept > 0.95)
+@pytest.mark.parametrize('prior', [None, Calibration.of_mount(MOUNT)])
+def test_nees_of_nineteen_of_twenty_drives_is_in_its_interval(prior):
+    """Errors of map, mount and odometry last for a while, or all the time."""
+    inside = []
+    for seed in range(30):
+        drive = simulated(seed, prior, seconds=12.0)
+        repetition, before = ErrorRepetition(len(drive.poses)), None
+
+        def add(joint, moved, repetition=repetition):
+            nonlocal before
+            repetition.add(before or moved, moved, joint)
+            joint.mark()
+            before = joint.snapshot
+
+        run = driven(drive, after=add)
+        low, high = nees_interval_95(repetition.independent)
+        inside.append(low < consistency(run.errors, run.covariances).mean < high)
+    assert np.mean(inside) >= 0.85
 
 
 # The bound
@@ -167,7 +171,9 @@ def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
     return (
         pose,
         prior,
-        posterior_bound(truth, images, landmarks(covariance, loading), exact, config, start),
+        posterior_bound(
+            truth, images, landmarks(covariance, loading), exact, config, start
+        ).covariances,
     )
 
 
@@ -195,7 +201,8 @@ def test_bound_knows_what_landmarks_share_and_is_unknown_without_truth():
     seen = image(SECOND, 1e-6, mount, np.zeros(3))
     for truth in (PoseTrack.of([]), PoseTrack.of([(9 * SECOND, np.zeros(3))])):
         bound = posterior_bound(truth, [seen], world, known, LocalizationConfig(), start)
-        assert np.isnan(bound).all()
+        assert np.isnan(bound.covariances).all()
+        assert np.isnan(bound.independent)
 
 
 def line(drive, lost_at=-1):

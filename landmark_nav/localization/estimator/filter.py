@@ -74,8 +74,6 @@ _EXCLUDED = float(np.log(0.01))
 _ANYWHERE = (3.0, 3.0, 2.0)
 _DRIFTING = slice(SCALE, SLIP)
 _CALIBRATED = np.arange(CALIBRATION, STATES)
-# Variance that is nothing beside that of any landmark.
-_LEAST_M2 = 1e-18
 # Sigma of what is given as exact, in m, rad, 1 or s: so that images show what they would change.
 _EXACT = 1e-6
 # Default sigmas with which images alone hardly show a quantity.
@@ -180,20 +178,6 @@ class JointFilter:
         which = [FLOOR_TILT, CALIBRATION + NAMES.index('axis_pitch'), TILT]
         tilt = float(np.sqrt(max(state.covariance[np.ix_(which, which)].sum(), 0.0)))
         return Expectation(state.stamp_ns, pose, covariance, self.calibration, tilt)
-
-    def with_landmarks(self) -> FloatArray:
-        """Covariance (3, 2 n) of the pose with x and y of all landmarks, as the map has them."""
-        state, first = self._state, self._fixed
-        shared = state.covariance[:3, STATES:first]
-        out = np.einsum('kf,nif->kni', shared, self._errors.loadings[:, :2])
-        own = state.covariance[:3, first:].reshape(3, -1, 3)
-        # The part of each own error that the map accounts for.
-        share = np.linalg.solve(
-            state.own + _LEAST_M2 * np.eye(3), self._errors.own[state.landmarks]
-        )
-        own = np.einsum('kni,nij->knj', own, share)[..., :2]
-        out[:, state.landmarks] += own
-        return np.asarray(out.reshape(3, -1))
 
     def stepped(self) -> JointFilter:
         """Return the filter where base, camera or joint delay may have changed."""

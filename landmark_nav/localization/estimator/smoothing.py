@@ -23,6 +23,9 @@ from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, PoseEstimate
 
+# Most images that are compared with all later ones.
+_MOST_ANCHORS = 100
+
 
 class _Step(NamedTuple):
     """State after an image, prediction of the next state, and the derivative of that."""
@@ -97,3 +100,51 @@ def _backward(
     smoothed[2] = wrap_rad(smoothed[2])
     spread = before + gain @ (covariance - predicted.covariance) @ gain.T
     return smoothed, 0.5 * (spread + spread.T)
+
+
+class ErrorRepetition:
+    """
+    How much of the errors of poses at images is the same at other images.
+
+    With the covariances P- and P+ before and after an image, and the derivative F of the state by
+    that after the last image, the covariance of the error of the state with any earlier error is
+    multiplied by P+ inv(P-) F. The variance of a mean of squares of Gaussian errors is twice the
+    mean of the squares of their correlations.
+
+    Parameters
+    ----------
+    images : int
+        Number of images; at most `_MOST_ANCHORS` of them are compared with all later ones.
+    """
+
+    def __init__(self, images: int) -> None:
+        self._stride = -(-images // _MOST_ANCHORS)
+        self._with_earlier = np.zeros((0, 0))
+        self._count, self._repeated = 0, 0.0
+
+    def add(self, before: State, moved: State, joint: JointFilter) -> None:
+        """Add an image: the state after the last image, that before this one, and the filter."""
+        predicted, after = joint.predicted, joint.snapshot
+        fixed, earlier = len(before.mean) - 3 * len(before.landmarks), self._with_earlier
+        crossed = np.zeros((len(predicted.mean), earlier.shape[1]))
+        if self._count:
+            kept = joint.kept(moved.way_m) if predicted.way_m < moved.way_m else 1.0
+            crossed[:CALIBRATION] = moved.carried @ earlier[:CALIBRATION]
+            crossed[CALIBRATION:fixed] = earlier[CALIBRATION:fixed]
+            here, there = np.nonzero(before.landmarks[:, None] == predicted.landmarks)
+            for k in range(3):
+                crossed[fixed + 3 * there + k] = kept * earlier[fixed + 3 * here + k]
+        left = np.isin(predicted.landmarks, after.landmarks)
+        rows = np.concatenate([np.ones(fixed, np.bool_), np.repeat(left, 3)])
+        corrected = after.covariance @ (information_of(predicted.covariance) @ crossed)[rows]
+        whiten = np.linalg.inv(np.linalg.cholesky(after.covariance[:3, :3]))
+        self._repeated += 2.0 * self._stride * float(np.sum((whiten @ corrected[:3]) ** 2))
+        self._repeated += len(whiten)
+        if not self._count % self._stride:
+            corrected = np.hstack([corrected, after.covariance[:, :3] @ whiten.T])
+        self._with_earlier, self._count = corrected, self._count + 1
+
+    @property
+    def independent(self) -> float:
+        """Number of independent errors with the same variance of the mean of squares."""
+        return 3.0 * self._count**2 / self._repeated if self._count else float('nan')

@@ -151,6 +151,9 @@ class Relocalizer:
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Add a sample of odometry."""
+        # By the clock of the images.
+        late_ns = round(1e9 * self._mount.image_delay_s)
+        sample = replace(sample, stamp_ns=sample.stamp_ns + late_ns)
         # The filter reports faults of the odometry.
         self._track.add(sample)
         known = self._track.stamps_ns

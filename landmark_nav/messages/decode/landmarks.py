@@ -117,7 +117,8 @@ def _images(
             f'landmarks have {others.shape[1]} views from {viewpoints.shape[1]} places'
         )
     # Each patch is copied, so that patches that overlap could fill the memory.
-    area = sum(float(np.prod(one[..., 2:].astype(float), -1).sum()) for one in (own, others))
+    sizes = [np.maximum(one[..., 2:], 0.0) for one in (own, others)]
+    area = sum(float(np.prod(size, -1).sum()) for size in sizes)
     if area > atlas.size:
         raise LandmarkNavError(f'patches of {area:g} pixels do not fit an atlas of {atlas.size}')
 
