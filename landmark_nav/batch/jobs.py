@@ -305,8 +305,13 @@ def run_all(
     cluster: Any = scheduler
     if scheduler is None:
         count = min(workers or os.cpu_count() or 1, len(open_runs))
-        settings = {'silence_logs': logging.ERROR, 'scheduler_kwargs': {'dashboard': False}}
-        cluster = distributed.LocalCluster(count, 1, memory_limit=0, **settings)
+        cluster = distributed.LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            memory_limit=0,
+            silence_logs=logging.ERROR,
+            scheduler_kwargs={'dashboard': False},
+        )
     try:
         client = distributed.Client(cluster, timeout='20s')
     except (OSError, ValueError) as error:

@@ -1,8 +1,9 @@
 """
 Reader of one MCAP file, complete or truncated: its channels and its messages.
 
-Format: https://mcap.dev/spec. The heads of all records are read, and of the chunks only those that
-are needed. Damaged chunks are left out. Messages are sorted by log time, and memory is bounded.
+Format: https://mcap.dev/spec. A file is read by its index; without a valid one, its chunks are
+searched until records have no bounds. Damaged chunks are left out. Messages are sorted by log
+time, and memory is bounded.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import bz2
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import heapq
 from io import BytesIO
 from pathlib import Path
@@ -24,7 +25,7 @@ import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import FOOTER_SIZE
-from mcap.records import Channel, ChunkIndex, Footer, Schema
+from mcap.records import Channel, Chunk, ChunkIndex, Footer, Message, Schema, Statistics
 from mcap.stream_reader import StreamReader
 import zstandard
 
@@ -125,8 +126,7 @@ _HELD_BYTES = CHUNK_BYTES
 # complete, and the error of zstandard has no other base class.
 _DAMAGE = Exception
 
-_DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
-_OF_DATA = (*_DEFINITIONS, Opcode.MESSAGE, Opcode.CHUNK)
+_LOOSE = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
 
 
 @dataclass(frozen=True)
@@ -151,17 +151,22 @@ class RawMessage:
 
 @dataclass(frozen=True)
 class _Part:
-    """A chunk, or messages outside of chunks (`loose`): its place, and what it holds."""
+    """
+    A chunk, or records outside of chunks (`loose`): its bytes in the file and what it holds.
+
+    `span_ns` are the first and last log time; no topics are named if they are not known.
+    """
 
     place: int
     length: int
     unpacked_bytes: int
-    # First and last log time.
     span_ns: tuple[int, int] = (0, 0)
-    loose: bool = False
     topics: frozenset[str] = frozenset()
-    # Number of messages by number of the channel; empty if the file has no index of the messages.
-    counts: dict[int, int] = field(default_factory=dict)
+    loose: bool = False
+
+
+# Parts of a file, and the number of messages of each channel.
+_Contents = tuple[list[_Part], dict[ChannelInfo, int]]
 
 
 class McapFile:
@@ -169,34 +174,29 @@ class McapFile:
     An MCAP file, with the `counts` of messages of its channels.
 
     `on_warning` is called with one line if the file is truncated, hence not `complete`, or
-    damaged. The log times of the first and last message are 0 for an empty file. Raises
-    `LandmarkNavError`: the file defines more channels than any recording.
+    damaged. The log times of the first and last message are 0 for an empty file.
     """
 
     def __init__(
         self, path: Path, on_warning: Callable[[str], None], name: Path | None = None
     ) -> None:
+        """Read the index, or all messages if there is none."""
         self.path, self.name = path, name or path
         self._warn = on_warning
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, ChannelInfo] = {}
-        # Definitions that were parsed: each chunk may repeat them.
-        self._seen: dict[tuple[int, bytes], bytes] = {}
-        self._defined = 0
+        self._records = _Records(self.name)
         # Reasons why parts cannot be read, by their place in the file; how many were reported.
         self._damaged: dict[int, str] = {}
         self._reported = 0
-        self.counts = Counter[ChannelInfo]()
         with path.open('rb') as stream:
-            found, broken = self._find(stream)
-            parts = [self._counted(stream, part) for part in found]
+            (parts, self.counts), broken = self._contents(stream)
         self.complete = not broken
-        self._parts = sorted(filter(None, parts), key=lambda part: (part.span_ns[0], part.place))
-        self.first_ns = min((part.span_ns[0] for part in self._parts), default=0)
-        self.last_ns = max((part.span_ns[1] for part in self._parts), default=0)
+        self._parts = sorted(parts, key=lambda part: (part.span_ns[0], part.place))
+        spans_ns = [part.span_ns for part in parts if any(part.span_ns)]
+        self.first_ns = min((begin for begin, _ in spans_ns), default=0)
+        self.last_ns = max((end for _, end in spans_ns), default=0)
         self._report_damage()
         if broken:
-            total, span_s = self.counts.total(), (self.last_ns - self.first_ns) * 1e-9
+            total, span_s = sum(self.counts.values()), (self.last_ns - self.first_ns) * 1e-9
             on_warning(
                 f'{self.name}: cut off or damaged before its end ({broken}): read up to the '
                 f'break, {total} messages, {span_s:.1f} s'
@@ -211,7 +211,7 @@ class McapFile:
         """Yield messages of `topics` (all by default) by log time."""
         parts = self._parts
         if topics is not None:
-            parts = [part for part in parts if not part.topics.isdisjoint(topics)]
+            parts = [p for p in parts if not p.topics or not p.topics.isdisjoint(topics)]
         try:
             with self.path.open('rb') as stream:
                 read = ((part, self._read(stream, part, topics)) for part in parts)
@@ -220,117 +220,41 @@ class McapFile:
         finally:
             self._report_damage()
 
-    def _find(self, stream: BinaryIO) -> tuple[list[_Part], str]:
-        """Find all parts up to where records have no bounds; also what is wrong there, if so."""
-        end = stream.seek(0, 2)
-        place, unpacked_bytes = len(_MAGIC), 0
-        found: list[_Part] = []
-        named: list[int] | None = None
-        while place + _HEAD_BYTES <= end:
-            stream.seek(place)
-            opcode, length = struct.unpack('<BQ', stream.read(_HEAD_BYTES))
-            after = place + _HEAD_BYTES + length
-            too_long = opcode in _OF_DATA and min(after, end) - place > CHUNK_BYTES + 2**16
-            if not opcode or too_long or after > end:
-                if found:
-                    found[-1].counts.clear()  # its index may be incomplete
-                # Damaged records hide those after them, unless a summary names these.
-                named = _named_chunks(stream, end) if named is None else named
-                if onward := next((chunk for chunk in named if chunk > place), 0):
-                    if place in named:
-                        self._damaged[place] = 'its head'
-                    place = onward
-                    continue
-                if not opcode:
-                    return found, 'zeros where a record should begin'
-                if too_long:
-                    return found, f'a record of {length} bytes'
-                stream.seek(place + _HEAD_BYTES)
-            if opcode == Opcode.CHUNK:
-                head = stream.read(_CHUNK_HEAD_BYTES)
-                if len(head) < _CHUNK_HEAD_BYTES:
-                    break
-                first_ns, last_ns, declared, _, name_length = struct.unpack_from('<QQQII', head)
-                if after <= end:
-                    unpacked_bytes += declared
-                    if unpacked_bytes > most_bytes(end):
-                        return found, 'it unpacks to more than a recording of its size'
-                    found.append(_Part(place, after - place, declared, (first_ns, last_ns)))
-                elif not name_length:  # without compression, its records are read up to the break
-                    after = place + _HEAD_BYTES + _CHUNK_HEAD_BYTES
-            elif after > end:
-                break
-            elif opcode == Opcode.FOOTER:
-                return found, ''
-            elif opcode == Opcode.MESSAGE:
-                last = found[-1] if found and found[-1].loose else None
-                if last and last.place + last.length == place < last.place + _BLOCK_BYTES:
-                    place = found.pop().place
-                found.append(_Part(place, after - place, after - place, loose=True))
-            elif opcode == Opcode.MESSAGE_INDEX and found and length >= 6:
-                (channel,) = struct.unpack('<H', stream.read(2))
-                found[-1].counts[channel] = (length - 6) // 16
-            elif opcode in _DEFINITIONS:
-                try:
-                    self._take(opcode, stream.read(length), ())
-                except LandmarkNavError:
-                    raise
-                except _DAMAGE as error:
-                    self._damaged[place] = f'a definition ({error})'
-            place = after
-        return found, 'it ends too early'
+    def _contents(self, stream: BinaryIO) -> tuple[_Contents, str]:
+        """Parts by the index, else those that are found; also the break that ends a search."""
+        index = None
+        with suppress(_DAMAGE):
+            index = _index(stream, self._records)
+            if index is not None and all(_begins_there(stream, part) for part in index[0]):
+                return index, ''
+        contents, broken = self._search(stream)
+        # Damaged records hide those after them from a search.
+        return (index, '') if broken and index is not None else (contents, broken)
 
-    def _counted(self, stream: BinaryIO, part: _Part) -> _Part | None:
-        """Count messages by their index, else by reading them; None if there are none."""
-        infos = [self._channels.get(number) for number in part.counts]
-        if infos and all(info and info.type_name for info in infos):
-            counts = Counter[ChannelInfo]()
-            for number, count in part.counts.items():
-                counts[self._channels[number]] += count
-        else:
-            messages = self._read(stream, part, None)
-            counts = Counter(raw.channel for raw in messages)
-            if messages:
-                part = replace(part, span_ns=(messages[0].stamp_ns, messages[-1].stamp_ns))
-        self.counts.update(counts)
-        topics = frozenset(info.topic for info in counts)
-        return replace(part, topics=topics) if topics else None
-
-    def _take(
-        self, opcode: int, payload: bytes, topics: Collection[str] | None
-    ) -> RawMessage | None:
-        """Keep the definition in a record; return the message in it if it is on `topics`."""
-        if opcode == Opcode.MESSAGE:
-            number, _, log_time_ns, _ = struct.unpack_from('<HIQQ', payload)
-            if log_time_ns > _LATEST_NS:
-                raise ValueError(f'a log time of {log_time_ns} ns')
-            info = self._channels[number]
-            wanted = topics is None or info.topic in topics
-            return RawMessage(info, log_time_ns, payload[22:]) if wanted else None
-        key = opcode, payload[:2]
-        if opcode not in _DEFINITIONS or self._seen.get(key) == payload:
-            return None
-        self._seen[key] = payload
-        self._defined += 1
-        if self._defined > 2 * MAX_CHANNELS:
-            raise LandmarkNavError(f'{self.name}: over {MAX_CHANNELS} channels: no recording')
-        content = ReadDataStream(BytesIO(payload))
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(content)
-            self._schemas[schema.id] = schema
-            return None
-        channel = Channel.read(content)
-        known = self._schemas.get(channel.schema_id)
-        if known is None:
-            del self._seen[key]  # the schema may follow
-        self._channels[channel.id] = ChannelInfo(
-            channel.topic,
-            known.name if known else '',
-            channel.message_encoding,
-            known.encoding if known else '',
-            known.data.decode('utf-8', 'replace') if known else '',
-        )
-        return None
+    def _search(self, stream: BinaryIO) -> tuple[_Contents, str]:
+        """Read all parts up to where records have no bounds; also what is wrong there, if so."""
+        places: list[_Part] = []
+        broken = ''
+        try:
+            for part in _places(stream):
+                last = places[-1] if places else part
+                after = last.loose and part.loose and last.place + last.length == part.place
+                if after and last.length < _BLOCK_BYTES:
+                    together = last.length + part.length
+                    places[-1] = replace(last, length=together, unpacked_bytes=together)
+                else:
+                    places.append(part)
+        except _DAMAGE as error:
+            broken = str(error)
+        parts: list[_Part] = []
+        counts = Counter[ChannelInfo]()
+        for part in places:
+            if found := self._read(stream, part, None):
+                counts.update(raw.channel for raw in found)
+                topics = frozenset(raw.channel.topic for raw in found)
+                span_ns = found[0].stamp_ns, found[-1].stamp_ns
+                parts.append(replace(part, span_ns=span_ns, topics=topics))
+        return (parts, counts), broken
 
     def _read(
         self, stream: BinaryIO, part: _Part, topics: Collection[str] | None
@@ -345,7 +269,7 @@ class McapFile:
             for number, (opcode, payload) in enumerate(_records(content)):
                 if number == _MAX_RECORDS:
                     raise ValueError('a chunk holds what is no message')
-                if message := self._take(opcode, payload, topics):
+                if message := self._records.take(opcode, payload, topics):
                     found.append(message)
         except LandmarkNavError:
             raise
@@ -408,18 +332,145 @@ def _overlap_bytes(parts: Iterable[_Part]) -> int:
     return most
 
 
-def _named_chunks(stream: BinaryIO, size: int) -> list[int]:
-    """Places of the chunks that a summary names, and its own; none if it is damaged."""
+class _Records:
+    """
+    Channels defined by the records of a file, and the messages of records.
+
+    Raises `LandmarkNavError`: the file defines more channels than any recording.
+    """
+
+    def __init__(self, name: Path) -> None:
+        self._name = name
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, ChannelInfo] = {}
+        # Definitions that were parsed: each chunk may repeat them.
+        self._seen: dict[tuple[int, bytes], bytes] = {}
+        self._defined = 0
+
+    def take(
+        self, opcode: int, payload: bytes, topics: Collection[str] | None
+    ) -> RawMessage | None:
+        """Keep the definition in a record; return the message in it if it is on `topics`."""
+        if opcode == Opcode.MESSAGE:
+            channel, _, log_time_ns, _ = struct.unpack_from('<HIQQ', payload)
+            if log_time_ns > _LATEST_NS:
+                raise ValueError(f'a log time of {log_time_ns} ns')
+            info = self.channels[channel]
+            if topics is None or info.topic in topics:
+                return RawMessage(info, log_time_ns, payload[22:])
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            key = opcode, payload[:2]
+            if self._seen.get(key) != payload:
+                self._seen[key] = payload
+                kind = Schema if opcode == Opcode.SCHEMA else Channel
+                self.define(kind.read(ReadDataStream(BytesIO(payload))))
+        return None
+
+    def define(self, record: Schema | Channel) -> None:
+        """Keep a definition."""
+        self._defined += 1
+        if self._defined > 2 * MAX_CHANNELS:
+            raise LandmarkNavError(
+                f'{self._name}: over {MAX_CHANNELS} channels: not a recording of a robot'
+            )
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+            return
+        schema = self.schemas.get(record.schema_id)
+        self.channels[record.id] = ChannelInfo(
+            record.topic,
+            schema.name if schema else '',
+            record.message_encoding,
+            schema.encoding if schema else '',
+            schema.data.decode('utf-8', 'replace') if schema else '',
+        )
+
+
+def _index(stream: BinaryIO, records: _Records) -> _Contents | None:
+    """Read the summary; None if it does not name all chunks, channels and schemas."""
+    size = stream.seek(0, 2)
     end = size - FOOTER_SIZE - len(_MAGIC)
-    with suppress(_DAMAGE):
-        stream.seek(end)
-        (footer,) = StreamReader(stream, skip_magic=True).records
-        if isinstance(footer, Footer) and len(_MAGIC) < footer.summary_start <= end:
-            stream.seek(footer.summary_start)
-            records = StreamReader(stream, skip_magic=True, emit_chunks=True).records
-            chunks = [k.chunk_start_offset for k in records if isinstance(k, ChunkIndex)]
-            return sorted({*chunks, footer.summary_start})
-    return []
+    stream.seek(end)
+    (footer,) = StreamReader(stream, skip_magic=True).records
+    if not isinstance(footer, Footer) or not len(_MAGIC) < footer.summary_start <= end:
+        return None
+    chunks, statistics, schemas = [], None, {0}
+    stream.seek(footer.summary_start)
+    for record in StreamReader(stream, skip_magic=True, emit_chunks=True).records:
+        if isinstance(record, ChunkIndex):
+            chunks.append(record)
+        elif isinstance(record, Statistics):
+            statistics = record
+        elif isinstance(record, Schema | Channel):
+            records.define(record)
+            if isinstance(record, Channel):
+                schemas.add(record.schema_id)
+        elif isinstance(record, Chunk | Message):
+            return None
+    if statistics is None or len(chunks) != statistics.chunk_count:
+        return None
+    if sum(chunk.uncompressed_size for chunk in chunks) > most_bytes(size):
+        return None
+    channels = records.channels
+    counts = Counter[ChannelInfo]()
+    for identity, info in channels.items():
+        counts[info] += statistics.channel_message_counts.get(identity, 0)
+    complete = counts.total() == statistics.message_count and schemas <= {0, *records.schemas}
+    # Messages outside of chunks have no index.
+    if not complete or (statistics.message_count and not chunks):
+        return None
+    parts = [
+        _Part(
+            chunk.chunk_start_offset,
+            chunk.chunk_length,
+            chunk.uncompressed_size,
+            (chunk.message_start_time, chunk.message_end_time),
+            frozenset(channels[k].topic for k in chunk.message_index_offsets if k in channels),
+        )
+        for chunk in chunks
+    ]
+    return parts, counts
+
+
+def _begins_there(stream: BinaryIO, part: _Part) -> bool:
+    """Whether a chunk begins where the index says."""
+    stream.seek(part.place)
+    return stream.read(_HEAD_BYTES) == struct.pack('<BQ', Opcode.CHUNK, part.length - _HEAD_BYTES)
+
+
+def _places(stream: BinaryIO) -> Iterator[_Part]:
+    """
+    Yield chunks and loose records in the order of the file, up to the footer.
+
+    A truncated chunk that is not compressed yields its records. Raises an error of any kind:
+    records have no bounds, or unpack to more than a recording of the size.
+    """
+    end = stream.seek(0, 2)
+    place, unpacked_bytes, most = len(_MAGIC), 0, most_bytes(end)
+    while place + _HEAD_BYTES <= end:
+        stream.seek(place)
+        opcode, length = struct.unpack('<BQ', stream.read(_HEAD_BYTES))
+        after = place + _HEAD_BYTES + length
+        if not opcode:
+            raise ValueError('zeros where a record should begin')
+        if opcode in _LOOSE | {Opcode.CHUNK} and min(after, end) - place > CHUNK_BYTES + 2**16:
+            raise ValueError(f'a record of {length} bytes')
+        if opcode == Opcode.FOOTER and after <= end:
+            return
+        if opcode == Opcode.CHUNK:
+            *span_ns, declared, _, name_length = struct.unpack('<QQQII', stream.read(32))
+            if after <= end:
+                unpacked_bytes += declared
+                if unpacked_bytes > most:
+                    raise ValueError('it unpacks to more than a recording of its size')
+                size = after - place
+                yield _Part(place, size, declared, (span_ns[0], span_ns[1]))
+            elif not name_length:
+                after = place + _HEAD_BYTES + _CHUNK_HEAD_BYTES
+        elif opcode in _LOOSE and after <= end:
+            yield _Part(place, after - place, after - place, loose=True)
+        place = after
+    raise ValueError('it ends too early')
 
 
 def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
@@ -435,8 +486,11 @@ def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _chunk_content(chunk: bytes, part: _Part) -> bytes:
-    """Return the records in a chunk."""
-    # Raises `ValueError`: it is not the one that the index names, or its content is damaged.
+    """
+    Return the records in a chunk.
+
+    Raises `ValueError`: it is not the one that the index names, or its content is damaged.
+    """
     # Start, end, size (8 bytes each), checksum (4), compression (length and text), length (8).
     opcode, length, _, _, size, checksum, name_length = struct.unpack_from('<BQQQQII', chunk)
     if opcode != Opcode.CHUNK or length != part.length - _HEAD_BYTES:
