@@ -25,6 +25,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     misses,
     RayPairs,
     RelativePoseConfig,
+    residuals,
     STATE,
     TAIL,
 )
@@ -108,6 +109,27 @@ class RelativePoses:
     wave_sigma_rad: float
     doubt: FloatArray
 
+    def check_doubt(self, config: RelativePoseConfig) -> None:
+        """
+        Report that errors of headings may be large.
+
+        Raises `LandmarkNavError`: they may be too large to find patches again.
+        """
+        turns = np.linalg.norm(self.doubt[2::STATE], axis=1)
+        worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
+        if turns.max() > config.max_doubt_rad:
+            raise LandmarkNavError(
+                f'panoramas leave the heading of sweep {worst} uncertain by {sigma:.1f} deg '
+                '(sigma): take a sweep between it and the others that sees more sides of the room'
+            )
+        if turns.max() > _WORTH_REPORTING_RAD:
+            _LOG.warning(
+                'things may have moved together between the sweeps: the heading of sweep %d is '
+                'good to %.2f deg only, for one: if they did, sweep again',
+                worst,
+                sigma,
+            )
+
 
 def relative_poses(
     features: Sequence[Features],
@@ -141,7 +163,8 @@ def relative_poses(
     else:
         start = before.states * np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
         pairs = {
-            (p.one, p.other): like_pairs(features[p.one], features[p.other]) for p in before.pairs
+            (p.one, p.other): like_pairs(features[p.one], features[p.other], config)
+            for p in before.pairs
         }
     fit, sources, pairs_along, doubt = _fitted(start, pairs, known, sheets, config)
     shares = tuple(source.share(fit.states) for source in sources)
@@ -169,7 +192,7 @@ def _wave_sigma(
     states: FloatArray, pairs: Sequence[RayPairs], config: RelativePoseConfig
 ) -> float:
     """Sigma of the residuals of matches beyond the noise of features."""
-    off = [misses(states, p, config.direction_sigma_rad)[0] for p in pairs]
+    off = [residuals(states, p, config.direction_sigma_rad)[0] for p in pairs]
     seen = _MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(off))))
     variance = (seen * config.direction_sigma_rad) ** 2 - config.feature_sigma_rad**2
     return float(np.sqrt(max(variance, 0.0)))
@@ -187,7 +210,7 @@ def _found(
     found: dict[tuple[int, int], TwoViews] = {}
     doubtful, matched = {}, {}
     for i, j in _neighbours(known[0].poses) if known else combinations(range(count), 2):
-        alike = like_pairs(features[i], features[j])
+        alike = like_pairs(features[i], features[j], config)
         pairs = RayPairs(i, j, *alike.distinct(config.max_ratio))
         ranked = hypotheses(pairs, config)
         turn = turn_support(pairs, config.direction_sigma_rad)
@@ -357,22 +380,7 @@ def _doubt(
         flat = jacobian.reshape(len(slopes), size)
         information += flat.T @ flat
         pulls.append(flat.T @ (slopes[:, 1] @ found.loading))
-    doubt = np.asarray(solve_positive(information, np.hstack(pulls)))
-    turns = np.linalg.norm(doubt[2::STATE], axis=1)
-    worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
-    if turns.max() > config.max_doubt_rad:
-        raise LandmarkNavError(
-            f'panoramas leave the heading of sweep {worst} uncertain by {sigma:.1f} deg (sigma): '
-            'take a sweep between it and the others that sees more sides of the room'
-        )
-    if turns.max() > _WORTH_REPORTING_RAD:
-        _LOG.warning(
-            'things may have moved together between the sweeps: the heading of sweep %d is good '
-            'to %.2f deg only, for one: if they did, sweep again',
-            worst,
-            sigma,
-        )
-    return doubt
+    return np.asarray(solve_positive(information, np.hstack(pulls)))
 
 
 def _prior_covariance(count: int, config: RelativePoseConfig) -> FloatArray:
