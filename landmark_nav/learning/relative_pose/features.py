@@ -165,7 +165,7 @@ def matches_along(
             for ahead in (cross(way, v)[j], cross(way, w)[i]):
                 distance = ahead / parallax
                 inside &= (distance > _NEAREST * length) & (distance < _FARTHEST * length)
-        return which[inside]
+        return np.asarray(which[inside])
 
     # Only features with a possible match there need to be compared with all that compete.
     possible = np.zeros(len(w), bool)
