@@ -161,7 +161,7 @@ class _Planes:
 def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
     """Cross products (3, m) of vectors (3, m) or (3,); `numpy.cross` takes much longer."""
     (a, b, c), (d, e, f) = first, second
-    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d])
+    return np.array([b * f - c * e, c * d - a * f, a * e - b * d])
 
 
 def evidence(off: FloatArray, band: float) -> float:
