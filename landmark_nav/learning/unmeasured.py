@@ -197,6 +197,7 @@ def locate_sweeps(
     for sweep in sweeps():
         panoramas.append(unplaced_panorama(sweep, given, log))
         stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
+        del sweep  # large, and not needed while the next one is read
     check_number(panoramas)
     pose = config.relative_pose
     turn = float(np.hypot(pose.heading_sigma_rad, given.sigmas_from('axis_yaw')[0]))

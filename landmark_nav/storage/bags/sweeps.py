@@ -125,6 +125,7 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
         if check_coverage(bag, plan.start_ns, frames, missing, cut_off=last and not bag.complete):
             yield Sweep(plan.start_ns, tuple(frames), pose)
         plan.frames.clear()
+        frames.clear()
 
 
 def _numbers(bag: Bag, topic: str) -> dict[int, int]:
