@@ -166,7 +166,7 @@ def test_poses_that_differ_little_become_one_along_epipolar_curves():
     around = [
         TwoViews(heading, direction + off, np.zeros(2), 0.0, 20) for off in (0.05, -0.05, 1.5)
     ]
-    best, *others = along_curves(around, like_pairs(*seen), CONFIG)
+    best, *others = along_curves(around, like_pairs(*seen, CONFIG), CONFIG)
     assert [best.heading_rad, best.direction_rad] == pytest.approx([heading, direction], abs=4e-3)
     assert best.support > 200
     assert all(other.support < 0.5 * best.support for other in others)

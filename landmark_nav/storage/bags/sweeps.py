@@ -95,6 +95,7 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
         if _covers(bag, plan, frames, cut_off=last and not bag.complete):
             yield Sweep(plan.start_ns, tuple(frames), pose)
         plan.frames.clear()
+        frames.clear()
 
 
 def _add(
