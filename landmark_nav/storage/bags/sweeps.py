@@ -96,6 +96,7 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
             yield Sweep(plan.start_ns, tuple(frames), pose)
         plan.frames.clear()
         frames.clear()
+        ordered.clear()
 
 
 def _add(
