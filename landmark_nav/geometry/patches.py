@@ -77,7 +77,7 @@ def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     right, down : ndarray, shape (..., 3)
     """
     n = np.asarray(normals, dtype=np.float64)
-    right, down = np.zeros_like(n), np.zeros_like(n)
+    right, down = np.zeros(n.shape), np.zeros(n.shape)
     right[..., 0], right[..., 1] = -n[..., 1], n[..., 0]
     down[..., 2] = -1.0
     return right, down

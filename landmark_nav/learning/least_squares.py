@@ -13,7 +13,6 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
-from scipy.optimize import least_squares
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
@@ -131,16 +130,20 @@ class Damping:
         return False
 
 
+# Cost, half of its gradient (n,), and information matrix (n, n) of a linearized problem.
+Equations = tuple[float, FloatArray, FloatArray]
+
+
 def levenberg_marquardt(
-    linearize: Callable[[FloatArray], tuple[FloatArray, FloatArray]], start: FloatArray
+    equations: Callable[[FloatArray], Equations], start: FloatArray
 ) -> tuple[FloatArray, float, FloatArray]:
     """
     Minimize a sum of squares.
 
     Parameters
     ----------
-    linearize : callable
-        Computes residuals (m,) in standard deviations at a state (n,), and the Jacobian (m, n).
+    equations : callable
+        Computes the normal equations at a state (n,).
     start : ndarray, shape (n,)
         First state.
 
@@ -151,11 +154,20 @@ def levenberg_marquardt(
         Sum of squares.
     information : ndarray, shape (n, n)
     """
-    fit = least_squares(
-        lambda state: linearize(state)[0],
-        start,
-        lambda state: linearize(state)[1],
-        method='lm',
-        ftol=_SAME_COST,
-    )
-    return fit.x, 2.0 * fit.cost, fit.jac.T @ fit.jac
+    state, damping = start, Damping()
+    cost, pull, information = equations(state)
+    there, then = state, (cost, pull, information)
+
+    def cost_with(by: float) -> float:
+        nonlocal there, then
+        damped = information + by * np.diag(np.diag(information))
+        there = state - solve_positive(damped, pull)
+        then = equations(there)
+        return then[0]
+
+    while damping.lowers(cost_with, cost):
+        gain, state = cost - then[0], there
+        cost, pull, information = then
+        if gain <= _SAME_COST * cost + _ROUNDING:
+            break
+    return state, cost, information

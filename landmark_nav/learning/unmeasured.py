@@ -180,7 +180,8 @@ def locate_sweeps(
     This is done twice, as calibration needs the distances of the walls. Sweeps are large and are
     read again.
 
-    Raises `LandmarkNavError`: as `locate`, and if a sweep makes no panorama.
+    Raises `LandmarkNavError`: as `locate`, and if a sweep makes no panorama or its heading remains
+    too uncertain.
 
     Parameters
     ----------
@@ -196,6 +197,7 @@ def locate_sweeps(
     for sweep in sweeps():
         panoramas.append(unplaced_panorama(sweep, given, log))
         stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
+        del sweep  # large, and not needed while the next one is read
     check_number(panoramas)
     pose = config.relative_pose
     turn = float(np.hypot(pose.heading_sigma_rad, given.sigmas_from('axis_yaw')[0]))
@@ -224,8 +226,12 @@ def locate_sweeps(
             replace(p, calibration=new.calibration, made_with=new.made_with)
             for p, new in zip(located.panoramas, again, strict=True)
         ]
-        return replace(located, panoramas=tuple(again))
-    return locate(again, places, lever, config, log, located.poses)
+        located = replace(located, panoramas=tuple(again))
+    else:
+        located = locate(again, places, lever, config, log, located.poses)
+    # Tilted panoramas leave more doubt than those levelled by them.
+    located.poses.check_doubt(config.relative_pose)
+    return located
 
 
 def learn_located(

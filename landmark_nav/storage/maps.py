@@ -176,7 +176,7 @@ MAP_DATA = ('map.yaml', 'patches', 'views')
 MAP_FILES = (*MAP_DATA, 'map.png', 'panorama_*.png')
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
     """YAML dumper that writes lists of numbers in one line, and all else in block style."""
 
 

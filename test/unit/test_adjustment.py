@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from hung_rooms import (
     adjusted,
+    AS_EXPECTED,
     COMMON,
     CONFIG,
     given_poses,
@@ -22,6 +23,7 @@ from hung_rooms import (
 )
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
@@ -110,6 +112,45 @@ def test_landmarks_and_poses_err_as_their_covariances_say(
         assert least < ratio < most
 
 
+def test_the_solution_is_that_of_least_squares():
+    rng = np.random.default_rng(10)
+    third = [3.0, 1.2, 1.1, 0.3]
+    # So little noise that no measurement is down-weighted.
+    world = replace(world_of(rng, 6, flat=True), poses=np.vstack([POSES, [third]]))
+    prior = given_poses(world, rng)
+    measurements = measurements_of(world, None)
+    found = solve(world, measurements, prior, AS_EXPECTED)
+    stretch = wall_sections(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
+    views = panoramas_at(prior)
+    problem = Problem(
+        measurements, world.walls, stretch, views, places_of(views), ROOM,
+        ROOM.normals[world.walls], world.points, CONFIG,
+    )  # fmt: skip
+    sigma = np.hypot(problem.own_sigma, [CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma])
+    hanging = (CONFIG.common_hanging_sigma_m, CONFIG.wall_sigma_m, CONFIG.hanging_sigma_m)
+    spread = np.array([1.0, 1.0, *hanging])
+    root = np.linalg.cholesky(np.linalg.inv(problem.prior_covariance(spread)))
+    count, shared = len(world.points), problem.prior
+
+    def residuals(x):
+        at = problem.linearize(x[: 3 * count].reshape(-1, 3), x[3 * count :])
+        seen, wall = at.seen / sigma, at.wall / CONFIG.relief_sigma_m
+        return np.concatenate([seen.ravel(), wall, (x[3 * count :] - shared) @ root])
+
+    start = np.append(world.points.ravel(), shared)
+    best = least_squares(residuals, start, method='lm', xtol=1e-12, ftol=1e-12, x_scale='jac')
+    position = best.x[: 3 * count].reshape(-1, 3)
+    np.testing.assert_allclose(position, found.positions, atol=3e-6)
+
+
+def by_shared(problem, at):
+    """Derivatives of all measurements by all shared unknowns."""
+    out = np.zeros((len(at.seen), 2, len(problem.prior)))
+    for group in problem.groups:
+        out[group.rows[:, None], :, group.columns] = group.by_columns(at).swapaxes(1, 2)
+    return out
+
+
 @pytest.mark.parametrize('lean', [(0.0, 0.0), (0.05, -0.03)])
 def test_an_eccentric_camera_is_modelled_as_its_panorama_was_made(lean):
     rng, offset = np.random.default_rng(3), np.array([0.02, 0.04])
@@ -154,7 +195,9 @@ def test_an_eccentric_camera_is_modelled_as_its_panorama_was_made(lean):
         up, down = (
             problem.linearize(world.points, problem.prior + s * change).seen for s in (1.0, -1.0)
         )
-        np.testing.assert_allclose(at.by_shared[..., k], (down - up) / (2.0 * step), atol=1e-8)
+        np.testing.assert_allclose(
+            by_shared(problem, at)[..., k], (down - up) / (2.0 * step), atol=1e-8
+        )
 
 
 def test_a_calibration_that_is_off_is_found_and_errs_as_it_states():

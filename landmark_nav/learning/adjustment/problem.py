@@ -15,8 +15,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import LENS, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rotation_rpy
@@ -88,14 +88,14 @@ class Linearized:
     Residuals at a point, and the model's derivatives.
 
     `seen` (k, 2) are residuals of azimuths and tangents, with derivatives by the landmark
-    `by_point` (k, 2, 3) and by the shared unknowns `by_shared` (k, 2, m); `wall` (n,) are
-    residuals of the distances from walls.
+    `by_point` (k, 2, 3) and by the shared unknowns of its view `by_view` (k, 2, c); `wall` (n,)
+    are residuals of the distances from walls.
     """
 
     seen: FloatArray
     wall: FloatArray
     by_point: FloatArray
-    by_shared: FloatArray
+    by_view: FloatArray
 
 
 class Weights(NamedTuple):
@@ -111,12 +111,39 @@ class Weights(NamedTuple):
     spread: FloatArray
 
 
+class Group(NamedTuple):
+    """
+    Landmarks (g,) that depend on the same shared unknowns `columns` (p,), and their measurements.
+
+    `rows` (r,) are the measurements, in the order of their landmarks, which are numbers `local`
+    (r,) of the group; `place` (r, c) are the unknowns of each view among `columns`.
+    """
+
+    landmarks: IndexArray
+    columns: IndexArray
+    rows: IndexArray
+    local: IndexArray
+    place: IndexArray
+
+    def by_columns(self, at: Linearized) -> FloatArray:
+        """Derivatives (r, 2, p) of the measurements by the shared unknowns."""
+        out = np.zeros((len(self.rows), 2, len(self.columns)))
+        by_view = at.by_view[self.rows].swapaxes(1, 2)
+        out[np.arange(len(self.rows))[:, None], :, self.place] = by_view
+        return out
+
+
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Blocks of landmarks (x) and of shared unknowns (s): ``H d = b``."""
+    """
+    Blocks of landmarks (x) and of shared unknowns (s): ``H d = b``.
 
+    `h_xs` (g, 3, p) are those of each group.
+    """
+
+    groups: Sequence[Group]
     h_xx: FloatArray
-    h_xs: FloatArray
+    h_xs: Sequence[FloatArray]
     h_ss: FloatArray
     b_x: FloatArray
     b_s: FloatArray
@@ -129,27 +156,47 @@ class NormalEquations:
         return replace(self, h_xx=own, h_ss=self.h_ss + by * np.diag(np.diag(self.h_ss)))
 
     @cached_property
-    def gain(self) -> FloatArray:
-        """Minus the derivative of each landmark by the shared unknowns, (n, 3, m)."""
-        return np.asarray(np.linalg.solve(self.h_xx, self.h_xs), dtype=np.float64)
-
-    @cached_property
-    def _schur(self) -> FloatArray:
-        shared = len(self.h_ss)
-        reduction = self.h_xs.reshape(-1, shared).T @ self.gain.reshape(-1, shared)
-        return np.asarray(self.h_ss - reduction)
-
-    def solve(self) -> tuple[FloatArray, FloatArray]:
-        """Steps of landmarks (n, 3) and shared unknowns (m,)."""
-        alone = np.linalg.solve(self.h_xx, self.b_x[..., None])[..., 0]
-        rhs = self.b_s - np.einsum('nip,ni->p', self.h_xs, alone)
-        shared = solve_positive(self._schur, rhs)
-        return alone - self.gain @ shared, shared
-
     def own_covariance(self) -> FloatArray:
         """Covariance (n, 3, 3) of each landmark for fixed shared unknowns."""
         return np.asarray(np.linalg.inv(self.h_xx), dtype=np.float64)
 
+    @cached_property
+    def gain(self) -> list[FloatArray]:
+        """Minus the derivatives (g, 3, p) of the landmarks of groups by the shared unknowns."""
+        return [
+            self.own_covariance[group.landmarks] @ h_xs
+            for group, h_xs in zip(self.groups, self.h_xs, strict=True)
+        ]
+
+    def by_factors(self, root: FloatArray, count: int) -> FloatArray:
+        """Derivatives (count, 3, q) of the first landmarks by factors (m, q) of the unknowns."""
+        out = np.zeros((count, 3, root.shape[1]))
+        for group, gain in zip(self.groups, self.gain, strict=True):
+            which = group.landmarks < count
+            out[group.landmarks[which]] = -gain[which] @ root[group.columns]
+        return out
+
+    @cached_property
+    def _schur(self) -> FloatArray:
+        left = self.h_ss.copy()
+        for group, h_xs, gain in zip(self.groups, self.h_xs, self.gain, strict=True):
+            size = len(group.columns)
+            flat, flat_gain = h_xs.reshape(-1, size), gain.reshape(-1, size)
+            left[np.ix_(group.columns, group.columns)] -= flat.T @ flat_gain
+        return np.asarray(left)
+
+    def solve(self) -> tuple[FloatArray, FloatArray]:
+        """Steps of landmarks (n, 3) and shared unknowns (m,)."""
+        points = (self.own_covariance @ self.b_x[..., None])[..., 0]
+        rhs = self.b_s.copy()
+        for group, h_xs in zip(self.groups, self.h_xs, strict=True):
+            rhs[group.columns] -= np.tensordot(points[group.landmarks], h_xs)
+        shared = solve_positive(self._schur, rhs)
+        for group, gain in zip(self.groups, self.gain, strict=True):
+            points[group.landmarks] -= gain @ shared[group.columns]
+        return points, shared
+
+    @cached_property
     def shared_covariance(self) -> FloatArray:
         """Covariance (m, m) of the shared unknowns."""
         return covariance_of(self._schur)
@@ -168,7 +215,7 @@ class Problem:
         self,
         measurements: Sequence[Sequence[PatchMeasurement]],
         walls: Sequence[int],
-        section: npt.NDArray[np.intp],
+        section: IndexArray,
         panoramas: Sequence[Panorama],
         places: FloatArray,
         room: Room,
@@ -224,6 +271,36 @@ class Problem:
         self._warped = slice(self.calibration_part.stop, len(self.prior))
         self._places = places
         self._height = np.arange(poses.size) % _POSE == 2
+        # Shared unknowns (views, c) that the measurements of each view depend on.
+        every = np.arange(len(self.prior))
+        each = [every[part].reshape(self.views, -1) for part in (self.pose_part, self._warped)]
+        known_by_all = np.tile(every[self.calibration_part], (self.views, 1))
+        self.columns = np.hstack([each[0], known_by_all, each[1]])
+        self.groups = self._groups()
+
+    def _groups(self) -> list[Group]:
+        """Tie points between two views by these views, then all other landmarks."""
+        begins = np.searchsorted(self.landmark, np.arange(self.count))
+        ends = np.append(begins[1:], len(self.landmark))
+        pair = self.view[begins] * self.views + self.view[ends - 1]
+        pair[self.on_wall | (ends - begins != 2)] = -1
+        groups = []
+        for which in np.unique(pair):
+            landmarks = np.flatnonzero(pair == which)
+            rows = np.flatnonzero((pair == which)[self.landmark])
+            columns = np.arange(len(self.prior))
+            if which >= 0:
+                columns = np.unique(self.columns[self.view[rows[:2]]])
+            groups.append(
+                Group(
+                    landmarks,
+                    columns,
+                    rows,
+                    np.searchsorted(landmarks, self.landmark[rows]),
+                    np.searchsorted(columns, self.columns[self.view[rows]]),
+                )
+            )
+        return groups
 
     def off_wall(self, points: FloatArray) -> FloatArray:
         """Distance of points (n, 3) from their walls, positive in front, m."""
@@ -247,26 +324,20 @@ class Problem:
         by_point[:, 0, 1] = d[:, 0] / reach**2
         by_point[:, 1, :2] = -(d[:, 2] / reach**3)[:, None] * d[:, :2]
         by_point[:, 1, 2] = 1.0 / reach
-        by_shared = np.zeros((len(d), 2, len(shared)))
+        rest = [np.tile([[-1.0], [0.0]], (len(d), 1, 1))]
         if len(self._calibration):
             errors, by_errors = shared[self.calibration_part], self._by_errors(reach)
-            by_shared[..., self.calibration_part] = by_errors
+            rest.append(by_errors)
             seen += self._corrected - by_errors @ errors
             by_offset = by_errors[..., _OFFSET] @ errors[_OFFSET]
             by_point[..., :2] -= by_offset[..., None] * (d[:, :2] / reach[:, None] ** 2)[:, None]
-        by_pose = np.zeros((len(d), 2, self.views, _POSE))
-        rows = np.arange(len(d))
-        by_pose[rows, :, self.view, :3] = -by_point
-        by_pose[rows, 0, self.view, 3] = -1.0
-        by_shared[..., self.pose_part] = by_pose.reshape(len(d), 2, -1)
         if len(self._warps):
-            by_warp = np.zeros((len(d), 2, self.views, len(self._warps)))
-            by_warp[rows, :, self.view] = self._by_warps()[..., self._warps]
-            by_shared[..., self._warped] = by_warp.reshape(len(d), 2, -1)
-            seen -= by_shared[..., self._warped] @ shared[self._warped]
-        return Linearized(
-            seen, self._hangs @ shared[self._walls] - self.off_wall(points), by_point, by_shared
-        )
+            by_warp = self._by_warps()[..., self._warps]
+            rest.append(by_warp)
+            own = shared[self._warped].reshape(self.views, -1)[self.view]
+            seen -= (by_warp @ own[..., None])[..., 0]
+        wall = self._hangs @ shared[self._walls] - self.off_wall(points)
+        return Linearized(seen, wall, by_point, np.concatenate([-by_point, *rest], -1))
 
     def _by_errors(self, reach: FloatArray) -> FloatArray:
         """Derivatives (k, 2, c) of azimuths and tangents by errors of the calibration."""
@@ -309,21 +380,28 @@ class Problem:
         seen, wall, spread = weights
         prior = covariance_of(self.prior_covariance(spread))
         jx = at.by_point * seen[..., None]
-        h_xx = _sum_by(self.landmark, np.einsum('nki,nkj->nij', jx, at.by_point), self.count)
+        h_xx = _sum_by(self.landmark, jx.swapaxes(1, 2) @ at.by_point)
         h_xx += np.einsum('n,ni,nj->nij', wall, self.normal, self.normal)
         h_xx += (_WEAK * wall)[:, None, None] * np.eye(3)
-        b_x = _sum_by(self.landmark, np.einsum('nki,nk->ni', jx, at.seen), self.count)
+        b_x = _sum_by(self.landmark, np.einsum('nki,nk->ni', jx, at.seen))
         b_x += (wall * at.wall)[:, None] * self.normal
-        h_xs = _sum_by(self.landmark, np.einsum('nki,nkp->nip', jx, at.by_shared), self.count)
+        h_ss, parts = prior, []
+        b_s = prior @ (self.prior - shared)
         hangs = wall[:, None] * self._hangs
-        h_xs[..., self._walls] -= self.normal[..., None] * hangs[:, None]
-        flat = at.by_shared.reshape(-1, len(shared))
-        weighted = flat * seen.reshape(-1, 1)
-        h_ss = prior + weighted.T @ flat
+        for group in self.groups:
+            by_shared = group.by_columns(at)
+            h_xs = _sum_by(group.local, jx[group.rows].swapaxes(1, 2) @ by_shared)
+            flat = by_shared.reshape(-1, len(group.columns))
+            weighted = flat * seen[group.rows].reshape(-1, 1)
+            h_ss[np.ix_(group.columns, group.columns)] += weighted.T @ flat
+            b_s[group.columns] += weighted.T @ at.seen[group.rows].ravel()
+            if len(group.columns) == len(shared):
+                hung = hangs[group.landmarks, None]
+                h_xs[..., self._walls] -= self.normal[group.landmarks, :, None] * hung
+            parts.append(h_xs)
         h_ss[self._walls, self._walls] += hangs.T @ self._hangs
-        b_s = prior @ (self.prior - shared) + weighted.T @ at.seen.ravel()
         b_s[self._walls] -= hangs.T @ at.wall
-        return NormalEquations(h_xx, h_xs, h_ss, b_x, b_s)
+        return NormalEquations(self.groups, h_xx, parts, h_ss, b_x, b_s)
 
     def cost(self, at: Linearized, shared: FloatArray, weights: Weights) -> float:
         """Twice the function whose derivative `normal_equations` has; the same arguments."""
@@ -358,7 +436,7 @@ class Problem:
         prior = self.prior_covariance(spread)
         information = covariance_of(prior)
         misfit = information @ (shared - self.prior)
-        left = information @ (prior - equations.shared_covariance()) @ information
+        left = information @ (prior - equations.shared_covariance) @ information
         # The prior is the sum of one part for each of `spread`.
         lifted = np.zeros(len(prior))
         lifted[self.pose_part] = self._height
@@ -377,21 +455,24 @@ class Problem:
         self, at: Linearized, equations: NormalEquations
     ) -> tuple[FloatArray, FloatArray]:
         """Variance of what the solution says of each measurement (k, 2) and each wall (n,)."""
-        own, gain = equations.own_covariance(), equations.gain
-        shared = equations.shared_covariance()
-        by_shared = at.by_shared - at.by_point @ gain[self.landmark]
-        seen = np.einsum('nki,nij,nkj->nk', at.by_point, own[self.landmark], at.by_point)
-        seen += np.sum((by_shared @ shared) * by_shared, -1)
-        by_shared_wall = -np.einsum('ni,nip->np', self.normal, gain)
-        by_shared_wall[:, self._walls] -= self._hangs
+        own, shared = equations.own_covariance, equations.shared_covariance
+        by_own = at.by_point @ own[self.landmark]
+        seen = np.sum(by_own * at.by_point, -1)
         wall = np.einsum('ni,nij,nj->n', self.normal, own, self.normal)
-        wall += np.sum((by_shared_wall @ shared) * by_shared_wall, -1)
+        for group, gain in zip(self.groups, equations.gain, strict=True):
+            block = shared[np.ix_(group.columns, group.columns)]
+            by_shared = group.by_columns(at) - at.by_point[group.rows] @ gain[group.local]
+            seen[group.rows] += np.sum((by_shared @ block) * by_shared, -1)
+            by_wall = -np.einsum('ni,nip->np', self.normal[group.landmarks], gain)
+            if len(group.columns) == len(shared):
+                by_wall[:, self._walls] -= self._hangs[group.landmarks]
+            wall[group.landmarks] += np.sum((by_wall @ block) * by_wall, -1)
         return seen, wall
 
 
 def wall_sections(
     points: FloatArray, walls: Sequence[int], room: Room, length_m: float
-) -> npt.NDArray[np.intp]:
+) -> IndexArray:
     """
     Numbers (n,) of the sections of wall that points (n, 3) hang on.
 
@@ -406,11 +487,9 @@ def wall_sections(
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1], np.intp).ravel()
 
 
-def _sum_by(index: npt.NDArray[np.intp], values: FloatArray, count: int) -> FloatArray:
-    """Sum values (k, ...) into rows (count, ...) by their index (k,)."""
-    out = np.zeros((count, *values.shape[1:]))
-    np.add.at(out, index, values)
-    return out
+def _sum_by(index: IndexArray, values: FloatArray) -> FloatArray:
+    """Sum values (k, ...) of equal index (k,), ascending and without gaps, into rows."""
+    return np.asarray(np.add.reduceat(values, np.flatnonzero(np.diff(index, prepend=-1))))
 
 
 def _calibration(

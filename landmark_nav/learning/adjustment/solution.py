@@ -172,14 +172,14 @@ def adjust(
     at = problem.linearize(points, shared)
     weights = _information(problem, at, noise, influence)
     equations = problem.normal_equations(at, shared, weights)
-    covariance = equations.shared_covariance()
+    covariance = equations.shared_covariance.copy()
     if ties is not None:
         covariance[problem.pose_part, problem.pose_part] += ties.doubt @ ties.doubt.T
     root = root_of(covariance)
-    shared_loading, rest, axes = _main_factors((-equations.gain @ root)[:count])
+    shared_loading, rest, axes = _main_factors(equations.by_factors(root, count))
     return Adjustment(
         points[:count],
-        (influence[:, None, None] * equations.own_covariance())[:count] + rest,
+        (influence[:, None, None] * equations.own_covariance)[:count] + rest,
         shared_loading,
         problem.poses(shared),
         _blocks(covariance[problem.pose_part, problem.pose_part], problem.views),

@@ -116,6 +116,7 @@ _TRIALS, _SEED = 600, 5
 # Greatest distance of the two points of a trial, m; bound of inliers, in sigmas.
 _REACH_M, _INLIER_SIGMAS = 3.0, 2.5
 _CELL_M = 0.1
+_MOST_ROWS = 1e6
 # Points nearer than this to a facade and not on it contradict it, m; those on it support as much
 # of it to either side, m.
 _BESIDE_M, _SUPPORT_M = 0.15, 0.2
@@ -353,15 +354,16 @@ def _turn(along: FloatArray, miss: FloatArray, variance: FloatArray) -> float:
 
 
 def _variance(points: SeenPoints, normal: FloatArray, config: FacadesConfig) -> FloatArray:
+    (x, y), own = normal, points.covariance
     return np.asarray(
-        np.einsum('i,nij,j->n', normal, points.covariance, normal) + config.relief_m**2
+        x**2 * own[:, 0, 0] + 2.0 * x * y * own[:, 0, 1] + y**2 * own[:, 1, 1] + config.relief_m**2
     )
 
 
 def _cells(along: FloatArray, height: FloatArray) -> int:
     """Number of cells of a surface that contain points."""
     column, row = np.floor(along / _CELL_M), np.floor(height / _CELL_M)
-    return len(np.unique(column + 1j * row))
+    return len(np.unique(column * _MOST_ROWS + row))
 
 
 def _best_line(
@@ -389,13 +391,15 @@ def _best_line(
         ahead = (points.viewpoints[:, :2] - xy[first]) @ normal
         miss = (off @ normal) ** 2 / _variance(points, normal, config)
         on = (miss < _INLIER_SIGMAS**2) & (np.sign(ahead) == np.sign(ahead[first]))
-        if np.count_nonzero(on) <= most:
-            continue  # no more cells than points
+        # No more cells than points.
+        prior = _prior(angle, common)
+        if prior * np.count_nonzero(on) <= most:
+            continue
         on = _stretch(off @ along, on, config.max_gap_m)
+        if prior * np.count_nonzero(on) <= most:
+            continue
         cells = _cells((off @ along)[on], points.positions[on, 2])
-        support = (
-            _prior(angle, common) * cells * float(np.mean(1.0 - miss[on] / _INLIER_SIGMAS**2))
-        )
+        support = prior * cells * float(np.mean(1.0 - miss[on] / _INLIER_SIGMAS**2))
         if support > most:
             best, most = on, support
     return best if most >= 0.4 * _OBLIQUE * config.min_cells else None

@@ -20,7 +20,7 @@ from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt
+from landmark_nav.learning.least_squares import covariance_of, Equations, levenberg_marquardt
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutlines
@@ -383,10 +383,11 @@ class _Trial:
         for v, place in enumerate(places):
             start[_VIEW * v : _VIEW * v + 3] = place.axis_pose
 
-        def with_prior(state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def with_prior(state: FloatArray) -> Equations:
             residuals, jacobian = model.linearized(state)
             residuals = np.append(residuals, (state - start) / prior)
-            return residuals, np.vstack([jacobian, np.diag(1.0 / prior)])
+            jacobian = np.vstack([jacobian, np.diag(1.0 / prior)])
+            return float(residuals @ residuals), jacobian.T @ residuals, jacobian.T @ jacobian
 
         state, cost, information = levenberg_marquardt(with_prior, start)
         unseen = 0

@@ -14,8 +14,8 @@ import numpy as np
 
 from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.se2 import cross, rot_z
-from landmark_nav.learning.least_squares import covariance_of, levenberg_marquardt, root_of
+from landmark_nav.geometry.se2 import rot_z
+from landmark_nav.learning.least_squares import covariance_of, Equations, levenberg_marquardt
 from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
 
@@ -82,14 +82,26 @@ class EpipolarFit:
 
 def turned(state: FloatArray, rays: FloatArray) -> FloatArray:
     """Rotate rays (m, 3) from the base frame to map, by the state (6,); tilts are small."""
+    return np.asarray(rays @ _turn(state).T)
+
+
+def _turn(state: FloatArray) -> FloatArray:
     roll, pitch = state[4], state[5]
     tilt = np.array([[1.0, 0.0, pitch], [0.0, 1.0, -roll], [-pitch, roll, 1.0]])
-    return np.asarray(rays @ tilt.T @ rot_z(state[2]).T)
+    return np.asarray(rot_z(float(state[2])) @ tilt)
 
 
 def center(states: FloatArray) -> FloatArray:
     """Viewpoints (..., 3) of states (..., 6) of sweeps."""
     return np.asarray(states[..., [0, 1, 3]])
+
+
+def residuals(
+    states: FloatArray, pairs: RayPairs, sigma_rad: float
+) -> tuple[FloatArray, BoolArray]:
+    """Residuals (m,) of matches and whether the rays meet (m,), as `misses`."""
+    planes = _Planes(states, pairs)
+    return planes.off * planes.scale(sigma_rad), planes.before
 
 
 def misses(
@@ -106,32 +118,50 @@ def misses(
     before : ndarray of bool, shape (m,)
         Whether the rays meet in front of both viewpoints.
     """
-    state, other = states[pairs.one], states[pairs.other]
-    w, v = turned(state, pairs.rays), turned(other, pairs.other_rays)
-    way = center(other) - center(state)
-    normal = np.cross(w, v)
-    off = normal @ way
-    by_w, by_v = np.cross(v, way), np.cross(way, w)
-    # Azimuth and tangent of both rays have the same sigma.
-    variance = sum(
-        np.sum(by * across, 1) ** 2 + by[:, 2] ** 2
-        for by, across in ((by_w, _across(w)), (by_v, _across(v)))
-    )
-    scale = 1.0 / (sigma_rad * np.sqrt(variance) + _NOTHING)
+    planes, scale = (at := _Planes(states, pairs)), at.scale(sigma_rad)
+    way = planes.way
     # The length of the baseline has no effect.
-    normal -= np.outer(off / max(float(way @ way), _NOTHING), way)
-    jacobian = np.empty((len(w), 2, STATE))
-    for k, (at, by, ray, sign) in enumerate(((state, by_w, w, -1.0), (other, by_v, v, 1.0))):
-        turn = np.cross(ray, by)
-        jacobian[:, k, :2] = sign * normal[:, :2]
-        jacobian[:, k, 2] = turn[:, 2]
-        jacobian[:, k, 3] = sign * normal[:, 2]
-        jacobian[:, k, 4:] = (turn @ rot_z(at[2]))[:, :2]
-    # In plan: whether the rays meet ahead of both.
-    parallax = cross(w, v)
-    before = (parallax * cross(way, v) > 0.0) & (parallax * cross(way, w) > 0.0)
-    before &= np.abs(parallax) > _LEAST_PARALLAX
-    return off * scale, jacobian * scale[:, None, None], before
+    normal = planes.normal - np.outer(way, planes.off / max(float(way @ way), _NOTHING))
+    jacobian = np.empty((2, STATE, len(scale)))
+    sides = ((pairs.one, planes.w, planes.by_w), (pairs.other, planes.v, planes.by_v))
+    for by_state, (view, ray, by_ray), sign in zip(jacobian, sides, (-1.0, 1.0), strict=True):
+        turn = _cross(ray, by_ray)
+        by_state[:2], by_state[3] = sign * normal[:2], sign * normal[2]
+        by_state[2], by_state[4:] = turn[2], rot_z(states[view, 2])[:2, :2].T @ turn[:2]
+    return planes.off * scale, (jacobian * scale).transpose(2, 0, 1), planes.before
+
+
+class _Planes:
+    """
+    Rays `w` and `v` (3, m) of matches in map, and the baseline `way` (3,).
+
+    `off` (m,) are their triple products ``way . (w x v)``, `normal`, `by_w` and `by_v` (3, m) the
+    derivatives by baseline and rays; `before` (m,) is whether the rays meet ahead of both views.
+    """
+
+    def __init__(self, states: FloatArray, pairs: RayPairs) -> None:
+        state, other = states[pairs.one], states[pairs.other]
+        self.w, self.v = _turn(state) @ pairs.rays.T, _turn(other) @ pairs.other_rays.T
+        self.way = center(other) - center(state)
+        self.normal = _cross(self.w, self.v)
+        self.off = self.way @ self.normal
+        self.by_w, self.by_v = _cross(self.v, self.way), _cross(self.way, self.w)
+        parallax = self.normal[2]
+        self.before = (parallax * self.by_w[2] < 0.0) & (parallax * self.by_v[2] > 0.0)
+        self.before &= np.abs(parallax) > _LEAST_PARALLAX
+
+    def scale(self, sigma_rad: float) -> FloatArray:
+        """Reciprocal sigmas (m,) of `off`: azimuth and tangent of both rays have the same."""
+        variance = self.by_w[2] ** 2 + self.by_v[2] ** 2
+        for ray, by_ray in ((self.w, self.by_w), (self.v, self.by_v)):
+            variance += (ray[0] * by_ray[1] - ray[1] * by_ray[0]) ** 2
+        return np.asarray(1.0 / (sigma_rad * np.sqrt(variance) + _NOTHING))
+
+
+def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Cross products (3, m) of vectors (3, m) or (3,); `numpy.cross` takes much longer."""
+    (a, b, c), (d, e, f) = first, second
+    return np.array([b * f - c * e, c * d - a * f, a * e - b * d])
 
 
 def evidence(off: FloatArray, band: float) -> float:
@@ -144,10 +174,6 @@ def evidence(off: FloatArray, band: float) -> float:
     density = np.exp(-0.5 * off**2) / np.sqrt(2.0 * np.pi)
     ratio = np.multiply.outer(2.0 * band * density - 1.0, _SHARES)
     return float(np.log1p(ratio).sum(axis=0).max())
-
-
-def _across(rays: FloatArray) -> FloatArray:
-    return np.stack([-rays[:, 1], rays[:, 0], np.zeros(len(rays))], 1)
 
 
 def fit_poses(
@@ -180,40 +206,37 @@ def fit_poses(
     first_width : float
         Scale of the robust weight in the first step, in sigmas.
     """
-    views = len(start)
-    whiten = np.linalg.inv(root_of(prior_covariance))
-    states, information = start, np.eye(STATE * views)
-
-    def off_prior(state: FloatArray) -> FloatArray:
-        off = state - prior
-        off[:, 2] = wrap_rad(off[:, 2])
-        return np.asarray(whiten @ off.ravel())
-
+    known = covariance_of(prior_covariance)
+    states, information = start, known
     for width in np.geomspace(first_width, TAIL, _STEPS):
-        found = [misses(states, p, sigma_rad) for p in pairs]
-        weights = [
-            np.where(before, 1.0, 1e-3) / (1.0 + (off / width) ** 2) for off, _, before in found
-        ]
+        weights = []
+        for p in pairs:
+            off, before = residuals(states, p, sigma_rad)
+            weights.append((np.where(before, 1.0, 1e-3) / (1.0 + (off / width) ** 2)) ** 2)
 
-        def linearize(flat: FloatArray) -> tuple[FloatArray, FloatArray]:
-            at = flat.reshape(views, STATE)
-            rows, slopes = [off_prior(at)], [whiten]
+        def equations(flat: FloatArray) -> Equations:
+            at = flat.reshape(start.shape)
+            off = at - prior
+            off[:, 2] = wrap_rad(off[:, 2])
+            pull = known @ off.ravel()
+            cost, matrix = float(off.ravel() @ pull), known.copy()
             if others is not None:
                 off, jacobian = others(at)
-                rows.append(off)
-                slopes.append(jacobian)
+                cost, pull = cost + float(off @ off), pull + jacobian.T @ off
+                matrix += jacobian.T @ jacobian
             for p, weight in zip(pairs, weights, strict=True):  # noqa: B023
-                off, jacobian, _ = misses(at, p, sigma_rad)
-                slope = np.zeros((len(off), views, STATE))
-                slope[:, p.one], slope[:, p.other] = jacobian[:, 0], jacobian[:, 1]
-                rows.append(weight * off)
-                slopes.append(weight[:, None] * slope.reshape(len(off), -1))
-            return np.concatenate(rows), np.concatenate(slopes)
+                off, slope, _ = misses(at, p, sigma_rad)
+                slope = slope.reshape(len(off), 2 * STATE)
+                both = np.ravel(STATE * np.array([[p.one], [p.other]]) + np.arange(STATE))
+                cost += float(weight @ off**2)
+                pull[both] += (weight * off) @ slope
+                matrix[np.ix_(both, both)] += (slope.T * weight) @ slope
+            return cost, pull, matrix
 
-        flat, _, information = levenberg_marquardt(linearize, states.ravel())
-        states = flat.reshape(views, STATE)
+        flat, _, information = levenberg_marquardt(equations, states.ravel())
+        states = flat.reshape(start.shape)
     agrees = []
     for p in pairs:
-        off, _, before = misses(states, p, sigma_rad)
+        off, before = residuals(states, p, sigma_rad)
         agrees.append(before & (np.abs(off) < _AGREES))
     return EpipolarFit(states, covariance_of(information), tuple(agrees))

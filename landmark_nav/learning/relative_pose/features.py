@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
-from landmark_nav.arrays import BoolArray, Float32Array, IndexArray
+from landmark_nav.arrays import Float32Array, IndexArray
 from landmark_nav.geometry.se2 import cross
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
@@ -79,12 +80,12 @@ class LikePairs:
 
     rays: FloatArray
     other_rays: FloatArray
-    first: IndexArray
-    second: IndexArray
+    first: npt.NDArray[np.unsignedinteger]
+    second: npt.NDArray[np.unsignedinteger]
     likeness: Float32Array
 
-    def chosen(self, which: BoolArray) -> LikePairs:
-        """Return the pairs selected by `which` (m,)."""
+    def chosen(self, which: IndexArray) -> LikePairs:
+        """Return the pairs of these numbers."""
         parts = self.first[which], self.second[which], self.likeness[which]
         return LikePairs(self.rays, self.other_rays, *parts)
 
@@ -92,7 +93,7 @@ class LikePairs:
         """Rays (k, 3) of mutually nearest features by the ratio test, most distinct first."""
         if not len(self.first):
             return np.empty((0, 3)), np.empty((0, 3))
-        starts = np.flatnonzero(np.diff(self.first, prepend=-1))
+        starts = np.flatnonzero(np.diff(self.first.astype(np.intp), prepend=-1))
         top = np.maximum.reduceat(self.likeness, starts)
         of_row = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(self.first)))
         is_top = self.likeness == top[of_row]
@@ -113,17 +114,24 @@ class LikePairs:
         return self.rays[self.first[found]], self.other_rays[self.second[found]]
 
 
-def like_pairs(one: Features, other: Features) -> LikePairs:
-    """Compare all features of two panoramas."""
-    parts = []
+def _least_top(config: RelativePoseConfig) -> float:
+    """Likeness below which no match passes the ratio test; rounded down."""
+    # As in `LikePairs.distinct`; all that compete are at least as alike as `_LEAST_LIKENESS`.
+    return 1.0 - config.max_ratio**2 * (1.0 - _LEAST_LIKENESS) - 1e-5
+
+
+def like_pairs(one: Features, other: Features, config: RelativePoseConfig) -> LikePairs:
+    """Compare all features of two panoramas; those of the first that match none are left out."""
+    small = np.min_scalar_type(max(len(one), len(other)))
+    parts = [(np.empty(0, small), np.empty(0, small), np.empty(0, np.float32))]
     for start in range(0, len(one), _ROWS):
         likeness = one.descriptors[start : start + _ROWS] @ other.descriptors.T
-        first, second = np.nonzero(likeness > _LEAST_LIKENESS)
-        alike = likeness[first, second]
-        parts.append((first.astype(np.int32) + start, second.astype(np.int32), alike))
-    empty = np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.float32)
-    first, second, alike = (np.concatenate(part) for part in zip(empty, *parts, strict=True))
-    return LikePairs(one.rays, other.rays, first, second, alike)
+        rows = np.flatnonzero(likeness.max(1, initial=0.0) > _least_top(config))
+        likeness = likeness[rows]
+        row, second = np.nonzero(likeness > _LEAST_LIKENESS)
+        first = (rows[row] + start).astype(small)
+        parts.append((first, second.astype(small), likeness[row, second]))
+    return LikePairs(one.rays, other.rays, *map(np.concatenate, zip(*parts, strict=True)))
 
 
 def matches_along(
@@ -141,17 +149,26 @@ def matches_along(
         for k, rays in ((one, alike.rays), (other, alike.other_rays))
     )
     by_w, by_v = np.cross(v, way), np.cross(way, w)
-    i, j = alike.first, alike.second
-    off = np.sum(by_v[i] * v[j], axis=1)
-    variance = cross(w[i], by_w[j]) ** 2 + cross(v[j], by_v[i]) ** 2
-    variance += by_w[j, 2] ** 2 + by_v[i, 2] ** 2
     band = band_sigmas * config.direction_sigma_rad
-    near = alike.chosen(off**2 < band**2 * variance)
-    i, j = near.first, near.second
-    parallax = cross(w[i], v[j])
-    length, inside = float(np.hypot(way[0], way[1])), np.ones(len(i), bool)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        for ahead in (cross(way, v)[j], cross(way, w)[i]):
-            distance = ahead / parallax
-            inside &= (distance > _NEAREST * length) & (distance < _FARTHEST * length)
-    return RayPairs(one, other, *near.chosen(inside).distinct(config.max_ratio))
+    length = float(np.hypot(way[0], way[1]))
+
+    def near(which: IndexArray) -> IndexArray:
+        """Pairs, of those given, that are near their curves and in range."""
+        i, j = alike.first[which], alike.second[which]
+        off = np.einsum('nk,nk->n', by_v[i], v[j])
+        variance = cross(w[i], by_w[j]) ** 2 + cross(v[j], by_v[i]) ** 2
+        variance += by_w[j, 2] ** 2 + by_v[i, 2] ** 2
+        inside = off**2 < band**2 * variance
+        which, i, j = which[inside], i[inside], j[inside]
+        parallax, inside = cross(w[i], v[j]), np.ones(len(i), bool)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            for ahead in (cross(way, v)[j], cross(way, w)[i]):
+                distance = ahead / parallax
+                inside &= (distance > _NEAREST * length) & (distance < _FARTHEST * length)
+        return np.asarray(which[inside])
+
+    # Only features with a possible match there need to be compared with all that compete.
+    possible = np.zeros(len(w), bool)
+    possible[alike.first[near(np.flatnonzero(alike.likeness > _least_top(config)))]] = True
+    chosen = near(np.flatnonzero(possible[alike.first]))
+    return RayPairs(one, other, *alike.chosen(chosen).distinct(config.max_ratio))

@@ -25,6 +25,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     misses,
     RayPairs,
     RelativePoseConfig,
+    residuals,
     STATE,
     TAIL,
 )
@@ -63,7 +64,7 @@ _LOG = logging.getLogger(__name__)
 # A pose is accepted if it is these factors more likely than chance and than any other pose, and if
 # the evidence of others is a smaller share of its own: matches are not quite independent.
 _ODDS_OF_CHANCE, _ODDS_OF_RIVALS, _SHARE_OF_RIVALS = 1e5, 1e3, 0.7
-# Number of nearest sweeps with which each is matched, if their places are known.
+# Number of nearest sweeps with which each is matched, once their places are known.
 _NEIGHBOURS = 4
 # There is no baseline if a rotation alone explains this share of the inliers.
 _NO_BASELINE = 0.8
@@ -108,6 +109,27 @@ class RelativePoses:
     wave_sigma_rad: float
     doubt: FloatArray
 
+    def check_doubt(self, config: RelativePoseConfig) -> None:
+        """
+        Report that errors of headings may be large.
+
+        Raises `LandmarkNavError`: they may be too large to find patches again.
+        """
+        turns = np.linalg.norm(self.doubt[2::STATE], axis=1)
+        worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
+        if turns.max() > config.max_doubt_rad:
+            raise LandmarkNavError(
+                f'panoramas leave the heading of sweep {worst} uncertain by {sigma:.1f} deg '
+                '(sigma): take a sweep between it and the others that sees more sides of the room'
+            )
+        if turns.max() > _WORTH_REPORTING_RAD:
+            _LOG.warning(
+                'things may have moved together between the sweeps: the heading of sweep %d is '
+                'good to %.2f deg only, for one: if they did, sweep again',
+                worst,
+                sigma,
+            )
+
 
 def relative_poses(
     features: Sequence[Features],
@@ -141,7 +163,8 @@ def relative_poses(
     else:
         start = before.states * np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
         pairs = {
-            (p.one, p.other): like_pairs(features[p.one], features[p.other]) for p in before.pairs
+            (p.one, p.other): like_pairs(features[p.one], features[p.other], config)
+            for p in before.pairs
         }
     fit, sources, pairs_along, doubt = _fitted(start, pairs, known, sheets, config)
     shares = tuple(source.share(fit.states) for source in sources)
@@ -169,7 +192,7 @@ def _wave_sigma(
     states: FloatArray, pairs: Sequence[RayPairs], config: RelativePoseConfig
 ) -> float:
     """Sigma of the residuals of matches beyond the noise of features."""
-    off = [misses(states, p, config.direction_sigma_rad)[0] for p in pairs]
+    off = [residuals(states, p, config.direction_sigma_rad)[0] for p in pairs]
     seen = _MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(off))))
     variance = (seen * config.direction_sigma_rad) ** 2 - config.feature_sigma_rad**2
     return float(np.sqrt(max(variance, 0.0)))
@@ -185,9 +208,13 @@ def _found(
     """Initial states (v, 6) by matches of pairs of panoramas, and the pairs that share enough."""
     count = len(features)
     found: dict[tuple[int, int], TwoViews] = {}
-    doubtful, matched = {}, {}
-    for i, j in _neighbours(known[0].poses) if known else combinations(range(count), 2):
-        alike = like_pairs(features[i], features[j])
+    doubtful: dict[tuple[int, int], list[TwoViews]] = {}
+    matched: dict[tuple[int, int], LikePairs | None] = {}
+    tried = _neighbours(known[0].poses) if known else list(combinations(range(count), 2))
+    # They are large: of many that are tried, those of neighbours are kept, and compared again.
+    few = len(tried) <= _NEIGHBOURS * count
+    for i, j in tried:
+        alike = like_pairs(features[i], features[j], config)
         pairs = RayPairs(i, j, *alike.distinct(config.max_ratio))
         ranked = hypotheses(pairs, config)
         turn = turn_support(pairs, config.direction_sigma_rad)
@@ -200,7 +227,7 @@ def _found(
         ranked = along_curves(ranked, alike, config)
         if not ranked or ranked[0].evidence < BY_CHANCE + np.log(_ODDS_OF_CHANCE):
             continue
-        matched[i, j] = alike
+        matched[i, j] = alike if few else None
         best = ranked[0].evidence
         least = min(best - np.log(_ODDS_OF_RIVALS), _SHARE_OF_RIVALS * best)
         rivals = [pose for pose in ranked if pose.evidence > least]
@@ -215,7 +242,13 @@ def _found(
     first = np.zeros(STATE)
     first[:3] = known[0].poses[0] if known else [*lever[:2], 0.0]
     first[3] = lever[2]
-    return _placed(count, found, doubtful, lengths, first), matched
+    states, chain = _placed(count, found, doubtful, lengths, first)
+    kept = tried if few else {*chain, *_neighbours(states)}
+    return states, {
+        (i, j): alike or like_pairs(features[i], features[j], config)
+        for (i, j), alike in matched.items()
+        if (i, j) in kept
+    }
 
 
 def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
@@ -233,9 +266,9 @@ def _placed(
     doubtful: Mapping[tuple[int, int], Sequence[TwoViews]],
     lengths: Mapping[tuple[int, int], float],
     first: FloatArray,
-) -> FloatArray:
-    """States (v, 6), chained along the pairs with most support; `lengths` are baselines."""
-    states = np.tile(first, (count, 1))
+) -> tuple[FloatArray, list[tuple[int, int]]]:
+    """States (v, 6), and the pairs with most support that chain them; `lengths` are baselines."""
+    states, chain = np.tile(first, (count, 1)), list[tuple[int, int]]()
     placed = {0}
     while len(placed) < count:
         ways = [e for e in found if (e[0] in placed) != (e[1] in placed)]
@@ -263,7 +296,8 @@ def _placed(
         tilt = pose.tilt_rad if forward else -rotation(-turn) @ pose.tilt_rad
         states[new, 4:] = rotation(-turn) @ states[near, 4:] + tilt
         placed.add(new)
-    return states
+        chain.append((i, j))
+    return states, chain
 
 
 def _why_alone(
@@ -357,22 +391,7 @@ def _doubt(
         flat = jacobian.reshape(len(slopes), size)
         information += flat.T @ flat
         pulls.append(flat.T @ (slopes[:, 1] @ found.loading))
-    doubt = np.asarray(solve_positive(information, np.hstack(pulls)))
-    turns = np.linalg.norm(doubt[2::STATE], axis=1)
-    worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
-    if turns.max() > config.max_doubt_rad:
-        raise LandmarkNavError(
-            f'panoramas leave the heading of sweep {worst} uncertain by {sigma:.1f} deg (sigma): '
-            'take a sweep between it and the others that sees more sides of the room'
-        )
-    if turns.max() > _WORTH_REPORTING_RAD:
-        _LOG.warning(
-            'things may have moved together between the sweeps: the heading of sweep %d is good '
-            'to %.2f deg only, for one: if they did, sweep again',
-            worst,
-            sigma,
-        )
-    return doubt
+    return np.asarray(solve_positive(information, np.hstack(pulls)))
 
 
 def _prior_covariance(count: int, config: RelativePoseConfig) -> FloatArray:

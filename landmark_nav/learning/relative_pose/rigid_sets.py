@@ -23,6 +23,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     misses,
     RayPairs,
     RelativePoseConfig,
+    residuals,
     TAIL,
 )
 from landmark_nav.learning.relative_pose.features import WIDE_BAND
@@ -95,7 +96,8 @@ class _Search:
     def __init__(
         self, states: FloatArray, pairs: RayPairs, config: RelativePoseConfig, sigma_rad: float
     ) -> None:
-        self._pair, self._pairs = states[[pairs.one, pairs.other]], pairs
+        self._pair = states[[pairs.one, pairs.other]]
+        self._pairs = RayPairs(0, 1, pairs.rays, pairs.other_rays)
         self.sigma_rad = sigma_rad
         self._share_of_noise = sigma_rad / config.direction_sigma_rad
         length = float(np.hypot(*(self._pair[1] - self._pair[0])[:2]))
@@ -107,14 +109,14 @@ class _Search:
         self.tried_support = np.array([self.support(state) for state in self.tried])
         every = np.ones(len(pairs.rays), bool)
         self.state = self.best(self.tried, self.tried_support, every)
-        off, _, before = self._misses(self.state)
+        off, before = residuals(*self._at(self.state))
         band = WIDE_BAND / self._share_of_noise
         self.evidence = evidence(off[before & (np.abs(off) < band)], band)
 
     def _samples(self) -> FloatArray:
         """States (n, 6) by random samples of matches, the same each time."""
         rng = np.random.default_rng(0)
-        off, jacobian, _ = self._misses(self._pair[1])
+        off, jacobian, _ = misses(*self._at(self._pair[1]))
         size = min(_SIZE, len(off))
         samples = np.array([rng.permutation(len(off))[:size] for _ in range(_SAMPLES)])
         slope = jacobian[samples, 1]
@@ -126,7 +128,7 @@ class _Search:
 
     def support(self, state: FloatArray) -> FloatArray:
         """Support (m,) by each match."""
-        off, _, before = self._misses(state)
+        off, before = residuals(*self._at(state))
         return np.asarray(before * np.maximum(0.0, 1.0 - (off / _AGREES) ** 2))
 
     def best(self, tried: FloatArray, support: FloatArray, which: BoolArray) -> FloatArray:
@@ -139,7 +141,7 @@ class _Search:
         self, changes: FloatArray, state: FloatArray, agrees: BoolArray
     ) -> FloatArray:
         """Part (6, q) of changes (6, n) of a state that errors of panoramas do not explain."""
-        slope = self._misses(state)[1][agrees, 1] * self._share_of_noise
+        slope = misses(*self._at(state))[1][agrees, 1] * self._share_of_noise
         root = root_of(self._information + slope.T @ slope)
         axes, size, _ = np.linalg.svd(root.T @ changes, full_matrices=False)
         beyond = np.sqrt(np.maximum(size**2 - _NOISE_SIGMAS**2, 0.0))
@@ -147,7 +149,7 @@ class _Search:
 
     def _refined(self, state: FloatArray, which: BoolArray) -> FloatArray:
         for _ in range(_STEPS):
-            off, jacobian, before = self._misses(state)
+            off, jacobian, before = misses(*self._at(state))
             weight = which * (before / (1.0 + (off / TAIL) ** 2)) ** 2
             slope = jacobian[:, 1]
             information = self._information + (slope * weight[:, None]).T @ slope
@@ -155,6 +157,5 @@ class _Search:
             state = state - solve_positive(information, pull)
         return state
 
-    def _misses(self, state: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        pairs = RayPairs(0, 1, self._pairs.rays, self._pairs.other_rays)
-        return misses(np.stack([self._pair[0], state]), pairs, self.sigma_rad)
+    def _at(self, state: FloatArray) -> tuple[FloatArray, RayPairs, float]:
+        return np.stack([self._pair[0], state]), self._pairs, self.sigma_rad

@@ -18,9 +18,9 @@ from landmark_nav.learning.relative_pose.epipolar import (
     center,
     evidence,
     fit_poses,
-    misses,
     RayPairs,
     RelativePoseConfig,
+    residuals,
     STATE,
     turned,
 )
@@ -123,21 +123,25 @@ def turn_support(pairs: RayPairs, sigma_rad: float) -> int:
 
 def _votes(pairs: RayPairs, angles: FloatArray) -> FloatArray:
     """Support of each heading and direction by matches, (n, n)."""
-    azimuth, other = (
-        np.arctan2(r[:_MOST_TRIED, 1], r[:_MOST_TRIED, 0]).astype(np.float32)
-        for r in (pairs.rays, pairs.other_rays)
+    azimuth, other, tangent, other_tangent = (
+        part[:_MOST_TRIED].astype(np.float32)
+        for part in (
+            *(np.arctan2(r[:, 1], r[:, 0]) for r in (pairs.rays, pairs.other_rays)),
+            *(r[:, 2] for r in (pairs.rays, pairs.other_rays)),
+        )
     )
-    tangent, other_tangent = (
-        r[:_MOST_TRIED, 2].astype(np.float32) for r in (pairs.rays, pairs.other_rays)
-    )
-    away = np.sin(azimuth - angles[:, None].astype(np.float32))
+    angles = angles.astype(np.float32)
+    away, there = np.sin(azimuth - angles[:, None]), np.sin(other + angles[:, None])
+    miss, other_miss, ahead = tangent * there, other_tangent * away, away > 0.0
+    size, other_size = _TOLERANCE**2 * there**2, _TOLERANCE**2 * (away**2 + 1e-9)
     votes = np.zeros((len(angles), len(angles)))
-    for k, heading in enumerate(angles.astype(np.float32)):
-        there = np.sin(other + heading - angles[:, None].astype(np.float32))
-        parallax = np.sin(other + heading - azimuth)
-        off = (tangent * there - other_tangent * away) ** 2 / (away**2 + there**2 + 1e-9)
-        before = (away * there > 0.0) & (parallax * away > 0.0)
-        votes[k] = np.sum(before * np.maximum(0.0, 1.0 - off / _TOLERANCE**2), axis=1)
+    for k, heading in enumerate(angles):
+        # Row of `there` for each direction: headings and directions are on one grid.
+        row = (k - np.arange(len(angles))) % len(angles)
+        parallax = np.sin(other + heading - azimuth) > 0.0
+        before = (ahead == (there > 0.0)[row]) & (ahead == parallax)
+        off = (miss[row] - other_miss) ** 2 / (size[row] + other_size)
+        votes[k] = np.sum(before * np.maximum(0.0, 1.0 - off), axis=1)
     return votes
 
 
@@ -157,7 +161,7 @@ def _refined(
         np.diag(sigma**2),
     )
     found = two_views_of(fit.states, 0, 1)
-    off, _, before = misses(fit.states, pairs, config.direction_sigma_rad)
+    off, before = residuals(fit.states, pairs, config.direction_sigma_rad)
     near = off[before & (np.abs(off) < BAND)]
     unlikely = 0.5 * float(np.sum(((fit.states[1, 3:] - prior[1, 3:]) / sigma[STATE + 3 :]) ** 2))
     return replace(

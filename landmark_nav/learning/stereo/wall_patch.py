@@ -8,11 +8,12 @@ distance.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
-from landmark_nav.arrays import Float32Array
+from landmark_nav.arrays import Float32Array, IndexArray
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import Candidate, FloatArray, Panorama
@@ -75,7 +76,7 @@ class WallPatch:
     texel_m: float
     on_wall: bool = True
 
-    @property
+    @cached_property
     def axes(self) -> FloatArray:
         """Unit vectors (2, 3) to the right and down."""
         return np.stack(patch_axes(self.normal))
@@ -157,8 +158,8 @@ def wall_texture(patch: WallPatch, panorama: Panorama) -> Float32Array | None:
 
 def covered_rows(patch: WallPatch, panorama: Panorama) -> slice:
     """Rows of a patch that a panorama covers, possibly none."""
-    some = [0, patch.shape[1] // 2, -1]
-    columns, rows = (np.rint(pixels[..., some]).astype(int) for pixels in _pixels(patch, panorama))
+    some = np.array([0, patch.shape[1] // 2, patch.shape[1] - 1])
+    columns, rows = (np.rint(pixels).astype(int) for pixels in _pixels(patch, panorama, some))
     height, width = panorama.mask.shape
     seen = (rows >= 2) & (rows <= height - 3)
     covered = (seen & panorama.mask[np.clip(rows, 0, height - 1), columns % width]).all(1)
@@ -170,9 +171,11 @@ def covered_rows(patch: WallPatch, panorama: Panorama) -> slice:
     return slice(int(first), int(last))
 
 
-def _pixels(patch: WallPatch, panorama: Panorama) -> tuple[FloatArray, FloatArray]:
+def _pixels(
+    patch: WallPatch, panorama: Panorama, some: IndexArray | slice = slice(None)
+) -> tuple[FloatArray, FloatArray]:
     """
-    Pixels of a patch's texels in a panorama: columns (w,) and rows (h, w).
+    Pixels of a patch's texels in a panorama, or `some` columns: columns (w,) and rows (h, w).
 
     Patch and cylinder are upright: a column of the patch lies in one column of the panorama.
     """
@@ -180,7 +183,7 @@ def _pixels(patch: WallPatch, panorama: Panorama) -> tuple[FloatArray, FloatArra
     right, down = patch.axes
     offset = patch.position - panorama.center_map
     across, below = ((np.arange(n) - (n - 1) / 2.0) * patch.texel_m for n in patch.shape[::-1])
-    ray = offset[:2] + across[:, None] * right[:2]
+    ray = offset[:2] + across[some, None] * right[:2]
     azimuth = np.arctan2(ray[:, 1], ray[:, 0]) - panorama.heading_rad
     tangent = (offset[2] + below * down[2])[:, None] / np.hypot(ray[:, 0], ray[:, 1])
     return cylinder.column_of(azimuth), cylinder.row_of(tangent)

@@ -95,6 +95,8 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
         if _covers(bag, plan, frames, cut_off=last and not bag.complete):
             yield Sweep(plan.start_ns, tuple(frames), pose)
         plan.frames.clear()
+        frames.clear()
+        ordered.clear()
 
 
 def _add(
