@@ -135,8 +135,11 @@ class ErrorRepetition:
             for k in range(3):
                 crossed[fixed + 3 * there + k] = kept * earlier[fixed + 3 * here + k]
         left = np.isin(predicted.landmarks, after.landmarks)
-        rows = np.concatenate([np.ones(fixed, np.bool_), np.repeat(left, 3)])
-        corrected = after.covariance @ (information_of(predicted.covariance) @ crossed)[rows]
+        if left.all():
+            corrected = after.covariance @ information_of(predicted.covariance) @ crossed
+        else:
+            # The image was not used, and its new landmarks are left out.
+            corrected = crossed[np.append(np.ones(fixed, np.bool_), np.repeat(left, 3))]
         whiten = np.linalg.inv(np.linalg.cholesky(after.covariance[:3, :3]))
         self._repeated += 2.0 * self._stride * float(np.sum((whiten @ corrected[:3]) ** 2))
         self._repeated += len(whiten)
