@@ -57,7 +57,9 @@ def run(args: argparse.Namespace) -> int:
     mount = given.mount
     is_image_folder = (args.sweep / 'frames.csv').is_file()
     if not is_image_folder and any(args.sweep.glob('*.[jpJP][pnPN]*[gG]')):
-        raise LandmarkNavError(f'{args.sweep}: images without frames.csv, see --help')
+        raise LandmarkNavError(
+            f'{args.sweep}: images without frames.csv (file,pan_rad,focal_px,width,height)'
+        )
     if is_image_folder and args.number is not None:
         raise UsageError(f'{args.sweep}: is one sweep: leave out --sweep {args.number}')
     sweep = read_sweep_folder(args.sweep) if is_image_folder else _sweep(args, mount)
@@ -108,5 +110,7 @@ def _sweep(args: argparse.Namespace, mount: PanTiltMount) -> Sweep:
         raise LandmarkNavError(f'{bag.path}: holds no whole sweep: take another')
     if found is None or (number is None and total > 1):
         which = '' if number is None else f', no number {number}'
-        raise UsageError(f'{bag.path}: has {total} sweeps{which}: take --sweep 1 to {total}')
+        raise UsageError(
+            f'{bag.path}: holds {total} sweeps{which}: take one by --sweep 1 to {total}'
+        )
     return found
