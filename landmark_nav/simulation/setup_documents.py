@@ -12,7 +12,7 @@ import yaml
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.simulation.scene import Scene
-from landmark_nav.storage.setup_files import PAN_UNIT, room_text
+from landmark_nav.storage.setup_files import MOUNT_FIELDS, room_text
 from landmark_nav.types import FloatArray
 
 # Standard deviations of the extrinsics of a simulated robot: 1 mm, 0.1 degrees.
@@ -47,7 +47,7 @@ def robot_document(mount: PanTiltMount, measured: bool = False) -> str:
         document['camera_roll'] = float(mount.camera_roll_rad)
     if mount.pan_sigma_rad != PanTiltMount.pan_sigma_rad:
         document['pan_sigma'] = float(mount.pan_sigma_rad)
-    for key, (argument, *_) in PAN_UNIT.items():
+    for key, (argument, *_) in MOUNT_FIELDS.items():
         if getattr(mount, argument) != getattr(PanTiltMount, argument):
             document[key] = float(getattr(mount, argument))
     return (

@@ -17,7 +17,7 @@ from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.storage.reading import array_field, number_field, read_yaml_mapping
-from landmark_nav.storage.setup_files import mount_of, PAN_UNIT, read_robot
+from landmark_nav.storage.setup_files import MOUNT_FIELDS, mount_of, read_robot
 from landmark_nav.types import FloatArray
 
 _LOG = logging.getLogger(__name__)
@@ -209,7 +209,7 @@ def save_calibration(
         'pan_axis': both('xyz', 'axis_x') | both('rpy', 'axis_roll'),
         **both('optical_center_offset', 'center_x'),
         'pan_sigma': float(base.pan_sigma_rad),
-        **{key: float(getattr(base, argument)) for key, (argument, *_) in PAN_UNIT.items()},
+        **{key: float(getattr(base, argument)) for key, (argument, *_) in MOUNT_FIELDS.items()},
     }
     if odometry:
         document['odometry'] = dict(odometry)

@@ -35,7 +35,7 @@ _HALF_TURN_RAD = 3.15
 
 # Field -> argument of a mount, range and unit. A joint may make a full turn to both sides; rates
 # and accelerations beyond the range are given in another unit. Images are never early.
-PAN_UNIT = {
+MOUNT_FIELDS = {
     'pan_min': ('pan_min_rad', -6.2832, 6.2832, 'radians'),
     'pan_max': ('pan_max_rad', -6.2832, 6.2832, 'radians'),
     'pan_rate': ('pan_rate_rad_s', 0.01, 100.0, 'radians a second'),
@@ -44,7 +44,7 @@ PAN_UNIT = {
 }
 
 # Greatest sigma of the pan; a less certain one gives no information.
-_RANGES = PAN_UNIT | {'pan_sigma': ('pan_sigma_rad', 0.0, 0.1, 'radians')}
+_RANGES = MOUNT_FIELDS | {'pan_sigma': ('pan_sigma_rad', 0.0, 0.1, 'radians')}
 
 # Frames of REP-105 that are not fixed in a room.
 _MOVING_FRAMES = ('odom', 'base_link', 'base_footprint')
@@ -56,7 +56,7 @@ _ROBOT_FIELDS = (
     *('optical_center_offset_sigma', 'camera_roll_sigma', 'camera_tilt', 'camera_tilt_sigma'),
     *('pan_scale', 'pan_scale_sigma', 'focal_scale', 'focal_scale_sigma', 'principal_point'),
     *('principal_point_sigma', 'distortion', 'distortion_sigma'),
-    *('joint_delay', 'joint_delay_sigma', 'odometry', *PAN_UNIT),
+    *('joint_delay', 'joint_delay_sigma', 'odometry', *MOUNT_FIELDS),
 )
 _AXIS_FIELDS = ('xyz', 'rpy', 'xyz_sigma', 'rpy_sigma')
 

@@ -311,8 +311,9 @@ class JointFilter:
 
     def look_back(self, track: OdometryTrack) -> None:
         """Take note of the motion of the base since an image of this time was taken."""
-        back = track.motion_back(self._state.stamp_ns, self._prior.base.image_delay_s)
-        self._state = replace(self._state, moved_back=back)
+        if late_s := self._prior.base.image_delay_s:
+            back = track.motion_back(self._state.stamp_ns, late_s)
+            self._state = replace(self._state, moved_back=back)
 
     def mark(self) -> None:
         """Restart `carried`, the derivative by the present state."""

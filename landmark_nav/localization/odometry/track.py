@@ -253,7 +253,7 @@ class OdometryTrack:
 
     def motion_back(self, stamp_ns: int, seconds: float) -> FloatArray:
         """Pose (3,) of the base some time before a time, in the base at that time."""
-        if not (self._stamps and seconds):
+        if not self._stamps:
             return np.zeros(3)
         earlier_ns = stamp_ns - round(1e9 * seconds)
         return relative(self._pose(stamp_ns), self._pose(earlier_ns))
