@@ -88,6 +88,9 @@ def cause_findings(judged: Verdict) -> list[Finding]:
         kinds = {(c.stream, 'clock' if c.kind in CLOCKS else c.kind) for c in judged.rivals}
         also = ', '.join(sorted(map(' '.join, kinds)))
         finding = replace(finding, measured=f'{finding.measured} (or {also}: undecided)')
+        if cause.stream == JOINTS and cause.value < 0.0 and (IMAGES, 'clock') in kinds:
+            late = f'; if images are late, also {-cause.value:+.3f} to image_delay'
+            finding = replace(finding, advice=finding.advice + late)
     return [finding]
 
 
