@@ -82,10 +82,8 @@ def elect(
     ----------
     patches, measurements : sequence
         Reconstructed patches and their measurements.
-    adjustment : Adjustment
-        Positions and covariances in the same order.
-    free : Adjustment
-        The same by measurements alone, without walls.
+    adjustment, free : Adjustment
+        The patches as adjusted, and by measurements alone, without walls.
     panoramas : sequence of Panorama
         Panoramas with adjusted poses.
 
@@ -105,24 +103,25 @@ def elect(
         patch, panorama = patches[k], panoramas[patches[k].source]
         own = next(s for s in measurements[k] if s.panorama == patch.source)
         others = [s for s in measurements[k] if s is not own]
+        position = adjustment.positions[k]
         refusal = _refuse(patch, k, adjustment, depth_sigma[k], panorama, len(others), config)
-        if refusal is None and any(
-            _overlap(patch, adjustment.positions[k], other) > config.max_overlap for other in taken
-        ):
-            refusal = Refusal('covered by a stronger landmark')
-        if refusal is None and len(taken) >= config.max_count:
-            refusal = Refusal('enough landmarks', f'{config.max_count} stronger ones')
         if refusal is not None:
             outcomes[k] = refusal
             continue
-        texture = _texture(patch, adjustment.positions[k], panorama, own)
+        if any(_overlap(patch, position, other) > config.max_overlap for other in taken):
+            outcomes[k] = Refusal('covered by a stronger landmark')
+            continue
+        if len(taken) >= config.max_count:
+            outcomes[k] = Refusal('enough landmarks', f'{config.max_count} stronger ones')
+            continue
+        texture = _texture(patch, position, panorama, own)
         if texture is None:
             outcomes[k] = Refusal('runs out of its panorama')
             continue
         score = min(s.score for s in measurements[k])
         landmark = Landmark(
             id=len(taken) + 1,
-            position=adjustment.positions[k],
+            position=position,
             covariance=covariance[k],
             shared_loading=adjustment.shared_loading[k],
             normal=patch.normal,

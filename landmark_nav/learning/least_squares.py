@@ -10,12 +10,15 @@ singular.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.types import FloatArray
+
+T = TypeVar('T')
 
 # First ridge, relative to the diagonal.
 _RIDGE = 1e-14
@@ -72,18 +75,10 @@ def covariance_of(information: FloatArray) -> FloatArray:
 
 def checked_covariance(covariance: FloatArray, most_sigma: FloatArray, what: str) -> FloatArray:
     """
-    Check a given covariance (n, n), and return it symmetric.
+    Check a given covariance (n, n) of `what`, and return it symmetric.
 
-    Raises `LandmarkNavError`: values are not numbers, or variances are negative or too large.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (n, n)
-        Covariance from outside.
-    most_sigma : ndarray, shape (n,)
-        Largest useful standard deviations.
-    what : str
-        Begin of the message: what has this covariance.
+    Raises `LandmarkNavError`: values are not numbers, or variances are negative or larger than
+    those of the standard deviations `most_sigma` (n,).
     """
     even = 0.5 * (covariance + covariance.T)
     if not np.isfinite(even).all():
@@ -107,27 +102,20 @@ class Damping:
     def __init__(self) -> None:
         self._damping = 0.0
 
-    def lowers(self, cost_with: Callable[[float], float], cost: float) -> bool:
+    def step(self, start: T, stepped: Callable[[float], T], cost: Callable[[T], float]) -> T:
         """
-        Damp a step until it lowers the cost.
+        State after a step from `start` that does not raise the cost; `start` if there is none.
 
-        Parameters
-        ----------
-        cost_with : callable
-            Makes a step with a damping, relative to the diagonal of the normal equations, and
-            returns the cost after it. The caller keeps the last step.
-
-        Returns
-        -------
-        bool
-            False if no step lowers the cost.
+        `stepped` makes a step with a damping relative to the diagonal of the normal equations.
         """
+        most = cost(start) * (1.0 + _ROUNDING) + _ROUNDING
         while self._damping < _MAX_DAMPING:
-            if cost_with(self._damping) <= cost * (1.0 + _ROUNDING) + _ROUNDING:
+            there = stepped(self._damping)
+            if cost(there) <= most:
                 self._damping = _DECAY * self._damping if self._damping > _FIRST_DAMPING else 0.0
-                return True
+                return there
             self._damping = max(_GROWTH * self._damping, _FIRST_DAMPING)
-        return False
+        return start
 
 
 # Cost, half of its gradient (n,), and information matrix (n, n) of a linearized problem.
@@ -138,36 +126,23 @@ def levenberg_marquardt(
     equations: Callable[[FloatArray], Equations], start: FloatArray
 ) -> tuple[FloatArray, float, FloatArray]:
     """
-    Minimize a sum of squares.
-
-    Parameters
-    ----------
-    equations : callable
-        Computes the normal equations at a state (n,).
-    start : ndarray, shape (n,)
-        First state.
+    Minimize a sum of squares whose normal equations at a state (n,) are `equations`.
 
     Returns
     -------
     state : ndarray, shape (n,)
     cost : float
-        Sum of squares.
     information : ndarray, shape (n, n)
     """
-    state, damping = start, Damping()
-    cost, pull, information = equations(state)
-    there, then = state, (cost, pull, information)
+    damping, here = Damping(), (start, *equations(start))
 
-    def cost_with(by: float) -> float:
-        nonlocal there, then
+    def stepped(by: float) -> tuple[FloatArray, float, FloatArray, FloatArray]:
+        state, _, pull, information = here
         damped = information + by * np.diag(np.diag(information))
         there = state - solve_positive(damped, pull)
-        then = equations(there)
-        return then[0]
+        return there, *equations(there)
 
-    while damping.lowers(cost_with, cost):
-        gain, state = cost - then[0], there
-        cost, pull, information = then
-        if gain <= _SAME_COST * cost + _ROUNDING:
-            break
-    return state, cost, information
+    while True:
+        before, here = here, damping.step(here, stepped, lambda at: at[1])
+        if here is before or before[1] - here[1] <= _SAME_COST * here[1] + _ROUNDING:
+            return here[0], here[1], here[3]

@@ -102,8 +102,6 @@ def learn_from_panoramas(
     ----------
     panoramas : sequence of Panorama
         Panoramas from v places.
-    log : StageLog, optional
-        Log of the times of the stages.
     places : ndarray, shape (4 v, 4 v), optional
         Prior joint covariance of the viewpoints; by default that of poses measured by papers, or
         of independently given poses.
@@ -116,9 +114,7 @@ def learn_from_panoramas(
         attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
 
-    if places is None:
-        places = joint_covariance(panoramas, room, config.reference_area)
-    joint = places
+    joint = joint_covariance(panoramas, room, config.reference_area) if places is None else places
 
     def adjusted_by(expected: AdjustmentConfig) -> Adjustment:
         start = np.array([patch.position for patch in found.patches])
@@ -231,6 +227,15 @@ def _calibration(
     return replace(known, values=values, covariance=covariance, by_map=by_map)
 
 
+def check_number(panoramas: Sequence[Panorama]) -> None:
+    """Raise `LandmarkNavError` if there are fewer than two panoramas."""
+    if len(panoramas) < 2:
+        raise LandmarkNavError(
+            f'learning needs two panoramas from different places, not {len(panoramas)}: '
+            'take another sweep 1 to 3 m away'
+        )
+
+
 def _check(panoramas: Sequence[Panorama]) -> None:
     check_number(panoramas)
     for p in panoramas:
@@ -251,12 +256,3 @@ def _reasons(outcomes: Sequence[Sequence[Landmark | Refusal]]) -> str:
     reasons = [o.reason for group in outcomes for o in group if isinstance(o, Refusal)]
     ranked = sorted(set(reasons), key=lambda r: -reasons.count(r))
     return ', '.join(f'{reasons.count(r)} {r}' for r in ranked)
-
-
-def check_number(panoramas: Sequence[Panorama]) -> None:
-    """Raise `LandmarkNavError` if there are fewer than two panoramas."""
-    if len(panoramas) < 2:
-        raise LandmarkNavError(
-            f'learning needs two panoramas from different places, not {len(panoramas)}: '
-            'take another sweep 1 to 3 m away'
-        )

@@ -98,12 +98,9 @@ class SheetView:
 
 def find_sheets(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
     """Find candidates for sheets of a known size in a panorama; its pose is not used."""
-    found: list[SheetView] = []
-    if config.has_papers:
-        found += find_papers(panorama, config)
-    if config.has_markers:
-        found += find_markers(panorama, config)
-    return found
+    papers = find_papers(panorama, config) if config.has_papers else []
+    markers = find_markers(panorama, config) if config.has_markers else []
+    return papers + markers
 
 
 # Ratio of width and height of a candidate, relative to that of the sheet: a slanted sheet is
@@ -123,9 +120,8 @@ def find_papers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
             continue
         likely = _may_be(blobs.edges, config, _ROUGHLY)
         outlines = outline_blobs(view, color, blobs.only(likely))
-        for edges, sigma, by_response in zip(
-            outlines.edges, outlines.sigma, outlines.by_response, strict=True
-        ):
+        parts = outlines.edges, outlines.sigma, outlines.by_response
+        for edges, sigma, by_response in zip(*parts, strict=True):
             if _may_be(edges, config):
                 position, by_edge = _located(edges, config.paper_height_m)
                 own = by_edge * sigma
@@ -181,11 +177,7 @@ _STEP = 1e-5
 
 
 def find_markers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
-    """
-    Find markers of one dictionary.
-
-    Raises `LandmarkNavError`: this version of OpenCV has no detector.
-    """
+    """Find markers of one dictionary; `LandmarkNavError` if OpenCV has no detector."""
     if not hasattr(cv2, 'aruco') or not hasattr(cv2.aruco, 'ArucoDetector'):
         raise LandmarkNavError(
             f'OpenCV {cv2.__version__} has no ArUco detector: install opencv-python-headless 4.7 '

@@ -50,56 +50,10 @@ from landmark_nav.learning.reference_area.refusals import MountError, WRONG_PRIO
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm
-from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Panorama, PoseEstimate, Sweep
+from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Panorama, Sweep
 
 # Angles below this are written as 0.
 _HARDLY_RAD = 1e-3
-
-
-def why_seen_otherwise(
-    sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
-) -> str | None:
-    """Advice for an error of the setup without which the papers fit; None if there is none."""
-    for why, seen, mounted in _otherwise(sweep, mount):
-        view = synthesize_cylinder(seen, mounted, feathered=True)
-        if PaperSearch(seen, view, room, mounted, config).fits_somewhere():
-            return f'{why}, as the papers show'
-    return None
-
-
-def _otherwise(sweep: Sweep, mount: PanTiltMount) -> Iterator[tuple[str, Sweep, PanTiltMount]]:
-    """Yield possible errors of the setup: advice, and sweep and mount without the error."""
-    roll, pitch, yaw = mount.axis_rpy
-    upside_down = 'is mounted the other way up: set'
-    yield (
-        f'the camera {upside_down} camera_roll: {_turned(mount.camera_roll_rad)}',
-        sweep,
-        replace(mount, camera_roll_rad=mount.camera_roll_rad + pi),
-    )
-    yield (
-        f'the pan unit {upside_down} pan_axis rpy: [{_turned(roll)}, {pitch:.4f}, {yaw:.4f}]',
-        sweep,
-        replace(mount, axis_rpy=(roll + pi, pitch, yaw)),
-    )
-    if sweep.frames[0].image.ndim == 3:
-        exchanged = _changed(sweep, lambda image: image[..., ::-1])
-        yield 'red and blue are exchanged: name the encoding (rgb8, bgr8) right', exchanged, mount
-    for what, flip in (('top to bottom', np.flipud), ('left to right', np.fliplr)):
-        flipped = _changed(sweep, flip)
-        yield f'images are flipped {what}: publish them as they are', flipped, mount
-
-
-def _changed(sweep: Sweep, change: Callable[[ImageArray], ImageArray]) -> Sweep:
-    def frame(one: CameraFrame) -> CameraFrame:
-        return replace(one, image=np.ascontiguousarray(change(one.image)))
-
-    return replace(sweep, frames=tuple(map(frame, sweep.frames)))
-
-
-def _turned(angle_rad: float) -> str:
-    """Text of an angle plus half a turn, within +-pi."""
-    angle_rad = wrap_one_rad(angle_rad + pi)
-    return '0' if abs(angle_rad) < _HARDLY_RAD else f'{angle_rad:.4f}'
 
 
 _LOG = logging.getLogger(__name__)
@@ -124,6 +78,46 @@ class PanoramaStages(Config):
     """Parameters of the stages from a sweep to its panorama."""
 
     reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
+
+
+def why_seen_otherwise(
+    sweep: Sweep, room: Room, mount: PanTiltMount, config: ReferenceAreaConfig
+) -> str | None:
+    """Advice for an error of the setup without which the papers fit; None if there is none."""
+    for why, seen, mounted in _otherwise(sweep, mount):
+        view = synthesize_cylinder(seen, mounted, feathered=True)
+        if PaperSearch(seen, view, room, mounted, config).fits_somewhere():
+            return f'{why}, as the papers show'
+    return None
+
+
+def _otherwise(sweep: Sweep, mount: PanTiltMount) -> Iterator[tuple[str, Sweep, PanTiltMount]]:
+    """Yield possible errors of the setup: advice, and sweep and mount without the error."""
+    camera_roll, (roll, pitch, yaw) = mount.camera_roll_rad, mount.axis_rpy
+    upside_down = 'is mounted the other way up: set'
+    why = f'the camera {upside_down} camera_roll: {_turned(camera_roll)}'
+    yield why, sweep, replace(mount, camera_roll_rad=camera_roll + pi)
+    why = f'the pan unit {upside_down} pan_axis rpy: [{_turned(roll)}, {pitch:.4f}, {yaw:.4f}]'
+    yield why, sweep, replace(mount, axis_rpy=(roll + pi, pitch, yaw))
+    if sweep.frames[0].image.ndim == 3:
+        exchanged = _changed(sweep, lambda image: image[..., ::-1])
+        yield 'red and blue are exchanged: name the encoding (rgb8, bgr8) right', exchanged, mount
+    for what, flip in (('top to bottom', np.flipud), ('left to right', np.fliplr)):
+        flipped = _changed(sweep, flip)
+        yield f'images are flipped {what}: publish them as they are', flipped, mount
+
+
+def _changed(sweep: Sweep, change: Callable[[ImageArray], ImageArray]) -> Sweep:
+    def frame(one: CameraFrame) -> CameraFrame:
+        return replace(one, image=np.ascontiguousarray(change(one.image)))
+
+    return replace(sweep, frames=tuple(map(frame, sweep.frames)))
+
+
+def _turned(angle_rad: float) -> str:
+    """Text of an angle plus half a turn, within +-pi."""
+    angle_rad = wrap_one_rad(angle_rad + pi)
+    return '0' if abs(angle_rad) < _HARDLY_RAD else f'{angle_rad:.4f}'
 
 
 def panorama_from_sweep(
@@ -151,8 +145,6 @@ def panorama_from_sweep(
         Frames of a full turn or a part of it; also the pose, if it is given.
     given : Calibration or PanTiltMount
         Prior of the calibration. A mount has default sigmas.
-    log : StageLog, optional
-        Log of the times of the stages.
     papers : PaperRecord, optional
         Papers in other sweeps of the room, for the diagnosis of faults; this sweep is added.
     tilt_rad : ndarray, shape (2,), optional
@@ -172,7 +164,14 @@ def panorama_from_sweep(
             raise
         allowed = maker.not_exact(error)
     papers.clear()
-    return maker.made(corrected(prior, allowed), maker.wider_area, WRONG_PRIOR)
+    # The uncertainty of height and tilt is that of the robot file.
+    rise, tilt = maker.sigmas
+    wider = replace(
+        area,
+        height_sigma_m=float(np.hypot(area.height_sigma_m, rise)),
+        horizon_sigma_rad=float(np.hypot(area.horizon_sigma_rad, tilt)),
+    )
+    return maker.made(corrected(prior, allowed), wider, WRONG_PRIOR)
 
 
 def next_prior(given: Calibration, known: Calibration, after: Panorama) -> Calibration:
@@ -197,97 +196,85 @@ def corrected(given: Calibration, found: MountError) -> Calibration:
     return given.with_values(axis_z=height, axis_roll=roll, axis_pitch=pitch)
 
 
+@dataclass(frozen=True, eq=False)
 class _Maker:
     """Makes the panorama of one sweep; arguments as for `panorama_from_sweep`."""
 
-    def __init__(
-        self,
-        sweep: Sweep,
-        room: Room,
-        prior: Calibration,
-        area: ReferenceAreaConfig,
-        log: StageLog,
-        papers: PaperRecord,
-    ) -> None:
-        self._sweep, self._room, self._prior = sweep, room, prior
-        self._area, self._log, self._papers = area, log, papers
+    sweep: Sweep
+    room: Room
+    prior: Calibration
+    area: ReferenceAreaConfig
+    log: StageLog
+    papers: PaperRecord
+
+    @property
+    def sigmas(self) -> tuple[float, float]:
+        """Sigmas of height and tilt of the camera by the robot file, m and rad."""
         height = [NAMES.index(name) for name in HEIGHT]
-        # Of height and tilt of the camera.
-        self._sigmas = (
-            float(np.sqrt(prior.covariance[np.ix_(height, height)].sum())),
-            float(prior.sigmas_from('axis_roll').max()),
-        )
+        rise = float(np.sqrt(self.prior.covariance[np.ix_(height, height)].sum()))
+        return rise, float(self.prior.sigmas_from('axis_roll').max())
 
     def not_exact(self, error: WrongMountError) -> MountError:
         """Return the error of a mount that may be corrected; refuse errors of exact values."""
-        area, found, (rise, tilt) = self._area, error.found, self._sigmas
+        area, found, (rise, tilt) = self.area, error.found, self.sigmas
         high, off_level = found.beyond(area.height_sigma_m, area.horizon_sigma_rad, WRONG_PRIOR)
         if (high and not rise) or (off_level and not tilt):
             raise LandmarkNavError(f'{error}; robot.yaml gives it as exact (sigma 0)') from error
         return MountError(found.rise_m if rise else 0.0, found.tilt_roll_rad * (tilt > 0.0))
 
-    @property
-    def wider_area(self) -> ReferenceAreaConfig:
-        """Parameters with the uncertainty of height and tilt of the camera by the robot file."""
-        area, (rise, tilt) = self._area, self._sigmas
-        return replace(
-            area,
-            height_sigma_m=float(np.hypot(area.height_sigma_m, rise)),
-            horizon_sigma_rad=float(np.hypot(area.horizon_sigma_rad, tilt)),
-        )
-
     def made(self, used: Calibration, area: ReferenceAreaConfig, most_sigmas: float) -> Panorama:
         """Panorama by a calibration; errors of height and tilt have a limit, in sigmas."""
-        log = self._log
-        sweep, mount = as_calibrated(self._sweep, used), used.mount
+        log, room = self.log, self.room
+        sweep, mount = as_calibrated(self.sweep, used), used.mount
         try:
             check_turn(sweep, mount)
         except LandmarkNavError as error:
-            why = why_seen_otherwise(sweep, self._room, mount, area)
+            why = why_seen_otherwise(sweep, room, mount, area)
             raise LandmarkNavError(why or str(error)) from error
-        found, photometry, view = _first_view(self._sweep, used, log)
-        self._papers.add(view, optical_height(found.sweep, found.mount))
+        found, photometry, view = _first_view(self.sweep, used, log)
+        self.papers.add(view, optical_height(found.sweep, found.mount))
 
         def placed(found: SweepCalibration, rough: bool = False) -> SweepPlace:
             with log.measure('reference_area'):
                 try:
                     return self._place(view, found, area, most_sigmas, rough)
                 except LandmarkNavError as error:
-                    raise self._explained(error, sweep, used.mount, area) from error
+                    raise self._explained(error, sweep, mount, area) from error
 
         place = placed(found, rough=True)
         information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
         level, axis_tilt = levelled(used, place.mount_score, information)
         with log.measure('calibration'):
-            range_m = _range_of_ray(place, found, self._room)
-            refined = calibrate_sweep(self._sweep, level, range_m, found)
+            range_m = _range_of_ray(place, found, room)
+            refined = calibrate_sweep(self.sweep, level, range_m, found)
         mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
         off_axis = any(refined.mount.optical_center_offset[:2])
         changed = mount_changed or off_axis or moved_px(found, refined) > _SAME_PX
         if changed or place.rough:
             with log.measure('panorama'):
-                reach_m = _range_of_azimuth(place, refined, self._room)
-                view = _view(refined, photometry, reach_m)
+                axis, heading = _axis(place, refined.mount), place.pose_map_base[2]
+                even = even_out(refined.sweep, photometry)
+
+                def reach_m(azimuth: FloatArray) -> FloatArray:
+                    return np.minimum(room.raycast(axis[:2], azimuth + heading)[0], FAR_M)
+
+                view = synthesize_cylinder(even, refined.mount, reach_m)
             place = placed(refined)
         found = refined
         for warning in filter(None, [place.warning, _wrong_lens(found)]):
             _LOG.warning('%s', warning)
-        by_calibration = _by_calibration(place, found)
-        made = found.calibration
-        known = with_overlaps(self._prior, used, found.fit)
-        known = with_papers(
-            known,
-            made,
-            place.mount_score,
-            place.mount_information,
-            self._area.horizon_sigma_rad,
+        by_calibration, made = _by_calibration(place, found), found.calibration
+        shown, floor_rad = (
+            (place.mount_score, place.mount_information),
+            self.area.horizon_sigma_rad,
         )
+        known = with_overlaps(self.prior, used, found.fit)
+        known = with_papers(known, made, *shown, floor_rad)
         panorama = _panorama(sweep, view, found, place, photometry, axis_tilt)
-        intrinsics = self._sweep.frames[0].camera.intrinsics
         return replace(
             panorama,
             covariance=panorama.covariance + by_calibration @ known.covariance @ by_calibration.T,
-            calibration=replace(known, intrinsics=intrinsics),
+            calibration=replace(known, intrinsics=self.sweep.frames[0].camera.intrinsics),
             made_with=made.values,
             by_calibration=by_calibration,
         )
@@ -302,15 +289,18 @@ class _Maker:
     ) -> SweepPlace:
         """Pose of a sweep by papers, or the given one if they agree."""
         sweep, mount, known = found.sweep, found.mount, found.sweep.pose_map_base
-        papers = PaperSearch(sweep, view, self._room, mount, area)
+        papers = PaperSearch(sweep, view, self.room, mount, area)
         if known is None:
             return papers.located(most_sigmas, rough)
         plane = np.ix_([0, 1, 3], [0, 1, 3])
+        if not np.isfinite(known.pose).all():
+            raise LandmarkNavError('sweep/pose is not a number: fix its publisher')
         covariance = np.zeros((4, 4))
-        covariance[plane] = _given_covariance(known)
+        covariance[plane] = checked_covariance(known.covariance, _MOST_SIGMA, 'sweep/pose')
+        covariance[plane] += _LEAST_VARIANCE * np.eye(3)
         place = SweepPlace(known.pose, optical_height(sweep, mount), covariance)
         mounted = _by_calibration(place, found)
-        uncertain = covariance + mounted @ self._prior.covariance @ mounted.T
+        uncertain = covariance + mounted @ self.prior.covariance @ mounted.T
         papers.check_agreement(known.pose, uncertain[plane])
         covariance[2, 2] = area.height_sigma_m**2
         return place
@@ -321,12 +311,12 @@ class _Maker:
         """Return the error with its cause, and with the error of the mount if that is it."""
         # An error that the prior allows is corrected without a search for faults of papers.
         if isinstance(error, WrongMountError) and not any(
-            error.found.beyond(*self._sigmas, WRONG_PRIOR)
+            error.found.beyond(*self.sigmas, WRONG_PRIOR)
         ):
             return error
-        if why := why_seen_otherwise(sweep, self._room, mount, area):
+        if why := why_seen_otherwise(sweep, self.room, mount, area):
             return LandmarkNavError(why)
-        faults = self._papers.faults()
+        faults = self.papers.faults()
         wrong = faults.mount
         if isinstance(error, WrongMountError) and not faults.faults:
             wrong = error.found
@@ -358,7 +348,8 @@ def _first_view(
         found = calibrate_sweep(sweep, used)
     with log.measure('panorama'):
         photometry = measure_photometry(found.sweep, found.mount)
-        return found, photometry, _view(found, photometry)
+        even = even_out(found.sweep, photometry)
+        return found, photometry, synthesize_cylinder(even, found.mount)
 
 
 def _panorama(
@@ -371,14 +362,17 @@ def _panorama(
 ) -> Panorama:
     """Panorama whose viewpoint is the pan axis at the height of the optical centre."""
     quality = replace(found.quality, calibration=(*found.quality.calibration, *axis_tilt))
+    heading, jacobian = place.pose_map_base[2], np.eye(4)
+    lever = se2.rotation(heading) @ np.asarray(found.mount.axis_xyz[:2])
+    jacobian[0, 3], jacobian[1, 3] = -lever[1], lever[0]
     return Panorama(
         sweep.stamp_ns,
         view.image,
         view.mask,
         view.cylinder,
         _axis(place, found.mount),
-        float(place.pose_map_base[2]),
-        _axis_covariance(place, found.mount),
+        float(heading),
+        jacobian @ place.covariance @ jacobian.T,
         quality.of(tenengrad(view), photometry.vignetting, photometry.gain_spread),
     )
 
@@ -420,23 +414,6 @@ def tenengrad(view: CylinderImage) -> float:
     return float(square[inner].mean() / 64.0) if inner.any() else 0.0
 
 
-def _view(
-    found: SweepCalibration,
-    photometry: Photometry,
-    range_m: Callable[[FloatArray], FloatArray] | None = None,
-) -> CylinderImage:
-    even = even_out(found.sweep, photometry)
-    return synthesize_cylinder(even, found.mount, range_m)
-
-
-def _range_of_azimuth(
-    place: SweepPlace, found: SweepCalibration, room: Room
-) -> Callable[[FloatArray], FloatArray]:
-    """Return a function for the distance of walls at azimuths in the base frame."""
-    axis, heading = _axis(place, found.mount), place.pose_map_base[2]
-    return lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], FAR_M)
-
-
 def _range_of_ray(
     place: SweepPlace, found: SweepCalibration, room: Room
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
@@ -464,22 +441,7 @@ def _by_calibration(place: SweepPlace, found: SweepCalibration) -> FloatArray:
     return jacobian
 
 
-def _given_covariance(known: PoseEstimate) -> FloatArray:
-    """Covariance (3, 3) of the given pose of a sweep; an error if it is invalid."""
-    if not np.isfinite(known.pose).all():
-        raise LandmarkNavError('sweep/pose is not a number: fix its publisher')
-    covariance = checked_covariance(known.covariance, _MOST_SIGMA, 'sweep/pose')
-    return np.asarray(covariance + _LEAST_VARIANCE * np.eye(3))
-
-
 def _axis(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
     """Viewpoint of the panorama: the pan axis at the height of the optical centre."""
     axis = mount.axis_pose_map(place.pose_map_base)
     return np.array([axis[0], axis[1], place.height_m])
-
-
-def _axis_covariance(place: SweepPlace, mount: PanTiltMount) -> FloatArray:
-    jacobian = np.eye(4)
-    lever = se2.rotation(place.pose_map_base[2]) @ np.asarray(mount.axis_xyz[:2])
-    jacobian[0, 3], jacobian[1, 3] = -lever[1], lever[0]
-    return np.asarray(jacobian @ place.covariance @ jacobian.T)

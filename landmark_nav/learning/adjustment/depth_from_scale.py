@@ -18,8 +18,6 @@ from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray
 
-__all__ = ['INFORMATIVE', 'depth_from_scale']
-
 # Patches with a depth sigma below this share of `uncertain_sigma_m` show the errors of scales, if
 # there are at least this number.
 _KNOWN = 0.25
@@ -45,27 +43,17 @@ def depth_from_scale(
 
     Parameters
     ----------
-    adjustment : Adjustment
-        Adjustment with the walls.
-    free : Adjustment
-        The same by bearings alone, without walls.
+    adjustment, free : Adjustment
+        Adjustments with the walls, and by bearings alone; both are returned, updated.
     measurements : sequence of sequences
         Measurements of each of n patches, the first in the panorama that proposed it.
     normals : ndarray, shape (n, 3)
         Normals of their walls.
-    config : AdjustmentConfig
-        Sigmas of scales and of distances from walls.
     uncertain_sigma_m : float
         Sigma from which a depth is uncertain, m.
-
-    Returns
-    -------
-    Adjustment, Adjustment
-        Both, updated.
     """
-    loose = np.hypot(
-        np.hypot(config.relief_sigma_m, config.hanging_sigma_m), config.common_hanging_sigma_m
-    )
+    hanging = np.hypot(config.relief_sigma_m, config.hanging_sigma_m)
+    loose = np.hypot(hanging, config.common_hanging_sigma_m)
     own, by_bearings = adjustment.own_covariance, free.own_covariance
     along = np.einsum('nij,nj->ni', by_bearings, normals)
     depth_variance = np.sum(along * normals, 1)
@@ -99,21 +87,17 @@ def depth_from_scale(
     chi_square[which] += shift[which] ** 2 / spread
     own[which] = kept @ loosened @ kept.swapaxes(1, 2) + noise
     shared_loading[which] = kept @ loading
-    by_bearings[which] -= (
-        along[which, :, None] * along[which, None]
-        / (depth_variance[which] + by_size)[:, None, None]
-    )  # fmt: skip
-    return (
-        replace(
-            adjustment,
-            positions=positions,
-            own_covariance=own,
-            shared_loading=shared_loading,
-            off_wall_m=off_wall,
-            chi_square=chi_square,
-        ),
-        replace(free, own_covariance=by_bearings),
+    total = (depth_variance[which] + by_size)[:, None, None]
+    by_bearings[which] -= along[which, :, None] * along[which, None] / total
+    adjustment = replace(
+        adjustment,
+        positions=positions,
+        own_covariance=own,
+        shared_loading=shared_loading,
+        off_wall_m=off_wall,
+        chi_square=chi_square,
     )
+    return adjustment, replace(free, own_covariance=by_bearings)
 
 
 def _shift_by_size(

@@ -231,9 +231,9 @@ class Problem:
         self.count, self.views = len(measurements), len(panoramas)
         self._seen = np.array([(s.azimuth_rad, s.tangent) for _, s in flat])
 
-        self.wall = np.asarray(walls, dtype=np.intp)
-        self.on_wall = self.wall >= 0
-        self.normal = np.where(self.on_wall[:, None], room.normals[self.wall], normals)
+        wall = np.asarray(walls, dtype=np.intp)
+        self.on_wall = wall >= 0
+        self.normal = np.where(self.on_wall[:, None], room.normals[wall], normals)
         starts = np.array([room.walls[w].start for w in walls])
         starts[~self.on_wall] = start[~self.on_wall, :2]
         self._level = np.sum(self.normal[:, :2] * starts, 1)
@@ -241,7 +241,7 @@ class Problem:
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
         # Indicators of the wall and the section of each landmark: (n, walls + sections).
         self._hangs = self.on_wall[:, None] * np.hstack(
-            [np.eye(len(room.walls))[self.wall], np.eye(int(section.max()) + 1)[section]]
+            [np.eye(len(room.walls))[wall], np.eye(int(section.max()) + 1)[section]]
         )
         plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
         # A wall with a given sigma has that; for the others one sigma is estimated.
@@ -259,8 +259,8 @@ class Problem:
             by_errors = self._by_errors(np.minimum(reach, FAR_M))
             self._corrected = np.einsum('kic,kc->ki', by_errors, made_with[self.view])
         # Warp of each panorama: its tilt, and waves of its azimuths.
-        wave = config.wave_sigma_rad / np.sqrt(_WAVES)
-        sigma = np.array([config.tilt_sigma_rad] * 2 + [wave] * 2 * _WAVES)
+        waves = [config.wave_sigma_rad / np.sqrt(_WAVES)] * 2 * _WAVES
+        sigma = np.array([config.tilt_sigma_rad] * 2 + waves)
         self._warps = np.flatnonzero(sigma)
         self._warp_variance = np.kron(np.eye(self.views), np.diag(sigma[self._warps] ** 2))
         warps = np.zeros(len(self._warp_variance))
@@ -371,17 +371,13 @@ class Problem:
     def normal_equations(
         self, at: Linearized, shared: FloatArray, weights: Weights
     ) -> NormalEquations:
-        """
-        Normal equations.
-
-        Bearings alone may leave a landmark undetermined along its ray: a small information in all
-        directions prevents that.
-        """
+        """Normal equations at a point of linearization and the shared unknowns there."""
         seen, wall, spread = weights
         prior = covariance_of(self.prior_covariance(spread))
         jx = at.by_point * seen[..., None]
         h_xx = _sum_by(self.landmark, jx.swapaxes(1, 2) @ at.by_point)
         h_xx += np.einsum('n,ni,nj->nij', wall, self.normal, self.normal)
+        # Bearings alone may leave a landmark undetermined along its ray.
         h_xx += (_WEAK * wall)[:, None, None] * np.eye(3)
         b_x = _sum_by(self.landmark, np.einsum('nki,nk->ni', jx, at.seen))
         b_x += (wall * at.wall)[:, None] * self.normal
@@ -428,11 +424,7 @@ class Problem:
     def spread_misfit(
         self, shared: FloatArray, equations: NormalEquations, spread: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """
-        Squared misfit (5,) and redundancy (5,) of each of `spread` (5,).
-
-        The derivative of the restricted likelihood consists of them.
-        """
+        """Squared misfit (5,) and redundancy (5,) of each of `spread` by restricted likelihood."""
         prior = self.prior_covariance(spread)
         information = covariance_of(prior)
         misfit = information @ (shared - self.prior)
@@ -496,12 +488,11 @@ def _calibration(
     panoramas: Sequence[Panorama],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """
-    Prior of the calibration of all panoramas, and the values that each was made with.
+    Axes (2, 2) of roll and pitch of the pan axis in the base, rises (2,), prior, values made with.
 
-    Axes (2, 2) of roll and pitch of the pan axis in the base; rises (2,) of the camera, if it is
-    moved along x and y of the base about this axis; values (c,) and covariance (c, c) of
-    `CALIBRATED`; values (views, c) that the panoramas were made with. c is 0 if one of them has
-    no calibration.
+    Rises are those of a camera that is moved along x and y of the base about the axis. The prior
+    has c values of `CALIBRATED` and their covariance; each panorama was made with c values. c is 0
+    if a panorama has no calibration.
     """
     known, made_with = panoramas[-1].calibration, [p.made_with for p in panoramas]
     if known is None or any(values is None for values in made_with):

@@ -53,28 +53,15 @@ class Adjustment:
     """
     Landmarks and panoramas after the adjustment.
 
-    Parameters
-    ----------
-    positions : ndarray, shape (n, 3)
-        Landmarks in map, metres.
-    own_covariance : ndarray, shape (n, 3, 3)
-        Covariance of the own error of each.
-    shared_loading : ndarray, shape (n, 3, m)
-        Loadings of shared factors with unit variance.
-    poses, pose_covariance : ndarray, shape (views, 4), (views, 4, 4)
-        x, y, z, heading of the panoramas.
-    off_wall_m : ndarray, shape (n,)
-        Distance of each landmark from its wall, positive in front.
-    chi_square : ndarray, shape (n,)
-        Misfit of its measurements and its wall.
-    noise : ndarray, shape (8,)
-        Estimated sigmas of azimuths, tangents and relief; factors, 1 or more, on the prior sigmas
-        of panoramas in plan and in height; sigmas of the distance of objects from all walls, of
-        the position of a wall, and of the distance from a section of wall.
-    calibration, calibration_covariance : ndarray, shape (c,), (c, c)
-        Values of `CALIBRATED`; empty if a panorama has no calibration.
-    calibration_loading : ndarray, shape (c, m)
-        Loadings of the calibration by the factors of `shared_loading`.
+    `positions` (n, 3) of the landmarks are in map, m, with the covariance of the own error of each
+    and loadings of m shared factors with unit variance. `poses` (views, 4) are x, y, z, heading of
+    the panoramas. `off_wall_m` (n,) is the distance of each landmark from its wall, positive in
+    front; `chi_square` (n,) the misfit of its measurements and its wall. `noise` (8,) are the
+    estimated sigmas of azimuths, tangents and relief; factors, 1 or more, on the prior sigmas of
+    panoramas in plan and in height; sigmas of the distance of objects from all walls, of the
+    position of a wall, and of the distance from a section of wall. `calibration` (c,) are the
+    values of `CALIBRATED`, with covariance and loadings (c, m) by the shared factors; c is 0 if a
+    panorama has no calibration.
     """
 
     positions: FloatArray
@@ -107,22 +94,18 @@ def adjust(
     ties: Ties | None = None,
 ) -> Adjustment:
     """
-    Adjust landmarks and panorama poses to all measurements.
+    Adjust n landmarks and the poses of panoramas to all measurements.
 
     Parameters
     ----------
-    measurements : sequence of sequences
-        Measurements of each of n landmarks.
-    walls : sequence of int
-        Wall of each landmark; -1 if it has a plane of its own.
+    measurements, walls : sequence
+        Measurements of each landmark, and its wall; -1 if it has a plane of its own.
     start : ndarray, shape (n, 3)
         Initial positions.
     panoramas : sequence of Panorama
         Panoramas with prior poses.
     places : ndarray, shape (4 * views, 4 * views)
         Joint covariance of these poses, from `reference_area.joint_covariance`.
-    room : Room
-        The walls; objects on them have a distance from them.
     normals : ndarray, shape (n, 3), optional
         Normals of the landmarks; those on walls have that of their wall.
     ties : Ties, optional
@@ -140,19 +123,14 @@ def adjust(
     problem = Problem(
         measurements, walls, section, panoramas, places, room, normals, start, config
     )
-    expected = np.array(
-        [
-            config.azimuth_sigma_rad,
-            config.tangent_sigma,
-            config.relief_sigma_m,
-            *(1.0, 1.0),
-            config.common_hanging_sigma_m,
-            config.wall_sigma_m,
-            config.hanging_sigma_m,
-        ]
-    )
+    seen = config.azimuth_sigma_rad, config.tangent_sigma
+    hanging = config.common_hanging_sigma_m, config.wall_sigma_m, config.hanging_sigma_m
+    expected = np.array([*seen, config.relief_sigma_m, 1.0, 1.0, *hanging])
     points, shared = _settle(problem, start, expected)
-    trusted = _misfit(problem, problem.linearize(points, shared), expected) < _bound(problem)
+    # A position takes three degrees of freedom.
+    freedom = 2 * np.bincount(problem.landmark, minlength=problem.count) + 1 - 3
+    misfit = _misfit(problem, problem.linearize(points, shared), expected)
+    trusted = misfit < chdtri(freedom, _OUTLIER_PROBABILITY)
     influence = np.where(trusted, 1.0, _NO_INFLUENCE)
     weight = np.full(len(expected), config.camera_weight)
     weight[_PLACES] = config.place_weight
@@ -175,6 +153,7 @@ def adjust(
     covariance = equations.shared_covariance.copy()
     if ties is not None:
         covariance[problem.pose_part, problem.pose_part] += ties.doubt @ ties.doubt.T
+    of_poses, views = covariance[problem.pose_part, problem.pose_part], np.arange(problem.views)
     root = root_of(covariance)
     shared_loading, rest, axes = _main_factors(equations.by_factors(root, count))
     return Adjustment(
@@ -182,7 +161,7 @@ def adjust(
         (influence[:, None, None] * equations.own_covariance)[:count] + rest,
         shared_loading,
         problem.poses(shared),
-        _blocks(covariance[problem.pose_part, problem.pose_part], problem.views),
+        of_poses.reshape(problem.views, 4, problem.views, 4)[views, :, views],
         problem.off_wall(points)[:count],
         _misfit(problem, at, noise, trusted)[:count],
         noise,
@@ -220,36 +199,25 @@ def _step(
     weights: Weights,
     damping: Damping,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """
-    Landmarks and shared unknowns after one damped step, and the largest change.
-
-    The step of a landmark is limited.
-    """
+    """Landmarks and shared unknowns after one damped step, and the largest change."""
     equations = problem.normal_equations(at, shared, weights)
-    there = points, shared
 
-    def cost_with(by: float) -> float:
-        nonlocal there
+    def stepped(by: float) -> tuple[FloatArray, FloatArray]:
         point_step, shared_step = equations.damped(by).solve()
         length = np.linalg.norm(point_step, axis=1, keepdims=True)
         point_step = point_step * np.minimum(1.0, _LONGEST_M / np.maximum(length, _LONGEST_M))
-        there = points + point_step, shared + shared_step
-        return problem.cost(problem.linearize(*there), there[1], weights)
+        return points + point_step, shared + shared_step
 
-    if not damping.lowers(cost_with, problem.cost(at, shared, weights)):
-        return points, shared, 0.0
+    def cost(state: tuple[FloatArray, FloatArray]) -> float:
+        return problem.cost(problem.linearize(*state), state[1], weights)
+
+    there = damping.step((points, shared), stepped, cost)
     moved = max(np.abs(new - old).max() for new, old in zip(there, (points, shared), strict=True))
     return *there, float(moved)
 
 
 def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """
-    Reduce loadings (n, 3, m) to the largest factors (n, 3, f).
-
-    Also returned are the remaining covariances (n, 3, 3) and the axes (m, f) of the factors. Poses
-    and walls move many landmarks; the distance of one poster from its wall moves its own by a
-    tenth of that.
-    """
+    """Largest factors (n, 3, f) of loadings (n, 3, m), the remaining covariances, axes (m, f)."""
     count = len(loading)
     turned, size, axes = np.linalg.svd(loading.reshape(3 * count, -1), full_matrices=False)
     factors = (turned * size).reshape(count, 3, -1)
@@ -280,13 +248,6 @@ def _information(
     )
 
 
-def _blocks(covariance: FloatArray, count: int) -> FloatArray:
-    """Blocks (count, n, n) on the diagonal of a covariance (count * n, count * n)."""
-    size = len(covariance) // count
-    diagonal = np.arange(count)
-    return np.asarray(covariance.reshape(count, size, count, size)[diagonal, :, diagonal])
-
-
 def _misfit(
     problem: Problem,
     at: Linearized,
@@ -300,12 +261,6 @@ def _misfit(
     return np.asarray(sums + share * at.wall**2 / wall)
 
 
-def _bound(problem: Problem) -> FloatArray:
-    """Chi-square limit (n,) of inliers: a position takes three degrees of freedom."""
-    freedom = 2 * np.bincount(problem.landmark, minlength=problem.count) + 1 - 3
-    return np.asarray(chdtri(freedom, _OUTLIER_PROBABILITY))
-
-
 def _noise(
     problem: Problem,
     points: FloatArray,
@@ -315,13 +270,10 @@ def _noise(
     influence: FloatArray,
     weight: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """
-    One step of the estimation of sigmas from residuals.
-
-    Variance components by restricted maximum likelihood (Patterson and Thompson, 1971;
-    Foerstner's form): sums of squared residuals over their redundancy. Expected sigmas count as
-    `weight` residuals each. Returned with the ratio of mean and mode of each variance.
-    """
+    """Sigmas after one step from residuals, and the ratio of mean and mode of each variance."""
+    # Variance components by restricted maximum likelihood (Patterson and Thompson, 1971;
+    # Foerstner's form): sums of squared residuals over their redundancy. Expected sigmas count as
+    # `weight` residuals each.
     at = problem.linearize(points, shared)
     weights = _information(problem, at, noise, influence)
     equations = problem.normal_equations(at, shared, weights)
@@ -330,14 +282,14 @@ def _noise(
     # What of each residual is noise: not explained by the solution.
     left = 1.0 - weights.seen * seen, 1.0 - weights.wall * wall
     seen_variance, wall_variance = _variances(problem, noise)
-    groups = [
-        *zip(at.seen.T, seen_variance.T, weights.seen.T, left[0].T, strict=True),
-        (at.wall, wall_variance, weights.wall, left[1]),
-    ]
     measured = counted[problem.landmark]
+    groups = [
+        *zip(at.seen.T, seen_variance.T, weights.seen.T, left[0].T, [measured] * 2, strict=True),
+        (at.wall, wall_variance, weights.wall, left[1], counted & problem.on_wall),
+    ]
     squares, counts = np.zeros((2, len(noise)))
-    for k, who in enumerate((measured, measured, counted & problem.on_wall)):
-        residual, variance, trust, free = (part[who] for part in groups[k])
+    for k, (*parts, who) in enumerate(groups):
+        residual, variance, trust, free = (part[who] for part in parts)
         squares[k] = np.sum(trust * residual**2 * noise[k] ** 2 / variance)
         counts[k] = np.sum(np.maximum(free, 0.0) * noise[k] ** 2 / variance)
     squares[_SPREAD], counts[_SPREAD] = problem.spread_misfit(shared, equations, noise[_SPREAD])

@@ -69,16 +69,11 @@ def check_walls(
         Adjustment without the walls.
     walls : sequence of int
         Wall behind each patch, -1 for none.
-    room : Room
-        The plan.
-    expected : AdjustmentConfig
-        Sigmas of distances from walls.
 
     Returns
     -------
     str
-        Warning about walls that may be hidden by furniture or be elsewhere; empty if there are
-        none.
+        Warning about walls that furniture may hide or that may be elsewhere; else empty.
     """
     complaints: list[str] = []
     warnings: list[str] = []
@@ -134,13 +129,10 @@ def wall_residuals(
     residuals = []
     for k, on in _judged(adjustment, walls, room, _FEW):
         off = _objects(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
+        wall, median = room.walls[k], float(np.median(off))
         shared = _shared(adjustment, room, k, on)
-        wall = room.walls[k]
-        residuals.append(
-            WallResidual(
-                wall.id, int(on.sum()), len(off), float(np.median(off)), shared, wall.sigma_m
-            )
-        )
+        patches = int(on.sum())
+        residuals.append(WallResidual(wall.id, patches, len(off), median, shared, wall.sigma_m))
     return tuple(residuals)
 
 
@@ -148,21 +140,9 @@ def wall_warnings(
     residuals: Sequence[WallResidual], hanging_sigma_m: float, expected: AdjustmentConfig
 ) -> str:
     """
-    Warning if the walls, together or relative to each other, hardly fit the plan.
+    Warning if the walls, together or relative to each other, hardly fit the plan; else empty.
 
-    Parameters
-    ----------
-    residuals : sequence of WallResidual
-        Distances of objects from the walls.
-    hanging_sigma_m : float
-        Sigma of the distance from a wall in this room.
-    expected : AdjustmentConfig
-        Sigma of measured walls.
-
-    Returns
-    -------
-    str
-        Empty if all fits.
+    `hanging_sigma_m` is the sigma of the distance of objects from a wall in this room.
     """
     if not residuals:
         return ''
@@ -194,11 +174,7 @@ def wall_warnings(
 def _judged(
     adjustment: Adjustment, walls: Sequence[int], room: Room, least: int, elsewhere: bool = False
 ) -> Iterator[tuple[int, BoolArray]]:
-    """
-    Walls with `least` patches that are far enough apart, and a mask (n,) of these.
-
-    They are near the wall or, with `elsewhere`, near the plane that is likelier to be the wall.
-    """
+    """Walls with `least` patches near them or, with `elsewhere`, near a likelier plane; masks."""
     index = np.asarray(walls, dtype=np.intp)
     normal = room.normals[index]
     sigma = np.sqrt(np.einsum('ni,nij,nj->n', normal, adjustment.own_covariance, normal))
@@ -227,11 +203,7 @@ def _likelier_plane(off_m: FloatArray) -> float:
 def _objects(
     adjustment: Adjustment, room: Room, k: int, on: BoolArray, length_m: float
 ) -> FloatArray:
-    """
-    Medians (n, 2) of the sections of wall `k`: position along the wall, distance from it.
-
-    Patches of one object are not independent, so a section counts once.
-    """
+    """Medians (n, 2) of the sections of wall `k`: position along the wall, distance from it."""
     wall, positions = room.walls[k], adjustment.positions[on]
     along = (positions[:, :2] - wall.start) @ wall.along
     patches = np.stack([along, adjustment.off_wall_m[on]], 1)
@@ -284,7 +256,7 @@ def moved_walls(
     free: Adjustment, walls: Sequence[int], room: Room, config: AdjustmentConfig
 ) -> tuple[Room, float]:
     """
-    Move walls that have a `sigma_m` to the patches on them.
+    Move walls that have a `sigma_m`, that of each end, to the patches on them.
 
     Parameters
     ----------
@@ -292,10 +264,6 @@ def moved_walls(
         Adjustment without the walls.
     walls : sequence of int
         Wall of each patch.
-    room : Room
-        The walls; the sigma of each end is `sigma_m`.
-    config : AdjustmentConfig
-        Sigmas of distances from walls.
 
     Returns
     -------
@@ -314,40 +282,29 @@ def moved_walls(
     fitted = [_fitted(w, free, index == k, hanging, config) for k, w in enumerate(room.walls)]
     moves, covariance = (np.array(part) for part in zip(*fitted, strict=True))
     moves[seen] = _squared([room.walls[k] for k in seen], moves[seen], covariance[seen])
-    starts, ends = (
-        np.array([getattr(w, end) for w in room.walls]) + moves[:, k, None] * room.normals[:, :2]
-        for k, end in enumerate(('start', 'end'))
-    )
-    corner = np.empty_like(starts)
-    after = [_next(room, k) for k in range(len(room.walls))]
-    for k, following in enumerate(after):
-        corner[k] = _crossing(starts[k], ends[k], starts[following], ends[following])
-    before = np.argsort(after)
-    moved = replace(
-        room,
-        walls=tuple(
-            replace(
-                wall,
-                start=(float(corner[before[k], 0]), float(corner[before[k], 1])),
-                end=(float(corner[k, 0]), float(corner[k, 1])),
-                # The distance of objects from the wall is an error that all patches share.
-                sigma_m=wall.sigma_m
-                and float(np.sqrt(np.diag(own).max() + config.common_hanging_sigma_m**2)),
-            )
-            for k, (wall, own) in enumerate(zip(room.walls, covariance, strict=True))
-        ),
-    )
-    return moved, float(np.abs(moves).max())
+    given = np.array([(wall.start, wall.end) for wall in room.walls])
+    # The wall that starts where each one ends.
+    after = [int(np.argmin(np.hypot(*(given[:, 0] - end).T))) for end in given[:, 1]]
+    starts, ends = np.moveaxis(given + moves[..., None] * room.normals[:, None, :2], 1, 0)
+    corners = [
+        tuple(_crossing(starts[k], ends[k], starts[n], ends[n]).tolist())
+        for k, n in enumerate(after)
+    ]
+    # The distance of objects from the wall is an error that all patches share.
+    sigmas = np.sqrt(covariance[:, [0, 1], [0, 1]].max(1) + config.common_hanging_sigma_m**2)
+    moved = [
+        replace(wall, start=corners[before], end=corner, sigma_m=wall.sigma_m and sigma)
+        for wall, before, corner, sigma in zip(
+            room.walls, np.argsort(after), corners, sigmas.tolist(), strict=True
+        )
+    ]
+    return replace(room, walls=tuple(moved)), float(np.abs(moves).max())
 
 
 def _fitted(
     wall: Wall, free: Adjustment, on: BoolArray, hanging_m2: FloatArray, config: AdjustmentConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """
-    Shift (2,) of both ends of a wall along its normal, and its covariance (2, 2).
-
-    `on` (n,) are its patches, `hanging_m2` (n,) the variances of their distances from the wall.
-    """
+    """Shift (2,) of both ends of a wall along its normal by patches `on` it; its covariance."""
     if not wall.sigma_m:
         return np.zeros(2), np.zeros((2, 2))
     normal = wall.normal[:2]
@@ -369,16 +326,7 @@ def _fitted(
 
 
 def _squared(walls: Sequence[Wall], ends_m: FloatArray, covariance: FloatArray) -> FloatArray:
-    """
-    Shifts (n, 2) of the ends of walls, with the prior that most walls are at right angles.
-
-    What hangs on a short wall at various depths hardly shows its direction.
-
-    Parameters
-    ----------
-    ends_m, covariance : ndarray, shape (n, 2) and (n, 2, 2)
-        Shifts without this prior.
-    """
+    """Shifts (n, 2) of the ends of walls, with the prior that most walls are at right angles."""
     across = np.array([[-1.0, 1.0]]) / np.array([[wall.length] for wall in walls])
     given = np.array([np.arctan2(*wall.along[1::-1]) for wall in walls])
     turned = given + np.sum(across * ends_m, 1)
@@ -386,12 +334,6 @@ def _squared(walls: Sequence[Wall], ends_m: FloatArray, covariance: FloatArray) 
     variance = np.sum(spread * across, 1)
     common = common_direction(turned, variance, np.array([wall.length for wall in walls]))
     return np.asarray(ends_m - spread * pull(turned, variance, common)[:, None])
-
-
-def _next(room: Room, k: int) -> int:
-    """The wall that starts where wall k ends."""
-    starts = np.array([wall.start for wall in room.walls])
-    return int(np.argmin(np.hypot(*(starts - np.asarray(room.walls[k].end)).T)))
 
 
 def _crossing(

@@ -152,14 +152,9 @@ _STRONG_EDGE_PERCENT = 90.0
 @dataclass(frozen=True, eq=False)
 class EdgeGradients:
     """
-    Gradients on Canny edge pixels, zero elsewhere; grey levels per px.
+    Gradients (height, width) on Canny edge pixels, zero elsewhere; grey levels per px.
 
-    Parameters
-    ----------
-    dx, dy, magnitude : ndarray of float32, shape (height, width)
-        Slopes to the right and downwards and their norm.
-    strong : float
-        Magnitude of a strong edge of this image; 1 where there is no edge.
+    `strong` is the magnitude of a strong edge of this image; 1 where there is no edge.
     """
 
     dx: Float32Array
@@ -190,11 +185,6 @@ def edge_gradients(gray: ImageArray, low: float, high: float, side: int = 0) -> 
     found = magnitude[:, turn][edge[:, turn]]
     strong = float(np.percentile(found, _STRONG_EDGE_PERCENT)) if found.size else 1.0
     return EdgeGradients(dx, dy, magnitude, strong)
-
-
-def edge_map(gradients: EdgeGradients) -> Float32Array:
-    """Contrast of edges in any direction."""
-    return _unit(gradients.magnitude / np.float32(gradients.strong))
 
 
 def corner_map(gradients: EdgeGradients) -> Float32Array:
@@ -230,16 +220,10 @@ def conspicuity_map(
     Conspicuity: contrast of a feature with its surround, in [0, 1].
 
     Difference of Gaussians, rectified, then N(m) = m (1 - mean of the local maxima)^2, which
-    lets a map with one peak pass and suppresses one with many equal peaks. Itti, Koch and
-    Niebur, A Model of Saliency-Based Visual Attention, PAMI 20(11), 1998.
-
-    Parameters
-    ----------
-    feature : ndarray of float32, shape (height, width)
-    center_sigma, surround_sigma : float
-        Gaussian sigmas, pixels of `feature`.
-    side : int
-        Number of repeated columns at either end, which do not count in statistics.
+    lets a map with one peak pass and suppresses one with many equal peaks. Sigmas are in pixels of
+    the feature map (height, width); `side` columns at either end are repetitions and do not count
+    in statistics. Itti, Koch and Niebur, A Model of Saliency-Based Visual Attention, PAMI 20(11),
+    1998.
     """
     turn = slice(side, feature.shape[1] - side)
     center = cv2.GaussianBlur(feature, (0, 0), center_sigma)
@@ -286,14 +270,7 @@ class AttentionMaps:
 
 
 def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> AttentionMaps:
-    """
-    Compute feature, conspicuity and saliency maps of a grey panorama.
-
-    Parameters
-    ----------
-    panorama_gray : ndarray of uint8, shape (height, width)
-        Full turn: the last column borders on the first.
-    """
+    """Maps of a grey panorama (height, width), whose last column borders on the first."""
     weights = {name: weight for name, weight in config.weights.items() if weight > 0.0}
     height, width = panorama_gray.shape
     # Even sizes, so that half resolution is exact; the surround reaches three sigma.
@@ -303,7 +280,7 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
     padded = cv2.copyMakeBorder(padded, 0, height % 2, 0, 0, cv2.BORDER_REPLICATE)
     gradients = edge_gradients(padded, _EDGE_LOW, _EDGE_HIGH, side)
     features = {
-        'edges': halve(edge_map(gradients)),
+        'edges': halve(_unit(gradients.magnitude / np.float32(gradients.strong))),
         'corners': halve(corner_map(gradients)),
         'symmetry': point_symmetry_map(gradients),
     }

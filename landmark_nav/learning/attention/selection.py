@@ -44,6 +44,9 @@ def select(
     """
     Select rectangles until there are enough or the response is too low.
 
+    Returned are those accepted, in the order of attention, at most `candidates_per_sector` in each
+    sector of azimuth, and those refused.
+
     Parameters
     ----------
     saliency : ndarray of float32, shape (height, width)
@@ -52,12 +55,6 @@ def select(
         Pixels that rectangles may contain.
     examine : callable
         Returns why a rectangle is refused, or None.
-
-    Returns
-    -------
-    accepted : tuple of Candidate
-        In the order of attention, at most `candidates_per_sector` in each sector of azimuth.
-    refused : tuple of (Candidate, Refusal)
     """
     width = saliency.shape[1]
     taken = np.zeros(_SECTORS, dtype=int)
@@ -165,12 +162,7 @@ class _Units:
         return np.asarray((columns - center + half) % self._width - half)
 
     def _respond(self, rows: IndexArray, columns: IndexArray) -> tuple[FloatArray, IndexArray]:
-        """
-        Largest response over the sizes of units at rows x columns, and index of that size.
-
-        The response averages the mean over the field and the mean over its middle quarter, so that
-        winners are centred on salient content.
-        """
+        """Largest response over the sizes of units at rows x columns, and index of that size."""
         top, left = int(rows.min()) - self._reach, int(columns.min()) - self._reach
         across = np.arange(left, int(columns.max()) + self._reach + 1) % self._width
         down = slice(self._border + top, self._border + int(rows.max()) + self._reach + 1)
@@ -183,6 +175,7 @@ class _Units:
         field = np.zeros(best.shape, dtype=np.intp)
         for k, ((width, height), gain) in enumerate(zip(self._fields, self._gains, strict=True)):
             whole = _sums(bands[height], columns - left, width)
+            # The middle quarter counts as much, so that winners are centred on salient content.
             middle = _sums(bands[height // 2], columns - left, width // 2)
             response = gain * (0.5 * whole + 2.0 * middle)
             stronger = response > best
@@ -205,14 +198,7 @@ _MIN_CONTRAST = 5.0
 
 
 def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> Refusal | None:
-    """
-    Return why a patch of a panorama is ambiguous; None if it is distinct.
-
-    Parameters
-    ----------
-    gray : ndarray of uint8, shape (height, width)
-        Full turn: the last column borders on the first.
-    """
+    """Return why a patch of a grey panorama (height, width) is ambiguous; None if distinct."""
     around = config.neighborhood_rows_px, config.neighborhood_columns_px
     window, column, row = _neighborhood(candidate, gray, *around)
     patch = window[row : row + candidate.height_px, column : column + candidate.width_px]
@@ -220,12 +206,11 @@ def refusal(candidate: Candidate, gray: ImageArray, config: AttentionConfig) -> 
     if contrast < _MIN_CONTRAST:
         return Refusal('too little contrast', f'{contrast:.1f} grey levels')
     score = cv2.matchTemplate(window, np.ascontiguousarray(patch), cv2.TM_CCOEFF_NORMED)
-    columns_away = np.abs(np.arange(score.shape[1]) - column)
-    rows_away = np.abs(np.arange(score.shape[0]) - row)
-    elsewhere = columns_away > _SAME_PLACE * candidate.width_px
+    rows, columns = np.ogrid[: score.shape[0], : score.shape[1]]
+    elsewhere = np.abs(columns - column) > _SAME_PLACE * candidate.width_px
     # An edge goes on above and below.
     if not candidate.edge:
-        elsewhere = elsewhere | (rows_away[:, None] > _SAME_PLACE * candidate.height_px)
+        elsewhere = elsewhere | (np.abs(rows - row) > _SAME_PLACE * candidate.height_px)
     score = np.where(elsewhere & np.isfinite(score), score, -1.0)
     at = np.unravel_index(int(np.argmax(score)), score.shape)
     if score[at] > _MAX_SIMILARITY:
@@ -285,16 +270,7 @@ _MARGIN_PX = 2
 
 @dataclass(frozen=True, eq=False)
 class Attention:
-    """
-    Result of attention to a panorama.
-
-    Parameters
-    ----------
-    candidates : tuple of Candidate
-        Most salient first, then edges.
-    refused : tuple of (Candidate, Refusal)
-        Attended patches that are ambiguous.
-    """
+    """Candidates of a panorama, most salient first, then edges; `refused` ones are ambiguous."""
 
     candidates: tuple[Candidate, ...]
     refused: tuple[tuple[Candidate, Refusal], ...]
@@ -312,7 +288,7 @@ def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
             f'panorama has {width} x {height} px, too small for patches of '
             f'{config.size_max_px} px: lower size_max_px or raise its resolution'
         )
-    gray = _fill_uncovered(_to_gray(panorama.image), panorama.mask)
+    gray = _fill_uncovered(panorama.grey.astype(np.uint8), panorama.mask)
     saliency = attention_maps(gray, config).saliency
     examine = partial(refusal, gray=gray, config=config)
     accepted, refused = select(saliency, _inside(panorama.mask), config, examine)
@@ -323,10 +299,6 @@ def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
         tuple(replace(c, saliency=c.saliency / first) for c in candidates),
         tuple((replace(c, saliency=c.saliency / first), why) for c, why in others),
     )
-
-
-def _to_gray(image: ImageArray) -> ImageArray:
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
 def _fill_uncovered(gray: ImageArray, mask: BoolArray) -> ImageArray:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from landmark_nav.calibration import Calibration, NAMES
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.learning.calibration.overlap_fit import COMMON, Fit
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
@@ -17,6 +18,7 @@ from landmark_nav.types import FloatArray, Sweep
 
 # The two parts of the camera's height; images show their sum.
 HEIGHT = ('axis_z', 'center_z')
+_AXIS_TILT = ('axis_roll', 'axis_pitch')
 # Term of a sweep -> the quantity that it corrects.
 _QUANTITIES = {
     'focal_length': 'focal_scale',
@@ -35,22 +37,17 @@ _ROUNDING = 1e-9
 def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
     """Return a sweep with camera and joints as calibrated."""
     pan_scale, tilt = 1.0 + calibration['pan_scale'][0], calibration['camera_tilt'][0]
-    cameras: dict[CameraModel, CameraModel] = {}
-    for frame in sweep.frames:
-        if frame.camera not in cameras:
-            cameras[frame.camera] = calibration.camera(frame.camera)
-    return replace(
-        sweep,
-        frames=tuple(
-            replace(
-                frame,
-                camera=cameras[frame.camera],
-                pan_rad=frame.pan_rad * pan_scale,
-                tilt_rad=frame.tilt_rad + tilt,
-            )
-            for frame in sweep.frames
-        ),
+    camera = cache(calibration.camera)
+    frames = (
+        replace(
+            frame,
+            camera=camera(frame.camera),
+            pan_rad=frame.pan_rad * pan_scale,
+            tilt_rad=frame.tilt_rad + tilt,
+        )
+        for frame in sweep.frames
     )
+    return replace(sweep, frames=tuple(frames))
 
 
 def as_corrected(before: Calibration, common: FloatArray) -> Calibration:
@@ -91,17 +88,12 @@ def _corrected_values(before: Calibration, common: FloatArray) -> tuple[list[str
 
 def with_overlaps(known: Calibration, before: Calibration, fit: Fit | None) -> Calibration:
     """
-    Update a calibration by the overlaps of a sweep.
+    Update a calibration by the overlaps of a sweep, whose terms correct that of `before`.
+
+    All terms are used together, as an offset of the optical centre resembles a longer focal
+    length: without one of them, the other would be off by more than its sigma.
 
     Raises `LandmarkNavError`: a term contradicts an exact value.
-
-    Parameters
-    ----------
-    before : Calibration
-        Calibration that the terms correct.
-    fit : Fit, optional
-        All terms together, as an offset of the optical centre resembles a longer focal length:
-        without one of them, the other would be off by more than its sigma.
     """
     if fit is None:
         return known
@@ -132,7 +124,8 @@ def with_papers(
     used : Calibration
         Calibration with which papers were measured.
     score, information : ndarray, shape (3,), (3, 3)
-        Height and small rotations about x and y of the base, in information form.
+        Height and small rotations about x and y of the base, in information form: their estimate
+        is ``information^-1 score``.
     floor_rad : float
         Sigma of the tilt of the base by the floor.
     """
@@ -146,8 +139,7 @@ def with_papers(
     score = axes @ (shows * (axes.T @ score))
     rows = np.zeros((3, len(NAMES)))
     rows[0, [NAMES.index(name) for name in HEIGHT]] = 1.0
-    axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
-    rows[1:, axis_tilt] = tilt_axes(used)
+    rows[1:, [NAMES.index(name) for name in _AXIS_TILT]] = tilt_axes(used)
     values = rows @ used.values + covariance @ score
     covariance[1:, 1:] += floor_rad**2 * np.eye(2)
     # Expressed in roll and pitch.
@@ -170,32 +162,21 @@ def levelled(
     before: Calibration, score: FloatArray, information: FloatArray
 ) -> tuple[Calibration, tuple[CalibrationTerm, ...]]:
     """
-    Correct the tilt of the pan axis by papers if it is significant.
+    Correct the tilt of the pan axis by papers if it is significant; not its covariance.
 
     Papers measure it to some milliradians. The adjustment estimates smaller tilts: panoramas that
-    were tilted by that noise gave drives that were a third less exact.
-
-    Parameters
-    ----------
-    score, information : ndarray, shape (3,), (3, 3)
-        Height and small rotations about x and y of the base, in information form: their estimate
-        is ``information^-1 score``.
-
-    Returns
-    -------
-    after : Calibration
-        With other values of roll and pitch; the covariance is the one before.
-    terms : tuple of CalibrationTerm
-        ``axis_roll`` and ``axis_pitch``; empty if nothing was measured.
+    were tilted by that noise gave drives that were a third less exact. `score` and `information`
+    are as in `with_papers`. Also returned are the terms of ``axis_roll`` and ``axis_pitch``, none
+    if nothing was measured.
     """
     if np.linalg.eigvalsh(information[1:, 1:])[0] < _LEAST_INFORMATION:
         return before, ()
     covariance = covariance_of(information)
     axis_tilt, covariance = (covariance @ score)[1:], covariance[1:, 1:]
-    sigma = np.sqrt(np.diag(covariance))
-    terms = tuple(
-        map(CalibrationTerm, ('axis_roll', 'axis_pitch'), axis_tilt.tolist(), sigma.tolist())
+    values = zip(
+        _AXIS_TILT, axis_tilt.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True
     )
+    terms = tuple(CalibrationTerm(*term) for term in values)
     if float(axis_tilt @ solve_positive(covariance, axis_tilt)) <= SIGNIFICANT**2:
         return before, terms
     roll, pitch, _ = tilted(before.mount, axis_tilt).axis_rpy

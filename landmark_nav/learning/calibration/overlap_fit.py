@@ -22,13 +22,13 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.least_squares import covariance_of, Damping, solve_positive
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
-from landmark_nav.learning.panorama.projection import (
+from landmark_nav.learning.panorama.synthesis import (
     frame_slab,
     FrameSlab,
     grey_frame,
     sweep_cylinder,
 )
-from landmark_nav.types import FloatArray, ImageArray, Sweep
+from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
 
 _POINTS_PER_PAIR = 60
 _SPACING_PX = 14
@@ -69,12 +69,7 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
     """
     Track points between frames of a sweep.
 
-    Parameters
-    ----------
-    sweep : Sweep
-        Frames with angles that are correct to a few pixels.
-    every_frame : bool
-        Whether the chain has all frames, or only as many as it needs.
+    Angles are correct to a few pixels. The chain has `every_frame`, or as many as it needs.
     """
     chain, closed = _chain(sweep, every_frame)
     cylinder = sweep_cylinder(sweep, mount)
@@ -91,29 +86,17 @@ def track_overlaps(sweep: Sweep, mount: PanTiltMount, every_frame: bool = False)
             start, end = sweep.frames[a].pan_rad, sweep.frames[b].pan_rad
             gaps.append(float(wrap_rad(start + 0.5 * wrap_rad(end - start))))
             continue
-        pixels.append(
-            np.stack(
-                [
-                    sweep.frames[k].camera.project(
-                        cylinder.rays(columns[:, side]) @ _rotation(sweep, k, mount)
-                    )
-                    for side, k in enumerate((a, b))
-                ],
-                1,
-            )
-        )
+        rays = cylinder.rays(columns)
+        ends = [_pixels(sweep.frames[k], rays[:, side], mount) for side, k in enumerate((a, b))]
+        pixels.append(np.stack(ends, 1))
         frames.append(np.tile([a, b], (len(columns), 1)))
         pairs.append(np.full(len(columns), link))
     if not frames:
         return Overlaps.none()
     seen = np.isfinite(np.concatenate(pixels)).all(axis=(1, 2))
-    return Overlaps(
-        np.concatenate(frames).astype(np.intp)[seen],
-        np.concatenate(pixels)[seen],
-        np.concatenate(pairs).astype(np.intp)[seen],
-        closed and not gaps,
-        tuple(gaps) if closed else (),
-    )
+    every, points, links = (np.concatenate(parts)[seen] for parts in (frames, pixels, pairs))
+    gaps_rad = tuple(gaps) if closed else ()
+    return Overlaps(every, points, links, closed and not gaps, gaps_rad)
 
 
 def _chain(sweep: Sweep, every_frame: bool) -> tuple[list[int], bool]:
@@ -138,9 +121,9 @@ def _chain(sweep: Sweep, every_frame: bool) -> tuple[list[int], bool]:
     return chain, closed
 
 
-def _rotation(sweep: Sweep, k: int, mount: PanTiltMount) -> FloatArray:
-    frame = sweep.frames[k]
-    return mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)[0]
+def _pixels(frame: CameraFrame, rays: FloatArray, mount: PanTiltMount) -> FloatArray:
+    turned = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)[0]
+    return frame.camera.project(rays @ turned)
 
 
 def _track(first: FrameSlab, second: FrameSlab, cylinder: Cylinder) -> FloatArray | None:
@@ -259,14 +242,9 @@ class OverlapProblem:
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
-        Fit some of the common terms, and the angles of frames about the given ones.
+        Fit `free` common terms, indices in `COMMON`, and the angles of frames.
 
-        Parameters
-        ----------
-        free : sequence of int
-            Indices in `COMMON`.
-        frame_sigma : sequence of float, shape (3,)
-            Sigmas of pan, tilt and roll of a single frame, rad.
+        `frame_sigma` (3,) are sigmas of pan, tilt and roll of a frame about the given ones, rad.
         """
         focal, x = self._camera.fx, self._last.copy()
         index = np.concatenate([np.asarray(free, np.intp), np.arange(len(COMMON), len(x))])
@@ -317,25 +295,21 @@ class OverlapProblem:
         damping: Damping,
     ) -> FloatArray:
         """Unknowns after one damped step; those at `index` are free."""
-        there = x
 
-        def cost_with(by: float) -> float:
-            nonlocal there
-            there = x.copy()
+        def stepped(by: float) -> FloatArray:
+            there: FloatArray = x.copy()
             there[index] -= solve_positive(normal + by * np.diag(np.diag(normal)), right)
-            return cost(there)
+            return there
 
-        return there if damping.lowers(cost_with, cost(x)) else x
+        return damping.step(x, stepped, cost)
 
     def _whitening(self, x: FloatArray, here: FloatArray, scale: FloatArray) -> Whitening:
-        """
-        Return a function that whitens residuals and slopes (2 m, ...) for errors of the ranges.
-
-        One relative error is common to all matches of an object, another to all of the room, as
-        most things stand in front of walls: with derivatives j by the error of an object, the
-        covariance of their residuals is ``1 + v j j^T``. Most objects hang on the walls, so the
-        variance v of each is estimated by its own parallax (one step of expectation maximization).
-        """
+        """Return a function that whitens residuals and slopes (2 m, ...) for errors of ranges."""
+        # One relative error is common to all matches of an object, another to all of the room, as
+        # most things stand in front of walls: with derivatives j by the error of an object, the
+        # covariance of their residuals is ``1 + v j j^T``. Most objects hang on the walls, so the
+        # variance v of each is estimated by its own parallax (one step of expectation
+        # maximization).
         if self._range is None or self._object is None:
             return lambda rows: rows
         given, self._range = self._range, self._range * (1.0 + _RANGE_STEP)

@@ -24,7 +24,7 @@ from scipy.special import chdtri
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.learning.calibration.combined import as_calibrated, as_corrected, posterior_terms
 from landmark_nav.learning.calibration.overlap_fit import (
     COMMON,
@@ -90,8 +90,6 @@ def calibrate_sweep(
     ----------
     sweep : Sweep
         Sweep with camera and joints as given.
-    prior : Calibration
-        Prior.
     range_m : callable, optional
         Horizontal range from the axis at azimuths and tangents (n,). With it the offset of the
         optical centre is calibrated; without it a usual range is assumed.
@@ -109,8 +107,8 @@ def calibrate_sweep(
     given, mount = as_calibrated(sweep, prior), prior.mount
     seen = (found.sweep, found.mount) if found else (given, mount)
     overlaps = track_overlaps(*seen) if len(sweep.frames) > 2 else Overlaps.none()
-    links = len(np.unique(overlaps.pair))
-    if not links or len(overlaps) < _LEAST_PER_LINK * links or not _one_camera(sweep):
+    links, cameras = len(np.unique(overlaps.pair)), {frame.camera for frame in sweep.frames}
+    if not links or len(overlaps) < _LEAST_PER_LINK * links or len(cameras) > 1:
         return SweepCalibration(given, prior, np.zeros(len(COMMON)), PanoramaQuality())
     problem = OverlapProblem(
         overlaps, given, mount, range_m or _usual_range, guessed=range_m is None
@@ -143,9 +141,8 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> tuple[Sweep, PanoramaQuali
         raise LandmarkNavError(f'{len(sweep.frames)} frames are too few to align: take a sweep')
     fx, fy = np.median([(f.camera.fx, f.camera.fy) for f in sweep.frames], axis=0).tolist()
     camera = replace(sweep.frames[0].camera, fx=fx, fy=fy)
-    given = aligned = replace(
-        sweep, frames=tuple(replace(frame, camera=camera) for frame in sweep.frames)
-    )
+    frames = tuple(replace(frame, camera=camera) for frame in sweep.frames)
+    given = aligned = replace(sweep, frames=frames)
     free = [_FOCAL] if camera.model == 'equidistant' else [_FOCAL, _DISTORTION]
     for _ in range(_ROUNDS):
         overlaps = track_overlaps(aligned, mount, every_frame=True)
@@ -194,7 +191,11 @@ def _quality(
 
 def moved_px(one: SweepCalibration, other: SweepCalibration) -> float:
     """Greatest difference of two calibrations of a sweep in its panorama, pixels."""
-    shift = _shift_px(one.sweep.frames[0].camera)
+    camera = one.sweep.frames[0].camera
+    half, near = np.tan(camera.half_fov_rad), 2.0
+    # Greatest shift by a unit of each term.
+    lens, angles, offset = (half, half**3), (np.pi, 1.0, half), (half / near, 1.0 / near)
+    shift = camera.fx * np.array([*lens, *angles, *offset, half**2])
     return float(np.max(shift * np.abs(one.common - other.common)))
 
 
@@ -202,24 +203,10 @@ def _usual_range(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
     return np.full(np.broadcast_shapes(azimuth.shape, tangent.shape), _USUAL_RANGE_M)
 
 
-def _one_camera(sweep: Sweep) -> bool:
-    return len({frame.camera for frame in sweep.frames}) == 1
-
-
-def _shift_px(camera: CameraModel) -> FloatArray:
-    """Greatest shift in the panorama by a unit of each term (8,), pixels."""
-    half, near = np.tan(camera.half_fov_rad), 2.0
-    lens, angles, offset = (half, half**3), (np.pi, 1.0, half), (half / near, 1.0 / near)
-    return camera.fx * np.array([*lens, *angles, *offset, half**2])
-
-
 def _effective_focal(common: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """
-    Relative correction of the focal length of an equivalent lens without distortion.
-
-    It is the combination of focal length and distortion that does not depend on the uncertainty of
-    the distortion: to first order the result of a fit without distortion.
-    """
+    """Relative correction of the focal length of an equivalent lens without distortion; sigma."""
+    # The combination of focal length and distortion that does not depend on the uncertainty of
+    # the distortion: to first order the result of a fit without distortion.
     both = covariance[_FOCAL, _DISTORTION]
     lever = both / covariance[_DISTORTION, _DISTORTION]
     value = common[_FOCAL] - lever * common[_DISTORTION]

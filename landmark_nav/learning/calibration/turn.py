@@ -14,7 +14,7 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import check_one_turn
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.learning.panorama.projection import grey_frame, sweep_cylinder
+from landmark_nav.learning.panorama.synthesis import grey_frame, sweep_cylinder
 from landmark_nav.matching.strips import StripView, without_cover
 from landmark_nav.types import Sweep
 
@@ -90,7 +90,6 @@ def measure_turn(sweep: Sweep, mount: PanTiltMount) -> tuple[float | None, float
     """
     camera = sweep.frames[0].camera
     view, field_rad = StripView(camera, mount, sweep.frames[0].tilt_rad), 2.0 * camera.half_fov_rad
-
     strips = without_cover([view.strip(grey_frame(frame).image) for frame in sweep.frames])
 
     def turned(first: int, second: int) -> float:

@@ -14,7 +14,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -78,21 +77,12 @@ def look_at(image: ImageArray, camera: CameraModel, camera_roll_rad: float = 0.0
 
 def relative_sharpness(look: Look, other: Look, turned_rad: float) -> float | None:
     """
-    Gradient energy of one image relative to that of another at the azimuths that both show.
+    Gradient energy of one image relative to another at common azimuths, about 1 if equally sharp.
 
     It is the smaller of the ratios across and down: a shaking camera blurs along one axis only.
     Each ratio is a median over azimuths, weighted by gradient energy, so that people who walk by
-    have little influence.
-
-    Parameters
-    ----------
-    turned_rad : float
-        Pan of the first minus that of the other.
-
-    Returns
-    -------
-    float or None
-        About 1 if both are equally sharp; None if they overlap too little.
+    have little influence. It is None if they overlap too little. `turned_rad` is the pan of the
+    first minus that of the other.
     """
     at = look.azimuth_rad + turned_rad
     both = (at >= other.azimuth_rad[0]) & (at <= other.azimuth_rad[-1])
@@ -100,18 +90,12 @@ def relative_sharpness(look: Look, other: Look, turned_rad: float) -> float | No
         return None
     ratios = []
     for own, its in zip(look.energy, other.energy, strict=True):
-        here, there = (
-            own[both] + _NOISE_ENERGY,
-            np.interp(at[both], other.azimuth_rad, its) + _NOISE_ENERGY,
-        )
-        ratios.append(_weighted_median(here / there, np.sqrt(here * there)))
+        here = own[both] + _NOISE_ENERGY
+        there = np.interp(at[both], other.azimuth_rad, its) + _NOISE_ENERGY
+        order = np.argsort(here / there)
+        total = np.cumsum(np.sqrt(here * there)[order])
+        ratios.append(float((here / there)[order][np.searchsorted(total, 0.5 * total[-1])]))
     return min(ratios)
-
-
-def _weighted_median(values: FloatArray, weights: npt.NDArray[np.float64]) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
 # Number of frames whose digest is kept.
@@ -286,9 +270,9 @@ class Step:
     number: int | None
     target_rad: float
     shots: list[KeptFrame]
-    progress_ns: int
     begin_stamp_ns: int | None
-    progress_stamp_ns: int
+    progress_ns: int = 0
+    progress_stamp_ns: int = 0
     phase: Phase = Phase.SETTLING
     pending: Shot | None = None
     refusals: int = 0

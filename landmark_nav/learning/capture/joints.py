@@ -48,9 +48,9 @@ class JointTrack:
         """
         Whether the unit has stood still, at `target_rad` if given, since `since_ns` at least.
 
-        Only samples after `after_ns` count. The unit stands still if in some interval that ends
-        now and is not shorter than `_SETTLED_S` it moved less than the rate limit allows. Long
-        intervals tolerate a coarse encoder that flickers by one step.
+        Only samples after `after_ns` count. In some interval that ends now and is not shorter than
+        `_SETTLED_S` it moved less than the rate limit allows. Long intervals tolerate a coarse
+        encoder that flickers by one step.
         """
         recent = [sample for sample in self._samples if sample.stamp_ns > after_ns][::-1]
         if len(recent) < _MIN_SAMPLES:

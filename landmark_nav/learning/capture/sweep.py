@@ -47,21 +47,15 @@ class SweepCapture:
     """
     A sweep, from its first command to its last frame, over any number of interruptions.
 
+    `refused` are numbers of refused frames by reason, `reach` the steps that the joint can reach,
+    `base_motion` the motion of the base since the first frame.
+
     Parameters
     ----------
     inspect : callable
         Measures a frame; raises `LandmarkNavError` for one that cannot be used.
     now_ns : int
         Time by the caller's clock, which need not be that of the stamps.
-
-    Attributes
-    ----------
-    refused : Counter
-        Number of refused frames by reason.
-    reach : PanReach
-        Steps that the joint can reach.
-    base_motion : BaseMotion
-        Motion of the base since the first frame.
     """
 
     def __init__(self, config: CaptureConfig, inspect: Callable[[Any], Look], now_ns: int) -> None:
@@ -239,15 +233,9 @@ class SweepCapture:
         else:
             return
         before = None if number is None else self._album.frames.get(number)
-        last = self._track.last
-        self._step = Step(
-            number,
-            target,
-            [] if before is None else [before],
-            now_ns,
-            last.stamp_ns if last else None,
-            last.stamp_ns if last else 0,
-        )
+        begin_ns = self._track.last.stamp_ns if self._track.last else None
+        self._step = Step(number, target, [before] if before else [], begin_ns)
+        self._progressed(self._step, now_ns)
 
     def _progressed(self, step: Step, now_ns: int) -> None:
         step.progress_ns = now_ns
@@ -349,21 +337,15 @@ def begin_or_resume(
     """
     Continue an incomplete sweep if the base has not moved since; else begin a new one.
 
-    Returns
-    -------
-    sweep : SweepCapture
-    note : str
-        Text: whether earlier frames are used, or why not; '' if there are none.
+    The text says whether earlier frames are used, or why not; '' if there are none.
     """
     note = ''
     if before is not None and not before.done and before.kept:
         frames, why = len(before.kept), before.why_not_resumed(now_ns)
         if not why:
             before.resume(now_ns)
-            no_odometry = (
-                '' if before.base_motion.known else ' (no odom: did the robot stand still?)'
-            )
-            return before, f'continued after {frames} earlier frames{no_odometry}'
+            unsure = '' if before.base_motion.known else ' (no odom: did the robot stand still?)'
+            return before, f'continued after {frames} earlier frames{unsure}'
         note = f'begun anew without {frames} earlier frames: {why}'
     return SweepCapture(config, inspect, now_ns), note
 

@@ -61,14 +61,10 @@ def room_of(
 
     Parameters
     ----------
-    facades : sequence of Facade
-        Facades found.
     points : SeenPoints
         Points that panoramas share.
     eyes : ndarray, shape (v, 3)
         Viewpoints of the sweeps, in map.
-    config : FacadesConfig
-        Height and sigma of walls.
     """
     tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
     height = max([config.wall_height_m, *(f.high_m + _ABOVE_M for f in facades)])
@@ -105,49 +101,28 @@ def _closed(
 ) -> Room:
     """Room of corners; `LandmarkNavError` if there are too few or its walls cross."""
     if len(corners) >= 3:
-        ends = [point for point, _ in [*corners[1:], corners[0]]]
-        walls = tuple(
-            _wall(facade, k, start, end, height, config)
-            for k, ((start, facade), end) in enumerate(zip(corners, ends, strict=True))
-        )
+        walls = []
+        for k, (start, facade) in enumerate(corners):
+            name, sigma = f'facade{facade + 1}', config.sigma_m
+            if facade < 0:
+                name, sigma = 'gap', 3.0 * config.sigma_m
+            end, _ = corners[(k + 1) % len(corners)]
+            first, last = ((float(p[0]), float(p[1])) for p in (start, end))
+            walls.append(Wall(f'{name}_{k + 1}', first, last, height, sigma))
         with suppress(LandmarkNavError):
-            return Room(walls)
+            return Room(tuple(walls))
     raise LandmarkNavError(
         'the flat surfaces that were found make no room: take sweeps that see more textured '
         'walls, or give room.yaml'
     )
 
 
-def _wall(
-    facade: int,
-    number: int,
-    start: FloatArray,
-    end: FloatArray,
-    height: float,
-    config: FacadesConfig,
-) -> Wall:
-    name = f'facade{facade + 1}' if facade >= 0 else 'gap'
-    first, last = ((float(p[0]), float(p[1])) for p in (start, end))
-    sigma = config.sigma_m * (1.0 if facade >= 0 else 3.0)
-    return Wall(f'{name}_{number + 1}', first, last, height, sigma)
-
-
 def _outline(
     facades: Sequence[Facade], points: SeenPoints, eyes: FloatArray, config: FacadesConfig
 ) -> tuple[IndexArray, FloatArray]:
-    """
-    Likeliest facade along each ray from the middle of the sweeps, and how far away each facade is.
-
-    Viterbi's algorithm along the rays (as Flint, Murray and Reid, ICCV 2011): facades extend as
-    planes at a cost; points that are seen through them contradict them.
-
-    Returns
-    -------
-    which : ndarray of int, shape (_RAYS,)
-        Counter-clockwise, -1 for none.
-    reach : ndarray, shape (k + 1, _RAYS)
-        Distance of each facade along each ray, m.
-    """
+    """Likeliest facade along each ray from the middle, -1 for none; distances (k + 1, rays)."""
+    # Viterbi's algorithm along the rays (as Flint, Murray and Reid, ICCV 2011): facades extend as
+    # planes at a cost; points that are seen through them contradict them.
     middle, step = eyes[:, :2].mean(0), 2.0 * np.pi / _RAYS
     azimuth = step * np.arange(_RAYS)
     ray = np.stack([np.cos(azimuth), np.sin(azimuth)], 1)

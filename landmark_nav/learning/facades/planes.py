@@ -42,11 +42,8 @@ class SeenPoints:
     @classmethod
     def joined(cls, parts: Sequence[SeenPoints]) -> SeenPoints:
         """Concatenate several sets."""
-        return cls(
-            np.concatenate([p.positions for p in parts]),
-            np.concatenate([p.covariance for p in parts]),
-            np.concatenate([p.viewpoints for p in parts]),
-        )
+        every = ((p.positions, p.covariance, p.viewpoints) for p in parts)
+        return cls(*map(np.concatenate, zip(*every, strict=True)))
 
     def chosen(self, which: BoolArray | IndexArray) -> SeenPoints:
         """Return the points selected by `which`, a mask or indices."""
@@ -57,16 +54,9 @@ def placed_matches(
     states: FloatArray, pairs: RayPairs, sigma_rad: float
 ) -> tuple[SeenPoints, RayPairs]:
     """
-    Intersect the rays of matches between two views in plan.
+    Intersect the rays of inlier matches in plan; return points and pairs with enough parallax.
 
-    Parameters
-    ----------
-    states : ndarray, shape (v, 6)
-        States of the sweeps, from `relative_poses`.
-    pairs : RayPairs
-        Inlier matches.
-    sigma_rad : float
-        Sigma of a direction.
+    `states` (v, 6) are those of the sweeps from `relative_poses`, `sigma_rad` is that of a ray.
     """
     here, there = (center(states[k]) for k in (pairs.one, pairs.other))
     w = turned(states[pairs.one], pairs.rays)
@@ -78,18 +68,12 @@ def placed_matches(
         reach, reach_there = cross(way, v) / sine, cross(way, w) / sine
         first, second = here + reach[:, None] * w, there + reach_there[:, None] * v
         along = (reach_there * sigma_rad / sine) ** 2, (reach * sigma_rad / sine) ** 2
-    covariance = (
-        along[1][:, None, None] * v[:, :2, None] * v[:, None, :2]
-        + along[0][:, None, None] * w[:, :2, None] * w[:, None, :2]
-    )
+    covariance = along[1][:, None, None] * v[:, :2, None] * v[:, None, :2]
+    covariance += along[0][:, None, None] * w[:, :2, None] * w[:, None, :2]
     certain = (np.abs(sine) > np.sin(_LEAST_PARALLAX)) & (reach > 0.0) & (reach_there > 0.0)
     certain &= np.sqrt(covariance[:, 0, 0] + covariance[:, 1, 1]) < _MAX_SIGMA_M
-    points = SeenPoints(
-        0.5 * (first + second)[certain],
-        covariance[certain],
-        np.broadcast_to(here, first.shape)[certain],
-    )
-    return points, pairs.chosen(certain)
+    points = SeenPoints(0.5 * (first + second), covariance, np.broadcast_to(here, first.shape))
+    return points.chosen(certain), pairs.chosen(certain)
 
 
 @dataclass(frozen=True)
@@ -202,15 +186,9 @@ def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
 
 def _common(found: list[SeenPoints], config: FacadesConfig) -> float:
     """Direction to which most facades are at right angles."""
-    lines = [_line(members, config) for members in found]
-    along = np.array([along for _, along, _ in lines])
-    return common_direction(
-        np.arctan2(along[:, 1], along[:, 0]),
-        np.array([variance for *_, variance in lines]),
-        np.array(
-            [np.ptp(m.positions[:, :2] @ a) for m, (_, a, _) in zip(found, lines, strict=True)]
-        ),
-    )
+    _, along, variance = map(np.array, zip(*(_line(m, config) for m in found), strict=True))
+    length = [np.ptp(m.positions[:, :2] @ a) for m, a in zip(found, along, strict=True)]
+    return common_direction(np.arctan2(along[:, 1], along[:, 0]), variance, np.array(length))
 
 
 def _joined(found: list[SeenPoints], config: FacadesConfig, common: float | None) -> list[Facade]:
@@ -254,16 +232,10 @@ def on_and_through(
     points: SeenPoints, facade: Facade, config: FacadesConfig
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
     """
-    What points say about the plane of a facade.
+    Points on the plane of a facade and seen through it.
 
-    Returns
-    -------
-    on : ndarray, shape (m,)
-        Where along it points lie, m.
-    through : ndarray of bool, shape (n,)
-        Which points are seen through it, below its top.
-    crossed : ndarray, shape (n,)
-        Where along it their lines of sight cross it, m.
+    Positions (m,) along it of the points on it, m; which points (n,) are seen through it, below
+    its top; where along it (n,) the lines of sight cross it, m.
     """
     off = points.positions[:, :2] - facade.start
     ahead = (points.viewpoints[:, :2] - facade.start) @ facade.normal
@@ -288,15 +260,7 @@ def bare(along: FloatArray, on: FloatArray) -> BoolArray:
 def _line(
     members: SeenPoints, config: FacadesConfig, common: float | None = None
 ) -> tuple[FloatArray, FloatArray, float]:
-    """
-    Robust fit of a line to points, with the prior of a right angle to a `common` direction.
-
-    Returns
-    -------
-    middle, along : ndarray, shape (2,)
-    variance : float
-        Of its direction by the points. What hangs in one section of a wall is equally far from it.
-    """
+    """Robust line, at a right angle to `common` if likely: middle, direction, its variance."""
     xy, weight = members.positions[:, :2], np.ones(len(members))
     for _ in range(_REFITS):
         middle = np.average(xy, axis=0, weights=weight)
@@ -310,6 +274,7 @@ def _line(
         normal = np.array([-along[1], along[0]])
         miss = off @ normal
         variance = _variance(members, normal, config)
+        # What hangs in one section of a wall is equally far from it.
         section = np.unique(np.floor(off @ along / _SECTION_M), return_inverse=True)[1]
         alike = np.bincount(section)[section] * config.relief_m**2
         weight = (1.0 + miss**2 / variance / 4.0) ** -2.0 / (variance + alike)
@@ -369,11 +334,7 @@ def _cells(along: FloatArray, height: FloatArray) -> int:
 def _best_line(
     points: SeenPoints, config: FacadesConfig, rng: np.random.Generator, common: float | None
 ) -> BoolArray | None:
-    """
-    Points (n,) on the part of a line with the most support; None if there is too little.
-
-    Every other line is turned to a right angle to the `common` direction.
-    """
+    """Points (n,) on the part of a line with the most support; None if there is too little."""
     xy = points.positions[:, :2]
     best, most = None, 0.0
     for trial, first in enumerate(rng.integers(len(xy), size=_TRIALS)):
@@ -384,7 +345,7 @@ def _best_line(
             continue
         side = off[rng.choice(near)]
         angle = np.arctan2(side[1], side[0])
-        if common is not None and trial % 2:
+        if common is not None and trial % 2:  # every other line is turned to a right angle
             angle -= from_right(angle - common)
         along = np.array([np.cos(angle), np.sin(angle)])
         normal = np.array([-along[1], along[0]])

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.panorama.projection import sweep_cylinder
+from landmark_nav.learning.panorama.synthesis import sweep_cylinder
 from landmark_nav.types import CameraFrame, FloatArray, Sweep
 
 # Factor by which frames are reduced, and sampled directions: step of azimuth, number of rows.
@@ -67,14 +67,7 @@ class Photometry:
 
 
 def measure_photometry(sweep: Sweep, mount: PanTiltMount) -> Photometry:
-    """
-    Measure gains and vignetting.
-
-    Parameters
-    ----------
-    sweep : Sweep
-        Frames that overlap, with angles accurate to a few pixels.
-    """
+    """Measure gains and vignetting of frames that overlap, with angles good to a few pixels."""
     count = len(sweep.frames)
     direction, frame, square, level = _samples(sweep, mount)
     bright = float(np.quantile(level, 0.9)) if len(level) else 0.0
@@ -146,7 +139,7 @@ def _samples(
     tangent = cylinder.tangent(np.linspace(0, cylinder.height - 1, _ROWS + 2)[1:-1])
     at = np.stack(np.meshgrid(azimuth, tangent), -1).reshape(-1, 2)
     rays = np.column_stack([np.cos(at[:, 0]), np.sin(at[:, 0]), at[:, 1]])
-    directions, frames, squares, levels = [], [], [], []
+    samples = []
     for k, frame in enumerate(sweep.frames):
         rotation, _ = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad, frame.roll_rad)
         seen = rays @ rotation
@@ -154,24 +147,16 @@ def _samples(
         pixels = frame.camera.project(seen[ahead])
         inside = frame.camera.contains(pixels, float(_REDUCTION))
         u, v = pixels[inside].T
-        image = frame.image
-        small = cv2.resize(
-            image, None, fx=1 / _REDUCTION, fy=1 / _REDUCTION, interpolation=cv2.INTER_AREA
-        )
-        grey = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else small
+        scale = 1 / _REDUCTION
+        small = cv2.resize(frame.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        grey = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY) if small.ndim == 3 else small
         at_small = (np.column_stack([u, v]) + 0.5) / _REDUCTION - 0.5
         column, row = at_small.astype(np.float32).T
         level = cv2.remap(np.float32(grey), column, row, cv2.INTER_LINEAR)
-        directions.append(ahead[inside])
-        frames.append(np.full(len(u), k))
-        squares.append(_square_radius(frame.camera, u, v))
-        levels.append(np.ravel(level).astype(np.float64))
-    return (
-        np.concatenate(directions),
-        np.concatenate(frames),
-        np.concatenate(squares),
-        np.concatenate(levels),
-    )
+        square, levels = _square_radius(frame.camera, u, v), np.ravel(level).astype(np.float64)
+        samples.append((ahead[inside], np.full(len(u), k), square, levels))
+    direction, number, square, levels = map(np.concatenate, zip(*samples, strict=True))
+    return direction, number, square, levels
 
 
 def _fit(
@@ -209,11 +194,8 @@ def _fit(
         except np.linalg.LinAlgError:
             return None
         model = values[frame] + terms @ values[count:]
-        off = (
-            centred
-            - model
-            + (np.bincount(direction, weight * model, directions) / total)[direction]
-        )
+        mean = np.bincount(direction, weight * model, directions) / total
+        off = centred - model + mean[direction]
         sigma = max(float(np.median(np.abs(off))) / 0.6745, 1e-4)
         weight = 1.0 / (1.0 + (off / (2.0 * sigma)) ** 2)
     # Errors of neighbouring samples are correlated: one of four counts.

@@ -88,14 +88,7 @@ def hue_direction(color: str) -> FloatArray:
 
 
 class ColorSearch:
-    """
-    Searches papers of any colour in one cylinder image.
-
-    Parameters
-    ----------
-    view : CylinderImage
-        The sweep as a cylinder in the base frame.
-    """
+    """Searches papers of any colour in one cylinder image in the base frame."""
 
     def __init__(self, view: CylinderImage) -> None:
         self._cylinder = view.cylinder
@@ -124,8 +117,7 @@ class ColorSearch:
         turned = np.abs(self._balanced @ across.astype(np.float32))
         hue = self._lit & (turned < np.tan(_WIDEST_TURN_RAD) * pure)
         purity = np.where(hue, pure / np.maximum(self._value, 1e-6), 0.0)
-        boxes = np.concatenate([self._boxes(purity > level) for level in _PURITIES])
-        boxes = _distinct(boxes)
+        boxes = _distinct(np.concatenate([self._boxes(purity > level) for level in _PURITIES]))
         misfit = np.array([self._misfit(box, along, across) for box in boxes[:, :4].astype(int)])
         order = np.argsort(misfit)[:_MOST_BLOBS]
         left, top, width, height = boxes[order, :4].T * self._step

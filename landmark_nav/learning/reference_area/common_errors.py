@@ -52,8 +52,6 @@ def pose_errors(
     ----------
     eye : ndarray, shape (p, 3)
         Viewpoints, m.
-    config : ReferenceAreaConfig
-        Sigmas of papers and camera.
     seen : ndarray of bool, shape (p, k), optional
         Papers in view, three or more; by default all.
 
@@ -97,28 +95,13 @@ def joint_covariance(
     panoramas: Sequence[Panorama], room: Room, config: ReferenceAreaConfig
 ) -> FloatArray:
     """
-    Joint covariance of poses of sweeps that were estimated separately.
+    Joint covariance (4 v, 4 v) of x, y, z, heading of v sweeps that were estimated separately.
 
     A misplaced paper moves all of them, and the height of the camera is the same everywhere: the
-    largest possible part of its error is common.
-
-    Parameters
-    ----------
-    panoramas : sequence of Panorama
-        v panoramas with covariances of their own.
-    room : Room
-        Walls and papers; without papers the poses share their height only.
-
-    Returns
-    -------
-    ndarray, shape (4 v, 4 v)
-        Covariance of x, y, z, heading of each.
+    largest possible part of its error is common. Without papers they share their height only.
     """
     alone = [p.covariance + 1e-12 * np.eye(4) for p in panoramas]
-    loading = [
-        _loading(panorama, covariance, room, config)
-        for panorama, covariance in zip(panoramas, alone, strict=True)
-    ]
+    loading = [_loading(p, c, room, config) for p, c in zip(panoramas, alone, strict=True)]
     rest = [c - part @ part.T for c, part in zip(alone, loading, strict=True)]
     height = _COMMON * min(1.0 / covariance_of(c)[2, 2] for c in rest)
     up = np.sqrt(height) * np.array([[0.0], [0.0], [1.0], [0.0]])
@@ -145,8 +128,7 @@ def _loading(
     """Loadings of a sweep by the shared factors: mount (c), papers (1 + 2 k)."""
     mounted = np.zeros((4, 0))
     if panorama.by_calibration is not None and panorama.calibration is not None:
-        known = panorama.calibration
-        mounted = panorama.by_calibration @ root_of(known.covariance)
+        mounted = panorama.by_calibration @ root_of(panorama.calibration.covariance)
     loading = np.hstack([mounted, _by_papers(panorama, covariance, room, config)])
     half = solve_root(root_of(covariance), loading)
     share = float(np.linalg.norm(half, 2) ** 2)

@@ -154,12 +154,9 @@ def _crossing(
 def _area_place(
     profiles: FloatArray, offset: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """
-    Edge of profiles (n, m) that preserves the area on both sides.
-
-    It is unbiased for any sharpness and sub-pixel position; a half-way crossing of a sharp edge
-    has a bias of up to 0.09 px (Tabatabai and Mitchell, PAMI 1984).
-    """
+    """Edge of profiles (n, m) that preserves the area on both sides, and its sigma."""
+    # It is unbiased for any sharpness and sub-pixel position; a half-way crossing of a sharp edge
+    # has a bias of up to 0.09 px (Tabatabai and Mitchell, PAMI 1984).
     place = np.clip(start, offset[0] + 4.0, offset[-1] - 4.0)
     steps = np.arange(-_CHANGE_PX, _CHANGE_PX + _STEP_PX / 2, _STEP_PX)
     weight = np.full(len(steps), _STEP_PX)
@@ -219,14 +216,7 @@ class PaperOutlines(PaperBlobs):
 
 
 def outline_blobs(view: CylinderImage, color: str, blobs: PaperBlobs) -> PaperOutlines:
-    """
-    Measure the edges of blobs of a colour; blobs without four clear edges are left out.
-
-    Parameters
-    ----------
-    view : CylinderImage
-        Cylinder image of a sweep in the base frame.
-    """
+    """Measure the edges of blobs of a colour; those without four clear ones are left out."""
     hue = hue_direction(color)
     rows = []
     for edges, misfit in zip(blobs.edges, blobs.misfit, strict=True):
@@ -250,45 +240,31 @@ def _outline(
         bottom, top = cylinder.row_of(box[2:]) - start[1]
         if right - left < 4.0 or bottom - top < 4.0:
             return None
-        half_x, half_y = 0.5 * (right - left), 0.5 * (bottom - top)
-        middle = np.array([left + half_x, top + half_y])
-        along = np.linspace(-_SHARE, _SHARE, _PARTS * PROFILES)
-        flat = np.zeros_like(along)
+        half = 0.5 * np.array([right - left, bottom - top])
+        along = np.linspace(-_SHARE, _SHARE, _PARTS * PROFILES)[:, None]
         sides = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        offsets = np.concatenate(
-            [
-                np.stack([flat + side * half_x, along * half_y], 1)
-                if side
-                else np.stack([along * half_x, flat + down * half_y], 1)
-                for side, down in sides
-            ]
-        )
+        offsets = np.concatenate([half * np.where(side, side, along) for side in sides])
+        points = np.array([left, top]) + half + offsets
         outwards = np.repeat(sides, len(along), axis=0)
-        inner = min(reach, max(5.0, 1.2 * min(half_x, half_y)))
-        found = locate_edges(image, middle + offsets, outwards, hue, inner, _GAMMA, np.inf)
+        inner = min(reach, max(5.0, 1.2 * float(half.min())))
+        found = locate_edges(image, points, outwards, hue, inner, _GAMMA, np.inf)
         own = np.hypot(found.sigma_px, _GAMMA_SIGMA * np.abs(found.by_gamma))
         shift, sigma, by_gamma = _lines(found.offset_px, own, found.by_gamma)
         if not np.isfinite(shift).all():
             return None
         # Columns increase clockwise, rows downwards.
-        box = box + np.array([-1.0, 1.0, -1.0, 1.0]) * shift / [
-            cylinder.fx, cylinder.fx, cylinder.fy, cylinder.fy
-        ]  # fmt: skip
+        scale = [cylinder.fx, cylinder.fx, cylinder.fy, cylinder.fy]
+        box = box + np.array([-1.0, 1.0, -1.0, 1.0]) * shift / scale
     return box, sigma / cylinder.fx, _GAMMA_SIGMA * by_gamma / cylinder.fx
 
 
 def _lines(
     offset_px: FloatArray, sigma_px: FloatArray, by_gamma: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """
-    Middles (4,) of lines fitted to four edges in turn, sigmas, derivatives by gamma.
-
-    Edges are those by colour (row 0) or, if these are too few, by brightness; NaN without a clear
-    line.
-    """
+    """Middles (4,) of lines along four edges, NaN without one; sigmas, derivatives by gamma."""
     along = np.linspace(-1.0, 1.0, _PARTS)
     middle, sigma, slope = np.full((3, 4), np.nan)
-    # Brightness first, which colour replaces.
+    # Brightness first, which colour replaces where there is enough of it.
     parts = (v.reshape(2, 4, _PARTS)[::-1] for v in (offset_px, sigma_px, by_gamma))
     for offsets, own, slopes in zip(*parts, strict=True):
         for edge, good in enumerate(np.isfinite(offsets)):

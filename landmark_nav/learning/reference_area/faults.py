@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.least_squares import covariance_of, Equations, levenberg_marquardt
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
@@ -150,12 +150,10 @@ class PaperFaults:
     @property
     def cause(self) -> str:
         """The single fault, and what to do, in one line; empty if there is none."""
-        if not self.faults:
-            return ''
         text = ', or '.join(fault.text for fault in self.faults[:2])
-        if len(self.faults) == 1:
-            return f'{text}: measure again and fix it'
-        return f'{text}; the sweeps fit both: measure both again'
+        if len(self.faults) > 1:
+            return f'{text}; the sweeps fit both: measure both again'
+        return f'{text}: measure again and fix it' if text else ''
 
 
 class PaperRecord:
@@ -205,19 +203,9 @@ def paper_faults(
     views: Sequence[PaperView], room: Room, config: ReferenceAreaConfig
 ) -> PaperFaults:
     """
-    Compare papers in one panorama or more with ``room.yaml``.
+    Compare papers in one panorama or more, each at an unknown pose, with ``room.yaml``.
 
-    Parameters
-    ----------
-    views : sequence of PaperView
-        Views of panoramas of one room, each at an unknown pose. The last four are used.
-    room : Room
-        Walls and papers. Fewer than three papers cannot be tested.
-
-    Returns
-    -------
-    PaperFaults
-        `fits` is true if too little is visible for a test.
+    The last four are used. They fit if too little is visible for a test, or in the room.
     """
     if len(room.papers) < LEAST_PAPERS:
         return PaperFaults(True)
@@ -243,11 +231,7 @@ def paper_faults(
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """
-    Chi-square of a hypothesis, and its free values, means over the views.
-
-    `missing` is the number of papers that should be in view and are not found.
-    """
+    """Chi-square of a hypothesis, its free values (means over views), papers `missing` in view."""
 
     cost: float
     values: FloatArray
@@ -304,27 +288,17 @@ def _hypotheses(room: Room) -> Iterator[_Hypothesis]:
 
 def _redrawn(room: Room, x: float, yz: float) -> Room:
     """Room and papers with their axes scaled; mirrored, papers look as on the opposite wall."""
-
-    def ends(wall: Wall) -> tuple[tuple[float, float], tuple[float, float]]:
-        start, end = ((x * at[0], yz * at[1]) for at in (wall.start, wall.end))
-        return (end, start) if x < 0.0 else (start, end)
-
-    walls = [
-        replace(wall, start=start, end=end, height=yz * wall.height)
-        for wall in room.walls
-        for start, end in [ends(wall)]
-    ]
-    papers = [
-        replace(
-            paper,
-            center=(x * paper.center[0], yz * paper.center[1], yz * paper.center[2]),
-            width=yz * paper.width,
-            height=yz * paper.height,
-        )
-        for paper in room.papers
-    ]
     # Round the room counter-clockwise, in a mirror too.
-    return replace(room, walls=tuple(walls[:: 1 if x > 0.0 else -1]), papers=tuple(papers))
+    order = slice(None, None, 1 if x > 0.0 else -1)
+    walls, papers = [], []
+    for wall in room.walls[order]:
+        start, end = [(x * at[0], yz * at[1]) for at in (wall.start, wall.end)][order]
+        walls.append(replace(wall, start=start, end=end, height=yz * wall.height))
+    for paper in room.papers:
+        center = (x * paper.center[0], yz * paper.center[1], yz * paper.center[2])
+        width, height = yz * paper.width, yz * paper.height
+        papers.append(replace(paper, center=center, width=width, height=height))
+    return replace(room, walls=tuple(walls), papers=tuple(papers))
 
 
 class _Trial:
@@ -361,11 +335,8 @@ class _Trial:
             return None
         solution = self._fit(hypothesis, views, chosen, room)
         unlocated = len(room.papers) * (len(places) - len(views))
-        return replace(
-            solution,
-            cost=solution.cost + _MISSING * unlocated,
-            missing=solution.missing + unlocated,
-        )
+        cost, missing = solution.cost + _MISSING * unlocated, solution.missing + unlocated
+        return replace(solution, cost=cost, missing=missing)
 
     def _fit(
         self,
@@ -401,11 +372,10 @@ class _Trial:
         # Those of each view have a common mean.
         width = 2 if hypothesis.kind == 'tilt' else 1
         values = state[free].reshape(-1, width)
+        mean = values.sum(0) / max(1, len(values))
         sigmas = np.sqrt(np.diag(covariance_of(information))[free]).reshape(-1, width)
         redundancy = max(1, model.measured - 3 * len(views) - len(free))
-        return _Solution(
-            cost, values.sum(0) / max(1, len(values)), sigmas[:1].sum(0), redundancy, unseen
-        )
+        return _Solution(cost, mean, sigmas[:1].sum(0), redundancy, unseen)
 
 
 def _places(view: PaperView, room: Room, config: ReferenceAreaConfig) -> Iterator[PaperPlace]:
@@ -444,11 +414,7 @@ def _elsewhere(view: PaperView, room: Room, axis_pose: FloatArray, k: int) -> in
 
 
 class _Model:
-    """
-    Model of the outlines at chosen places as functions of the state.
-
-    `measured` is the number of measured values.
-    """
+    """Model of the outlines at chosen places, `measured` values, as functions of the state."""
 
     def __init__(
         self, views: Sequence[PaperView], places: Sequence[PaperPlace], room: Room

@@ -77,15 +77,7 @@ class PaperFit:
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """
-    Measurements of edges, arrays over n.
-
-    `paper`, `frame` and `edge` are indices; `points` are the points on the papers in map;
-    `normal`, `offset_px` and `sigma_px` describe the measured offset of the edge in the image, and
-    `by_gamma` its derivative by gamma. `along` runs from -1 to 1 along each edge. `bright` is 1
-    for measurements of brightness, 0 for those of colour. `tried` (papers,) is the number of
-    attempts by colour. All were measured with the same `gamma`.
-    """
+    """Measurements of edges with one gamma, arrays over n; of `tried` (papers,) by colour."""
 
     tried: IndexArray
     gamma: float
@@ -93,10 +85,10 @@ class _Measured:
     paper: IndexArray
     frame: IndexArray
     edge: IndexArray
-    along: FloatArray
-    bright: IndexArray
+    along: FloatArray  # from -1 to 1 along each edge
     points: FloatArray
     normal: FloatArray
+    bright: IndexArray  # 1 for measurements of brightness, 0 for those of colour
     offset_px: FloatArray
     sigma_px: FloatArray
 
@@ -119,11 +111,10 @@ class PaperFitter:
         mount: FloatArray | None = None,
     ) -> PaperFit | None:
         """
-        Refine a pose (3,) of the base from an approximate one.
+        Refine an approximate pose (3,) of the base; None if no paper is in view or it diverges.
 
         `mount` (3,) is an approximate error of height and tilt of the camera. Fewer frames are
-        faster, and suffice to choose between poses. The result is None if no paper is in view, or
-        if the fit diverges.
+        faster, and suffice to choose between poses.
         """
         state = self._model.start(pose_map_base)
         if mount is not None:
@@ -167,26 +158,17 @@ class PaperFitter:
             found = locate_edges(image, pixels, normal, hue, reach, gamma)
             tried[k] += len(side)
             found.sigma_px[0] += _NARROW_COLOR_SIGMA_PX * (width < _NARROW_PX)
-            for kind in (0, 1):
-                good = np.isfinite(found.offset_px[kind])
-                columns.append(
-                    [
-                        paper[middle][good],
-                        frame[middle][good],
-                        side[good],
-                        along[good],
-                        np.full(int(good.sum()), kind),
-                        points[middle][good],
-                        normal[middle][good],
-                        found.offset_px[kind, good],
-                        found.sigma_px[kind, good],
-                        found.by_gamma[kind, good],
-                    ]
-                )
+            place = paper[middle], frame[middle], side, along, points[middle], normal[middle]
+            for kind, *measured in zip(
+                (0, 1), found.offset_px, found.sigma_px, found.by_gamma, strict=True
+            ):
+                good = np.isfinite(measured[0])
+                parts = (*place, np.full(len(side), kind), *measured)
+                columns.append([part[good] for part in parts])
         if not columns:
             return None
         *others, by_gamma = map(np.concatenate, zip(*columns, strict=True))
-        paper, _, edge, _, bright, *_ = others
+        paper, _, edge, _, _, _, bright, *_ = others
         # The noise of an edge and that of its slope are correlated, which would bias gamma: slopes
         # are averaged.
         _, group = np.unique(paper * 8 + edge * 2 + bright, return_inverse=True)
@@ -247,24 +229,13 @@ class PaperFitter:
         usual[:3] = state[:3]
         chi = np.sum(weight * left**2) + np.sum(prior * (state - usual) ** 2)
         misfit = float(chi / max(1.0, np.sum(weight * m.sigma_px**2) - 3.0))
-        return state, self._agreement(
-            m, squared_misfit, state, covariance * max(1.0, misfit), misfit
-        )
+        covariance = covariance * max(1.0, misfit)
 
-    def _agreement(
-        self,
-        m: _Measured,
-        squared_misfit: FloatArray,
-        state: FloatArray,
-        covariance: FloatArray,
-        misfit: float,
-    ) -> PaperFit:
-        """Fit of a solution; `squared_misfit` (n,) are the squared residuals of the edges."""
-        model, by_color = self._model, m.bright == 0
+        by_color = m.bright == 0
         found = np.bincount(m.paper[by_color], minlength=model.papers)
         agreed = by_color & (squared_misfit < _SURELY_WRONG)
         order, mount = [0, 1, 3, 2], slice(RISE, SIZE)
-        return PaperFit(
+        return state, PaperFit(
             state[:3].copy(),
             covariance[np.ix_(order, order)],
             found / np.maximum(m.tried, 1),
@@ -279,11 +250,7 @@ class PaperFitter:
 
 
 def _off_the_corners(points: FloatArray, pixels: FloatArray) -> FloatArray:
-    """
-    Move points (n, 3) of the four edges towards the middles of their edges.
-
-    Blur rounds corners: within `_CORNER_PX` of a corner an edge appears shifted inwards.
-    """
+    """Move points (n, 3) of the four edges off the corners, which blur rounds, to the middles."""
     edges, shown = points.reshape(EDGES, -1, 3), pixels.reshape(EDGES, -1, 2)
     middle = edges.mean(axis=1, keepdims=True)
     half_px = 0.5 * np.linalg.norm(shown[:, -1] - shown[:, 0], axis=1)

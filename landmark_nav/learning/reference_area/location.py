@@ -35,12 +35,7 @@ from landmark_nav.learning.reference_area.refusals import (
     WRONG_PRIOR,
     WrongMountError,
 )
-from landmark_nav.learning.reference_area.search import (
-    find_places,
-    LEAST_PAPERS,
-    PaperPlace,
-    papers_in_view,
-)
+from landmark_nav.learning.reference_area.search import find_places, LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Sweep
 
 # Least visible part of all papers together, in whole papers.
@@ -80,18 +75,7 @@ class SweepPlace:
 
 
 class PaperSearch:
-    """
-    Search for the pose at which all papers fit a sweep.
-
-    Parameters
-    ----------
-    view : CylinderImage
-        Cylinder image of the sweep in the base frame, in which papers are searched.
-    room : Room
-        Papers and walls in map.
-    mount : PanTiltMount
-        Pan axis in the base frame.
-    """
+    """Search for the pose at which papers fit a sweep, found in its `view` in the base frame."""
 
     def __init__(
         self,
@@ -198,29 +182,25 @@ class PaperSearch:
         """Fits of few frames at poses, in the order of cost, until the rest is hopeless."""
         fits: list[PaperFit] = []
         enough = np.inf
+        base = se2.inverse([*self._mount.axis_xyz[:2], 0.0])
         for place in find_places(self._blobs, self._room, self._height_m, self._config):
             if place.cost > enough:
                 break
-            fit = self._fitter.fit(self._base(place), _QUICK_FRAMES, place.mount)
+            start = se2.compose(place.axis_pose, base)
+            fit = self._fitter.fit(start, _QUICK_FRAMES, place.mount)
             if fit is not None and self._room.contains(fit.pose_map_base[:2]):
                 fits.append(fit)
                 if _fits(fit, self._room):
                     enough = min(enough, place.cost + _HOPELESS)
         return fits
 
-    def _base(self, place: PaperPlace) -> FloatArray:
-        lever = np.array([*self._mount.axis_xyz[:2], 0.0])
-        return se2.compose(place.axis_pose, se2.inverse(lever))
-
     def _refusal(self, fits: list[PaperFit]) -> LandmarkNavError:
         config, frames = self._config, self._sweep.frames
         if all(is_grey(frame.image) for frame in frames):
             return LandmarkNavError(WITHOUT_COLOR)
         if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b) for b in self._blobs):
-            anywhere = replace(
-                config, height_sigma_m=_ANY_HEIGHT_M, horizon_sigma_rad=_ANY_TILT_RAD
-            )
-            search = PaperSearch(self._sweep, self._view, self._room, self._mount, anywhere)
+            loose = replace(config, height_sigma_m=_ANY_HEIGHT_M, horizon_sigma_rad=_ANY_TILT_RAD)
+            search = PaperSearch(self._sweep, self._view, self._room, self._mount, loose)
             try:
                 check_prior(search.fit(), self._room, config, WRONG_PRIOR)
             except WrongMountError as error:

@@ -106,9 +106,7 @@ class PaperPlaces:
         size: FloatArray = _NO_ERRORS[:1],
     ) -> FloatArray:
         """
-        Azimuths of right and left edges, tangents of bottom and top, (..., k, 4).
-
-        Tangents are those of the elevation at the middle azimuth.
+        Azimuths of right and left edges, tangents of elevation of bottom and top, (..., k, 4).
 
         Parameters
         ----------
@@ -127,7 +125,8 @@ class PaperPlaces:
         ends = np.stack([center - side, center + side], -2)
         ends = in_base(ends, axis_pose[..., None, :], mount[..., None, :])
         right, left = np.moveaxis(np.arctan2(ends[..., 1], ends[..., 0]), -1, 0)
-        # The bisector divides the paper in the ratio of the distances of its ends.
+        # Tangents are those at the middle azimuth: the bisector divides the paper in the ratio of
+        # the distances of its ends.
         reach = np.hypot(ends[..., 0], ends[..., 1])
         share = (reach / reach.sum(-1, keepdims=True))[..., ::-1, None]
         middle = np.sum(share * ends, -2)
@@ -139,11 +138,7 @@ class PaperPlaces:
 def linearized(
     of: Callable[[FloatArray], FloatArray], states: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """
-    Outlines (..., m) at states (..., n), and their derivatives (..., n, m), by differences.
-
-    `of` computes azimuths and tangents (..., m) of states with any leading dimensions.
-    """
+    """Azimuths and tangents `of` states (..., n), (..., m), and their derivatives (..., n, m)."""
     count = states.shape[-1]
     found = of(states[..., None, :] + _STEP * np.eye(count + 1, count, -1))
     return found[..., 0, :], np.asarray(wrap_rad(found[..., 1:, :] - found[..., :1, :]) / _STEP)
@@ -201,11 +196,7 @@ class PaperModel:
         return state[_COMMON : self._edge].reshape(self.papers, 2)
 
     def edge_index(self, paper: IndexArray, edge: IndexArray, bright: IndexArray) -> IndexArray:
-        """
-        Indices (2, n) of what shifts an edge as a whole, and of what turns it.
-
-        Both in its standard deviations: of all its points, and of its ends.
-        """
+        """Indices (2, n) of the shift of edges and of the rotation at their ends, in sigmas."""
         index = EDGES * (2 * paper + bright) + edge
         return np.stack([self._edge + index, self._turn + index])
 

@@ -148,30 +148,23 @@ def why_not(blobs: list[PaperBlobs], fits: list[PaperFit], room: Room) -> str:
         )
     if fits:
         best = max(fits, key=lambda fit: float(np.sum(fit.seen * (fit.agreed > 0.95))))
-        in_view = papers_in_view(best.pose_map_base[:2], room)
-        each = ', '.join(
-            f'{paper.color} '
-            + (
-                'fits'
-                if measured
-                else 'is out of view'
-                if not seen_from
-                else f'shows {100 * seen:.0f} % of its edges, {100 * agreed:.0f} % of them fit'
+        in_view, fitting = papers_in_view(best.pose_map_base[:2], room), measured_papers(best)
+        each = []
+        for k, paper in enumerate(room.papers):
+            seen, agreed = 100 * best.seen[k], 100 * best.agreed[k]
+            words = f'shows {seen:.0f} % of its edges, {agreed:.0f} % of them fit'
+            if fitting[k] or not in_view[k]:
+                words = 'fits' if fitting[k] else 'is out of view'
+            each.append(f'{paper.color} {words}')
+        remedy = 'uncover the papers, or check colours, sizes and places in room.yaml'
+        if (fitting | ~in_view).all():
+            remedy = (
+                'not all together: check sizes and places of the papers in room.yaml, and how the '
+                'pan axis stands in robot.yaml'
             )
-            for paper, measured, seen_from, seen, agreed in zip(
-                room.papers, measured_papers(best), in_view, best.seen, best.agreed, strict=True
-            )
-        )
-        alone = bool((measured_papers(best) | ~in_view).all())
-        remedy = (
-            'not all together: check sizes and places of the papers in room.yaml, and how the '
-            'pan axis stands in robot.yaml'
-            if alone
-            else 'uncover the papers, or check colours, sizes and places in room.yaml'
-        )
         return (
-            f'no place in the room fits the papers; at the nearest, ({place_text(best)}), {each}: '
-            f'{remedy}'
+            f'no place in the room fits the papers; at the nearest, ({place_text(best)}), '
+            f'{", ".join(each)}: {remedy}'
         )
     counted = ', '.join(f'{len(b)} {p.color}' for p, b in zip(room.papers, blobs, strict=True))
     return (

@@ -72,21 +72,7 @@ def papers_in_view(axis_xy: FloatArray, room: Room) -> npt.NDArray[np.bool_]:
 def find_places(
     blobs: Sequence[PaperBlobs], room: Room, eye_height_m: float, config: ReferenceAreaConfig
 ) -> list[PaperPlace]:
-    """
-    Poses in the room at which two or more papers fit some blobs.
-
-    Parameters
-    ----------
-    blobs : sequence of PaperBlobs
-        Candidates for each paper of the room.
-    config : ReferenceAreaConfig
-        Sigmas of height and tilt of the camera.
-
-    Returns
-    -------
-    list of PaperPlace
-        Distinct poses, the best first.
-    """
+    """Distinct poses at which two papers or more fit some of their `blobs`, the best first."""
     problem = _Problem(blobs, room, eye_height_m, config)
     poses = problem.pair_places()
     if not len(poses):
@@ -110,12 +96,7 @@ def find_places(
 
 
 class _Problem:
-    """
-    Blobs of all papers in one padded table (papers, blobs).
-
-    Poses have six values: x, y and heading of the pan axis, then height and tilts as in
-    `PaperPlace`, which have a prior.
-    """
+    """Blobs of all papers, padded; poses (n, 6) are axis pose and mount as in `PaperPlace`."""
 
     def __init__(
         self,

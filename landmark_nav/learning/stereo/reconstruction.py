@@ -67,27 +67,15 @@ def match_freely(
     """
     Find a candidate of panorama number `source` in the others, at any depth.
 
-    Parameters
-    ----------
-    config : StereoConfig
-        What counts as the same patch.
-    depths : tuple of ndarray, optional
-        Ranges of matched features.
-
-    Returns
-    -------
-    tuple of WallPatch and list of PatchMeasurement, or Refusal
-        The patch on its own plane and its measurements, that of its own panorama first.
+    `depths` are those of matched features. The result is the patch on its own plane and its
+    measurements, that of its own panorama first.
     """
     known = _known_depth(candidate, panoramas[source], depths)
     if depths is not None and known is None and not candidate.edge:
         return Refusal('no feature around it is found again')
     strict = max(config.min_score, _MIN_SCORE)
-    searches = [
-        _Search(candidate, source, other, panoramas, config)
-        for other in range(len(panoramas))
-        if other != source
-    ]
+    others = [other for other in range(len(panoramas)) if other != source]
+    searches = [_Search(candidate, source, other, panoramas, config) for other in others]
     best: tuple[float, WallPatch] | None = None
     refused = Refusal('found at no depth')
     for search in searches:
@@ -240,12 +228,7 @@ class _Search:
             distance *= _STEP
 
     def _patch(self, distance: float, turn: float) -> WallPatch | None:
-        """
-        Return the patch at a distance, rotated from facing both.
-
-        None if one view is too oblique, or it is below the floor, as in a mirror or outside a
-        window.
-        """
+        """Patch at a distance, rotated from facing both; None if oblique or below the floor."""
         candidate, here, there = self.candidate, self._here, self._there
         azimuth = float(here.cylinder.azimuth_rad(candidate.column)) + here.heading_rad
         ray = np.array([np.cos(azimuth), np.sin(azimuth), here.cylinder.tangent(candidate.row)])
@@ -258,6 +241,7 @@ class _Search:
         texel = distance / here.cylinder.fy
         if min(cosine, float(across @ normal) / float(np.hypot(*across[:2]))) < _LEAST_COSINE:
             return None
+        # As in a mirror or outside a window.
         if position[2] < 0.5 * candidate.height_px * texel:
             return None
         shape = (candidate.height_px, max(8, round(candidate.width_px / cosine)))

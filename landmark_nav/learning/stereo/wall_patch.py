@@ -126,15 +126,9 @@ class Ties:
 
 def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:
     """Measurement in the panorama that proposed the patch, which defines it."""
-    cylinder = panorama.cylinder
-    return PatchMeasurement(
-        patch.source,
-        float(cylinder.azimuth_rad(patch.candidate.column)),
-        float(cylinder.tangent(patch.candidate.row)),
-        0.0,
-        0.0,
-        1.0,
-    )
+    azimuth = float(panorama.cylinder.azimuth_rad(patch.candidate.column))
+    tangent = float(panorama.cylinder.tangent(patch.candidate.row))
+    return PatchMeasurement(patch.source, azimuth, tangent, 0.0, 0.0, 1.0)
 
 
 def wall_texture(patch: WallPatch, panorama: Panorama) -> Float32Array | None:
@@ -174,11 +168,8 @@ def covered_rows(patch: WallPatch, panorama: Panorama) -> slice:
 def _pixels(
     patch: WallPatch, panorama: Panorama, some: IndexArray | slice = slice(None)
 ) -> tuple[FloatArray, FloatArray]:
-    """
-    Pixels of a patch's texels in a panorama, or `some` columns: columns (w,) and rows (h, w).
-
-    Patch and cylinder are upright: a column of the patch lies in one column of the panorama.
-    """
+    """Pixels of a patch's texels, or of `some` columns of it: columns (w,) and rows (h, w)."""
+    # Patch and cylinder are upright: a column of the patch lies in one column of the panorama.
     cylinder = panorama.cylinder
     right, down = patch.axes
     offset = patch.position - panorama.center_map

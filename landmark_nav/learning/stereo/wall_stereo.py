@@ -46,20 +46,11 @@ _BLANK = 0.02
 
 def displaced_quarter(first: Float32Array, second: Float32Array) -> float:
     """
-    Greatest displacement of a quarter of a patch between two views.
+    Greatest displacement of a quarter of a patch between two views (h, w), pixels.
 
-    It is the deviation of the views, after correction of gain and offset, over their gradients.
-    The part common to all quarters is noise and is removed, as is the brightness of each quarter.
-
-    Parameters
-    ----------
-    first, second : ndarray, shape (h, w)
-        Both views, aligned and equally sharp.
-
-    Returns
-    -------
-    float
-        In pixels of the views.
+    The views are aligned and equally sharp. It is their deviation, after correction of gain and
+    offset, over their gradients. The part common to all quarters is noise and is removed, as is
+    the brightness of each quarter.
     """
     one, two = (cv2.GaussianBlur(view - view.mean(), (0, 0), _BLUR_PX) for view in (first, second))
     one *= np.sum(one * two) / np.sum(one * one)
@@ -73,13 +64,9 @@ def displaced_quarter(first: Float32Array, second: Float32Array) -> float:
 def _quarters(image: Float32Array) -> FloatArray:
     """Pixels of the four quarters (4, n), without the middle row and column of odd sizes."""
     rows, columns = image.shape[0] // 2, image.shape[1] // 2
-    return np.array(
-        [
-            part.ravel()
-            for half in (image[:rows], image[-rows:])
-            for part in (half[:, :columns], half[:, -columns:])
-        ]
-    )
+    halves = image[:rows], image[-rows:]
+    parts = [part for half in halves for part in (half[:, :columns], half[:, -columns:])]
+    return np.array([part.ravel() for part in parts])
 
 
 # Number of sigmas of the poses that are searched, and the largest margin on the wall.
@@ -205,9 +192,8 @@ def compare(
         # A patch that is not flat may be matched by any part of it.
         relief = _RELIEF_SHARE * displaced * coarser * patch.texel_m / reach
         sigma = np.hypot(sigma, relief)
-    nearer = 0.0, np.inf
-    if not patch.candidate.edge:
-        nearer = log_nearer(patch, point, (here, there))
+    edge = patch.candidate.edge
+    nearer = (0.0, np.inf) if edge else _log_nearer(patch, point, (here, there))
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -305,27 +291,10 @@ MARGIN = 4
 _INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
 
-def log_nearer(
+def _log_nearer(
     patch: WallPatch, point: FloatArray, panoramas: tuple[Panorama, Panorama]
 ) -> tuple[float, float]:
-    """
-    Log ratio of the distances of two panoramas from the true plane of a patch.
-
-    Parameters
-    ----------
-    patch : WallPatch
-        The patch in the first of `panoramas`.
-    point : ndarray, shape (3,)
-        Its match in the other, on the plane of the patch.
-    panoramas : tuple
-        Both panoramas.
-
-    Returns
-    -------
-    tuple of float
-        Logarithm of the distance of the first panorama over that of the second, and its sigma,
-        which is infinite if the ratio is not observable.
-    """
+    """`log_nearer` of a patch matched at a point of its plane; its sigma, inf if unknown."""
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
     views = [
         wall_texture(replace(patch, position=place, shape=shape), panorama)
@@ -353,7 +322,7 @@ def log_magnification(
 
     Shift, gain, offset and blur are estimated too: a slightly more blurred view would look larger,
     as its outlines are wider. Gradients are those of the template alone: with a view's own
-    gradients its noise would look like blur.
+    gradients its noise would look like blur. The result is None if the pattern does not show it.
 
     Parameters
     ----------
@@ -362,11 +331,6 @@ def log_magnification(
         outermost `MARGIN` pixels are used for filtering only.
     pixel : float
         Texels per pixel of the coarser view: the correlation length of its noise.
-
-    Returns
-    -------
-    tuple of float, or None
-        None if the pattern does not show the magnification.
     """
     height, width = template.shape
     right, down = (
