@@ -41,12 +41,14 @@ from landmark_nav.learning.panorama.photometry import even_out, measure_photomet
 from landmark_nav.learning.panorama.synthesis import CylinderImage, synthesize_cylinder
 from landmark_nav.learning.reference_area.faults import PaperRecord
 from landmark_nav.learning.reference_area.location import (
+    MountError,
     optical_height,
     PaperSearch,
     SweepPlace,
+    WRONG_PRIOR,
+    WrongMountError,
 )
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
-from landmark_nav.learning.reference_area.refusals import MountError, WRONG_PRIOR, WrongMountError
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm

@@ -233,7 +233,7 @@ def edges_among(
     edges, rest = [], []
     for candidate, why in refused:
         edge, sector = replace(candidate, edge=True), _sector(candidate, width)
-        few = taken[sector] < _FEW and is_upright_edge(_patch(candidate, gray))
+        few = taken[sector] < _FEW and is_upright_edge(_neighborhood(candidate, gray, 0, 0)[0])
         if few and refusal(edge, gray, config) is None:
             edges.append(edge)
             taken[sector] += 1
@@ -244,11 +244,6 @@ def edges_among(
 
 def _sector(candidate: Candidate, width: int) -> int:
     return int((candidate.column + 0.5) * _SECTORS / width) % _SECTORS
-
-
-def _patch(candidate: Candidate, gray: ImageArray) -> ImageArray:
-    window, column, row = _neighborhood(candidate, gray, 0, 0)
-    return window[row : row + candidate.height_px, column : column + candidate.width_px]
 
 
 def _neighborhood(

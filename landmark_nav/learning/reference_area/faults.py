@@ -24,13 +24,13 @@ from landmark_nav.learning.least_squares import covariance_of, Equations, levenb
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutlines
+from landmark_nav.learning.reference_area.location import MountError, tilt_text
 from landmark_nav.learning.reference_area.model import (
     linearized,
     OF_PAPER,
     PaperPlaces,
     ReferenceAreaConfig,
 )
-from landmark_nav.learning.reference_area.refusals import MountError, tilt_text
 from landmark_nav.learning.reference_area.search import (
     find_places,
     LEAST_PAPERS,
