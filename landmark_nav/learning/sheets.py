@@ -172,10 +172,6 @@ def _located(edges: FloatArray, height_m: float) -> tuple[FloatArray, FloatArray
     return reach * ray, np.stack([by_azimuth, by_azimuth, up + nearer, up - nearer], 1)
 
 
-# Step of numerical differentiation of a pose, m and rad.
-_STEP = 1e-5
-
-
 def find_markers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
     """Find markers of one dictionary; `LandmarkNavError` if OpenCV has no detector."""
     if not hasattr(cv2, 'aruco') or not hasattr(cv2.aruco, 'ArucoDetector'):
@@ -231,16 +227,10 @@ def locate_square(
     turn, middle = cv2.solvePnPRefineLM(
         square, flat[:, None], np.eye(3), np.zeros(4), turns[0], middles[0]
     )
-    pose: FloatArray = np.concatenate([turn, middle]).ravel().astype(np.float64)
-
-    def projected(at: FloatArray) -> FloatArray:
-        pixels, _ = cv2.projectPoints(square, at[:3], at[3:], np.eye(3), np.zeros(4))
-        return np.asarray(pixels, dtype=np.float64).ravel()
-
-    jacobian = np.stack(
-        [(projected(pose + s) - projected(pose - s)) / (2.0 * _STEP) for s in _STEP * np.eye(6)], 1
-    )
-    if pose[5] <= 0.0 or np.linalg.matrix_rank(jacobian) < len(pose):
+    # Derivatives by rotation and translation come first.
+    _, by_all = cv2.projectPoints(square, turn, middle, np.eye(3), np.zeros(4))
+    jacobian, center = by_all[:, :6], np.asarray(middle, dtype=np.float64).ravel()
+    if center[2] <= 0.0 or np.linalg.matrix_rank(jacobian) < 6:
         return None
     covariance = sigma_rad**2 * np.linalg.inv(jacobian.T @ jacobian)
-    return np.asarray(pose[3:] @ axes), np.asarray(axes.T @ covariance[3:, 3:] @ axes)
+    return center @ axes, np.asarray(axes.T @ covariance[3:, 3:] @ axes)

@@ -21,19 +21,17 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_one_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.calibration.combined import (
+from landmark_nav.learning.calibration.sweep_calibration import (
     as_calibrated,
+    calibrate_sweep,
+    FAR_M,
     HEIGHT,
     levelled,
+    moved_px,
+    SweepCalibration,
     tilted,
     with_overlaps,
     with_papers,
-)
-from landmark_nav.learning.calibration.sweep_calibration import (
-    calibrate_sweep,
-    FAR_M,
-    moved_px,
-    SweepCalibration,
 )
 from landmark_nav.learning.calibration.turn import check_turn
 from landmark_nav.learning.least_squares import checked_covariance

@@ -10,10 +10,10 @@ from scipy.special import chdtri
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.learning.calibration.combined import with_overlaps
 from landmark_nav.learning.calibration.sweep_calibration import (
     align_sweep,
     calibrate_sweep,
+    with_overlaps,
 )
 from landmark_nav.types import CameraFrame, Sweep
 

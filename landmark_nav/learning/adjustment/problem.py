@@ -21,8 +21,7 @@ from landmark_nav.calibration import LENS, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.calibration.combined import tilt_axes
-from landmark_nav.learning.calibration.sweep_calibration import FAR_M
+from landmark_nav.learning.calibration.sweep_calibration import FAR_M, tilt_axes
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.parameters import Config

@@ -33,26 +33,21 @@ class AttentionConfig(Config):
     are found again beyond chance in the simulated rooms for tuning (docs/decisions.md).
     """
 
-    # Weight of Canny edges.
     weight_edges: float = 0.25
-    # Weight of corners.
     weight_corners: float = 0.2
     # Weight of symmetry about a point.
     weight_symmetry: float = 0.25
-    # Smallest width and height of a patch, px.
+    # Widths and heights of patches.
     size_min_px: int = 28
-    # Largest width and height of a patch, px.
     size_max_px: int = 32
-    # Step between sizes, px.
     size_step_px: int = 2
     candidates: int = parameter(120, 'patches per panorama at most', minimum=1, maximum=10000)
     # Smallest response, relative to the first.
     least_response: float = 0.1
     # Largest number of patches in a sector of azimuth.
     candidates_per_sector: int = 12
-    # Neighbourhood to either side in which no similar patch may be, px.
+    # Neighbourhood, to either side and up and down, in which no similar patch may be.
     neighborhood_columns_px: int = 60
-    # Neighbourhood up and down in which no similar patch may be, px.
     neighborhood_rows_px: int = 16
 
     @property

@@ -29,9 +29,8 @@ class CaptureConfig(Config):
         maximum=1.0,
     )
     frames: int = parameter(72, 'frames of a sweep', minimum=1, maximum=1440)
-    # Lower limit of the pan joint, rad; steps beyond it are left out.
+    # Limits of the pan joint; steps beyond them are left out.
     pan_min_rad: float = -np.pi
-    # Upper limit of the pan joint, rad; steps beyond it are left out.
     pan_max_rad: float = np.pi
     # Distance from the commanded pan that counts as arrived, rad.
     arrival_tolerance_rad: float = 0.01

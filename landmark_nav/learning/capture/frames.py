@@ -218,9 +218,17 @@ class Album:
 
     def blurred(self, step: int, frame: KeptFrame) -> str | None:
         """Why a frame counts as blurred or covered, '' if it is sharp, None if that is unknown."""
-        ratio = self._sharpness(step, frame)
-        if ratio is None or ratio >= _MIN_SHARPNESS:
-            return None if ratio is None else ''
+        pan_rad = frame.joints.pan_rad
+        others = [kept for k, kept in self.frames.items() if k != step]
+        turned = [(float(wrap_rad(pan_rad - kept.joints.pan_rad)), kept) for kept in others]
+        turned.sort(key=lambda pair: abs(pair[0]))
+        nearest = turned[:_NEIGHBOURS]
+        ratios = [relative_sharpness(frame.look, kept.look, turn) for turn, kept in nearest]
+        known = [ratio for ratio in ratios if ratio is not None]
+        if not known:
+            return None
+        if (ratio := float(np.median(known))) >= _MIN_SHARPNESS:
+            return ''
         return f'blurred or covered: {ratio:.2f} of the texture that its neighbours show'
 
     def review(self) -> list[tuple[KeptFrame, str]]:
@@ -231,17 +239,6 @@ class Album:
                 self.suspect.add(step)
                 found.append((kept, reason))
         return found
-
-    def _sharpness(self, step: int, frame: KeptFrame) -> float | None:
-        """Median sharpness relative to the nearest frames that overlap; None if none does."""
-        pan_rad = frame.joints.pan_rad
-        others = [kept for k, kept in self.frames.items() if k != step]
-        turned = [(float(wrap_rad(pan_rad - kept.joints.pan_rad)), kept) for kept in others]
-        turned.sort(key=lambda pair: abs(pair[0]))
-        nearest = turned[:_NEIGHBOURS]
-        ratios = [relative_sharpness(frame.look, kept.look, turn) for turn, kept in nearest]
-        known = [ratio for ratio in ratios if ratio is not None]
-        return float(np.median(known)) if known else None
 
 
 def sharpest(shots: list[KeptFrame]) -> tuple[KeptFrame, float]:

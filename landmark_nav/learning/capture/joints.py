@@ -114,9 +114,12 @@ class PanReach:
         self._has_moved = False
         self.unconfirmed_limit_rad: float | None = None
         self.stops_rad: list[float] = []
-        self.targets: FloatArray
         self._low, self._high = config.pan_min_rad, config.pan_max_rad
-        self._renew()
+
+    @property
+    def targets(self) -> FloatArray:
+        """Pan of each step, (frames,); NaN out of reach."""
+        return self._config.targets(self._low, self._high)
 
     def nearest(self, pan_rad: float) -> float:
         """Return the pan clipped to the limits."""
@@ -143,11 +146,7 @@ class PanReach:
             self._high = pan_rad + margin
         else:
             self._low = pan_rad - margin
-        self._renew()
         return True
-
-    def _renew(self) -> None:
-        self.targets = self._config.targets(self._low, self._high)
 
 
 class BaseMotion:

@@ -31,11 +31,9 @@ class ReferenceAreaConfig(Config):
     They are chosen by hand; larger errors are detected and named.
     """
 
-    # Sigma of the position of a paper.
+    # Sigmas of the position of a paper, of the camera's height, and of the pan axis' tilt.
     paper_sigma_m: float = 0.001
-    # Sigma of the camera's height.
     height_sigma_m: float = 0.005
-    # Sigma of the pan axis' tilt.
     horizon_sigma_rad: float = 0.003
     # Sigma of the error that all points of an edge share.
     edge_sigma_px: float = 0.05

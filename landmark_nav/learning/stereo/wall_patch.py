@@ -39,9 +39,8 @@ class StereoConfig(Config):
     min_parallax_rad: float = 0.04
     # Least ratio of ranges of two views in line, for depth from scale.
     min_approach: float = 1.25
-    # Range of the search behind the wall.
+    # Range of the search behind the wall and in front of it.
     behind_wall_m: float = 0.15
-    # Range of the search in front of the wall.
     before_wall_m: float = 0.5
     max_displaced_px: float = parameter(
         0.7,
