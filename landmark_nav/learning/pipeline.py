@@ -116,6 +116,14 @@ def learn_from_panoramas(
 
     joint = joint_covariance(panoramas, room, config.reference_area) if places is None else places
 
+    without_walls = replace(
+        config.adjustment,
+        relief_sigma_m=_NO_WALL_M,
+        camera_weight=_AS_EXPECTED,
+        place_weight=_AS_EXPECTED,
+        room_weight=_AS_EXPECTED,
+    )
+
     def adjusted_by(expected: AdjustmentConfig) -> Adjustment:
         start = np.array([patch.position for patch in found.patches])
         seen, walls, normals = found.measurements, found.walls, found.normals
@@ -124,7 +132,7 @@ def learn_from_panoramas(
     with log.measure('stereo'):
         found = reconstruct(panoramas, candidates, room, config.stereo, ties)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
-            free = adjusted_by(_without_walls(config))
+            free = adjusted_by(without_walls)
             room, shift_m = moved_walls(free, found.walls, room, config.adjustment)
             if shift_m > config.adjustment.hanging_sigma_m:
                 found = reconstruct(panoramas, candidates, room, config.stereo, ties)
@@ -136,7 +144,7 @@ def learn_from_panoramas(
             'the same textured walls, and check room.yaml'
         )
     with log.measure('adjustment'):
-        free = adjusted_by(_without_walls(config))
+        free = adjusted_by(without_walls)
         hidden = ''
         if ties is None:  # with ties, walls are estimated, so that there are none to check
             behind = [patch.wall for patch in found.patches]
@@ -190,16 +198,6 @@ def learn_from_panoramas(
         tuple(tuple(why for _, why in a.refused) for a in attended),
         residuals,
         warning,
-    )
-
-
-def _without_walls(config: LearningConfig) -> AdjustmentConfig:
-    return replace(
-        config.adjustment,
-        relief_sigma_m=_NO_WALL_M,
-        camera_weight=_AS_EXPECTED,
-        place_weight=_AS_EXPECTED,
-        room_weight=_AS_EXPECTED,
     )
 
 

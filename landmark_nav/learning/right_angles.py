@@ -18,14 +18,7 @@ _TAIL_WIDTH = 2.0
 
 
 def common_direction(angle_rad: FloatArray, variance: FloatArray, length_m: FloatArray) -> float:
-    """
-    Direction to which most walls are at right angles.
-
-    Parameters
-    ----------
-    angle_rad, variance, length_m : ndarray, shape (n,)
-        Directions of walls, their variances, and the lengths of the walls.
-    """
+    """Direction to which most walls are at right angles, by those of n walls and their lengths."""
 
     def support(direction: float) -> float:
         return float(length_m @ _weights(from_right(angle_rad - direction), variance))

@@ -31,14 +31,8 @@ def assemble_sweep(
 
     Raises `LandmarkNavError`: no angles, or no images.
 
-    Parameters
-    ----------
-    trajectory : sequence of JointSample
-        One sample for each kept frame.
-    images : mapping
-        Stamp in nanoseconds -> image and camera; images with other stamps are ignored.
-    pose_map_base : PoseEstimate, optional
-        Pose of the base during the sweep, if known.
+    `trajectory` has one sample for each kept frame. `images` are by stamp, ns, with their cameras;
+    those with other stamps are ignored. `pose_map_base` is the pose of the base, if known.
     """
     if not trajectory:
         raise LandmarkNavError('the sweep has no frames: take it again')

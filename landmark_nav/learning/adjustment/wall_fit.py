@@ -59,21 +59,11 @@ def check_walls(
     free: Adjustment, walls: Sequence[int], room: Room, expected: AdjustmentConfig
 ) -> str:
     """
-    Compare positions of patches by stereo alone with the walls.
+    Compare patches in an adjustment without walls with the `walls` behind them, -1 for none.
+
+    The text is a warning about walls that furniture may hide or that may be elsewhere, or empty.
 
     Raises `LandmarkNavError`: walls do not fit; each is named with its residuals.
-
-    Parameters
-    ----------
-    free : Adjustment
-        Adjustment without the walls.
-    walls : sequence of int
-        Wall behind each patch, -1 for none.
-
-    Returns
-    -------
-    str
-        Warning about walls that furniture may hide or that may be elsewhere; else empty.
     """
     complaints: list[str] = []
     warnings: list[str] = []
@@ -258,19 +248,8 @@ def moved_walls(
     """
     Move walls that have a `sigma_m`, that of each end, to the patches on them.
 
-    Parameters
-    ----------
-    free : Adjustment
-        Adjustment without the walls.
-    walls : sequence of int
-        Wall of each patch.
-
-    Returns
-    -------
-    Room
-        The same room if no wall with a `sigma_m` has patches.
-    float
-        Greatest shift of the end of a wall along its normal, m.
+    Arguments are those of `check_walls`. Returned are the room, the same if no such wall has
+    patches, and the greatest shift of the end of a wall along its normal, m.
     """
     index = np.asarray(walls, dtype=np.intp)
     seen = [k for k, wall in enumerate(room.walls) if wall.sigma_m and np.any(index == k)]

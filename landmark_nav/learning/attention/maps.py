@@ -8,7 +8,6 @@ panorama, which is fine enough for patches of about 30 px.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -236,13 +235,6 @@ def conspicuity_map(
     return np.asarray(stands_out * np.float32((1.0 - others) ** 2), dtype=np.float32)
 
 
-def fuse(conspicuities: Mapping[str, Float32Array], weights: Mapping[str, float]) -> Float32Array:
-    """Weighted mean of conspicuity maps of the same shape."""
-    total = sum(weights[name] for name in conspicuities)
-    fused = sum(np.float32(weights[name] / total) * m for name, m in conspicuities.items())
-    return np.asarray(fused, dtype=np.float32)
-
-
 # Sigmas of the difference of Gaussians, px of the panorama.
 CENTER_SIGMA_PX, SURROUND_SIGMA_PX = 4.0, 16.0
 # Thresholds of the hysteresis of Canny edges, grey levels per px: chosen by hand.
@@ -282,7 +274,9 @@ def attention_maps(panorama_gray: ImageArray, config: AttentionConfig) -> Attent
     features = {name: features[name] for name in weights}
     sigmas = CENTER_SIGMA_PX / 2.0, SURROUND_SIGMA_PX / 2.0
     conspicuities = {name: conspicuity_map(m, *sigmas, side // 2) for name, m in features.items()}
-    fused = fuse(conspicuities, weights)
+    total = sum(weights.values())
+    fused = sum(np.float32(weights[name] / total) * m for name, m in conspicuities.items())
+    fused = np.asarray(fused, dtype=np.float32)
     full = cv2.resize(fused, padded.shape[::-1], interpolation=cv2.INTER_LINEAR)
     saliency = np.asarray(full[:height, side : side + width], np.float32, order='C')
     return AttentionMaps(features, conspicuities, saliency, side // 2)

@@ -23,7 +23,6 @@ from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig
 from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
 
 Examine = Callable[[Candidate], 'Refusal | None']
-
 # Distance between units in the layers of the pyramid, top first, px.
 _PITCHES_PX = (4, 2, 1)
 # Number of sectors of azimuth; `candidates_per_sector` limits each.

@@ -33,7 +33,6 @@ from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
 _POINTS_PER_PAIR = 60
 _SPACING_PX = 14
 _LEAST_PER_PAIR = 6
-
 # Consecutive frames of a chain are up to this share of the field of view apart.
 _LEAP = 0.42
 
@@ -165,14 +164,11 @@ COMMON = (
     'principal_point',
 )
 _STEPS = np.array([1e-5, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-5])
-
 _ITERATIONS = 12
 _CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
-
 # Bias of tracking in any pattern, which does not decrease with the number of points.
 _BIAS_PX = 0.003
-
 # Relative sigma of the range of an object that may stand anywhere between the camera and the wall
 # (uniform), and its size as seen, 0.6 m at 3 m; step of numerical differentiation.
 _RANGE_SHARE, _OBJECT_RAD, _RANGE_STEP = 12.0**-0.5, 0.2, 1e-3
@@ -201,16 +197,10 @@ class Fit:
 
 class OverlapProblem:
     """
-    Matches of a sweep as functions of its calibration.
+    Matches of a sweep, whose frames have one camera, as functions of its calibration.
 
-    Parameters
-    ----------
-    sweep : Sweep
-        The given sweep; all frames have one camera.
-    range_m : callable, optional
-        Horizontal range from the axis at azimuths and tangents (n,).
-    guessed : bool
-        Whether the ranges are a guess, not those of walls.
+    `range_m` gives the horizontal range from the axis, m, at azimuths and tangents (n,); it may be
+    `guessed`, not that of walls.
     """
 
     def __init__(

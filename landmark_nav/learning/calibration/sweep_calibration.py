@@ -42,16 +42,12 @@ from landmark_nav.quality import CalibrationTerm, PanoramaQuality, SIGNIFICANT
 from landmark_nav.types import FloatArray, Sweep
 
 _FOCAL, _DISTORTION, _SCALE, _TILT, _ROLL, _FORWARD, _LEFT, _PRINCIPAL = range(len(COMMON))
-
 # Fewest matches per link of the chain.
 _LEAST_PER_LINK = 8
-
 # Probability of a misfit by chance with which a camera is as given.
 _CHANCE = 1e-3
-
 # Usual and greatest range of walls in a room; parallax is negligible beyond it.
 _USUAL_RANGE_M, FAR_M = 3.0, 50.0
-
 # Sigmas of pan, tilt and roll of a single frame: of a pan-tilt unit, by encoder steps and
 # elasticity, and of rough angles; rounds in which these are aligned, and matches that this needs.
 _UNIT_SIGMA_RAD, _ROUGH_SIGMA_RAD = (5e-4, 2e-4, 2e-4), (0.03, 0.01, 0.01)

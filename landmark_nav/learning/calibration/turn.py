@@ -28,7 +28,6 @@ _MOST_SCATTER, _MOST_OFF = 0.08, 0.15
 _LEAST_SPAN_RAD, _LEAST_PANS = np.radians(8.0), 3
 # Pans that differ by less are equal, rad.
 _SAME_PAN_RAD = np.radians(0.1)
-
 PAN_REVERSED = (
     'the sign of the pan is reversed: the images turn the other way than the pan of '
     'sweep/trajectory; turn its sign in the driver, or roll pan_axis by pi in robot.yaml'
@@ -81,12 +80,8 @@ def measure_turn(sweep: Sweep, mount: PanTiltMount) -> tuple[float | None, float
     """
     Measure the rotation of the images of a sweep; its frames are in the order of time.
 
-    Returns
-    -------
-    ratio : float or None
-        Rotation relative to that of the pan; None if too few frames overlap.
-    full_turn : float or None
-        Change of the pan, in turns, after which the images repeat; None if they never do.
+    Returned are the rotation relative to that of the pan, None if too few frames overlap, and the
+    change of the pan, in turns, after which the images repeat, None if they never do.
     """
     camera = sweep.frames[0].camera
     view, field_rad = StripView(camera, mount, sweep.frames[0].tilt_rad), 2.0 * camera.half_fov_rad

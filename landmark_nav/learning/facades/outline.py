@@ -57,14 +57,9 @@ def room_of(
     """
     Build a room from facades.
 
-    Raises `LandmarkNavError`: the facades and the walls that join them do not surround the sweeps.
+    `points` are those that panoramas share, `eyes` (v, 3) the viewpoints of the sweeps in map.
 
-    Parameters
-    ----------
-    points : SeenPoints
-        Points that panoramas share.
-    eyes : ndarray, shape (v, 3)
-        Viewpoints of the sweeps, in map.
+    Raises `LandmarkNavError`: the facades and the walls that join them do not surround the sweeps.
     """
     tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
     height = max([config.wall_height_m, *(f.high_m + _ABOVE_M for f in facades)])
@@ -81,11 +76,7 @@ def room_of(
 
 
 def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig) -> Room:
-    """
-    Room around all points, if facades enclose none; nothing is known about its walls.
-
-    Arguments are those of `room_of`; `points` are those that panoramas share.
-    """
+    """Room around all points, if facades enclose none; arguments are those of `room_of`."""
     middle = eyes[:, :2].mean(0)
     reach = np.hypot(*(points.positions[:, :2] - middle).T)
     least = float(np.hypot(*(eyes[:, :2] - middle).T).max()) + _OPEN_M

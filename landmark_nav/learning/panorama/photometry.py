@@ -25,7 +25,6 @@ _STEP_RAD = np.radians(2.5)
 _ROWS = 14
 # Usable grey levels: darker ones are mostly noise, brighter ones may be clipped.
 _LEVELS = (15.0, 225.0)
-
 _ROUNDS = 5
 _SIGNIFICANCE = 4.0
 # A sweep is brightened if its 90 % quantile of grey levels is between these two: contrast is

@@ -24,7 +24,6 @@ from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
 
 # Spacing of exact projections; the map is interpolated between them, with errors below 0.02 px.
 _GRID_PX = 8
-
 # Largest elevation of the camera; beyond it, it sees no walls.
 _MAX_ELEVATION_DEG = 45.0
 
@@ -164,7 +163,6 @@ def _border_rays(camera: CameraModel) -> FloatArray:
 # Neighbour to both sides up to which a frame is used: each pixel is then covered by eight frames
 # (seven in the paper), or four, if they are feathered.
 _OF_MEDIAN, _OF_FEATHER = 4, 2
-
 # Smallest number of frames for a median; pixels covered by fewer are feathered.
 _MIN_FOR_MEDIAN = 3
 

@@ -22,16 +22,12 @@ from landmark_nav.types import FloatArray
 
 # Resolution of the search.
 _SEARCH_PX_PER_RAD = 280.0
-
 _PURITIES = (0.15, 0.25, 0.35, 0.45, 0.55, 0.7)
-
 # Greatest deviation of the hue in any light, and its sigma.
 _WIDEST_TURN_RAD = np.radians(38.0)
 _TURN_SIGMA_RAD = np.radians(13.0)
-
 # Darker pixels have no hue, brighter ones are saturated.
 _DARKEST, _BRIGHTEST = 14.0, 250.0
-
 # Least share of its bounding box that a blob fills; it is small for a partly covered paper.
 _SOLID = 0.55
 _LEAST_AREA_PX = 40.0

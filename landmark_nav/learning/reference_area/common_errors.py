@@ -26,13 +26,10 @@ from landmark_nav.types import FloatArray, Panorama
 
 # Sigma of an edge by its tens of profiles, without the error that its points share.
 _PROFILES_PX = 0.03
-
 # x, y, heading, height, two tilts, size of papers; then two values of each paper.
 _SIZE, _PAPERS = 6, 7
-
 # Share of the variance in height that sweeps have in common; largest share of any other variance.
 _COMMON, _MOST = 0.9, 0.99
-
 _X_Y_HEIGHT = [0, 1, 3]  # of these states
 _X_Y_HEADING = [0, 1, 3]  # of x, y, z, heading
 _PLAN = np.ix_(_X_Y_HEADING, _X_Y_HEADING)

@@ -25,20 +25,16 @@ from landmark_nav.types import FloatArray, ImageArray
 
 # Profiles averaged for one measurement of an edge.
 PROFILES = 5
-
 _STEP_PX = 0.25
 # Half width of the transition in a profile, and width of the levels on either side.
 _CHANGE_PX, _LEVEL_PX = 1.75, 2.25
-
 _LEAST_STEP = 9.0
 # Brightness at which a wall is saturated, and the sigma of its edges then.
 _BURNT, _BURNT_SIGMA_PX = 250.0, 0.3
 # Greatest distance between the edges by colour and by brightness.
 _SAME_PX = 0.7
-
 # Step of the derivative by the camera's response, and greatest derivative of an edge.
 _GAMMA_STEP, _MOST_BY_GAMMA = 0.25, 1.5
-
 _BRIGHTNESS = np.array([0.114, 0.587, 0.299])
 
 

@@ -29,7 +29,6 @@ from landmark_nav.types import FloatArray, Sweep
 
 # Number of measurements along each edge of a paper in each frame.
 _PARTS = 4
-
 # Greatest number of frames that are used for a paper.
 MOST_FRAMES = 12
 # Reach of the profiles across edges in successive rounds; and for each round the squared residuals
@@ -38,7 +37,6 @@ _SEARCH_PX = (13.0, 8.0, 7.0)
 _TAIL_WIDTHS = ((400.0, 100.0, 40.0), (60.0, 25.0, 12.0), (12.0, 9.0, 9.0))
 # Greatest squared residual of an inlier, in sigmas.
 _SURELY_WRONG = 25.0
-
 # Least width of a paper in a frame; and width below which colour edges have a further sigma, as
 # JPEG mixes the colours of narrow papers and the wall.
 _LEAST_WIDTH_PX, _NARROW_PX = 4.5, 7.0

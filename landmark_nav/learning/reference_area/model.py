@@ -146,12 +146,10 @@ def linearized(
 EDGES = 4
 # Share of an edge's length on which its points lie.
 EDGE_SHARE = 0.88
-
 # x, y, heading of the base; height and two tilts of the axis; relative error of the size of all
 # papers; gamma of colours, which JPEG blurs once more after the camera wrote them, and of
 # brightness; shift of colours, two pixels.
 RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 7, 7, 9, 11
-
 # Usual response to light, between linear and that of sRGB, and its sigma.
 _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
 _SHIFT_SIGMA_PX = 0.15

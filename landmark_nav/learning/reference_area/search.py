@@ -24,22 +24,18 @@ from landmark_nav.types import FloatArray
 
 # Fewest papers; with two, a misplaced one is not detected.
 LEAST_PAPERS = 3
-
 # Sigma of a blob, whose outline is a pixel or two off.
 _OUTLINE_SIGMA = 0.008
-
 # Cost of a paper that should be in view and is not found, squared sigmas.
 _MISSING = 25.0
 # Squared residual at which the robust weight has fallen to a quarter.
 _TAIL_WIDTH = 9.0
-
 _MOST_PAIRS = 1500
 _MOST_PLACES = 6
 # Rounds of refinement of all poses, with factors on the sigmas above; then rounds of the best ones
 # with factor 1.
 _ROUGH_ROUNDS, _FINE_ROUNDS = (4.0, 2.0), 5
 _MOST_REFINED = 150
-
 # Greatest angle of a paper to the line of sight.
 _FLATTEST_RAD = 1.4
 

@@ -28,7 +28,6 @@ from landmark_nav.types import Candidate, FloatArray, Landmark, Panorama, Refusa
 
 # Azimuths in the base frame, tangents and horizontal distances (n,) of points in a panorama.
 Depths = tuple[FloatArray, FloatArray, FloatArray]
-
 # Ratio of consecutive depths; half a step is searched on either side of each.
 _STEP = 0.72
 _NEAREST_M, _FARTHEST_M, _WIDEST_M = 0.5, 12.0, 2.0
@@ -79,11 +78,11 @@ def match_freely(
     best: tuple[float, WallPatch] | None = None
     refused = Refusal('found at no depth')
     for search in searches:
-        at = known or search.with_least(strict).depth()
+        at = known or search.depth(strict)
         if isinstance(at, Refusal):
             refused = at
             continue
-        turned = search.with_least(_TURNING_SHARE * config.min_score).turned(at)
+        turned = search.turned(at, _TURNING_SHARE * config.min_score)
         if turned is not None and (best is None or turned[0] > best[0]):
             best = turned
     if best is None:
@@ -91,7 +90,7 @@ def match_freely(
     patch = best[1]
     seen = []
     for search in searches:
-        found = search.near(patch)
+        found = search.near(patch, config.min_score)
         if isinstance(found, Refusal):
             refused = found
         else:
@@ -167,45 +166,39 @@ def _known_depth(candidate: Candidate, panorama: Panorama, depths: Depths | None
     return _Depth(middle, _DEPTH_SHARE * middle + spread, agreed)
 
 
-@dataclass(frozen=True, eq=False)
 class _Search:
     """Search of a candidate of panorama `source` in panorama `other`, off the walls."""
 
-    candidate: Candidate
-    source: int
-    other: int
-    panoramas: Sequence[Panorama]
-    config: StereoConfig
+    def __init__(
+        self,
+        candidate: Candidate,
+        source: int,
+        other: int,
+        panoramas: Sequence[Panorama],
+        config: StereoConfig,
+    ) -> None:
+        self._candidate, self._source, self._other = candidate, source, other
+        self._panoramas, self._config = panoramas, config
+        self._here, self._there = panoramas[source], panoramas[other]
 
-    @property
-    def _here(self) -> Panorama:
-        return self.panoramas[self.source]
-
-    @property
-    def _there(self) -> Panorama:
-        return self.panoramas[self.other]
-
-    def with_least(self, score: float) -> _Search:
-        """Return the search with another least score."""
-        return replace(self, config=replace(self.config, min_score=score))
-
-    def depth(self) -> _Depth | Refusal:
-        """Distance of the candidate, from a search along its epipolar curve."""
+    def depth(self, least: float) -> _Depth | Refusal:
+        """Distance of the candidate, from a search along its epipolar curve; by a least score."""
         found: list[tuple[float, float]] = []
         for patch in self._moved():
             step = 0.5 * (1.0 / _STEP - 1.0) * patch.reach_m(self._here)
             if patch.reach_m(self._there) < 2.0 * step:
                 continue
             wide = replace(
-                self.config,
+                self._config,
+                min_score=least,
                 before_wall_m=min(step, _WIDEST_M),
                 behind_wall_m=min(1.3 * step, _WIDEST_M),
                 # Its rotation is not known yet.
                 max_displaced_px=100.0,
             )
-            seen = compare(patch, self.other, self.panoramas, wide)
+            seen = compare(patch, self._other, self._panoramas, wide)
             if isinstance(seen, PatchMeasurement):
-                distance = self._distance(patch, seen)
+                distance = _distance(patch, seen, self._here, self._there, self._config)
                 if distance is not None:
                     found.append((seen.score, distance))
         if not found:
@@ -229,7 +222,7 @@ class _Search:
 
     def _patch(self, distance: float, turn: float) -> WallPatch | None:
         """Patch at a distance, rotated from facing both; None if oblique or below the floor."""
-        candidate, here, there = self.candidate, self._here, self._there
+        candidate, here, there = self._candidate, self._here, self._there
         azimuth = float(here.cylinder.azimuth_rad(candidate.column)) + here.heading_rad
         ray = np.array([np.cos(azimuth), np.sin(azimuth), here.cylinder.tangent(candidate.row)])
         position = here.center_map + distance * ray
@@ -245,10 +238,12 @@ class _Search:
         if position[2] < 0.5 * candidate.height_px * texel:
             return None
         shape = (candidate.height_px, max(8, round(candidate.width_px / cosine)))
-        return WallPatch(candidate, self.source, -1, position, normal, shape, texel, on_wall=False)
+        return WallPatch(
+            candidate, self._source, -1, position, normal, shape, texel, on_wall=False
+        )
 
-    def turned(self, at: _Depth) -> tuple[float, WallPatch] | None:
-        """Score and patch with the distance and rotation of the best correlation."""
+    def turned(self, at: _Depth, least: float) -> tuple[float, WallPatch] | None:
+        """Score, at `least` this, and patch with distance and rotation of the best correlation."""
         distance, near_m, _ = at
         best: tuple[float, float, float, WallPatch] | None = None
         wrong_size, sized = False, True
@@ -256,12 +251,12 @@ class _Search:
         for finer in (*_FINER, None):
             for turn in turns:
                 patch = self._patch(distance, turn)
-                found = patch and self.near(patch, near_m)
+                found = patch and self.near(patch, least, near_m)
                 if patch is None or not isinstance(found, PatchMeasurement):
                     code = found.code if isinstance(found, Refusal) else None
                     wrong_size |= code is RefusalCode.WRONG_SIZE
                     continue
-                exact = self._distance(patch, found)
+                exact = _distance(patch, found, self._here, self._there, self._config)
                 worth = found.score - _TURN_PRICE * abs(turn)
                 if exact is not None and (best is None or worth > best[0]):
                     share, center = exact / distance, self._here.center_map
@@ -277,19 +272,22 @@ class _Search:
         # What repeats may match in another size; a rotation at which none is measured hides it.
         return None if wrong_size and not sized else best and (best[0], best[3])
 
-    def near(self, patch: WallPatch, near_m: float = _NEAR_M) -> PatchMeasurement | Refusal:
-        """Find a patch in the other panorama, with its plane nearly known."""
+    def near(
+        self, patch: WallPatch, least: float, near_m: float = _NEAR_M
+    ) -> PatchMeasurement | Refusal:
+        """Find a patch in the other panorama by a least score, with its plane nearly known."""
         to_there = self._there.center_map - patch.position
         if to_there @ patch.normal < _LEAST_COSINE * np.hypot(*to_there[:2]):
             return Refusal('too oblique from the other place')
         close = replace(
-            self.config,
+            self._config,
+            min_score=least,
             before_wall_m=near_m,
             behind_wall_m=near_m,
             margin_m=_MARGIN_M,
-            max_displaced_px=max(self.config.max_displaced_px, self.config.max_relief_px),
+            max_displaced_px=max(self._config.max_displaced_px, self._config.max_relief_px),
         )
-        found = compare(patch, self.other, self.panoramas, close)
+        found = compare(patch, self._other, self._panoramas, close)
         if isinstance(found, Refusal):
             return found
         ratio = patch.reach_m(self._here) / patch.reach_m(self._there)
@@ -298,9 +296,6 @@ class _Search:
             detail = f'by {100.0 * missed:.0f} %'
             return Refusal('size contradicts depth', detail, RefusalCode.WRONG_SIZE)
         return found
-
-    def _distance(self, patch: WallPatch, seen: PatchMeasurement) -> float | None:
-        return _distance(patch, seen, self._here, self._there, self.config)
 
 
 def _distance(
