@@ -34,7 +34,6 @@ from landmark_nav.learning.adjustment.problem import (
     AdjustmentConfig,
     CALIBRATED,
     Problem,
-    wall_sections,
 )
 from landmark_nav.learning.adjustment.solution import adjust
 from landmark_nav.learning.least_squares import (
@@ -120,10 +119,9 @@ def test_the_solution_is_that_of_least_squares():
     prior = given_poses(world, rng)
     measurements = measurements_of(world, None)
     found = solve(world, measurements, prior, AS_EXPECTED)
-    stretch = wall_sections(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
     views = panoramas_at(prior)
     problem = Problem(
-        measurements, world.walls, stretch, views, places_of(views), ROOM,
+        measurements, world.walls, views, places_of(views), ROOM,
         ROOM.normals[world.walls], world.points, CONFIG,
     )  # fmt: skip
     sigma = np.hypot(problem.own_sigma, [CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma])
@@ -177,10 +175,9 @@ def test_an_eccentric_camera_is_modelled_as_its_panorama_was_made(lean):
     views = [
         replace(p, calibration=mount, made_with=mount.values) for p in panoramas_at(world.poses)
     ]
-    stretch = wall_sections(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
     normals = np.zeros((24, 3))
     problem = Problem(
-        measurements, world.walls, stretch, views, places_of(views), ROOM, normals,
+        measurements, world.walls, views, places_of(views), ROOM, normals,
         world.points, replace(CONFIG, tilt_sigma_rad=0.01, wave_sigma_rad=1e-3),
     )  # fmt: skip
     at = problem.linearize(world.points, problem.prior)

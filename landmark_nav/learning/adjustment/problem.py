@@ -206,15 +206,14 @@ class Problem:
     Measurements of n landmarks, their walls, and the priors of the panoramas.
 
     `own_sigma` (k, 2) are the sigmas of each measurement by matching; `landmark` and `view` (k,)
-    are its indices; `section` (n,) is the section of wall of each landmark. Landmarks off the
-    walls, -1, have planes of their own, with `normals` (n, 3) through `start` (n, 3).
+    are its indices. Landmarks off the walls, -1, have planes of their own, with `normals` (n, 3)
+    through `start` (n, 3).
     """
 
     def __init__(
         self,
         measurements: Sequence[Sequence[PatchMeasurement]],
         walls: Sequence[int],
-        section: IndexArray,
         panoramas: Sequence[Panorama],
         places: FloatArray,
         room: Room,
@@ -238,6 +237,7 @@ class Problem:
         self._level = np.sum(self.normal[:, :2] * starts, 1)
 
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
+        section = wall_sections(start, walls, room, config.hanging_length_m)
         # Indicators of the wall and the section of each landmark: (n, walls + sections).
         self._hangs = self.on_wall[:, None] * np.hstack(
             [np.eye(len(room.walls))[wall], np.eye(int(section.max()) + 1)[section]]

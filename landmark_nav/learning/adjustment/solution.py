@@ -16,13 +16,7 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment.problem import (
-    AdjustmentConfig,
-    Linearized,
-    Problem,
-    wall_sections,
-    Weights,
-)
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig, Linearized, Problem, Weights
 from landmark_nav.learning.least_squares import Damping, root_of
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
 from landmark_nav.types import FloatArray, Panorama
@@ -119,10 +113,7 @@ def adjust(
         walls = [*walls, *[-1] * len(ties.positions)]
         start = np.concatenate([start, ties.positions])
         normals = np.concatenate([normals, np.tile([1.0, 0.0, 0.0], (len(ties.positions), 1))])
-    section = wall_sections(start, walls, room, config.hanging_length_m)
-    problem = Problem(
-        measurements, walls, section, panoramas, places, room, normals, start, config
-    )
+    problem = Problem(measurements, walls, panoramas, places, room, normals, start, config)
     seen = config.azimuth_sigma_rad, config.tangent_sigma
     hanging = config.common_hanging_sigma_m, config.wall_sigma_m, config.hanging_sigma_m
     expected = np.array([*seen, config.relief_sigma_m, 1.0, 1.0, *hanging])

@@ -74,7 +74,7 @@ def check_walls(
     free = replace(free, off_wall_m=off_m)
     for k, on in _judged(free, walls, room, _MIN_PATCHES, elsewhere=True):
         objects = _objects(free, room, k, on, expected.hanging_length_m)
-        shared = np.linalg.norm(_shared(free, room, k, on))
+        shared = np.linalg.norm(room.normals[k] @ free.shared_loading[on].mean(0))
         sigma = float(np.hypot(shared, room.walls[k].sigma_m or 0.0))
         complaint = _complaint(objects, sigma, expected.hanging_sigma_m, int(on.sum()))
         if complaint:
@@ -120,7 +120,7 @@ def wall_residuals(
     for k, on in _judged(adjustment, walls, room, _FEW):
         off = _objects(adjustment, room, k, on, expected.hanging_length_m)[:, 1]
         wall, median = room.walls[k], float(np.median(off))
-        shared = _shared(adjustment, room, k, on)
+        shared = room.normals[k] @ adjustment.shared_loading[on].mean(0)
         patches = int(on.sum())
         residuals.append(WallResidual(wall.id, patches, len(off), median, shared, wall.sigma_m))
     return tuple(residuals)
@@ -199,11 +199,6 @@ def _objects(
     patches = np.stack([along, adjustment.off_wall_m[on]], 1)
     section = wall_sections(positions, [k] * len(positions), room, length_m)
     return np.array([np.median(patches[section == n], 0) for n in range(section.max() + 1)])
-
-
-def _shared(adjustment: Adjustment, room: Room, k: int, on: BoolArray) -> FloatArray:
-    """Mean loading (m,) of the distance from the wall by the shared factors."""
-    return np.asarray(room.normals[k] @ adjustment.shared_loading[on].mean(0))
 
 
 def _complaint(objects: FloatArray, sigma_m: float, hanging_sigma_m: float, patches: int) -> str:

@@ -8,9 +8,8 @@ layer; the attended area is inhibited, and the competition is repeated.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 import cv2
@@ -22,7 +21,6 @@ from landmark_nav.geometry.patches import is_upright_edge
 from landmark_nav.learning.attention.maps import attention_maps, AttentionConfig
 from landmark_nav.types import Candidate, FloatArray, ImageArray, Panorama, Refusal
 
-Examine = Callable[[Candidate], 'Refusal | None']
 # Distance between units in the layers of the pyramid, top first, px.
 _PITCHES_PX = (4, 2, 1)
 # Number of sectors of azimuth; `candidates_per_sector` limits each.
@@ -38,7 +36,7 @@ _SIZE_EXPONENT = 0.25
 
 
 def select(
-    saliency: Float32Array, covered: BoolArray, config: AttentionConfig, examine: Examine
+    saliency: Float32Array, covered: BoolArray, gray: ImageArray, config: AttentionConfig
 ) -> tuple[tuple[Candidate, ...], tuple[tuple[Candidate, Refusal], ...]]:
     """
     Select rectangles until there are enough or the response is too low.
@@ -48,12 +46,9 @@ def select(
 
     Parameters
     ----------
-    saliency : ndarray of float32, shape (height, width)
-        Saliency of a full turn: the last column borders on the first.
-    covered : ndarray of bool, shape (height, width)
-        Pixels that rectangles may contain.
-    examine : callable
-        Returns why a rectangle is refused, or None.
+    saliency, covered, gray : ndarray, shape (height, width)
+        Saliency, pixels that rectangles may contain, and image of a full turn: the last column
+        borders on the first.
     """
     width = saliency.shape[1]
     taken = np.zeros(_SECTORS, dtype=int)
@@ -70,9 +65,8 @@ def select(
         sector = _sector(winner, width)
         if taken[sector] >= config.candidates_per_sector:
             continue
-        refusal = examine(winner)
-        if refusal is not None:
-            refused.append((winner, refusal))
+        if (why := refusal(winner, gray, config)) is not None:
+            refused.append((winner, why))
             continue
         accepted.append(winner)
         taken[sector] += 1
@@ -284,8 +278,7 @@ def attend(panorama: Panorama, config: AttentionConfig) -> Attention:
         )
     gray = _fill_uncovered(panorama.grey.astype(np.uint8), panorama.mask)
     saliency = attention_maps(gray, config).saliency
-    examine = partial(refusal, gray=gray, config=config)
-    accepted, refused = select(saliency, _inside(panorama.mask), config, examine)
+    accepted, refused = select(saliency, _inside(panorama.mask), gray, config)
     edges, others = edges_among(refused, accepted, gray, config)
     candidates = (*accepted, *edges)
     first = max((c.saliency for c in candidates), default=1.0)

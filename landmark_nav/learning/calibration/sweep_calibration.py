@@ -136,9 +136,16 @@ def calibrate_sweep(
         free += [_FORWARD, _LEFT, _PRINCIPAL]
     fit = problem.fit(sorted(free), _UNIT_SIGMA_RAD)
     common, covariance = _posterior_terms(prior, fit)
-    used = replace(fit, common=common) if _differs(fit) else problem.fit([], _UNIT_SIGMA_RAD)
+    # Whether the overlaps contradict the values before: chi-square of all terms together.
+    shown = np.diag(fit.covariance) > 0.0
+    misfit = fit.common[shown] @ solve_positive(
+        fit.covariance[np.ix_(shown, shown)], fit.common[shown]
+    )
+    differs = misfit > chdtri(int(shown.sum()), _CHANCE)
+    used = replace(fit, common=common) if differs else problem.fit([], _UNIT_SIGMA_RAD)
     quality = _quality(problem, overlaps, used, _terms(used.common, covariance))
-    made = _as_corrected(prior, used.common)
+    names, values = _corrected_values(prior, used.common)
+    made = prior.with_values(**dict(zip(names, values.tolist(), strict=True)))
     return SweepCalibration(as_calibrated(sweep, made), made, used.common, quality, fit)
 
 
@@ -171,14 +178,6 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> tuple[Sweep, PanoramaQuali
     residual_px = problem.misfit_px(fit.common, fit.frames)
     quality = _quality(problem, overlaps, fit, _terms(fit.common, fit.covariance))
     return aligned, replace(quality, residual_px=residual_px)
-
-
-def _differs(fit: Fit) -> bool:
-    """Whether the overlaps contradict the values before (chi-square of all terms together)."""
-    free = np.diag(fit.covariance) > 0.0
-    terms = fit.common[free]
-    misfit = float(terms @ solve_positive(fit.covariance[np.ix_(free, free)], terms))
-    return misfit > float(chdtri(len(terms), _CHANCE))
 
 
 def _terms(common: FloatArray, covariance: FloatArray) -> tuple[CalibrationTerm, ...]:
@@ -242,12 +241,6 @@ def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
         for frame in sweep.frames
     )
     return replace(sweep, frames=tuple(frames))
-
-
-def _as_corrected(before: Calibration, common: FloatArray) -> Calibration:
-    """Return the calibration corrected by `common` (8,)."""
-    names, values = _corrected_values(before, common)
-    return before.with_values(**dict(zip(names, values.tolist(), strict=True)))
 
 
 def _posterior_terms(before: Calibration, fit: Fit) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,6 @@ are compared where they overlap.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import cv2
@@ -246,34 +245,3 @@ def sharpest(shots: list[KeptFrame]) -> tuple[KeptFrame, float]:
     ratios = [relative_sharpness(shot.look, shots[0].look, 0.0) or 0.0 for shot in shots]
     last = ratios[-3:]
     return shots[int(np.argmax(ratios))], float(np.ptp(last) / max(np.max(last), 1e-9))
-
-
-class Phase(Enum):
-    """Phase of a step: what it waits for."""
-
-    SETTLING = 'the pan joint to stand at the commanded angle'
-    EXPOSING = 'an image'
-    CONFIRMING = 'a joint sample later than the image'
-
-
-@dataclass
-class Step:
-    """
-    The current step. Stamps are those of messages; other times are by the caller's clock.
-
-    `number` is None if all frames are kept and only the motion of the joint is to be checked.
-    """
-
-    number: int | None
-    target_rad: float
-    shots: list[KeptFrame]
-    begin_stamp_ns: int | None
-    progress_ns: int = 0
-    progress_stamp_ns: int = 0
-    phase: Phase = Phase.SETTLING
-    pending: Shot | None = None
-    refusals: int = 0
-    commanded_ns: int | None = None
-    settled_stamp_ns: int = 0
-    again_ns: int = 0
-    distance_rad: float = float(np.inf)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
 import logging
 from typing import Any
 
@@ -18,16 +20,7 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import describe_coverage
 from landmark_nav.learning.capture.config import CaptureConfig
-from landmark_nav.learning.capture.frames import (
-    Album,
-    FrameLog,
-    KeptFrame,
-    Look,
-    Phase,
-    sharpest,
-    Shot,
-    Step,
-)
+from landmark_nav.learning.capture.frames import Album, FrameLog, KeptFrame, Look, sharpest, Shot
 from landmark_nav.learning.capture.joints import BaseMotion, JointTrack, PanReach
 from landmark_nav.types import JointSample, OdometrySample
 
@@ -41,6 +34,37 @@ _SIMILAR_FRAMES = 3
 _TO_COMPARE = 2
 # Largest age of a sweep that is continued: light and objects change. Chosen by hand.
 _RESUME_S = 600.0
+
+
+class _Phase(Enum):
+    """Phase of a step: what it waits for."""
+
+    SETTLING = 'the pan joint to stand at the commanded angle'
+    EXPOSING = 'an image'
+    CONFIRMING = 'a joint sample later than the image'
+
+
+@dataclass
+class _Step:
+    """
+    The current step. Stamps are those of messages; other times are by the caller's clock.
+
+    `number` is None if all frames are kept and only the motion of the joint is to be checked.
+    """
+
+    number: int | None
+    target_rad: float
+    shots: list[KeptFrame]
+    begin_stamp_ns: int | None
+    progress_ns: int = 0
+    progress_stamp_ns: int = 0
+    phase: _Phase = _Phase.SETTLING
+    pending: Shot | None = None
+    refusals: int = 0
+    commanded_ns: int | None = None
+    settled_stamp_ns: int = 0
+    again_ns: int = 0
+    distance_rad: float = float(np.inf)
 
 
 class SweepCapture:
@@ -116,7 +140,7 @@ class SweepCapture:
             return None
         if step.commanded_ns is not None:
             waited_s = (now_ns - step.commanded_ns) * 1e-9
-            if step.phase is not Phase.SETTLING or waited_s < 0.5 * self._config.step_timeout_s:
+            if step.phase is not _Phase.SETTLING or waited_s < 0.5 * self._config.step_timeout_s:
                 return None
         step.commanded_ns = now_ns
         return step.target_rad
@@ -136,7 +160,7 @@ class SweepCapture:
         frozen = not stamp_error and self._log.seen_at_other_pan(
             shot.digest, shot.stamp_ns, self._track
         )
-        if step.phase is not Phase.EXPOSING or now_ns < step.again_ns:
+        if step.phase is not _Phase.EXPOSING or now_ns < step.again_ns:
             return
         if stamp_error:
             self._refuse(step, stamp_error, now_ns)
@@ -147,7 +171,7 @@ class SweepCapture:
                     self._album.remove(shot.digest)
                 self._refuse(step, 'frozen: the same image came at another pan', now_ns)
             else:
-                step.pending, step.phase = shot, Phase.CONFIRMING
+                step.pending, step.phase = shot, _Phase.CONFIRMING
 
     def add_joints(self, sample: JointSample, now_ns: int) -> KeptFrame | None:
         """Add a joint sample; return the frame that it confirms, if any."""
@@ -168,10 +192,10 @@ class SweepCapture:
         if distance < step.distance_rad - 0.5 * self._config.arrival_tolerance_rad:
             step.distance_rad = distance
             self._progressed(step, now_ns)
-        if step.phase is Phase.SETTLING and self._stands_still(step, stamp, step.target_rad):
+        if step.phase is _Phase.SETTLING and self._stands_still(step, stamp, step.target_rad):
             if not step.settled_stamp_ns:
                 self._progressed(step, now_ns)
-            step.phase, step.settled_stamp_ns = Phase.EXPOSING, stamp
+            step.phase, step.settled_stamp_ns = _Phase.EXPOSING, stamp
         elif step.pending is not None and stamp >= step.pending.stamp_ns:
             return self._confirm(step, step.number, step.pending, now_ns)
         return None
@@ -222,7 +246,7 @@ class SweepCapture:
                 self._count_refusal(reason, kept.joints.pan_rad)
         again = [k for k in sorted(self._album.suspect) if not np.isnan(self.reach.targets[k])]
         number = next(iter([*missing, *again]), None)
-        self._step: Step | None = None
+        self._step: _Step | None = None
         if number is not None:
             target = float(self.reach.targets[number])
         elif unconfirmed_rad is not None and self._album.frames:
@@ -234,22 +258,22 @@ class SweepCapture:
             return
         before = None if number is None else self._album.frames.get(number)
         begin_ns = self._track.last.stamp_ns if self._track.last else None
-        self._step = Step(number, target, [before] if before else [], begin_ns)
+        self._step = _Step(number, target, [before] if before else [], begin_ns)
         self._progressed(self._step, now_ns)
 
-    def _progressed(self, step: Step, now_ns: int) -> None:
+    def _progressed(self, step: _Step, now_ns: int) -> None:
         step.progress_ns = now_ns
         step.progress_stamp_ns = self._track.last.stamp_ns if self._track.last else 0
 
-    def _stands_still(self, step: Step, since_ns: int, target_rad: float | None = None) -> bool:
+    def _stands_still(self, step: _Step, since_ns: int, target_rad: float | None = None) -> bool:
         return self._track.stands_still(step.begin_stamp_ns or 0, since_ns, target_rad)
 
-    def _waited(self, step: Step) -> str:
+    def _waited(self, step: _Step) -> str:
         return f'waited {self._config.step_timeout_s:g} s for {step.phase.value}'
 
-    def _time_out(self, step: Step, last: JointSample, now_ns: int) -> None:
+    def _time_out(self, step: _Step, last: JointSample, now_ns: int) -> None:
         seen = f'{self._waited(step)}; the pan is {np.degrees(last.pan_rad):.2f} deg'
-        if step.phase is not Phase.SETTLING:
+        if step.phase is not _Phase.SETTLING:
             self.stop(f'{seen}, {self._log.no_image_reason(now_ns)}')
         elif step.settled_stamp_ns or not self._stands_still(step, last.stamp_ns):
             self.stop(f'{seen} and does not come to rest')
@@ -268,11 +292,11 @@ class SweepCapture:
             if not self.total:
                 self.stop(f'{seen}, and no frame of the sweep lies on this side: change start_rad')
 
-    def _confirm(self, step: Step, number: int, shot: Shot, now_ns: int) -> KeptFrame | None:
+    def _confirm(self, step: _Step, number: int, shot: Shot, now_ns: int) -> KeptFrame | None:
         """Keep the pending frame if the joint stood still until after it, and it is good."""
         if not self._stands_still(step, shot.stamp_ns, step.target_rad):
             # The joint had not settled: this was the turning point of an oscillation.
-            step.pending, step.phase = None, Phase.SETTLING
+            step.pending, step.phase = None, _Phase.SETTLING
             return None
         joints = self._track.at(shot.stamp_ns)
         if joints is None:
@@ -287,13 +311,13 @@ class SweepCapture:
         step.shots.append(KeptFrame(shot.frame, joints, look, shot.digest))
         return self._judge(step, number, now_ns)
 
-    def _judge(self, step: Step, number: int, now_ns: int) -> KeptFrame | None:
+    def _judge(self, step: _Step, number: int, now_ns: int) -> KeptFrame | None:
         """Keep the frame unless it is less sharp than its neighbours and another may be better."""
         blurred = self._album.blurred(number, step.shots[-1])
         best, spread = sharpest(step.shots)
         if blurred is None and len(step.shots) < _TO_COMPARE:
             # No neighbour overlaps: the sharper of two frames is kept.
-            step.pending, step.phase = None, Phase.EXPOSING
+            step.pending, step.phase = None, _Phase.EXPOSING
             self._progressed(step, now_ns)
             return None
         if blurred:
@@ -317,10 +341,10 @@ class SweepCapture:
         except LandmarkNavError:
             return False
 
-    def _refuse(self, step: Step, reason: str, now_ns: int) -> None:
+    def _refuse(self, step: _Step, reason: str, now_ns: int) -> None:
         self._count_refusal(reason, step.target_rad)
         step.refusals += 1
-        step.pending, step.phase = None, Phase.EXPOSING
+        step.pending, step.phase = None, _Phase.EXPOSING
         step.again_ns = now_ns + int(self._config.retake_pause_s * 1e9)
         self._progressed(step, now_ns)
         if step.refusals > self._config.retakes:

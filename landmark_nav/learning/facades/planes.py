@@ -84,7 +84,6 @@ class FacadesConfig(Config):
     relief_m: float = 0.015
     # Fewest cells of 10 cm x 10 cm that contain points; half at a right angle to other facades.
     min_cells: int = 12
-    # Least length, m.
     min_length_m: float = 0.4
     # Longest part of a facade without points, m.
     max_gap_m: float = 1.2
@@ -92,7 +91,6 @@ class FacadesConfig(Config):
     wall_height_m: float = 2.5
     # Sigma of a facade before adjustment, m.
     sigma_m: float = 0.03
-    # Most facades of a room.
     max_facades: int = 24
 
 
@@ -357,8 +355,6 @@ def _best_line(
         if prior * np.count_nonzero(on) <= most:
             continue
         on = _stretch(off @ along, on, config.max_gap_m)
-        if prior * np.count_nonzero(on) <= most:
-            continue
         cells = _cells((off @ along)[on], points.positions[on, 2])
         support = prior * cells * float(np.mean(1.0 - miss[on] / _INLIER_SIGMAS**2))
         if support > most:

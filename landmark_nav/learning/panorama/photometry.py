@@ -10,14 +10,15 @@ Corrections that are not significant are left out. A dark sweep is brightened as
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import Float32Array, IndexArray
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.panorama.synthesis import sweep_cylinder
-from landmark_nav.types import CameraFrame, FloatArray, Sweep
+from landmark_nav.types import FloatArray, Sweep
 
 # Factor by which frames are reduced, and sampled directions: step of azimuth, number of rows.
 _REDUCTION = 8
@@ -99,27 +100,25 @@ def even_out(sweep: Sweep, photometry: Photometry) -> Sweep:
     gains = photometry.exposure * photometry.gain
     if not photometry.falloff.any() and np.all(gains == 1.0):
         return sweep
-    flat: dict[CameraModel, npt.NDArray[np.float32]] = {}
+
+    @cache
+    def flat_field(camera: CameraModel, shape: tuple[int, ...]) -> Float32Array:
+        u, v = np.meshgrid(np.arange(float(shape[1])), np.arange(float(shape[0])))
+        square = _square_radius(camera, u, v)
+        first, second = photometry.falloff
+        field = np.exp(-square * (first + second * square)).astype(np.float32)
+        return field if len(shape) == 2 else np.repeat(field[..., None], 3, axis=2)
+
     frames = []
     for frame, gain in zip(sweep.frames, gains, strict=True):
+        scale = 1.0 / float(gain)
         if photometry.falloff.any():
-            if frame.camera not in flat:
-                flat[frame.camera] = _flat_field(frame, photometry.falloff)
-            image = cv2.multiply(
-                frame.image, flat[frame.camera], scale=1.0 / float(gain), dtype=cv2.CV_8U
-            )
+            flat = flat_field(frame.camera, frame.image.shape)
+            image = cv2.multiply(frame.image, flat, scale=scale, dtype=cv2.CV_8U)
         else:
-            image = cv2.convertScaleAbs(frame.image, alpha=1.0 / float(gain))
+            image = cv2.convertScaleAbs(frame.image, alpha=scale)
         frames.append(replace(frame, image=np.asarray(image, dtype=np.uint8)))
     return replace(sweep, frames=tuple(frames))
-
-
-def _flat_field(frame: CameraFrame, falloff: FloatArray) -> npt.NDArray[np.float32]:
-    rows, columns = frame.image.shape[:2]
-    u, v = np.meshgrid(np.arange(float(columns)), np.arange(float(rows)))
-    square = _square_radius(frame.camera, u, v)
-    field = np.exp(-square * (falloff[0] + falloff[1] * square)).astype(np.float32)
-    return field if frame.image.ndim == 2 else np.repeat(field[..., None], 3, axis=2)
 
 
 def _square_radius(camera: CameraModel, u: FloatArray, v: FloatArray) -> FloatArray:
@@ -131,7 +130,7 @@ def _square_radius(camera: CameraModel, u: FloatArray, v: FloatArray) -> FloatAr
 
 def _samples(
     sweep: Sweep, mount: PanTiltMount
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], FloatArray, FloatArray]:
+) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray]:
     """Direction, frame, squared radius and grey level of each sample."""
     cylinder = sweep_cylinder(sweep, mount)
     azimuth = np.arange(-np.pi, np.pi, _STEP_RAD)
@@ -159,8 +158,8 @@ def _samples(
 
 
 def _fit(
-    direction: npt.NDArray[np.intp],
-    frame: npt.NDArray[np.intp],
+    direction: IndexArray,
+    frame: IndexArray,
     terms: FloatArray,
     brightness: FloatArray,
     count: int,

@@ -92,30 +92,22 @@ def locate_edges(
     column, row = np.moveaxis((where - low).astype(np.float32), -1, 0)
     profiles = []
     for power in (gamma, gamma + _GAMMA_STEP):
-        light = cv2.LUT(part, _light(power))
+        light = cv2.LUT(part, (255.0 * (np.arange(256) / 255.0) ** power).astype(np.float32))
         colors = cv2.remap(light, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         colors = colors.reshape(-1, PROFILES, len(offset), 3).mean(axis=1, dtype=np.float64)
         profiles += [colors @ direction, colors @ _BRIGHTNESS]
     burnt = (colors.max(axis=(1, 2)) > _BURNT) * _BURNT_SIGMA_PX
 
-    place, sigma = (v.reshape(2, 2, -1) for v in _edge(np.concatenate(profiles), offset))
+    every = np.concatenate(profiles)
+    start, clear = _crossing(every, offset)
+    exact, sigma = _area_place(every, offset, start)
+    place = np.where(clear & (np.abs(exact - start) < 0.7), exact, np.nan).reshape(2, 2, -1)
+    sigma = sigma.reshape(2, 2, -1)
     by_gamma = (place[1] - place[0]) / _GAMMA_STEP
     found = inside.all(axis=1) & (np.abs(by_gamma) < most_by_gamma)
     # Both must be the same edge: the border of a shadow is not a change of hue.
     found[1] &= np.abs(place[0, 1] - place[0, 0]) < _SAME_PX
     return EdgeSamples(np.where(found, place[0], np.nan), np.hypot(sigma[0], burnt), by_gamma)
-
-
-def _light(gamma: float) -> npt.NDArray[np.float32]:
-    """Light of each pixel value, scaled to 255."""
-    return (255.0 * (np.arange(256) / 255.0) ** gamma).astype(np.float32)
-
-
-def _edge(profiles: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Place of the edge on profiles (n, m), NaN without a clear one; its sigma."""
-    start, clear = _crossing(profiles, offset)
-    place, sigma = _area_place(profiles, offset, start)
-    return np.where(clear & (np.abs(place - start) < 0.7), place, np.nan), sigma
 
 
 def _crossing(

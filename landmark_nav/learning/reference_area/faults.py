@@ -460,7 +460,8 @@ class _Model:
         return seen.reshape(*lead, -1)
 
 
-# Descriptions of faults without a value; of faults with a positive value, and with a negative one.
+# Descriptions of faults without a value; of others, with the word for a positive value and for a
+# negative one.
 _ALONE = {
     'mirrored': 'the papers hang in mirrored order: on the opposite wall of where room.yaml has '
     'them, or its plan is mirrored',
@@ -469,24 +470,19 @@ _ALONE = {
     'hidden': 'the {} paper is hidden, of another colour, or far from where room.yaml has it',
 }
 _WORDS = {
-    'along': ('hangs {} further left', 'hangs {} further right'),
-    'height': ('hangs {} higher', 'hangs {} lower'),
-    'depth': ('hangs {} further into the room', 'hangs {} further out of the room'),
-    'width': ('is {} wider', 'is {} narrower'),
-    'tallness': ('is {} taller', 'is {} less tall'),
-    'size': ('is {} larger', 'is {} smaller'),
+    'along': ('hangs {} further {}', 'left', 'right'),
+    'height': ('hangs {} {}', 'higher', 'lower'),
+    'depth': ('hangs {} further {}', 'into the room', 'out of the room'),
+    'width': ('is {} {}', 'wider', 'narrower'),
+    'tallness': ('is {} {}', 'taller', 'less tall'),
+    'size': ('is {} {}', 'larger', 'smaller'),
     'sizes': (
-        'the papers look {} larger than room.yaml gives beside their distances',
-        'the papers look {} smaller than room.yaml gives beside their distances',
+        'the papers look {} {} than room.yaml gives beside their distances',
+        'larger',
+        'smaller',
     ),
-    'camera_height': (
-        'the camera is {} higher than robot.yaml gives',
-        'the camera is {} lower than robot.yaml gives',
-    ),
-    'focal': (
-        'the focal length of camera_info is {} too small',
-        'the focal length of camera_info is {} too large',
-    ),
+    'camera_height': ('the camera is {} {} than robot.yaml gives', 'higher', 'lower'),
+    'focal': ('the focal length of camera_info is {} too {}', 'small', 'large'),
 }
 # What an exchange of the first and third channel makes of red and blue.
 _OF_CHANNELS = {('red', 'blue'), ('blue', 'red')}
@@ -515,7 +511,8 @@ def _fault(hypothesis: _Hypothesis, solution: _Solution, room: Room) -> PaperFau
     else:
         unit = 'cm' if kind in _IN_METRES else '%'
         amount = f'{100.0 * abs(value):.1f} +- {100.0 * sigma:.1f} {unit}'
-        text = _WORDS[kind][int(value < 0.0)].format(amount)
+        words, more, less = _WORDS[kind]
+        text = words.format(amount, less if value < 0.0 else more)
         if k >= 0:
             text = f'the {color} paper {text} than room.yaml gives'
         if kind == 'camera_height':
