@@ -76,7 +76,9 @@ def elect(
     config: ElectionConfig,
 ) -> list[Landmark | Refusal]:
     """
-    Elect landmarks among reconstructed patches.
+    Elect landmarks among reconstructed patches; the result is in their order.
+
+    Ids count from 1 in the order of saliency.
 
     Parameters
     ----------
@@ -86,11 +88,6 @@ def elect(
         The patches as adjusted, and by measurements alone, without walls.
     panoramas : sequence of Panorama
         Panoramas with adjusted poses.
-
-    Returns
-    -------
-    list of Landmark or Refusal
-        In the order of `patches`; ids count from 1 in the order of saliency.
     """
     outcomes: list[Landmark | Refusal] = [Refusal('not reached')] * len(patches)
     covariance = adjustment.own_covariance + np.einsum(

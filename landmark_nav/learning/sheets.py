@@ -116,8 +116,6 @@ def find_papers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
     colors = config.paper_colors.split()
     found = []
     for color, blobs in color_blobs(view, colors).items():
-        if color not in colors:
-            continue
         likely = _may_be(blobs.edges, config, _ROUGHLY)
         outlines = outline_blobs(view, color, blobs.only(likely))
         parts = outlines.edges, outlines.sigma, outlines.by_response

@@ -39,12 +39,11 @@ def depth_from_scale(
     Update the depths of patches by scale where bearings leave them uncertain.
 
     For such a patch the prior of the wall is that of a single patch on an otherwise empty wall:
-    its neighbours may have another distance from the wall.
+    its neighbours may have another distance from the wall. Both adjustments, with the walls and
+    by bearings alone (`free`), are returned, updated.
 
     Parameters
     ----------
-    adjustment, free : Adjustment
-        Adjustments with the walls, and by bearings alone; both are returned, updated.
     measurements : sequence of sequences
         Measurements of each of n patches, the first in the panorama that proposed it.
     normals : ndarray, shape (n, 3)

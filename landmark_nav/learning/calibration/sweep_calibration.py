@@ -98,7 +98,9 @@ def calibrate_sweep(
     found: SweepCalibration | None = None,
 ) -> SweepCalibration:
     """
-    Calibrate camera and mount from a sweep of a pan-tilt unit.
+    Calibrate camera and mount from a sweep; by the prior alone if frames share too little.
+
+    Raises `LandmarkNavError`: a term contradicts an exact value.
 
     Parameters
     ----------
@@ -110,13 +112,6 @@ def calibrate_sweep(
     found : SweepCalibration, optional
         A former calibration, with which the overlaps are tracked: patches that are scaled or
         sheared against each other are tracked with a bias.
-
-    Returns
-    -------
-    SweepCalibration
-        By the prior alone if frames share too little.
-
-    Raises `LandmarkNavError`: a term contradicts an exact value.
     """
     given, mount = as_calibrated(sweep, prior), prior.mount
     seen = (found.sweep, found.mount) if found else (given, mount)
@@ -124,9 +119,8 @@ def calibrate_sweep(
     links, cameras = len(np.unique(overlaps.pair)), {frame.camera for frame in sweep.frames}
     if not links or len(overlaps) < _LEAST_PER_LINK * links or len(cameras) > 1:
         return SweepCalibration(given, prior, np.zeros(len(COMMON)), PanoramaQuality())
-    problem = OverlapProblem(
-        overlaps, given, mount, range_m or _usual_range, guessed=range_m is None
-    )
+    reach_m = range_m or (lambda azimuth, _: np.full(azimuth.shape, _USUAL_RANGE_M))
+    problem = OverlapProblem(overlaps, given, mount, reach_m, guessed=range_m is None)
     free = [_FOCAL, _TILT, _ROLL]
     if overlaps.closed:
         free.append(_SCALE)
@@ -185,8 +179,13 @@ def _terms(common: FloatArray, covariance: FloatArray) -> tuple[CalibrationTerm,
     values, sigmas = common.tolist(), np.sqrt(np.diag(covariance)).tolist()
     terms = [CalibrationTerm(*term) for term in zip(COMMON, values, sigmas, strict=True)]
     if sigmas[_DISTORTION]:
-        focal = _effective_focal(common, covariance)
-        terms[_FOCAL] = CalibrationTerm('focal_length', *focal)
+        # Of an equivalent lens without distortion: the combination of focal length and distortion
+        # that does not depend on the uncertainty of the distortion.
+        both = covariance[_FOCAL, _DISTORTION]
+        lever = both / covariance[_DISTORTION, _DISTORTION]
+        value = float(np.expm1(common[_FOCAL] - lever * common[_DISTORTION]))
+        sigma = float(np.sqrt(covariance[_FOCAL, _FOCAL] - lever * both))
+        terms[_FOCAL] = CalibrationTerm('focal_length', value, sigma)
     return tuple(term for term in terms if term.sigma)
 
 
@@ -210,21 +209,6 @@ def moved_px(one: SweepCalibration, other: SweepCalibration) -> float:
     lens, angles, offset = (half, half**3), (np.pi, 1.0, half), (half / near, 1.0 / near)
     shift = camera.fx * np.array([*lens, *angles, *offset, half**2])
     return float(np.max(shift * np.abs(one.common - other.common)))
-
-
-def _usual_range(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
-    return np.full(np.broadcast_shapes(azimuth.shape, tangent.shape), _USUAL_RANGE_M)
-
-
-def _effective_focal(common: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Relative correction of the focal length of an equivalent lens without distortion; sigma."""
-    # The combination of focal length and distortion that does not depend on the uncertainty of
-    # the distortion: to first order the result of a fit without distortion.
-    both = covariance[_FOCAL, _DISTORTION]
-    lever = both / covariance[_DISTORTION, _DISTORTION]
-    value = common[_FOCAL] - lever * common[_DISTORTION]
-    variance = covariance[_FOCAL, _FOCAL] - lever * both
-    return float(np.expm1(value)), float(np.sqrt(variance))
 
 
 def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
@@ -296,14 +280,12 @@ def with_papers(
     floor_rad: float,
 ) -> Calibration:
     """
-    Update a calibration by height and tilt of the pan axis from papers.
+    Update a calibration by height and tilt of the pan axis from papers, measured with `used`.
 
     Raises `LandmarkNavError`: the papers contradict an exact value.
 
     Parameters
     ----------
-    used : Calibration
-        Calibration with which papers were measured.
     score, information : ndarray, shape (3,), (3, 3)
         Height and small rotations about x and y of the base, in information form: their estimate
         is ``information^-1 score``.

@@ -72,14 +72,9 @@ class SweepCapture:
     A sweep, from its first command to its last frame, over any number of interruptions.
 
     `refused` are numbers of refused frames by reason, `reach` the steps that the joint can reach,
-    `base_motion` the motion of the base since the first frame.
-
-    Parameters
-    ----------
-    inspect : callable
-        Measures a frame; raises `LandmarkNavError` for one that cannot be used.
-    now_ns : int
-        Time by the caller's clock, which need not be that of the stamps.
+    `base_motion` the motion of the base since the first frame. `inspect` measures a frame, and
+    raises `LandmarkNavError` for one that cannot be used. Times `now_ns` are by the caller's
+    clock, which need not be that of the stamps.
     """
 
     def __init__(self, config: CaptureConfig, inspect: Callable[[Any], Look], now_ns: int) -> None:

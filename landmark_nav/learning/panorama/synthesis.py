@@ -235,12 +235,9 @@ def _reach_rad(sweep: Sweep, neighbours: int) -> FloatArray:
 def _wrapped(start: int, count: int, width: int) -> list[tuple[slice, slice]]:
     """Split unwrapped columns [start, start + count) at the seam: (in panorama, in slab)."""
     pieces = []
-    done = 0
-    while done < count:
-        column = (start + done) % width
-        size = min(count - done, width - column)
-        pieces.append((slice(column, column + size), slice(done, done + size)))
-        done += size
+    for first, last in pairwise([0, *range(width - start % width, count, width), count]):
+        column = (start + first) % width
+        pieces.append((slice(column, column + last - first), slice(first, last)))
     return pieces
 
 

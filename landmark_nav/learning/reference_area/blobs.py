@@ -62,12 +62,12 @@ _FOUND: WeakKeyDictionary[CylinderImage, dict[str, PaperBlobs]] = WeakKeyDiction
 
 def color_blobs(view: CylinderImage, colors: Iterable[str]) -> dict[str, PaperBlobs]:
     """Candidates for papers of some colours in a panorama in the base frame; cached."""
+    colors = dict.fromkeys(colors)
     found = _FOUND.setdefault(view, {})
-    missing = {*colors} - {*found}
-    if missing:
+    if not found.keys() >= colors.keys():
         search = ColorSearch(view)
-        found |= {color: search.blobs(color) for color in missing}
-    return found
+        found |= {color: search.blobs(color) for color in colors if color not in found}
+    return {color: found[color] for color in colors}
 
 
 def hue_direction(color: str) -> FloatArray:

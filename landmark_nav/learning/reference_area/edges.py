@@ -68,10 +68,9 @@ def locate_edges(
     ----------
     image : ndarray, shape (height, width, 3)
         Image, BGR.
-    points : ndarray, shape (n * PROFILES, 2)
-        Expected places (column, row); PROFILES consecutive ones make one measurement.
-    outwards : ndarray, shape (n * PROFILES, 2)
-        Unit directions from the paper to the wall.
+    points, outwards : ndarray, shape (n * PROFILES, 2)
+        Expected places (column, row), and unit directions from the paper to the wall; PROFILES
+        consecutive ones make one measurement.
     direction : ndarray, shape (3,)
         Direction of the paper's hue, see `hue_direction`.
     reach_px : float

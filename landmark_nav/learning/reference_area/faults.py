@@ -92,9 +92,8 @@ class PaperView:
         outlines = {}
         for color, blobs in color_blobs(view, {paper.color for paper in room.papers}).items():
             papers = [paper for paper in room.papers if paper.color == color]
-            if papers:
-                near = np.any([_may_be(blobs, p, room, eye_height_m) for p in papers], axis=0)
-                outlines[color] = outline_blobs(view, color, blobs.only(near))
+            near = np.any([_may_be(blobs, p, room, eye_height_m) for p in papers], axis=0)
+            outlines[color] = outline_blobs(view, color, blobs.only(near))
         return cls(outlines, eye_height_m)
 
 

@@ -15,7 +15,6 @@ from landmark_nav.learning.reference_area.blobs import hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
 from landmark_nav.learning.reference_area.model import (
     EDGE_SHARE,
-    edge_sigma_px,
     EDGES,
     GAMMA,
     PaperModel,
@@ -35,6 +34,11 @@ MOST_FRAMES = 12
 # (sigmas) at which weights fall to a quarter, which decrease as the fit converges.
 _SEARCH_PX = (13.0, 8.0, 7.0)
 _TAIL_WIDTHS = ((400.0, 100.0, 40.0), (60.0, 25.0, 12.0), (12.0, 9.0, 9.0))
+# Sigma of edges by brightness due to shadows.
+_BRIGHT_SIGMA_PX = 0.2
+# Sigma of an edge's rotation, at its ends, relative to that of its shift. Without it, a rotation
+# by JPEG of 0.02 px in all frames is taken for a tilt of the axis, and that for a height.
+_TURN_SHARE = 0.5
 # Greatest squared residual of an inlier, in sigmas.
 _SURELY_WRONG = 25.0
 # Least width of a paper in a frame; and width below which colour edges have a further sigma, as
@@ -194,7 +198,8 @@ class PaperFitter:
     ) -> tuple[FloatArray, PaperFit]:
         """One step of reweighted Gauss-Newton from `state`; edges were measured at `base`."""
         model = self._model
-        shift, turn = edge_sigma_px(self._config, m.bright)
+        each_px = self._config.edge_sigma_px
+        shift = np.hypot(each_px, np.where(m.bright > 0, _BRIGHT_SIGMA_PX, 0.0))
         moved = model.project(state, m.frame, m.paper, m.points)
         moved -= model.project(base, m.frame, m.paper, m.points)
         jacobian = model.jacobian(state, m.frame, m.paper, m.points, m.normal)
@@ -211,7 +216,7 @@ class PaperFitter:
         weight = (1.0 + squared_misfit / tail_width) ** -2.0 / m.sigma_px**2
         weight[squared_misfit > 4.0 * tail_width] = 0.0
         edge = model.edge_index(m.paper, m.edge, m.bright)
-        by_edge = np.stack([shift, turn * m.along])
+        by_edge = np.stack([shift, _TURN_SHARE * each_px * m.along])
         jacobian[rows, edge] = by_edge
 
         prior = model.prior(self._config, self._mount.pan_sigma_rad)

@@ -25,7 +25,7 @@ from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.search import find_places, LEAST_PAPERS, papers_in_view
-from landmark_nav.types import FloatArray, ImageArray, Sweep
+from landmark_nav.types import FloatArray, Sweep
 
 # Least visible part of all papers together, in whole papers.
 _LEAST_EVIDENCE = 1.6
@@ -224,7 +224,9 @@ class PaperSearch:
 
     def _refusal(self, fits: list[PaperFit]) -> LandmarkNavError:
         config, frames = self._config, self._sweep.frames
-        if all(_is_grey(frame.image) for frame in frames):
+        # The noise of a colour camera counts as a colour.
+        images = [frame.image for frame in frames]
+        if all(i.ndim == 2 or (np.ptp(i, axis=2) <= _GREY_SPREAD).all() for i in images):
             return LandmarkNavError(_WITHOUT_COLOR)
         if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b) for b in self._blobs):
             loose = replace(config, height_sigma_m=_ANY_HEIGHT_M, horizon_sigma_rad=_ANY_TILT_RAD)
@@ -283,11 +285,6 @@ _WITHOUT_COLOR = (
     'reference papers are found by their colour, and the images have none: publish colour '
     'images, or give the pose of each sweep (sweep/pose)'
 )
-
-
-def _is_grey(image: ImageArray) -> bool:
-    """Whether an image, grey or BGR, has no colour; the noise of a colour camera counts as one."""
-    return image.ndim == 2 or bool((np.ptp(image, axis=2) <= _GREY_SPREAD).all())
 
 
 def _measured_papers(fit: PaperFit) -> BoolArray:

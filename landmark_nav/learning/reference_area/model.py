@@ -153,11 +153,6 @@ RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 7, 7, 9, 11
 # Usual response to light, between linear and that of sRGB, and its sigma.
 _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
 _SHIFT_SIGMA_PX = 0.15
-# Sigma of edges by brightness due to shadows.
-_BRIGHT_SIGMA_PX = 0.2
-# Sigma of an edge's rotation, at its ends, relative to that of its shift. Without it, a rotation
-# by JPEG of 0.02 px in all frames is taken for a tilt of the axis, and that for a height.
-_TURN_SHARE = 0.5
 
 
 class PaperModel:
@@ -255,12 +250,6 @@ class PaperModel:
         information = sigma**-2.0
         information[:3] = 1e-4  # regularizes directions without measurements
         return np.asarray(information)
-
-
-def edge_sigma_px(config: ReferenceAreaConfig, bright: IndexArray) -> FloatArray:
-    """Sigmas (2, n) of the shift and of the rotation of edges (n,)."""
-    shift = np.hypot(config.edge_sigma_px, np.where(bright > 0, _BRIGHT_SIGMA_PX, 0.0))
-    return np.stack([shift, np.full(len(bright), _TURN_SHARE * config.edge_sigma_px)])
 
 
 def _edge_points(places: PaperPlaces, per_edge: int) -> tuple[FloatArray, FloatArray]:

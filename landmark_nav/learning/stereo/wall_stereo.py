@@ -324,13 +324,9 @@ def log_magnification(
     as its outlines are wider. Gradients are those of the template alone: with a view's own
     gradients its noise would look like blur. The result is None if the pattern does not show it.
 
-    Parameters
-    ----------
-    template, found : ndarray, shape (h, w)
-        Both views, aligned and about equally sharp; the template should be the coarser one. The
-        outermost `MARGIN` pixels are used for filtering only.
-    pixel : float
-        Texels per pixel of the coarser view: the correlation length of its noise.
+    Both views (h, w) are aligned and about equally sharp; the template should be the coarser one.
+    The outermost `MARGIN` pixels are used for filtering only. `pixel` are the texels per pixel of
+    the coarser view, the correlation length of its noise.
     """
     height, width = template.shape
     right, down = (
