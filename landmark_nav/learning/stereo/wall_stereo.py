@@ -193,7 +193,7 @@ def compare(
         relief = _RELIEF_SHARE * displaced * coarser * patch.texel_m / reach
         sigma = np.hypot(sigma, relief)
     edge = patch.candidate.edge
-    nearer = (0.0, np.inf) if edge else _log_nearer(patch, point, (here, there))
+    nearer = (0.0, np.inf) if edge else log_nearer(patch, point, (here, there))
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -291,10 +291,15 @@ MARGIN = 4
 _INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
 
-def _log_nearer(
+def log_nearer(
     patch: WallPatch, point: FloatArray, panoramas: tuple[Panorama, Panorama]
 ) -> tuple[float, float]:
-    """`log_nearer` of a patch matched at a point of its plane; its sigma, inf if unknown."""
+    """
+    Log ratio of the distances of two panoramas from the true plane of a patch, and its sigma.
+
+    `point` (3,) is its match in the second one, on the plane of the patch. The sigma is infinite
+    if the ratio is not observable.
+    """
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
     views = [
         wall_texture(replace(patch, position=place, shape=shape), panorama)
