@@ -225,15 +225,6 @@ def _calibration(
     return replace(known, values=values, covariance=covariance, by_map=by_map)
 
 
-def check_number(panoramas: Sequence[Panorama]) -> None:
-    """Raise `LandmarkNavError` if there are fewer than two panoramas."""
-    if len(panoramas) < 2:
-        raise LandmarkNavError(
-            f'learning needs two panoramas from different places, not {len(panoramas)}: '
-            'take another sweep 1 to 3 m away'
-        )
-
-
 def _check(panoramas: Sequence[Panorama]) -> None:
     check_number(panoramas)
     for p in panoramas:
@@ -254,3 +245,12 @@ def _reasons(outcomes: Sequence[Sequence[Landmark | Refusal]]) -> str:
     reasons = [o.reason for group in outcomes for o in group if isinstance(o, Refusal)]
     ranked = sorted(set(reasons), key=lambda r: -reasons.count(r))
     return ', '.join(f'{reasons.count(r)} {r}' for r in ranked)
+
+
+def check_number(panoramas: Sequence[Panorama]) -> None:
+    """Raise `LandmarkNavError` if there are fewer than two panoramas."""
+    if len(panoramas) < 2:
+        raise LandmarkNavError(
+            f'learning needs two panoramas from different places, not {len(panoramas)}: '
+            'take another sweep 1 to 3 m away'
+        )

@@ -486,13 +486,7 @@ def _sum_by(index: IndexArray, values: FloatArray) -> FloatArray:
 def _calibration(
     panoramas: Sequence[Panorama],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """
-    Axes (2, 2) of roll and pitch of the pan axis in the base, rises (2,), prior, values made with.
-
-    Rises are those of a camera that is moved along x and y of the base about the axis. The prior
-    has c values of `CALIBRATED` and their covariance; each panorama was made with c values. c is 0
-    if a panorama has no calibration.
-    """
+    """Tilt axes (2, 2), rises (2,), prior of `CALIBRATED` or none, values panoramas have."""
     known, made_with = panoramas[-1].calibration, [p.made_with for p in panoramas]
     if known is None or any(values is None for values in made_with):
         return np.eye(2), np.zeros(2), np.zeros(0), np.zeros((0, 0)), np.zeros((len(panoramas), 0))
@@ -502,6 +496,7 @@ def _calibration(
     made = np.where(lens, known.values, np.array(made_with, np.float64))
     which = [NAMES.index(name) for name in CALIBRATED]
     covariance = known.covariance[np.ix_(which, which)] + _LEAST_ERROR**2 * np.eye(len(which))
+    # Rises of a camera that is moved along x and y of the base about the pan axis.
     normal = rotation_rpy(known.mount.axis_rpy)[:, 2]
     lifted = -normal[:2] / normal[2]
     return tilt_axes(known), lifted, known.values[which], covariance, made[:, which]

@@ -28,7 +28,7 @@ from landmark_nav.learning.panorama.synthesis import (
     grey_frame,
     sweep_cylinder,
 )
-from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Sweep
+from landmark_nav.types import CameraFrame, FloatArray, Sweep
 
 _POINTS_PER_PAIR = 60
 _SPACING_PX = 14
@@ -140,20 +140,15 @@ def _track(first: FrameSlab, second: FrameSlab, cylinder: Cylinder) -> FloatArra
     corners = cv2.goodFeaturesToTrack(one, _POINTS_PER_PAIR, 0.01, _SPACING_PX, mask=mask)
     if corners is None:
         return None
-    found, good = _follow(one, other, np.asarray(corners, dtype=np.float32))
+    # Forth and back: points that do not come back are left out.
+    begin = np.asarray(corners, dtype=np.float32)
+    tracked, found, _ = cv2.calcOpticalFlowPyrLK(one, other, begin, begin.copy())
+    ends = np.asarray(tracked, dtype=np.float32)
+    back, returned, _ = cv2.calcOpticalFlowPyrLK(other, one, ends, begin.copy())
+    away = np.linalg.norm(np.asarray(back) - begin, axis=2)[:, 0]
+    good = (np.ravel(found) == 1) & (np.ravel(returned) == 1) & (away < 0.3)
     offset = np.array([first.start + low, 0.0])
-    return np.stack([corners[good, 0] + offset, found[good, 0] + offset], 1)
-
-
-def _follow(
-    one: ImageArray, other: ImageArray, here: npt.NDArray[np.float32]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-    """Track points (n, 1, 2) forth and back; return them and whether they came back."""
-    tracked, found, _ = cv2.calcOpticalFlowPyrLK(one, other, here, here.copy())
-    there = np.asarray(tracked, dtype=np.float32)
-    back, returned, _ = cv2.calcOpticalFlowPyrLK(other, one, there, here.copy())
-    away = np.linalg.norm(np.asarray(back) - here, axis=2)[:, 0]
-    return there, (np.ravel(found) == 1) & (np.ravel(returned) == 1) & (away < 0.3)
+    return np.stack([corners[good, 0] + offset, ends[good, 0] + offset], 1)
 
 
 # Terms that all frames share: relative focal length, first radial distortion, relative pan, angles

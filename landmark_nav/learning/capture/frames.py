@@ -192,11 +192,7 @@ class FrameLog:
 
 
 class Album:
-    """
-    The frames kept so far, by step.
-
-    `suspect` are the steps whose frame will be taken again.
-    """
+    """The frames kept so far, by step; those of `suspect` steps will be taken again."""
 
     def __init__(self) -> None:
         self.frames: dict[int, KeptFrame] = {}

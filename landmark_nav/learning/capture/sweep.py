@@ -46,12 +46,9 @@ class _Phase(Enum):
 
 @dataclass
 class _Step:
-    """
-    The current step. Stamps are those of messages; other times are by the caller's clock.
+    """The current step. Stamps are those of messages; other times are by the caller's clock."""
 
-    `number` is None if all frames are kept and only the motion of the joint is to be checked.
-    """
-
+    # None if all frames are kept and only the motion of the joint is to be checked.
     number: int | None
     target_rad: float
     shots: list[KeptFrame]

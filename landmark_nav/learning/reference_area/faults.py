@@ -77,11 +77,7 @@ _FOOT_M = 0.3048
 
 @dataclass(frozen=True, eq=False)
 class PaperView:
-    """
-    Sheets in one panorama, by the colours of a room's papers.
-
-    `eye_height_m` is the height of the optical centre above the floor, as ``robot.yaml`` gives it.
-    """
+    """Sheets in one panorama by colour; `eye_height_m` is that of the optical centre as given."""
 
     outlines: dict[str, PaperOutlines]
     eye_height_m: float

@@ -195,8 +195,16 @@ class PaperSearch:
         good = sorted((f for f in fits if _fits(f, self._room)), key=lambda f: -_support(f))
         if not good:
             raise self._refusal(fits)
-        _check_unique(good)
         best = good[0]
+        for other in good[1:]:
+            away = se2.relative(best.pose_map_base, other.pose_map_base)
+            distinct = np.hypot(away[0], away[1]) > 0.1 or abs(away[2]) > 0.05
+            if distinct and _support(other) > 0.8 * _support(best):
+                raise LandmarkNavError(
+                    'the reference papers are ambiguous: '
+                    f'({_place_text(best)}) and ({_place_text(other)}) fit alike; '
+                    'hang them at unequal distances'
+                )
         fit = self._fitter.fit(best.pose_map_base, mount=best.mount)
         if fit is None or not _fits(fit, self._room, np.inf if rough else _MOST_MISFIT):
             raise self._refusal([fit] if fit else [])
@@ -241,19 +249,6 @@ class PaperSearch:
         unseen = describe_coverage([f.pan_rad for f in frames], frames[0].camera.half_fov_rad)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '
         return LandmarkNavError(f'{hint if unseen else ""}{why}')
-
-
-def _check_unique(good: list[PaperFit]) -> None:
-    """`LandmarkNavError` if another pose has about the support of the best, which is first."""
-    for other in good[1:]:
-        away = se2.relative(good[0].pose_map_base, other.pose_map_base)
-        distinct = np.hypot(away[0], away[1]) > 0.1 or abs(away[2]) > 0.05
-        if distinct and _support(other) > 0.8 * _support(good[0]):
-            raise LandmarkNavError(
-                'the reference papers are ambiguous: '
-                f'({_place_text(good[0])}) and ({_place_text(other)}) fit alike; '
-                'hang them at unequal distances'
-            )
 
 
 def optical_height(sweep: Sweep, mount: PanTiltMount) -> float:
