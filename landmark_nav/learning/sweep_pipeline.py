@@ -264,12 +264,9 @@ class _Maker:
         for warning in filter(None, [place.warning, _wrong_lens(found)]):
             _LOG.warning('%s', warning)
         by_calibration, made = _by_calibration(place, found), found.calibration
-        shown, floor_rad = (
-            (place.mount_score, place.mount_information),
-            self.area.horizon_sigma_rad,
-        )
+        shown = place.mount_score, place.mount_information
         known = with_overlaps(self.prior, used, found.fit)
-        known = with_papers(known, made, *shown, floor_rad)
+        known = with_papers(known, made, *shown, self.area.horizon_sigma_rad)
         panorama = _panorama(sweep, view, found, place, photometry, axis_tilt)
         return replace(
             panorama,

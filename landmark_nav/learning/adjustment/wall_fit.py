@@ -197,6 +197,7 @@ def _objects(
     wall, positions = room.walls[k], adjustment.positions[on]
     along = (positions[:, :2] - wall.start) @ wall.along
     patches = np.stack([along, adjustment.off_wall_m[on]], 1)
+    # Patches of one object are not independent, so a section counts once.
     section = wall_sections(positions, [k] * len(positions), room, length_m)
     return np.array([np.median(patches[section == n], 0) for n in range(section.max() + 1)])
 
@@ -301,6 +302,7 @@ def _fitted(
 
 def _squared(walls: Sequence[Wall], ends_m: FloatArray, covariance: FloatArray) -> FloatArray:
     """Shifts (n, 2) of the ends of walls, with the prior that most walls are at right angles."""
+    # What hangs on a short wall at various depths hardly shows its direction.
     across = np.array([[-1.0, 1.0]]) / np.array([[wall.length] for wall in walls])
     given = np.array([np.arctan2(*wall.along[1::-1]) for wall in walls])
     turned = given + np.sum(across * ends_m, 1)
