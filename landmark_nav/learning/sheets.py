@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.learning.panorama.synthesis import CylinderImage
@@ -144,7 +144,7 @@ def _foreshortened(
     return float(seen), float(seen * np.linalg.norm(relative))
 
 
-def _may_be(edges: FloatArray, config: SheetsConfig, margin: float = 1.0) -> npt.NDArray[np.bool_]:
+def _may_be(edges: FloatArray, config: SheetsConfig, margin: float = 1.0) -> BoolArray:
     """Whether shape and range of edges (..., 4) are those of a paper, within a factor."""
     right, left, bottom, top = np.moveaxis(edges, -1, 0)
     height = np.maximum(top - bottom, 1e-9)

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig, Linearized, Problem, Weights
 from landmark_nav.learning.least_squares import Damping, root_of
@@ -243,7 +243,7 @@ def _misfit(
     problem: Problem,
     at: Linearized,
     noise: FloatArray,
-    trusted: npt.NDArray[np.bool_] | bool = False,
+    trusted: BoolArray | bool = False,
 ) -> FloatArray:
     """Chi-square of each landmark (n,); the wall's part is robust for those `trusted`."""
     seen, wall = _variances(problem, noise)

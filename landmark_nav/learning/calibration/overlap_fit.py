@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
+from landmark_nav.arrays import IndexArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
@@ -47,9 +48,9 @@ class Overlaps:
     is a full turn. `gaps_rad` are the pans where a full turn lacks a link, for want of texture.
     """
 
-    frames: npt.NDArray[np.intp]
+    frames: IndexArray
     pixels: FloatArray
-    pair: npt.NDArray[np.intp]
+    pair: IndexArray
     closed: bool
     gaps_rad: tuple[float, ...] = ()
 
@@ -218,7 +219,7 @@ class OverlapProblem:
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
         self._room_share = _GUESS_SHARE if guessed else _ROOM_SHARE
-        self._object: npt.NDArray[np.intp] | None = None
+        self._object: IndexArray | None = None
         if range_m is not None:
             azimuth, tangent = (rays[:, 0] for rays in self._seen(self._last))
             self._range = range_m(azimuth, tangent)
@@ -273,7 +274,7 @@ class OverlapProblem:
     def _stepped(
         self,
         x: FloatArray,
-        index: npt.NDArray[np.intp],
+        index: IndexArray,
         normal: FloatArray,
         right: FloatArray,
         cost: Callable[[FloatArray], float],

@@ -14,8 +14,8 @@ from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import BoolArray, IndexArray
 from landmark_nav.geometry.walls import paper_bgr
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.types import FloatArray
@@ -51,7 +51,7 @@ class PaperBlobs:
         """Return the number of blobs."""
         return len(self.misfit)
 
-    def only(self, chosen: npt.NDArray[np.bool_]) -> PaperBlobs:
+    def only(self, chosen: BoolArray) -> PaperBlobs:
         """Return the blobs selected by a mask (n,)."""
         return PaperBlobs(self.edges[chosen], self.misfit[chosen])
 
@@ -121,7 +121,7 @@ class ColorSearch:
         bottom_top = self._cylinder.tangent(np.stack([top + height, top], 1) - 0.5)
         return PaperBlobs(np.hstack([right_left, bottom_top]), misfit[order])
 
-    def _boxes(self, mask: npt.NDArray[np.bool_]) -> FloatArray:
+    def _boxes(self, mask: BoolArray) -> FloatArray:
         """Left, top, width, height and filled share of compact components, (n, 5)."""
         _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
         left, top, width, height, area = stats[1:].astype(np.float64).T
@@ -133,7 +133,7 @@ class ColorSearch:
         good &= (width > 0.12 * height) & (width < 6.0 * height)
         return np.asarray(np.stack([left, top, width, height, filled], 1)[good])
 
-    def _misfit(self, box: npt.NDArray[np.intp], along: FloatArray, across: FloatArray) -> float:
+    def _misfit(self, box: IndexArray, along: FloatArray, across: FloatArray) -> float:
         """Squared deviation of a blob's hue, relative to grey in its surroundings."""
         left, top, width, height = box
         core = self._balanced[

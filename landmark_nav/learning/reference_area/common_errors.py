@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import eigh
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, root_of, solve_root
 from landmark_nav.learning.reference_area.model import (
@@ -40,7 +40,7 @@ def pose_errors(
     room: Room,
     config: ReferenceAreaConfig,
     focal_px: float,
-    seen: npt.NDArray[np.bool_] | None = None,
+    seen: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """
     Covariance of viewpoints measured from papers, and loadings of the part that they share.

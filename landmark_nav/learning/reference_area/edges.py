@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import hue_direction, PaperBlobs
@@ -109,9 +109,7 @@ def locate_edges(
     return EdgeSamples(np.where(found, place[0], np.nan), np.hypot(sigma[0], burnt), by_gamma)
 
 
-def _crossing(
-    profiles: FloatArray, offset: FloatArray
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def _crossing(profiles: FloatArray, offset: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Half-way crossing of profiles (n, m), and whether it is clear."""
     reach = offset[-1]
     inner = np.median(profiles[:, offset < -0.6 * reach], axis=1)

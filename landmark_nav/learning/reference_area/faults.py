@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri
 
+from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.least_squares import covariance_of, Equations, levenberg_marquardt
@@ -181,9 +181,7 @@ class PaperRecord:
         return alone if alone.faults else faults
 
 
-def _may_be(
-    blobs: PaperBlobs, paper: Paper, room: Room, eye_height_m: float
-) -> npt.NDArray[np.bool_]:
+def _may_be(blobs: PaperBlobs, paper: Paper, room: Room, eye_height_m: float) -> BoolArray:
     """Whether blobs (n,) would be inside the room if they were a paper of about this height."""
     low, high = room.bounds
     far = _ANY_SIZE * float(np.hypot(*(high - low)))

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
+from landmark_nav.arrays import BoolArray, IndexArray
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
@@ -52,11 +52,11 @@ class PaperPlace:
 
     axis_pose: FloatArray
     mount: FloatArray
-    blob: npt.NDArray[np.intp]
+    blob: IndexArray
     cost: float
 
 
-def papers_in_view(axis_xy: FloatArray, room: Room) -> npt.NDArray[np.bool_]:
+def papers_in_view(axis_xy: FloatArray, room: Room) -> BoolArray:
     """Whether papers face positions (..., 2) and no wall is between, (..., papers)."""
     center = np.array([paper.center[:2] for paper in room.papers])
     way = axis_xy[..., None, :] - center
@@ -183,7 +183,7 @@ class _Problem:
         step = np.linalg.solve(normal, pull[..., None])[..., 0]
         return np.asarray(poses + np.clip(step, -0.5, 0.5))
 
-    def judge(self, poses: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    def judge(self, poses: FloatArray) -> tuple[FloatArray, IndexArray]:
         """Cost (n,) of poses and the blob (n, papers) of each paper, -1 for none."""
         _, cost, blob = self._compare(poses, 1.0)
         seen = papers_in_view(poses[:, :2], self._room)
@@ -201,7 +201,7 @@ class _Problem:
 
     def _compare(
         self, poses: FloatArray, scale: float
-    ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
+    ) -> tuple[FloatArray, FloatArray, IndexArray]:
         """Residuals (n, papers, 3) to the best blob, their cost and its index."""
         predicted = self._predicted(poses).reshape(len(poses), -1, 1, 3)
         residual = self._blobs - predicted
