@@ -49,6 +49,9 @@ DEFAULT_SIGMAS = np.array([sigma for _, sigma, _ in _QUANTITIES.values()])
 _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
 # Greatest deviation of a measurement from the prior value, in sigmas of their difference.
 _CONTRADICTION = 5.0
+# Degrees of freedom of the t distribution of errors of the prior.
+_FREEDOM = 4.0
+_LEAST_VARIANCE = 1e-20
 # Least difference that is reported, in prior sigmas.
 _WORTH_REPORTING = 0.3
 # Greatest rounding of a covariance in a file or message, relative to its largest eigenvalue.
@@ -207,25 +210,29 @@ class Calibration:
         """
         Return the calibration after a measurement of m linear combinations (`rows`) of quantities.
 
-        If the measurement contradicts the prior, the prior sigmas were too small: they are
-        inflated, so that the measurement decides. Raises `LandmarkNavError`: the measurement
-        contradicts exact values.
+        Errors of the prior have a t distribution: a measurement far off shows that its sigmas were
+        too small, and decides. Raises `LandmarkNavError`: the measurement contradicts an exact
+        value.
         """
         prior, off = self.covariance.copy(), values - rows @ self.values
         known = np.einsum('mi,ij,mj->m', rows, prior, rows)
         sigmas = np.sqrt(np.diag(covariance))
         for row, size, spread, sigma in zip(rows, off, known, sigmas, strict=True):
-            if abs(size) <= _CONTRADICTION * np.hypot(sigma, np.sqrt(max(spread, 0.0))):
+            square = size**2 / max(spread + sigma**2, _LEAST_VARIANCE)
+            if square <= 1.0:
                 continue
-            names = [name for name, part in zip(NAMES, row, strict=True) if abs(part) > 0.5]
             if spread <= 0.0:
+                if square <= _CONTRADICTION**2:
+                    continue
+                names = [name for name, part in zip(NAMES, row, strict=True) if abs(part) > 0.5]
                 raise LandmarkNavError(
                     f'robot.yaml gives {" and ".join(names)} as exact (sigma 0), and the images '
                     f'show {shown(size, sigma, UNITS[names[0]])} beside it: fix the value, or '
                     'give a sigma'
                 )
             loose = row**2 * (np.diag(prior) > 0.0)
-            prior += np.diag(loose * size**2 / loose.sum())
+            excess = (square - 1.0) / (_FREEDOM + 1.0)
+            prior += np.diag(loose * excess * spread / loose.sum())
         gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + covariance)
         left = np.eye(len(prior)) - gain @ rows
         after = left @ prior @ left.T + gain @ covariance @ gain.T

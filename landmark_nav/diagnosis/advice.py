@@ -267,7 +267,10 @@ def _scale_finding(stream: str, factor: float) -> Finding:
             text = 'the images do not turn with the pan'
             advice = 'check pan_joint in robot.yaml and the driver of the joints'
         else:
-            advice = 'check the gear or unit of the pan; else the focal length in camera_info'
+            advice = (
+                'check gear or unit of the pan, the focal length in camera_info, and '
+                'optical_center_offset'
+            )
             level = 'error' if off > _PAN_OFF else 'warning'
         return Finding(name, level, text, advice, {'scale': times})
     if stream == ODOMETRY:

@@ -30,6 +30,7 @@ from landmark_nav.learning.calibration.sweep_calibration import (
     moved_px,
     SweepCalibration,
     tilted,
+    usual_range,
     with_overlaps,
     with_papers,
 )
@@ -232,35 +233,48 @@ class _Maker:
             why = why_seen_otherwise(sweep, room, mount, area)
             raise LandmarkNavError(why or str(error)) from error
         found, photometry, view = _first_view(self.sweep, used, log)
-        self.papers.add(view, optical_height(found.sweep, found.mount))
 
-        def placed(found: SweepCalibration, rough: bool = False) -> SweepPlace:
+        def placed(
+            found: SweepCalibration, area: ReferenceAreaConfig, near: SweepPlace | None = None
+        ) -> SweepPlace:
             with log.measure('reference_area'):
                 try:
-                    return self._place(view, found, area, most_sigmas, rough)
+                    return self._place(view, found, area, most_sigmas, near)
                 except LandmarkNavError as error:
+                    self.papers.add(view, optical_height(found.sweep, found.mount))
                     raise self._explained(error, sweep, mount, area) from error
 
-        place = placed(found, rough=True)
+        # Ranges are unknown in the first view, and with them the parallax of a known offset too.
+        off_axis_m = np.hypot(self.prior.sigmas_from('center_x'), mount.optical_center_offset[:2])
+        place = placed(found, replace(area, center_sigma_m=float(off_axis_m.max())))
+
+        def refine(level: Calibration) -> None:
+            nonlocal found, view, place
+            with log.measure('calibration'):
+                range_m = _range_of_ray(place, found, room)
+                refined = calibrate_sweep(self.sweep, level, range_m, found)
+            mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
+            off_axis = any(refined.mount.optical_center_offset[:2])
+            if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
+                with log.measure('panorama'):
+                    axis, heading = _axis(place, refined.mount), place.pose_map_base[2]
+                    even = even_out(refined.sweep, photometry)
+
+                    def reach_m(azimuth: FloatArray) -> FloatArray:
+                        return np.minimum(room.raycast(axis[:2], azimuth + heading)[0], FAR_M)
+
+                    view = synthesize_cylinder(even, refined.mount, reach_m)
+            found = refined
+            sigmas = {term.name: term.sigma for term in found.quality.calibration}
+            center_m = [sigmas.get(name, 0.0) for name in ('forward', 'left')]
+            place = placed(found, replace(area, center_sigma_m=max(center_m)), near=place)
+
+        refine(used)
         information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
         level, axis_tilt = levelled(used, place.mount_score, information)
-        with log.measure('calibration'):
-            range_m = _range_of_ray(place, found, room)
-            refined = calibrate_sweep(self.sweep, level, range_m, found)
-        mount_changed = refined.mount.axis_rpy != found.mount.axis_rpy
-        off_axis = any(refined.mount.optical_center_offset[:2])
-        changed = mount_changed or off_axis or moved_px(found, refined) > _SAME_PX
-        if changed or place.rough:
-            with log.measure('panorama'):
-                axis, heading = _axis(place, refined.mount), place.pose_map_base[2]
-                even = even_out(refined.sweep, photometry)
-
-                def reach_m(azimuth: FloatArray) -> FloatArray:
-                    return np.minimum(room.raycast(axis[:2], azimuth + heading)[0], FAR_M)
-
-                view = synthesize_cylinder(even, refined.mount, reach_m)
-            place = placed(refined)
-        found = refined
+        if level is not used:
+            refine(level)
+        self.papers.add(view, optical_height(found.sweep, found.mount))
         for warning in filter(None, [place.warning, _wrong_lens(found)]):
             _LOG.warning('%s', warning)
         by_calibration, made = _by_calibration(place, found), found.calibration
@@ -282,13 +296,17 @@ class _Maker:
         found: SweepCalibration,
         area: ReferenceAreaConfig,
         most_sigmas: float,
-        rough: bool = False,
+        near: SweepPlace | None,
     ) -> SweepPlace:
-        """Pose of a sweep by papers, or the given one if they agree."""
+        """
+        Pose of a sweep by papers, or the given one if they agree.
+
+        Without a place `near` by the first view, it is a rough one.
+        """
         sweep, mount, known = found.sweep, found.mount, found.sweep.pose_map_base
         papers = PaperSearch(sweep, view, self.room, mount, area)
         if known is None:
-            return papers.located(most_sigmas, rough)
+            return papers.located(most_sigmas, near is None, near)
         plane = np.ix_([0, 1, 3], [0, 1, 3])
         if not np.isfinite(known.pose).all():
             raise LandmarkNavError('sweep/pose is not a number: fix its publisher')
@@ -298,7 +316,8 @@ class _Maker:
         place = SweepPlace(known.pose, optical_height(sweep, mount), covariance)
         mounted = _by_calibration(place, found)
         uncertain = covariance + mounted @ self.prior.covariance @ mounted.T
-        papers.check_agreement(known.pose, uncertain[plane])
+        if near is not None:
+            papers.check_agreement(known.pose, uncertain[plane])
         covariance[2, 2] = area.height_sigma_m**2
         return place
 
@@ -345,8 +364,9 @@ def _first_view(
         found = calibrate_sweep(sweep, used)
     with log.measure('panorama'):
         photometry = measure_photometry(found.sweep, found.mount)
+        range_m = usual_range if any(found.mount.optical_center_offset[:2]) else None
         even = even_out(found.sweep, photometry)
-        return found, photometry, synthesize_cylinder(even, found.mount)
+        return found, photometry, synthesize_cylinder(even, found.mount, range_m)
 
 
 def _panorama(

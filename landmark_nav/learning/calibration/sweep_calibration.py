@@ -119,7 +119,7 @@ def calibrate_sweep(
     links, cameras = len(np.unique(overlaps.pair)), {frame.camera for frame in sweep.frames}
     if not links or len(overlaps) < _LEAST_PER_LINK * links or len(cameras) > 1:
         return SweepCalibration(given, prior, np.zeros(len(COMMON)), PanoramaQuality())
-    reach_m = range_m or (lambda azimuth, _: np.full(azimuth.shape, _USUAL_RANGE_M))
+    reach_m = range_m or usual_range
     problem = OverlapProblem(overlaps, given, mount, reach_m, guessed=range_m is None)
     free = [_FOCAL, _TILT, _ROLL]
     if overlaps.closed:
@@ -209,6 +209,11 @@ def moved_px(one: SweepCalibration, other: SweepCalibration) -> float:
     lens, angles, offset = (half, half**3), (np.pi, 1.0, half), (half / near, 1.0 / near)
     shift = camera.fx * np.array([*lens, *angles, *offset, half**2])
     return float(np.max(shift * np.abs(one.common - other.common)))
+
+
+def usual_range(azimuth: FloatArray, tangent: FloatArray | None = None) -> FloatArray:
+    """Range of what a camera sees in a room, in any direction."""
+    return np.full(azimuth.shape, _USUAL_RANGE_M)
 
 
 def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:

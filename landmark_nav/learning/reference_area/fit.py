@@ -14,6 +14,7 @@ from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.reference_area.blobs import hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
 from landmark_nav.learning.reference_area.model import (
+    CENTERED,
     EDGE_SHARE,
     EDGES,
     GAMMA,
@@ -62,7 +63,8 @@ class PaperFit:
     and rotations of the pan axis about x and y of the base (rad) relative to the given ones,
     `mount_covariance` (3, 3) is their covariance, including the prior. `size` is the relative
     excess of the sizes of all papers over the given ones, `size_sigma` its sigma, including the
-    prior. `misfit` is the mean squared residual, in sigmas.
+    prior. `center_m` (2,) is the displacement of the optical centre, forward and left. `misfit` is
+    the mean squared residual, in sigmas.
     """
 
     pose_map_base: FloatArray
@@ -74,6 +76,7 @@ class PaperFit:
     mount_covariance: FloatArray
     size: float
     size_sigma: float
+    center_m: FloatArray
     misfit: float
 
 
@@ -111,16 +114,19 @@ class PaperFitter:
         pose_map_base: FloatArray,
         frames_per_paper: int = MOST_FRAMES,
         mount: FloatArray | None = None,
+        center_m: FloatArray | None = None,
     ) -> PaperFit | None:
         """
         Refine an approximate pose (3,) of the base; None if no paper is in view or it diverges.
 
-        `mount` (3,) is an approximate error of height and tilt of the camera. Fewer frames are
+        `mount` (3,) and `center_m` (2,) are approximate errors as in `PaperFit`. Fewer frames are
         faster, and suffice to choose between poses.
         """
         state = self._model.start(pose_map_base)
         if mount is not None:
             state[RISE:SIZE] = mount
+        if center_m is not None:
+            state[CENTERED] = center_m
         fit = None
         for reach, tail_widths in zip(_SEARCH_PX, _TAIL_WIDTHS, strict=True):
             measured = self._measure(state, frames_per_paper, reach)
@@ -248,6 +254,7 @@ class PaperFitter:
             covariance[mount, mount],
             float(state[SIZE]),
             float(np.sqrt(covariance[SIZE, SIZE])),
+            state[CENTERED].copy(),
             misfit,
         )
 

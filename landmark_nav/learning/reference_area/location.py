@@ -9,6 +9,7 @@ edges together are more accurate, and sizes distinguish wrong correspondences fr
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -89,8 +90,7 @@ class SweepPlace:
     `pose_map_base` (3,) is that of the base, `height_m` that of the optical centre, `covariance`
     (4, 4) that of x, y, z, heading. `mount_score` (3,) and `mount_information` (3, 3) are errors
     of height and of the tilt of the pan axis about x and y of the base in information form, by
-    papers alone. `warning` is set if sizes and distances of papers contradict each other. `rough`:
-    not all edges of the papers fit yet.
+    papers alone. `warning` is set if sizes and distances of papers contradict each other.
     """
 
     pose_map_base: FloatArray
@@ -99,7 +99,6 @@ class SweepPlace:
     warning: str = ''
     mount_score: FloatArray = field(default_factory=lambda: np.zeros(3))
     mount_information: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
-    rough: bool = False
 
 
 class PaperSearch:
@@ -116,13 +115,23 @@ class PaperSearch:
         self._sweep, self._view, self._room = sweep, view, room
         self._mount, self._config = mount, config
         self._height_m = optical_height(sweep, mount)
-        colors = color_blobs(view, {paper.color for paper in room.papers})
-        self._blobs = [colors[paper.color] for paper in room.papers]
         self._fitter = PaperFitter(sweep, room, mount, config)
 
-    def located(self, most_sigmas: float = WRONG_PRIOR, rough: bool = False) -> SweepPlace:
+    @cached_property
+    def _blobs(self) -> list[PaperBlobs]:
+        colors = color_blobs(self._view, {paper.color for paper in self._room.papers})
+        return [colors[paper.color] for paper in self._room.papers]
+
+    def located(
+        self,
+        most_sigmas: float = WRONG_PRIOR,
+        rough: bool = False,
+        near: SweepPlace | None = None,
+    ) -> SweepPlace:
         """
         Measure the pose of the sweep, or a `rough` one before the camera is calibrated.
+
+        If all papers fit `near` another place, no other is searched.
 
         Raises `WrongMountError`: height or tilt of the camera are off by more than `most_sigmas`;
         `LandmarkNavError`: fewer than three papers are in the room or in view, papers do not fit
@@ -134,9 +143,10 @@ class PaperSearch:
                 f'the room names {len(self._room.papers)} reference papers: hang three and list '
                 'them in room.yaml, or give the pose of each sweep (sweep/pose)'
             )
-        fit = self.fit(rough)
-        still_rough = not _fits(fit, self._room)
-        if not still_rough:
+        fit = None if near is None else self._fitter.fit(near.pose_map_base)
+        if fit is None or not _fits(fit, self._room):
+            fit = self.fit(rough)
+        if not rough:
             _check_prior(fit, self._room, config, most_sigmas)
         # The misfit inflates the whole covariance, including the part of the prior.
         scatter = max(1.0, fit.misfit)
@@ -149,7 +159,6 @@ class PaperSearch:
             _size_warning(fit, config),
             of_mount @ fit.mount / scatter,
             (of_mount - np.diag(prior)) / scatter,
-            still_rough,
         )
 
     def check_agreement(self, pose_map_base: FloatArray, covariance: FloatArray) -> None:
@@ -205,7 +214,7 @@ class PaperSearch:
                     f'({_place_text(best)}) and ({_place_text(other)}) fit alike; '
                     'hang them at unequal distances'
                 )
-        fit = self._fitter.fit(best.pose_map_base, mount=best.mount)
+        fit = self._fitter.fit(best.pose_map_base, mount=best.mount, center_m=best.center_m)
         if fit is None or not _fits(fit, self._room, np.inf if rough else _MOST_MISFIT):
             raise self._refusal([fit] if fit else [])
         return fit

@@ -11,7 +11,7 @@ contains their errors.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,8 @@ class ReferenceAreaConfig(Config):
     edge_sigma_px: float = 0.05
     # Relative sigma of the size of papers.
     paper_size_sigma: float = 0.002
+    # Sigma of the offset of the optical centre, forward and left, before a sweep calibrates it.
+    center_sigma_m: float = 0.0
 
 
 # Errors of each paper in `PaperPlaces.outlines`: of its place, m, and of its sizes, relative.
@@ -147,9 +149,11 @@ EDGES = 4
 # Share of an edge's length on which its points lie.
 EDGE_SHARE = 0.88
 # x, y, heading of the base; height and two tilts of the axis; relative error of the size of all
-# papers; gamma of colours, which JPEG blurs once more after the camera wrote them, and of
-# brightness; shift of colours, two pixels.
-RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 7, 7, 9, 11
+# papers; shift of the optical centre, forward and left; gamma of colours, which JPEG blurs once
+# more after the camera wrote them, and of brightness; shift of colours, two pixels.
+RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 9, 9, 11, 13
+CENTERED = slice(7, _PLACE)
+
 # Usual response to light, between linear and that of sRGB, and its sigma.
 _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
 _SHIFT_SIGMA_PX = 0.15
@@ -197,7 +201,10 @@ class PaperModel:
         """Pixels (n, 2) of points (n, 3) of papers (n,) in frames (n,)."""
         used = np.unique(frame)
         turn = state[self._frame :].reshape(-1, 2)[used]
-        rotation, center = self._mount.camera_pose_base(
+        x, y, z = self._mount.optical_center_offset
+        forward, left = state[CENTERED].tolist()
+        mount = replace(self._mount, optical_center_offset=(x + forward, y + left, z))
+        rotation, center = mount.camera_pose_base(
             self._angles[used, 0] + turn[:, 0],
             self._angles[used, 1] + turn[:, 1],
             self._angles[used, 2],
@@ -238,12 +245,13 @@ class PaperModel:
     def prior(self, config: ReferenceAreaConfig, angle_sigma_rad: float) -> FloatArray:
         """Information (size,) of the unknowns; `angle_sigma_rad` of pan and tilt of a frame."""
         sigma = np.ones(self.size)
-        sigma[RISE:_PLACE] = (
+        sigma[RISE : SIZE + 1] = (
             config.height_sigma_m,
             config.horizon_sigma_rad,
             config.horizon_sigma_rad,
             config.paper_size_sigma,
         )
+        sigma[CENTERED] = max(config.center_sigma_m, 1e-6)
         sigma[GAMMA:SHIFT], sigma[SHIFT:_COMMON] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
         sigma[_COMMON : self._edge] = max(config.paper_sigma_m, 1e-6)
         sigma[self._frame :] = angle_sigma_rad

@@ -104,6 +104,7 @@ class _Problem:
         self._room, self._places = room, PaperPlaces.of(room)
         self._mount_sigma = np.array([config.height_sigma_m, *[config.horizon_sigma_rad] * 2])
         self._eye = np.array([eye_height_m, 0.0, 0.0])
+        self._center_sigma_m = config.center_sigma_m
         self._center, self._height = self._places.center, self._places.size[:, 1]
         most = max(1, *map(len, blobs))
         # Middle azimuth, tangents of top and bottom.
@@ -175,7 +176,7 @@ class _Problem:
         weight = (1.0 + cost / _TAIL_WIDTH) ** -2.0 * (cost < _MISSING)
         weight *= papers_in_view(poses[:, :2], self._room)
         _, jacobian = linearized(self._predicted, poses)
-        jacobian = jacobian.reshape(*poses.shape, -1, 3) / _OUTLINE_SIGMA
+        jacobian = jacobian.reshape(*poses.shape, -1, 3) / self._sigma(poses)[:, None, :, None]
         prior = np.concatenate([np.full(3, 1e-3), self._mount_sigma**-2.0])
         normal = np.einsum('np,nipk,njpk->nij', weight, jacobian, jacobian) + np.diag(prior)
         pull = np.einsum('np,nipk,npk->ni', weight, jacobian, residual)
@@ -199,6 +200,12 @@ class _Problem:
         seen = _middle(self._places.outlines(poses[..., None, :3], mount))
         return seen.reshape(*poses.shape[:-1], -1)
 
+    def _sigma(self, poses: FloatArray) -> FloatArray:
+        """Sigma of the blobs of each paper at poses (n, 6), (n, papers)."""
+        away = self._center[:, :2] - poses[:, None, :2]
+        reach = np.maximum(np.hypot(away[..., 0], away[..., 1]), self._center_sigma_m)
+        return np.hypot(_OUTLINE_SIGMA, self._center_sigma_m / np.maximum(reach, 1e-3))
+
     def _compare(
         self, poses: FloatArray, scale: float
     ) -> tuple[FloatArray, FloatArray, IndexArray]:
@@ -206,7 +213,7 @@ class _Problem:
         predicted = self._predicted(poses).reshape(len(poses), -1, 1, 3)
         residual = self._blobs - predicted
         residual[..., 0] = wrap_rad(residual[..., 0])
-        residual /= _OUTLINE_SIGMA
+        residual /= self._sigma(poses)[..., None, None]
         cost = np.sum(residual**2, -1) / scale**2 + self._misfit
         blob = np.argmin(cost, axis=-1)
         best = np.take_along_axis(residual, blob[..., None, None], -2)[..., 0, :]
