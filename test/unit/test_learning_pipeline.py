@@ -17,6 +17,7 @@ from scenes import (
     textured_room,
     wall_board,
 )
+from scipy.special import chdtri
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
@@ -187,6 +188,23 @@ def test_height_and_tilt_by_the_papers_are_used(rise_m, lean_deg):
     sigma = np.sqrt(found.covariance[np.ix_(height, height)].sum())
     assert sigma < 0.7 * np.sqrt(2.0) * 0.02
     assert abs(found.values[height].sum() - z - rise_m) < 3.5 * sigma
+
+
+@pytest.mark.parametrize('offset', [(0.08, -0.05), (0.14, 0.12)])
+def test_an_optical_centre_far_off_the_axis_is_calibrated(offset):
+    """The first sweep finds it, the second uses it; the prior gives it as 0 with 2 cm."""
+    true = replace(MOUNT, optical_center_offset=(*offset, 0.0))
+    given = known = Calibration.of_mount(MOUNT)
+    for pose in POSES:
+        panorama = panorama_from_sweep(sweep_at(pose, true), ROOM, known, PanoramaStages())
+        error = (panorama.center_map - axis_of(pose))[:2]
+        assert error @ np.linalg.solve(panorama.covariance[:2, :2], error) < chdtri(2, 1e-3)
+        assert np.abs(error).max() < 0.02
+        found = panorama.calibration
+        for name, value in zip(('center_x', 'center_y'), offset, strict=True):
+            assert found[name][1] < 0.01
+            assert abs(found[name][0] - value) < 3.5 * found[name][1]
+        known = next_prior(given, known, panorama)
 
 
 @pytest.mark.parametrize('off', [{'rise_m': 0.5}, {'rise_m': 0.06, 'sigma': 0.0}])
