@@ -36,9 +36,9 @@ _SHARE, _SHARES = 0.3, (0.02, 0.98)
 # Relative sigma of the baseline, and sigma of the heading about the first pose: they limit the
 # search.
 _AROUND = 0.1
-# Number of sectors of azimuth whose matches share errors, each about as wide as what moves
-# together (4 and 12 give the same), and of draws.
-_SECTORS, _DRAWS = 6, 48
+# Number of sectors of azimuth whose matches share errors (4 and 6 give much the same), and of
+# draws.
+_SECTORS, _DRAWS = 12, 48
 _NOTHING = 1e-12
 
 
