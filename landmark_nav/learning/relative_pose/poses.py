@@ -113,7 +113,7 @@ class RelativePoses:
         """
         Report that errors of headings may be large.
 
-        Raises `LandmarkNavError`: they may be too large to find patches again.
+        Raises `LandmarkNavError`: they may be too large.
         """
         turns = np.linalg.norm(self.doubt[2::STATE], axis=1)
         worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
