@@ -17,6 +17,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
 )
 from landmark_nav.learning.relative_pose.features import Features
 from landmark_nav.learning.relative_pose.poses import relative_poses
+from landmark_nav.learning.relative_pose.rigid_sets import rigid_set
 from landmark_nav.types import PlaceChain
 
 CONFIG = RelativePoseConfig()
@@ -109,6 +110,21 @@ def test_things_that_move_together_do_not_make_a_wrong_pose_certain(moved_m, wal
     across = np.array([-way[1], way[0]]) / (way @ way)
     sigma = np.hypot(np.radians(0.15), np.linalg.norm(across @ result.doubt[STATE : STATE + 2]))
     assert abs(course) < 3.0 * sigma
+
+
+def test_sigma_of_the_heading_contains_errors_that_matches_of_one_direction_share():
+    states = np.array([[0.0, 0.0, 0.0, EYE_M, 0.0, 0.0], [1.8, 0.6, 0.5, EYE_M, 0.0, 0.0]])
+    normal = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        points = room_points(rng, 300)
+        rays, other = ((points - center(s)) @ rot_z(s[2]) for s in states)
+        rays, other = (r / np.hypot(r[:, 0], r[:, 1])[:, None] for r in (rays, other))
+        sector = (np.arctan2(rays[:, 1], rays[:, 0]) * 10.0 / np.pi).astype(int)
+        other[:, 2] += rng.normal(0.0, 2e-3, 21)[sector] + rng.normal(0.0, 5e-4, 300)
+        found = rigid_set(states, RayPairs(0, 1, rays, other), CONFIG)
+        normal.append((found.state[2] - states[1, 2]) / np.linalg.norm(found.loading[2]))
+    assert 0.3 < np.mean(np.square(normal)) < 3.0
 
 
 def test_the_pose_that_most_agree_on_is_found_among_things_that_moved():

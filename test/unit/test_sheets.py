@@ -151,6 +151,15 @@ def test_sheets_that_contradict_each_other_are_refused():
         sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
 
 
+def test_a_pair_whose_sheets_contradict_each_other_is_left_out_if_another_pair_shows_some():
+    rng = np.random.default_rng(2)
+    sheets = [views(state, rng)[:1] for state in (STATES[0], STATES[1], STATES[0], STATES[1])]
+    for seen in sheets[:2]:
+        seen.append(replace(seen[0], name='b', position=0.7 * seen[0].position))
+    found = {(0, 1): true_pose(), (2, 3): true_pose()}
+    assert list(sheet_tracks(sheets, found, FINE)[1]) == [(2, 3)]
+
+
 def test_the_scale_that_sheets_give_is_consistent():
     shares = [papers(seed).share(STATES) for seed in range(60)]
     # The error of the size given is in sigma, but not in these.

@@ -98,7 +98,7 @@ class RelativePoses:
     wave_sigma_rad : float
         Sigma of directions of panoramas beyond the noise of features.
     doubt : ndarray, shape (6 v, q)
-        Errors of the states that many matches share, as things moved together between sweeps.
+        Errors of the states that many matches share, as things of one wall moved or look alike.
     """
 
     states: FloatArray
@@ -113,7 +113,7 @@ class RelativePoses:
         """
         Report that errors of headings may be large.
 
-        Raises `LandmarkNavError`: they may be too large to find patches again.
+        Raises `LandmarkNavError`: they may be too large.
         """
         turns = np.linalg.norm(self.doubt[2::STATE], axis=1)
         worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
@@ -124,8 +124,8 @@ class RelativePoses:
             )
         if turns.max() > _WORTH_REPORTING_RAD:
             _LOG.warning(
-                'things may have moved together between the sweeps: the heading of sweep %d is '
-                'good to %.2f deg only, for one: if they did, sweep again',
+                'parts of the panoramas agree on the heading of sweep %d to %.2f deg only: '
+                'if things moved between the sweeps, sweep again',
                 worst,
                 sigma,
             )

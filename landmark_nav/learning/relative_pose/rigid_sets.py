@@ -1,12 +1,13 @@
 """
-The largest set of matches of two panoramas that one relative pose explains exactly.
+The pose of two panoramas with the most evidence, and how far what they show may mislead.
 
 Things that were moved together between two sweeps agree with another pose than all that stayed,
-and within the errors of a whole panorama both agree with a pose in between. So the pose and the
-noise of matches, from that of single features up, are searched that explain most of them (RANSAC:
-Fischler and Bolles, 1981), and again without the matches in each direction: what hangs on one
-wall may have moved together (delete-a-group jackknife: Kott, Journal of Official Statistics
-17(4), 2001).
+and within the errors of a whole panorama both agree with a pose in between. So the pose is
+searched among random samples of matches, by a likelihood in which a match has one of several
+sigmas, from that of single features up, or is an outlier (MLESAC: Torr and Zisserman, Computer
+Vision and Image Understanding 78(1), 2000). What hangs on one wall shares its errors: relief,
+repeated texture, that it was moved. So sectors of azimuth, not matches, are weighted at random to
+see how the pose changes (Bayesian bootstrap: Rubin, Annals of Statistics 9(1), 1981).
 """
 
 from __future__ import annotations
@@ -16,33 +17,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.arrays import BoolArray
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.learning.least_squares import root_of, solve_positive, solve_root
+from landmark_nav.learning.least_squares import solve_positive
 from landmark_nav.learning.relative_pose.epipolar import (
-    evidence,
     misses,
     RayPairs,
     RelativePoseConfig,
     residuals,
-    TAIL,
 )
 from landmark_nav.learning.relative_pose.features import WIDE_BAND
 from landmark_nav.types import FloatArray
 
-# Number of sigmas of matches that are tried.
+# Number of sigmas that a match may have.
 _SIGMAS = 3
-# Number of samples, matches in each, and number of the best that are refined.
-_SAMPLES, _SIZE, _REFINED = 300, 6, 4
-# Steps of a refinement, and residual of a match that does not support a pose, sigmas.
-_STEPS, _AGREES = 8, 2.5
+# Number of samples, matches in each, and number of the best that are refined, in so many steps.
+_SAMPLES, _SIZE, _REFINED, _STEPS = 1000, 6, 40, 8
+# Share of inliers, in the first step and its least and greatest value.
+_SHARE, _SHARES = 0.3, (0.02, 0.98)
 # Relative sigma of the baseline, and sigma of the heading about the first pose: they limit the
 # search.
 _AROUND = 0.1
-# Each group is a third of all directions; neighbouring groups overlap.
-_GROUPS, _SHARE = 12, 3
-# Changes of a pose by errors of panoramas, which the adjustment models, in sigmas: the 95 %
-# quantile of Student's t with two degrees of freedom, those of three groups.
-_NOISE_SIGMAS = 4.3
+# Number of sectors of azimuth whose matches share errors (4 and 6 give much the same), and of
+# draws.
+_SECTORS, _DRAWS = 12, 48
+_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +47,8 @@ class RigidSet:
     """
     State (6,) of the second view by the matches (m,) that agree with it, with their sigma.
 
-    `loading` (6, q) are the errors of the state by things that moved together, as factors with
-    unit variance.
+    `loading` (6, q) are the errors of the state by what matches share, as factors with unit
+    variance.
     """
 
     state: FloatArray
@@ -62,7 +59,7 @@ class RigidSet:
 
 def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -> RigidSet:
     """
-    Find the pose of the second view that most matches support.
+    Find the pose of the second view that matches support most.
 
     Parameters
     ----------
@@ -71,52 +68,45 @@ def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -
     pairs : RayPairs
         Matches; there may be none.
     """
-    # Errors of panoramas may be larger than those of features, and cover what moved little.
-    sigmas = np.geomspace(config.feature_sigma_rad, config.direction_sigma_rad, _SIGMAS)
-    searches = [_Search(states, pairs, config, float(sigma)) for sigma in sigmas]
-    search = max(searches, key=lambda each: each.evidence)
-    tried, support, best = search.tried, search.tried_support, search.state
-    own = search.support(best)
-    tried, support = np.vstack([tried, best]), np.vstack([support, own])
-    azimuth = np.arctan2(pairs.rays[:, 1], pairs.rays[:, 0])
+    rng, search = np.random.default_rng(0), _Search(states, pairs, config)
+    every = np.ones(len(pairs.rays))
+    tried = search.samples(rng)
+    support = np.array([search.gains(state, _SHARE).sum() for state in tried])
+    first = np.argsort(-support, kind='stable')[:_REFINED]
+    found = [search.refined(state, _SHARE, every) for state in tried[first]]
+    gains = np.array([search.gains(*each) for each in found])
+    best, share = found[int(np.argmax(gains.sum(axis=1)))]
+    turns = np.arctan2(pairs.rays[:, 1], pairs.rays[:, 0]) * _SECTORS / (2.0 * np.pi)
     changes = []
-    for middle in 2.0 * np.pi * np.arange(_GROUPS) / _GROUPS:
-        rest = np.abs(wrap_rad(azimuth - middle)) > np.pi / _SHARE
-        # A few matches show no other pose.
-        enough = own @ rest > _SIZE
-        changes.append(search.best(tried, support, rest) - best if enough else 0.0 * best)
-    changed = np.sqrt((_SHARE - 1.0) / _GROUPS) * np.array(changes).T
-    loading = search.beyond_noise(changed, best, own > 0.0)
-    return RigidSet(best, own > 0.0, loading, search.sigma_rad)
+    for _ in range(_DRAWS):
+        sector = np.floor(turns + rng.uniform()).astype(int) % _SECTORS
+        weight = rng.exponential(size=_SECTORS)[sector]
+        likeliest = found[int(np.argmax(gains @ np.append(weight, 1.0)))]
+        changes.append(search.refined(*likeliest, weight)[0] - best)
+    off, _, inlier = search.inliers(best, share)
+    inlier = inlier.sum(axis=1)
+    variance = (inlier @ off**2 + config.direction_sigma_rad**2) / (inlier.sum() + 1.0)
+    loading = np.array(changes).T / np.sqrt(_DRAWS)
+    return RigidSet(best, inlier > 0.5, loading, float(np.sqrt(variance)))
 
 
 class _Search:
-    """States of the second view of a pair, and their support."""
+    """States of the second view of a pair, and their likelihood."""
 
-    def __init__(
-        self, states: FloatArray, pairs: RayPairs, config: RelativePoseConfig, sigma_rad: float
-    ) -> None:
+    def __init__(self, states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -> None:
         self._pair = states[[pairs.one, pairs.other]]
         self._pairs = RayPairs(0, 1, pairs.rays, pairs.other_rays)
-        self.sigma_rad = sigma_rad
-        self._share_of_noise = sigma_rad / config.direction_sigma_rad
+        self._noise_rad = config.direction_sigma_rad
+        self._sigmas = np.geomspace(config.feature_sigma_rad, self._noise_rad, _SIGMAS)
         length = float(np.hypot(*(self._pair[1] - self._pair[0])[:2]))
         tilt = np.sqrt(2.0) * config.tilt_sigma_rad
         sigma = [_AROUND * length] * 2 + [_AROUND, config.rise_sigma_m, tilt, tilt]
         self._information = np.diag(np.array(sigma) ** -2.0)
         self._prior = np.array([*self._pair[1, :3], self._pair[0, 3], 0.0, 0.0])
-        self.tried = self._samples()
-        self.tried_support = np.array([self.support(state) for state in self.tried])
-        every = np.ones(len(pairs.rays), bool)
-        self.state = self.best(self.tried, self.tried_support, every)
-        off, before = residuals(*self._at(self.state))
-        band = WIDE_BAND / self._share_of_noise
-        self.evidence = evidence(off[before & (np.abs(off) < band)], band)
 
-    def _samples(self) -> FloatArray:
-        """States (n, 6) by random samples of matches, the same each time."""
-        rng = np.random.default_rng(0)
-        off, jacobian, _ = misses(*self._at(self._pair[1]))
+    def samples(self, rng: np.random.Generator) -> FloatArray:
+        """States (n, 6) by random samples of matches."""
+        off, jacobian, _ = misses(*self._at(self._pair[1]), self._noise_rad)
         size = min(_SIZE, len(off))
         samples = np.array([rng.permutation(len(off))[:size] for _ in range(_SAMPLES)])
         slope = jacobian[samples, 1]
@@ -126,36 +116,39 @@ class _Search:
         steps = np.linalg.solve(information, pull[..., None])[..., 0]
         return np.vstack([self._pair[1], self._pair[1] - steps])
 
-    def support(self, state: FloatArray) -> FloatArray:
-        """Support (m,) by each match."""
-        off, before = residuals(*self._at(state))
-        return np.asarray(before * np.maximum(0.0, 1.0 - (off / _AGREES) ** 2))
+    def gains(self, state: FloatArray, share: float) -> FloatArray:
+        """Log-likelihood ratios (m + 1,) to chance of all matches, and that of the prior."""
+        ratio = self._ratios(*residuals(*self._at(state), 1.0)).sum(axis=1)
+        off = state - self._prior
+        return np.append(np.log1p(share * (ratio - 1.0)), -0.5 * off @ self._information @ off)
 
-    def best(self, tried: FloatArray, support: FloatArray, which: BoolArray) -> FloatArray:
-        """State with the most support by the matches `which`, refined from those tried."""
-        first = np.argsort(-support @ which, kind='stable')[:_REFINED]
-        refined = [self._refined(state, which) for state in tried[first]]
-        return max(refined, key=lambda state: float(self.support(state) @ which))
+    def inliers(
+        self, state: FloatArray, share: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residuals (m,), derivatives (m, 6), probabilities (m, s) of each sigma of a match."""
+        off, jacobian, before = misses(*self._at(state), 1.0)
+        ratio = share * self._ratios(off, before)
+        return off, jacobian[:, 1], ratio / (1.0 - share + ratio.sum(axis=1, keepdims=True))
 
-    def beyond_noise(
-        self, changes: FloatArray, state: FloatArray, agrees: BoolArray
-    ) -> FloatArray:
-        """Part (6, q) of changes (6, n) of a state that errors of panoramas do not explain."""
-        slope = misses(*self._at(state))[1][agrees, 1] * self._share_of_noise
-        root = root_of(self._information + slope.T @ slope)
-        axes, size, _ = np.linalg.svd(root.T @ changes, full_matrices=False)
-        beyond = np.sqrt(np.maximum(size**2 - _NOISE_SIGMAS**2, 0.0))
-        return solve_root(root, (axes * beyond)[:, beyond > 0.0], transposed=True)
-
-    def _refined(self, state: FloatArray, which: BoolArray) -> FloatArray:
+    def refined(
+        self, state: FloatArray, share: float, weight: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Likeliest state near one, by weighted matches, and share of inliers."""
         for _ in range(_STEPS):
-            off, jacobian, before = misses(*self._at(state))
-            weight = which * (before / (1.0 + (off / TAIL) ** 2)) ** 2
-            slope = jacobian[:, 1]
-            information = self._information + (slope * weight[:, None]).T @ slope
-            pull = slope.T @ (weight * off) + self._information @ (state - self._prior)
+            off, slope, inlier = self.inliers(state, share)
+            precision = weight * (inlier @ self._sigmas**-2.0)
+            information = self._information + (slope.T * precision) @ slope
+            pull = slope.T @ (precision * off) + self._information @ (state - self._prior)
             state = state - solve_positive(information, pull)
-        return state
+            inside = weight @ inlier.sum(axis=1) / max(weight.sum(), _NOTHING)
+            share = float(np.clip(inside, *_SHARES))
+        return state, share
 
-    def _at(self, state: FloatArray) -> tuple[FloatArray, RayPairs, float]:
-        return np.stack([self._pair[0], state]), self._pairs, self.sigma_rad
+    def _ratios(self, off: FloatArray, before: BoolArray) -> FloatArray:
+        """Likelihood ratios (m, s) to chance for each sigma: outliers are uniform in the band."""
+        density = np.exp(-0.5 * np.square(off[:, None] / self._sigmas)) / self._sigmas
+        band = 2.0 * WIDE_BAND * self._noise_rad
+        return np.asarray(before[:, None] * density * band / (np.sqrt(2.0 * np.pi) * _SIGMAS))
+
+    def _at(self, state: FloatArray) -> tuple[FloatArray, RayPairs]:
+        return np.stack([self._pair[0], state]), self._pairs

@@ -68,7 +68,9 @@ def sheet_tracks(
     """
     Find which views show the same sheets.
 
-    Raises `LandmarkNavError`: as many sheets agree on another length.
+    A pair of views whose sheets support two lengths alike is left out.
+
+    Raises `LandmarkNavError`: no other pair shows a sheet.
 
     Parameters
     ----------
@@ -86,19 +88,27 @@ def sheet_tracks(
         Baselines of pairs that share sheets, m.
     """
     links: list[_Link] = []
-    lengths = {}
+    lengths, undecided = {}, list[str]()
     kinds = sorted({seen.kind for view in sheets for seen in view})
     for (i, j), pose in found.items():
         # Kinds whose given sizes contradict each other are compared once the poses are fitted.
-        agreed = [
-            pair
-            for kind in kinds
-            for pair in _agreed(kind, sheets[i], sheets[j], pose, pose_sigma_rad, (i, j))
-        ]
+        agreed = []
+        for kind in kinds:
+            best, rival = _agreed(kind, sheets[i], sheets[j], pose, pose_sigma_rad)
+            if not rival:
+                agreed += best
+                continue
+            apart = ' and '.join(f'{group[0].length_m:.2f} m' for group in (best, rival))
+            undecided.append(
+                f'sheets that sweeps {i + 1} and {j + 1} both show say that these are {apart} '
+                'apart: check the size given, or hang more sheets of it'
+            )
         if agreed:
             links += [((i, pair.one), (j, pair.other)) for pair in agreed]
             weight = np.array([pair.sigma_m**-2 for pair in agreed])
             lengths[i, j] = float(np.average([p.length_m for p in agreed], weights=weight))
+    if undecided and not lengths:
+        raise LandmarkNavError(undecided[0])
     tracks = []
     for group in _groups(links):
         views = tuple(view for view, _ in group)
@@ -119,9 +129,8 @@ def _agreed(
     other: Sequence[SheetView],
     pose: TwoViews,
     pose_sigma_rad: float,
-    views: tuple[int, int],
-) -> list[_Pair]:
-    """Pairs of views of one sheet of a kind that agree on the baseline, most certain first."""
+) -> tuple[list[_Pair], list[_Pair]]:
+    """Most views of sheets of a kind that agree on the baseline; as many that do on another."""
     pairs = [
         pair
         for a, first in enumerate(one)
@@ -131,18 +140,12 @@ def _agreed(
         and (pair := _way(a, b, first, second, pose, pose_sigma_rad)) is not None
     ]
     if not pairs:
-        return []
+        return [], []
     groups = [_distinct([p for p in pairs if _same(p, about)]) for about in pairs]
     best = max(groups, key=lambda group: (len(group), -min(p.sigma_m for p in group)))
     rest = [p for p in pairs if p not in best and not any(_same(p, q) for q in best)]
     rival = max((_distinct([p for p in rest if _same(p, q)]) for q in rest), key=len, default=[])
-    if len(rival) >= len(best):
-        lengths = ' and '.join(f'{group[0].length_m:.2f} m' for group in (best, rival))
-        raise LandmarkNavError(
-            f'sheets that sweeps {views[0] + 1} and {views[1] + 1} both show say that these are '
-            f'{lengths} apart: check the size given, or hang more sheets of it'
-        )
-    return best
+    return best, rival if len(rival) >= len(best) else []
 
 
 def _way(
