@@ -323,7 +323,7 @@ class LandmarkNode(ManagedNode):
         def use(message: Any) -> None:
             try:
                 callback(message)
-                source.used_s = time.monotonic()
+                source.used_s, source.irrelevant = time.monotonic(), ''
             except IrrelevantError as why:
                 source.irrelevant = str(why)
 
