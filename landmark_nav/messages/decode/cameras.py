@@ -170,9 +170,9 @@ def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
             'that of the whole sensor, as ROS defines it, though it could be that of the reduced '
             'image'
         )
+    camera = CameraModel(width, height, *usual, info.model, info.distortion)
     if meant:
         _LOG.warning('camera_info (%s): K is assumed to be %s', info.described, meant)
-    camera = CameraModel(width, height, *usual, info.model, info.distortion)
     if camera.restriction:
         _LOG.warning('camera_info: %s: calibrate it to use all', camera.restriction)
     if min(camera.reduced_size) < 1:
