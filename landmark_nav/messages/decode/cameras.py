@@ -145,7 +145,7 @@ def camera_model(msg: Any) -> CameraModel:
 def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
     if width < 1 or height < 1:
         raise LandmarkNavError(
-            f'camera_info is for images of {width} x {height} px: set width and height to theirs'
+            f'camera_info or its image is of {width} x {height} px: set width and height of both'
         )
     readings = list(dict.fromkeys(info.readings(width, height)))
     if not readings:
