@@ -126,6 +126,8 @@ def read_joints(bag: Bag, topic: str) -> dict[str, Stream]:
         found = np.asarray(message.position, dtype=np.float64)
         if len(found) < len(message.name) or not np.isfinite(found).all():
             raise LandmarkNavError('positions are too few or not numbers')
+        if len({*message.name}) < len(message.name):
+            raise LandmarkNavError('a joint is named twice: name each once')
         names.append(list(map(str, message.name)))
         return found
 

@@ -294,13 +294,13 @@ class CameraModel:
         """
         Numbers (5,) that identify the lens at any size of the image.
 
-        Focal lengths and principal point over the size, and the first distortion coefficient.
+        Focal lengths and principal point over the size, and the first distortion coefficient: that
+        of the cubed tangent, which in the angle of ``equidistant`` is -1/3.
         """
         width, height = self.width, self.height
         center = (self.cx + 0.5) / width, (self.cy + 0.5) / height
-        return np.array(
-            [self.fx / width, self.fy / height, *center, *(self.distortion or (0.0,))[:1]]
-        )
+        bend = (self.distortion or (0.0,))[0] - self._is_fisheye / 3.0
+        return np.array([self.fx / width, self.fy / height, *center, bend])
 
     @cached_property
     def coefficients(self) -> FloatArray:

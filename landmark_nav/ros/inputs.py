@@ -89,7 +89,7 @@ class Input:
         """Text: why nothing arrives; '' while messages arrive."""
         if not self._count:
             return self._why_none()
-        if self.is_stream and self._silent_s() >= _SILENCE_S and self._is_open():
+        if self.is_stream and self._silent_s() >= _SILENCE_S and self.is_open:
             return f'silent for {self._silent_s():.1f} s'
         return ''
 
@@ -123,7 +123,7 @@ class Input:
         self._reported, self._reported_s = self._count, now_s
         if why := self.why_silent:
             return f'waits: {why}'
-        if not self._is_open():
+        if not self.is_open:
             return 'not listened to now'
         amount = f'{rate_hz:.1f} Hz' if self.is_stream else f'{self._count} messages'
         return f'{amount} from {self.publisher}'
@@ -131,7 +131,8 @@ class Input:
     def _silent_s(self) -> float:
         return time.monotonic() - self.arrived_s
 
-    def _is_open(self) -> bool:
+    @property
+    def is_open(self) -> bool:
         """Whether the node has a subscription now."""
         return any(sub.topic_name in self._topics for sub in self._node.subscriptions)
 
@@ -154,7 +155,7 @@ class Input:
                 offered, wanted = one.qos_profile, asked.get(topic, spec and spec.qos)
                 if wanted and qos_check_compatible(offered, wanted)[0] == QoSCompatibility.ERROR:
                     return f'the quality of service that {_full_name(one)} offers does not suffice'
-        return f'nothing came from {_listed(map(_full_name, ends))} yet' if self._is_open() else ''
+        return f'nothing came from {_listed(map(_full_name, ends))} yet' if self.is_open else ''
 
     def _alike(self) -> list[str]:
         """Other published topics of its type, by similarity of their names."""
@@ -240,8 +241,8 @@ class Inputs:
     def _clocks(self) -> Iterator[str]:
         """Yield texts: a missing clock, and streams with stamps of another clock than most."""
         clock = self._by_topic.get(_CLOCK)
-        if clock is not None and clock.arrived_s < 0.0 and (words := clock.waits()):
-            yield f'use_sim_time is set and no time comes on {words}'
+        if clock is not None and clock.is_open and clock.arrived_s < 0.0:
+            yield f'use_sim_time is set and no time comes on {clock.waits()}'
         moments = {one.name: moment for one in self if (moment := one.moment()) is not None}
         # Between two streams, the clock of the node decides.
         own = time.monotonic(), 1e-9 * self._node.get_clock().now().nanoseconds

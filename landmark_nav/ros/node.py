@@ -323,7 +323,7 @@ class LandmarkNode(ManagedNode):
         def use(message: Any) -> None:
             try:
                 callback(message)
-                source.used_s = time.monotonic()
+                source.used_s, source.irrelevant = time.monotonic(), ''
             except IrrelevantError as why:
                 source.irrelevant = str(why)
 
@@ -482,6 +482,7 @@ class LandmarkNode(ManagedNode):
         self._last_problem = '', ''
         level = Level.DEGRADED if problems and health.level is Level.OK else health.level
         waits = self.inputs.waits() if level is not Level.OK else ''
-        reason = '; '.join(filter(None, [health.reason, *problems, waits]))
+        others = [words for words in (*problems, waits) if words and words not in health.reason]
+        reason = '; '.join([*filter(None, [health.reason]), *others])
         dropped = {f'dropped: {what}': count for what, count in self._dropped.items()}
         return Health(level, reason, {**health.values, **dropped, **self.inputs.values()})

@@ -31,7 +31,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future, Task
 from rclpy.utilities import remove_ros_args
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.ros import chosen_domain
 from landmark_nav.ros.node import LandmarkNode
 
@@ -269,7 +269,7 @@ def run_node(*make_nodes: Callable[[], LandmarkNode], threads: int = 1) -> int:
                     node.announce()
             _spin(nodes, threads, shutdown_guard)
         except LandmarkNavError as error:
-            print(f'{name}: {error}', file=sys.stderr)
+            print(one_line(f'{name}: {error}'), file=sys.stderr)
             return 1
         finally:
             rclpy.try_shutdown()

@@ -204,7 +204,11 @@ def write_map(landmarks: LandmarkMap, folder: Path) -> None:
     document = {
         'schema_version': SCHEMA_VERSION,
         'frame_id': landmarks.frame_id,
-        'provenance': dict(landmarks.provenance),
+        # Names of files may hold bytes that are not UTF-8.
+        'provenance': {
+            key: value.encode('utf-8', 'backslashreplace').decode()
+            for key, value in landmarks.provenance.items()
+        },
         'walls': [wall_entry(wall) for wall in landmarks.walls],
         'panorama_poses': [
             {'stamp_ns': int(k.stamp_ns)}

@@ -161,6 +161,17 @@ def test_a_message_that_is_not_used_is_counted_with_who_sent_it(graph):
     assert graph.listener.odometry[0].pose_odom_base[0] == 1.0
 
 
+def test_a_pan_that_comes_no_more_is_reported_until_it_does(graph):
+    unit = graph.publisher('unit', '/robot/joint_states')
+
+    def send(*names):
+        return lambda: unit.publish(joints(time.time_ns(), *names))
+
+    graph.until(lambda: bool(graph.listener.joints), send())
+    graph.until(graph.reports('pan_joint arrives no more'), send('wheel_left', 'wheel_right'))
+    graph.until(lambda: 'arrives no more' not in graph.health().reason, send())
+
+
 def test_two_that_send_the_same_stream_are_named_not_one_after_the_other(graph):
     one = graph.publisher('one', '/robot/odom')
     graph.until(lambda: bool(graph.listener.odometry), lambda: one.publish(odometry(NOW_NS, 1.0)))
@@ -197,10 +208,10 @@ def test_a_stream_of_another_clock_is_named_with_its_offset(graph, off_s):
 
 
 def test_a_clock_that_does_not_come_is_reported(graph):
-    assert 'use_sim_time' not in graph.health().reason
-    simulated = [Parameter('use_sim_time', value=True)]
-    graph.listener.set_parameters(simulated)
-    graph.until(graph.reports('no time comes on /clock (nobody publishes it)'), int)
+    reported = graph.reports('no time comes on /clock')
+    for simulated in (True, False, True):
+        graph.listener.set_parameters([Parameter('use_sim_time', value=simulated)])
+        graph.until(lambda on=simulated: reported() is on)
     clock = graph.publisher('player', '/clock')
     tick = ros_factory('rosgraph_msgs/msg/Clock')
     # A time before 1970 is none, and ends nothing.

@@ -331,6 +331,14 @@ def test_a_lens_that_folds_back_in_the_corners_is_used_inside_of_that():
     assert np.linalg.norm(np.nan_to_num(back) - [254.0, 193.5], axis=1).max() < 0.51 * 570.0
 
 
+def test_the_same_numbers_of_another_model_are_another_lens():
+    straight, fisheye = (CameraModel(**SIZE, model=k) for k in ('plumb_bob', 'equidistant'))
+    bent = CameraModel(**SIZE, distortion=(float(fisheye.intrinsics[-1]),))
+    near = [[SIZE['cx'] + 0.1 * SIZE['fx'], SIZE['cy']]]
+    assert fisheye.intrinsics != pytest.approx(straight.intrinsics)
+    assert bent.unproject(near) == pytest.approx(fisheye.unproject(near), abs=1e-5)
+
+
 @pytest.mark.parametrize('distortion', [(0.9,), (3.0,), (-0.3, 0.1, 0.02, -0.02), (0.0,) * 5])
 @pytest.mark.parametrize('prism', [(), (0.0, 0.0, 0.0, 0.01, 0.002, -0.02, 0.003)])
 def test_strong_lenses_and_thin_prisms_invert(distortion, prism):

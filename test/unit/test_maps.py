@@ -155,6 +155,11 @@ def test_a_map_that_cannot_be_is_refused_in_one_line(tmp_path, edit, match):
     assert '\n' not in str(error.value)
 
 
+def test_names_of_files_that_are_not_utf_8_are_kept_readable(tmp_path):
+    save_map(replace(make_map(), provenance={'bag': 'caf\udce9'}), tmp_path / 'map')
+    assert load_map(tmp_path / 'map').provenance['bag'].startswith('caf')
+
+
 def test_missing_parts_are_named(tmp_path):
     folder = tmp_path / 'hall'
     save_map(make_map(), tmp_path / '.hall.old-17')

@@ -393,6 +393,13 @@ def test_joints_that_hold_no_angles_are_refused(positions):
             decode.joint_angles(msg, MOUNT)
 
 
+def test_joints_that_are_named_twice_are_refused():
+    msg = encode.joint_state(FACTORY, JointSample(STAMP, 0.1), MOUNT)
+    msg.name, msg.position = [MOUNT.pan_joint, *msg.name], [0.4, *msg.position]
+    with pytest.raises(LandmarkNavError, match='twice'):
+        decode.joint_angles(msg, MOUNT)
+
+
 @pytest.mark.parametrize(('sec', 'nanosec'), [(-1, 0), (0, 2 * 10**9), ('now', 0), (np.nan, 0)])
 def test_stamps_that_are_no_time_are_refused(sec, nanosec):
     msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))

@@ -18,7 +18,7 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.panorama.synthesis import synthesize_cylinder
 from landmark_nav.learning.reference_area.edges import PaperOutlines
-from landmark_nav.learning.reference_area.faults import paper_faults, PaperView
+from landmark_nav.learning.reference_area.faults import paper_faults, PaperRecord, PaperView
 from landmark_nav.learning.reference_area.location import PaperSearch, SweepPlace
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.sweep_pipeline import why_seen_otherwise
@@ -229,8 +229,15 @@ def test_images_without_colour_are_reported():
         jpeg = cv2.imencode('.jpg', cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))[1]
         image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), dtype=np.uint8)
         frames.append(replace(frame, image=image))
+    grey_sweep = replace(sweep, frames=tuple(frames))
     with pytest.raises(LandmarkNavError, match='by their colour, and the images have none'):
-        locate(replace(sweep, frames=tuple(frames)), room)
+        locate(grey_sweep, room)
+    # It says nothing of where papers hang, so that the next sweep is not doubted for it.
+    papers = PaperRecord(room, CONFIG)
+    for one in (grey_sweep, sweep):
+        papers.add(synthesize_cylinder(one, MOUNT), EYE_M)
+        assert papers.faults().fits
+    assert len(papers) == 1
 
 
 def covered(share, pose, tall=False):

@@ -15,6 +15,9 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
+from landmark_nav.localization.relocalization.candidate_detections import (
+    find_candidate_detections,
+)
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -170,12 +173,15 @@ def test_a_known_wall_in_another_room_is_not_enough():
     assert 'of' in found.detail
 
 
-def test_darkness_and_an_empty_map_are_refusals():
+def test_darkness_and_maps_without_landmarks_or_texture_are_refusals():
     dark = CameraFrame(0, np.zeros((LENS.height, LENS.width), np.uint8), LENS, 0.0)
     for landmark_map in (MAP, LandmarkMap(())):
         found = located_at_rest([dark], landmark_map)
         assert isinstance(found, Refusal)
         assert found.reason == 'nothing recognised'
+    blank = [replace(k, patch=np.full_like(k.patch, 90), views=()) for k in MAP.landmarks]
+    (frame,) = sweep(SCENE, (2.4, 1.9, 0.4), PANS[:1])
+    assert not len(find_candidate_detections(frame, LandmarkMap(tuple(blank)), MOUNT))
 
 
 @pytest.mark.parametrize(

@@ -164,9 +164,10 @@ class PaperRecord:
 
     def add(self, view: CylinderImage, eye_height_m: float) -> None:
         """Add a panorama in the base frame, with the height of its optical centre."""
-        if len(self._room.papers) >= LEAST_PAPERS:
-            self._views.append(PaperView.of(view, self._room, eye_height_m))
-            del self._views[:-_MOST_VIEWS]
+        seen = PaperView.of(view, self._room, eye_height_m)
+        # A sweep without any sheet, such as one in the dark, says nothing of where they hang.
+        if len(self._room.papers) >= LEAST_PAPERS and any(map(len, seen.outlines.values())):
+            self._views = [*self._views[1 - _MOST_VIEWS :], seen]
 
     def clear(self) -> None:
         """Drop all sweeps: they were measured with another mount."""
@@ -200,7 +201,7 @@ def paper_faults(
 
     The last four are used. They fit if too little is visible for a test, or in the room.
     """
-    if len(room.papers) < LEAST_PAPERS:
+    if len(room.papers) < LEAST_PAPERS or not views:
         return PaperFaults(True)
     views = views[-_MOST_VIEWS:]
     trial = _Trial(views, room, config)

@@ -264,6 +264,8 @@ def _search(landmark: Landmark, look: SearchRange, strip: Strip, tangent_sigma: 
             if not _MIN_SIZE_PX <= width <= end - first:
                 continue
             template = cv2.resize(landmark.patch, (width, height), interpolation=cv2.INTER_AREA)
+            if not np.ptp(template):
+                continue  # OpenCV finds a template of one grey level everywhere
             scores = cv2.matchTemplate(band, template, cv2.TM_CCOEFF_NORMED)
             row = np.argmax(scores, axis=0)
             score = np.take_along_axis(scores, row[None], 0)[0]

@@ -145,7 +145,7 @@ def camera_model(msg: Any) -> CameraModel:
 def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
     if width < 1 or height < 1:
         raise LandmarkNavError(
-            f'camera_info is for images of {width} x {height} px: set width and height to theirs'
+            f'camera_info or its image is of {width} x {height} px: set width and height of both'
         )
     readings = list(dict.fromkeys(info.readings(width, height)))
     if not readings:
@@ -170,9 +170,9 @@ def _camera(info: CameraInfo, width: int, height: int) -> CameraModel:
             'that of the whole sensor, as ROS defines it, though it could be that of the reduced '
             'image'
         )
+    camera = CameraModel(width, height, *usual, info.model, info.distortion)
     if meant:
         _LOG.warning('camera_info (%s): K is assumed to be %s', info.described, meant)
-    camera = CameraModel(width, height, *usual, info.model, info.distortion)
     if camera.restriction:
         _LOG.warning('camera_info: %s: calibrate it to use all', camera.restriction)
     if min(camera.reduced_size) < 1:

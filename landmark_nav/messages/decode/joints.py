@@ -51,8 +51,9 @@ class JointNames:
     @property
     def missing(self) -> str:
         """Error text: why the pan is unknown, with the names that arrive."""
-        names = sorted(self._seen)
-        pan = self._given.pan_joint
+        names, pan = sorted(self._seen), self._given.pan_joint
+        if self.pan_arrives:
+            return f'{self.mount.pan_joint} arrives no more: is its driver alive?'
         if could_be := [name for name in names if _is_prefixed(name, pan)]:
             return f'{", ".join(could_be[:5])} could be {pan}: set pan_joint in robot.yaml'
         if not names:
@@ -127,12 +128,13 @@ def sweep_trajectory(
 def _angles(
     names: list[str], positions: Any, stamp: int, mount: PanTiltMount, what: str
 ) -> tuple[float | None, float | None]:
-    joints = mount.pan_joint, mount.tilt_joint
+    joints, where = (mount.pan_joint, mount.tilt_joint), f'{what} at {stamp * 1e-9:.3f} s'
     if len(positions) < len(names) and not {*joints}.isdisjoint(names):
         raise LandmarkNavError(
-            f'{what} at {stamp * 1e-9:.3f} s has {len(positions)} values for {len(names)} joints: '
-            'publish one each'
+            f'{where} has {len(positions)} values for {len(names)} joints: publish one each'
         )
+    if max(map(names.count, joints)) > 1:
+        raise LandmarkNavError(f'{where} is of a joint that is named twice: name each once')
     pan_rad, tilt_rad = (
         float(finite(positions[names.index(name)], f'{what} of {name}', stamp, _MAX_RAD))
         if name in names

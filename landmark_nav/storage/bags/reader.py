@@ -62,7 +62,7 @@ class BagMessage:
         if is_unstamped(message) and self.stamp_ns:
             if not self._bag.is_unstamped(self.topic):
                 where = f'{self._bag.path}: a message on {self.topic}'
-                raise LandmarkNavError(f'{where} has no stamp, others do')
+                raise LandmarkNavError(f'{where} has no stamp, others do: stamp all')
             set_stamp(message, self.stamp_ns)
         return message
 
