@@ -17,7 +17,7 @@ from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.storage.reading import array_field, number_field, read_yaml_mapping
-from landmark_nav.storage.setup_files import MOUNT_FIELDS, mount_of, read_robot
+from landmark_nav.storage.setup_files import MOUNT_FIELDS, mount_of, read_robot, ROBOT_FIELDS
 from landmark_nav.types import FloatArray
 
 _LOG = logging.getLogger(__name__)
@@ -121,6 +121,8 @@ def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) 
     path = Path(path)
     document = read_robot(path, former or {})
     mount = mount_of(document, path)
+    if strange := [str(key) for key in document if key not in ROBOT_FIELDS]:
+        _LOG.warning('%s: no fields of it, not used: %s', path, ', '.join(strange[:5]))
     axis = document['pan_axis']
     sigmas: dict[str, float] = {}
     values: dict[str, float] = {}

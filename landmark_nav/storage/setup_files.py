@@ -49,7 +49,7 @@ _RANGES = MOUNT_FIELDS | {'pan_sigma': ('pan_sigma_rad', 0.0, 0.1, 'radians')}
 # Frames of REP-105 that are not fixed in a room.
 _MOVING_FRAMES = ('odom', 'base_link', 'base_footprint')
 
-_ROBOT_FIELDS = (
+ROBOT_FIELDS = (
     *('base_frame', 'pan_joint', 'tilt_joint'),
     *('pan_axis', 'optical_center_offset', 'camera_roll', 'pan_sigma'),
     # Fields that `robot_files` reads.
@@ -185,7 +185,7 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
 def mount_of(document: dict[str, Any], path: Path) -> PanTiltMount:
     """Mount of the content of the `robot.yaml` at `path`; errors as those of `load_robot`."""
     with inside(path):
-        reading.check_spelling(document, _ROBOT_FIELDS, 'robot')
+        reading.check_spelling(document, ROBOT_FIELDS, 'robot')
         axis = reading.field(document, 'pan_axis', 'robot')
         if isinstance(axis, dict):
             reading.check_spelling(axis, _AXIS_FIELDS, 'pan_axis')

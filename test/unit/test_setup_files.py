@@ -153,6 +153,15 @@ def robot_file(path, document):
     return file
 
 
+def test_fields_that_do_nothing_are_named(tmp_path, caplog):
+    (tmp_path / 'robot.yaml').write_text('pan_axis: {xyz: [0, 0, 1]}\nmast: 3\nwheels: [1]\n')
+    load_calibration(tmp_path / 'robot.yaml')
+    (message,) = caplog.messages
+    assert 'mast' in message
+    assert 'wheels' in message
+    assert 'pan_axis' not in message
+
+
 def test_a_file_without_sigmas_stays_valid(tmp_path):
     found = load_calibration(robot_file(tmp_path, BARE_ROBOT))
     assert found.mount.axis_xyz == (0.1, 0.02, 1.2)
