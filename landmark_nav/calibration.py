@@ -47,11 +47,10 @@ DEFAULT_SIGMAS = np.array([sigma for _, sigma, _ in _QUANTITIES.values()])
 
 # Sigma of the values of a calibrated mount, by unit.
 _EXACT = {'m': 1e-4, 'rad': 1e-4, '1': 1e-5, 's': 1e-4}
-# Greatest deviation of a measurement from the prior value, in sigmas of their difference.
+# Greatest deviation of a measurement from an exact value, in sigmas.
 _CONTRADICTION = 5.0
-# Degrees of freedom of the t distribution of errors of the prior.
-_FREEDOM = 4.0
-_LEAST_VARIANCE = 1e-20
+# Degrees of freedom of the t distribution of errors of the prior, and rounds of its estimate.
+_FREEDOM, _ROUNDS = 4.0, 20
 # Least difference that is reported, in prior sigmas.
 _WORTH_REPORTING = 0.3
 # Greatest rounding of a covariance in a file or message, relative to its largest eigenvalue.
@@ -218,11 +217,8 @@ class Calibration:
         known = np.einsum('mi,ij,mj->m', rows, prior, rows)
         sigmas = np.sqrt(np.diag(covariance))
         for row, size, spread, sigma in zip(rows, off, known, sigmas, strict=True):
-            square = size**2 / max(spread + sigma**2, _LEAST_VARIANCE)
-            if square <= 1.0:
-                continue
             if spread <= 0.0:
-                if square <= _CONTRADICTION**2:
+                if abs(size) <= _CONTRADICTION * sigma:
                     continue
                 names = [name for name, part in zip(NAMES, row, strict=True) if abs(part) > 0.5]
                 raise LandmarkNavError(
@@ -231,8 +227,12 @@ class Calibration:
                     'give a sigma'
                 )
             loose = row**2 * (np.diag(prior) > 0.0)
-            excess = (square - 1.0) / (_FREEDOM + 1.0)
-            prior += np.diag(loose * excess * spread / loose.sum())
+            # Variance of the prior by its error, and the error by its variance, in turn.
+            error, factor = size, 1.0
+            for _ in range(_ROUNDS):
+                factor = max(1.0, (_FREEDOM + error**2 / spread) / (_FREEDOM + 1.0))
+                error = size * factor * spread / (factor * spread + sigma**2)
+            prior += np.diag(loose * (factor - 1.0) * spread / loose.sum())
         gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + covariance)
         left = np.eye(len(prior)) - gain @ rows
         after = left @ prior @ left.T + gain @ covariance @ gain.T

@@ -274,8 +274,9 @@ def test_a_sum_moves_its_parts_and_their_difference_stays_unknown():
     assert found['axis_z'][1] > 0.01
 
 
-def test_what_contradicts_the_given_sigma_counts_by_itself():
-    prior = Calibration.of_mount(MOUNT, {'axis_yaw': 0.001})
+@pytest.mark.parametrize('sigma', [0.001, 0.0001])
+def test_what_contradicts_the_given_sigma_counts_by_itself(sigma):
+    prior = Calibration.of_mount(MOUNT, {'axis_yaw': sigma})
     found = prior.measured('axis_yaw', MOUNT.axis_rpy[2] + 0.1, 0.002)
     assert found['axis_yaw'][0] == pytest.approx(MOUNT.axis_rpy[2] + 0.1, abs=1e-3)
     assert found['axis_yaw'][1] < 0.0021
