@@ -265,9 +265,11 @@ class _Maker:
 
                     view = synthesize_cylinder(even, refined.mount, reach_m)
             found = refined
+            # The posterior, or the prior where the frames show nothing.
             sigmas = {term.name: term.sigma for term in found.quality.calibration}
-            center_m = [sigmas.get(name, 0.0) for name in ('forward', 'left')]
-            place = placed(found, replace(area, center_sigma_m=max(center_m)), near=place)
+            forward, left = self.prior.sigmas_from('center_x').tolist()
+            center_m = max(sigmas.get('forward', forward), sigmas.get('left', left))
+            place = placed(found, replace(area, center_sigma_m=center_m), near=place)
 
         refine(used)
         information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
