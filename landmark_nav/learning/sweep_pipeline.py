@@ -248,8 +248,10 @@ class _Maker:
         off_axis_m = np.hypot(self.prior.sigmas_from('center_x'), mount.optical_center_offset[:2])
         place = placed(found, replace(area, center_sigma_m=float(off_axis_m.max())))
 
-        def refine(level: Calibration) -> None:
-            nonlocal found, view, place
+        level = used
+        axis_tilt: tuple[CalibrationTerm, ...] = ()
+        # Once more if the calibrated camera shows that its axis is tilted.
+        for _ in range(2):
             with log.measure('calibration'):
                 range_m = _range_of_ray(place, found, room)
                 refined = calibrate_sweep(self.sweep, level, range_m, found)
@@ -257,12 +259,8 @@ class _Maker:
             off_axis = any(refined.mount.optical_center_offset[:2])
             if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
                 with log.measure('panorama'):
-                    axis, heading = _axis(place, refined.mount), place.pose_map_base[2]
                     even = even_out(refined.sweep, photometry)
-
-                    def reach_m(azimuth: FloatArray) -> FloatArray:
-                        return np.minimum(room.raycast(axis[:2], azimuth + heading)[0], FAR_M)
-
+                    reach_m = _range_of_azimuth(place, refined, room)
                     view = synthesize_cylinder(even, refined.mount, reach_m)
             found = refined
             # The posterior, or the prior where the frames show nothing.
@@ -270,12 +268,12 @@ class _Maker:
             forward, left = self.prior.sigmas_from('center_x').tolist()
             center_m = max(sigmas.get('forward', forward), sigmas.get('left', left))
             place = placed(found, replace(area, center_sigma_m=center_m), near=place)
-
-        refine(used)
-        information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
-        level, axis_tilt = levelled(used, place.mount_score, information)
-        if level is not used:
-            refine(level)
+            if level is not used:
+                break
+            information = place.mount_information + np.diag([area.height_sigma_m**-2, 0.0, 0.0])
+            level, axis_tilt = levelled(used, place.mount_score, information)
+            if level is used:
+                break
         self.papers.add(view, optical_height(found.sweep, found.mount))
         for warning in filter(None, [place.warning, _wrong_lens(found)]):
             _LOG.warning('%s', warning)
@@ -431,6 +429,14 @@ def tenengrad(view: CylinderImage) -> float:
     inner = cv2.erode(view.mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     # A Sobel kernel yields eight times the gradient.
     return float(square[inner].mean() / 64.0) if inner.any() else 0.0
+
+
+def _range_of_azimuth(
+    place: SweepPlace, found: SweepCalibration, room: Room
+) -> Callable[[FloatArray], FloatArray]:
+    """Return a function for the distance of walls at azimuths in the base frame."""
+    axis, heading = _axis(place, found.mount), place.pose_map_base[2]
+    return lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], FAR_M)
 
 
 def _range_of_ray(
