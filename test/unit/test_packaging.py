@@ -168,5 +168,5 @@ def test_every_page_of_the_site_is_in_its_index():
 
 def test_all_fields_of_a_robot_file_are_described():
     text = (DOCS / 'files.md').read_text(encoding='utf-8')
-    fields = {*setup_files._ROBOT_FIELDS, *setup_files._AXIS_FIELDS}
+    fields = {*setup_files.ROBOT_FIELDS, *setup_files._AXIS_FIELDS}
     assert {name for name in fields if name not in text} == set()
