@@ -14,6 +14,7 @@ from rosbags.typesys import get_typestore, Stores
 
 from landmark_nav.demo.supervisor import node_command, node_commands, node_environment
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.ros.robot_client import ServiceDiscovery
 
 NODES = {
     'landmark_learner': ('room_file',),
@@ -99,6 +100,9 @@ class Manager:
         self._state = made.create_client(GetState, f'{node}/get_state')
         client.wait(self._change.service_is_ready, 60.0, 'the services of the lifecycle')
         client.wait(self._state.service_is_ready, 60.0, 'the services of the lifecycle')
+        # Otherwise an answer may be lost.
+        with ServiceDiscovery(made, f'{node}/change_state') as discovery:
+            client.wait(discovery.is_complete, 60.0, 'the node to know its manager')
 
     def __call__(self, step):
         request = ChangeState.Request(transition=Transition(id=step))
