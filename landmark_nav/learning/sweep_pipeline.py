@@ -1,8 +1,9 @@
 """
 The stages from a sweep to a panorama with its pose.
 
-sweep -> calibration from overlaps -> cylinder -> pose from the reference area -> calibration again
-with the distances of the walls, which make the optical centre offset observable.
+sweep -> calibration from overlaps -> cylinder -> rough pose from the reference area -> calibration
+again with the distances of the walls, which make the optical centre offset observable -> pose;
+the last two once more if papers then show that the pan axis is tilted.
 """
 
 from __future__ import annotations

@@ -164,9 +164,11 @@ class PaperRecord:
 
     def add(self, view: CylinderImage, eye_height_m: float) -> None:
         """Add a panorama in the base frame, with the height of its optical centre."""
+        if len(self._room.papers) < LEAST_PAPERS:
+            return
         seen = PaperView.of(view, self._room, eye_height_m)
         # A sweep without any sheet, such as one in the dark, says nothing of where they hang.
-        if len(self._room.papers) >= LEAST_PAPERS and any(map(len, seen.outlines.values())):
+        if any(map(len, seen.outlines.values())):
             self._views = [*self._views[1 - _MOST_VIEWS :], seen]
 
     def clear(self) -> None:

@@ -131,7 +131,7 @@ class PaperSearch:
         """
         Measure the pose of the sweep, or a `rough` one before the camera is calibrated.
 
-        If all papers fit `near` another place, no other is searched.
+        If the papers fit at the place `near`, no other is searched.
 
         Raises `WrongMountError`: height or tilt of the camera are off by more than `most_sigmas`;
         `LandmarkNavError`: fewer than three papers are in the room or in view, papers do not fit

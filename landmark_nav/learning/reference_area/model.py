@@ -39,7 +39,7 @@ class ReferenceAreaConfig(Config):
     edge_sigma_px: float = 0.05
     # Relative sigma of the size of papers.
     paper_size_sigma: float = 0.002
-    # Sigma of the offset of the optical centre, forward and left, before a sweep calibrates it.
+    # Sigma of the optical centre, forward and left; each sweep sets it by what it knows.
     center_sigma_m: float = 0.0
 
 
