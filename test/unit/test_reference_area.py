@@ -203,7 +203,7 @@ TWINS = tuple(replace(p, center=(0.0, 5.0 - p.center[1], p.center[2])) for p in 
             'red fits, green fits, blue shows 0 %',
         ),
         # That they are swapped says `paper_faults`, of all sweeps together.
-        ((EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green')), EAST, ''),
+        ((EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green')), EAST, None),
         (EAST + TWINS, EAST, 'ambiguous.*fit alike'),
         (EAST, (), 'names 0 reference papers.*sweep/pose'),
         (EAST, EAST[:2], 'names 2 reference papers.*sweep/pose'),
