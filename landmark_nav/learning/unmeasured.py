@@ -14,7 +14,7 @@ import logging
 import numpy as np
 from scipy.linalg import block_diag
 
-from landmark_nav.calibration import Calibration
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.se2 import rotation
@@ -58,8 +58,8 @@ RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
 # Covariance of a pose that is only used for the distances of the walls.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
-# Panoramas with smaller tilts are upright: half a pixel at the horizon.
-_UPRIGHT_RAD = 1e-3
+# Least change of directions for which panoramas are made again: half a pixel; most rounds.
+_SAME_RAD, _ROUNDS = 1e-3, 4
 # Relative sigma of the scale in the adjustment, which keeps it: with a smaller scale relief would
 # be smaller too.
 _FIXED_SCALE = 1e-5
@@ -177,8 +177,8 @@ def locate_sweeps(
     """
     Make panoramas of sweeps, and find their poses and the facades around them.
 
-    This is done twice, as calibration needs the distances of the walls. Sweeps are large and are
-    read again.
+    Calibration needs the distances of the walls, and so do panoramas of a camera off the pan axis:
+    this is done twice, or until the distances do not change. Sweeps are large and are read again.
 
     Raises `LandmarkNavError`: as `locate`, and if a sweep makes no panorama or its heading remains
     too uncertain.
@@ -205,33 +205,60 @@ def locate_sweeps(
     places = [_with_turn(chain, turn) for chain in known(stamped)]
     lever = np.array([*given.mount.axis_xyz[:2], panoramas[0].center_map[2]])
     located = locate(panoramas, places, lever, config, log)
-    tilts = located.poses.states[:, 4:]
-    upright = np.abs(tilts).max() < _UPRIGHT_RAD
-    bases = se2.compose(located.poses.states[:, :3], [*-lever[:2], 0.0])
-    again = [
-        panorama_from_sweep(
-            replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, base, _KNOWN)),
-            located.room,
-            given,
-            stages,
-            log,
-            tilt_rad=None if upright else tilt,
-        )
-        for sweep, base, tilt in zip(sweeps(), bases, tilts, strict=True)
-    ]
-    if all(
-        np.array_equal(new.image, old.image) for new, old in zip(again, panoramas, strict=True)
-    ):
+    tilts = np.zeros((len(panoramas), 2))
+    for _ in range(_ROUNDS):
+        upright = np.abs(located.poses.states[:, 4:]).max() < _SAME_RAD
+        tilts += 0.0 if upright else located.poses.states[:, 4:]
+        bases = se2.compose(located.poses.states[:, :3], [*-lever[:2], 0.0])
         again = [
-            replace(p, calibration=new.calibration, made_with=new.made_with)
-            for p, new in zip(located.panoramas, again, strict=True)
+            panorama_from_sweep(
+                replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, base, _KNOWN)),
+                located.room,
+                given,
+                stages,
+                log,
+                tilt_rad=tilt if tilt.any() else None,
+            )
+            for sweep, base, tilt in zip(sweeps(), bases, tilts, strict=True)
         ]
-        located = replace(located, panoramas=tuple(again))
+        if all(
+            np.array_equal(new.image, old.image)
+            for new, old in zip(again, located.panoramas, strict=True)
+        ):
+            again = [
+                replace(p, calibration=new.calibration, made_with=new.made_with)
+                for p, new in zip(located.panoramas, again, strict=True)
+            ]
+            located = replace(located, panoramas=tuple(again))
+            break
+        before, located = located, locate(again, places, lever, config, log, located.poses)
+        moved_rad = _parallax_rad(before, located)
+        if moved_rad < _SAME_RAD:
+            break
     else:
-        located = locate(again, places, lever, config, log, located.poses)
+        _LOG.warning(
+            'the distances of walls remain uncertain, and as the camera is off the pan axis, '
+            'directions too, by %.2f deg: sweep once more',
+            np.degrees(moved_rad),
+        )
     # Tilted panoramas leave more doubt than those levelled by them.
     located.poses.check_doubt(config.relative_pose)
     return located
+
+
+def _parallax_rad(before: Located, after: Located) -> float:
+    """Mean change of directions of panoramas if the distances of their walls change."""
+    azimuth = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    changes = []
+    for old, new in zip(before.panoramas, after.panoramas, strict=True):
+        assert new.made_with is not None
+        offset_m = np.hypot(*new.made_with[[NAMES.index('center_x'), NAMES.index('center_y')]])
+        near = [
+            1.0 / located.room.raycast(p.center_map[:2], azimuth + p.heading_rad)[0]
+            for located, p in ((before, old), (after, new))
+        ]
+        changes.append(offset_m * np.mean(np.abs(near[1] - near[0])))
+    return float(max(changes))
 
 
 def learn_located(

@@ -24,11 +24,13 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.se2 import cross
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import next_prior, panorama_from_sweep, PanoramaStages
-from landmark_nav.types import PoseEstimate, Refusal, Sweep
+from landmark_nav.learning.unmeasured import locate_sweeps, UnmeasuredConfig
+from landmark_nav.types import PlaceChain, PoseEstimate, Refusal, Sweep
 
 CAMERA = CameraModel(
     300, 220, 250.0, 250.0, 150.0, 110.0, distortion=(-0.18, 0.05, 0.001, -0.001, 0.0)
@@ -205,6 +207,27 @@ def test_an_optical_centre_far_off_the_axis_is_calibrated(offset):
             assert found[name][1] < 0.01
             assert abs(found[name][0] - value) < 3.5 * found[name][1]
         known = next_prior(given, known, panorama)
+
+
+def test_poses_without_a_plan_by_a_camera_far_off_its_axis():
+    """The walls are found by panoramas that need their distances: their parallax is 5 degrees."""
+    true = replace(MOUNT, optical_center_offset=(0.14, 0.12, 0.0))
+    relative = np.array([np.zeros(3), se2.relative(*POSES)])
+    known = PlaceChain(relative, np.diag([0.0, 0.0, 0.0, 0.03, 0.03, 0.05]) ** 2)
+    located = locate_sweeps(
+        lambda: (sweep_at(pose, true) for pose in POSES),
+        lambda _: [known],
+        Calibration.of_mount(true),
+        PanoramaStages(),
+        UnmeasuredConfig(),
+        StageLog(),
+    )
+    heading = located.poses.states[1, 2] - located.poses.states[0, 2]
+    assert abs(wrap_rad(heading - relative[1, 2])) < np.radians(0.03)
+    way = located.poses.states[1, :2] - located.poses.states[0, :2]
+    lever = np.array(MOUNT.axis_xyz[:2])
+    expected = se2.transform_points(relative[1], lever) - lever
+    assert abs(np.arctan2(cross(expected, way), expected @ way)) < np.radians(0.2)
 
 
 @pytest.mark.parametrize('off', [{'rise_m': 0.5}, {'rise_m': 0.06, 'sigma': 0.0}])
