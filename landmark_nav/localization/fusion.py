@@ -110,7 +110,7 @@ class Fusion:
         self._start_odds = _GIVEN_RIGHT
         # The last state in which the pose was certainly right.
         self._trusted: State | None = None
-        self._used = False  # whether an image was
+        self.used_image = False  # for an update
         # Values of the mount that contradict their prior.
         self._unlikely: tuple[str, ...] = ()
         self._integrity, self._update = Integrity(), None  # type: Integrity, Update | None
@@ -130,7 +130,7 @@ class Fusion:
         before, self._map = self._map, landmark_map
         if landmark_map.same_as(before):
             return
-        if not self._used:
+        if not self.used_image:
             self._prior = landmark_map.calibration_from(self._robot)
             self._may_be = self._prior.widened(_MAY_STEP)
             self._change(
@@ -256,7 +256,7 @@ class Fusion:
         self._integrity.add(seen.stamp_ns, self._update, 0 if unknown else len(seen.missed))
         self._elsewhere &= self._integrity.log_ratio < _TRUSTED
         if self._update is not None:
-            self._used = True
+            self.used_image = True
             self._weigh_start(line, seen, self._update)
         self._unlikely = self.calibration.contradictions(self._may_be)
         sure = self._integrity.log_ratio >= _TRUSTED and self._anywhere is None

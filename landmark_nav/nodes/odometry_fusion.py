@@ -27,6 +27,7 @@ from landmark_nav.ros.health import Health, Latency, Level
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.storage.robot_files import save_calibration
+from landmark_nav.storage.setup_files import read_robot
 from landmark_nav.types import (
     Detections,
     JointSample,
@@ -111,7 +112,7 @@ class OdometryFusionNode(ConfiguredNode):
             f'once with joint_delay: {late.delay_s:.4f} in robot.yaml'
         )
         if late.delay_s < 0.0:
-            advice += '; or the images are late: landmark-nav check on a recording tells'
+            advice += '; or the images are late: landmark-nav check shows it in a recording'
         return advice
 
     def _mount_advice(self) -> str:
@@ -137,14 +138,15 @@ class OdometryFusionNode(ConfiguredNode):
         given, found = self._fusion.robot, self._fusion.calibration
         hidden = found.unobserved(given)
         shown = [name for name in NAMES if name not in hidden and given[name][1] > 0.0]
-        if not shown:
+        if not (shown and self._fusion.used_image):
             raise LandmarkNavError(
                 'the drive has shown nothing of the calibration yet: find the pose, then drive a '
                 'metre straight on and turn on the spot'
             )
         file = Path(self.config.robot_file)
         written = file.with_name(f'{file.stem}_calibrated.yaml')
-        save_calibration(found, written)
+        noise = read_robot(file, self.config.former_robot).get('odometry')
+        save_calibration(found, written, noise)
         off = found.surprises(given) or 'nothing is off'
         words = f'{len(shown)} quantities calibrated in {written}; {off}'
         return f'{words}; not observed: {", ".join(hidden)}' if hidden else words

@@ -156,7 +156,8 @@ def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None
     try:
         return changed(default, flat(given))
     except LandmarkNavError as error:
-        raise LandmarkNavError(f'{path}: odometry: {error}') from error
+        where = f'{path}, or a file of parameters' if 'odometry' in (former or {}) else path
+        raise LandmarkNavError(f'{where}: odometry: {error}') from error
 
 
 def _correlations(entries: Any) -> FloatArray:

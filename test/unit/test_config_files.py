@@ -70,6 +70,7 @@ def test_a_file_for_other_nodes_alone_is_reported(tmp_path, caplog):
 def test_a_file_of_the_last_release_is_taken_with_warnings(tmp_path, caplog):
     text = (
         'observation: {triplet: {max_range_m: 9.0, hysteresis: 0.1}}\n'
+        'fusion: {mode: loose, map_memory_m: 4.0}\n'
         'world: {people: 4}\nodometry: {along_m_per_sqrt_m: 0.5, scale_sigma: 0.5}\n'
     )
     robot = tmp_path / 'robot.yaml'
@@ -77,6 +78,7 @@ def test_a_file_of_the_last_release_is_taken_with_warnings(tmp_path, caplog):
     config = load(tmp_path, text, robot=robot)
     assert config.triplet.max_range_m == 9.0
     assert config.triplet.hysteresis == PLAIN.triplet.hysteresis
+    assert config.estimator.correlation_length_m == 4.0
     # The robot's file goes before what is moved there.
     assert (config.odometry.along_m_per_sqrt_m, config.odometry.scale_sigma) == (0.5, 0.25)
     for named in ('ros__parameters', 'triplet.max_range_m', 'triplet.hysteresis', 'robot.yaml'):
