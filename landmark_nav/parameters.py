@@ -75,7 +75,7 @@ class Config:
         """
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            where = f'parameter {field.name} of {type(self).__name__}'
+            where = f'parameter {field.name}'
             choices = field.metadata.get('choices')
             if choices is not None and value not in choices:
                 allowed = f'take one of {", ".join(choices)}'

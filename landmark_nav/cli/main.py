@@ -128,7 +128,8 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
-            message += _meant(found[1], re.findall(r'[\w-]+', found[2]))
+            if meant := _meant(found[1], re.findall(r'[\w-]+', found[2])):
+                message = message.partition(' (choose')[0] + meant
         self.print_usage(sys.stderr)
         self.exit(2, one_line(f'{self.prog}: error: {message}') + '\n')
 

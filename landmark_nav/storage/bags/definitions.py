@@ -19,6 +19,11 @@ MAP_TOPICS = ('landmarks', 'landmarks/atlas', 'landmarks/markers')
 # Images of a drive and of sweeps, in the order in which they are looked for.
 DRIVE_IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
 SWEEP_IMAGES = ('sweep/image', 'sweep/image/compressed')
+# Images of one kind of recording -> those of the other kind, and its name.
+OTHER_KIND: dict[tuple[str, ...], tuple[tuple[str, ...], str]] = {
+    DRIVE_IMAGES: (SWEEP_IMAGES, 'sweeps'),
+    SWEEP_IMAGES: (DRIVE_IMAGES, 'a drive'),
+}
 
 # Greatest number of names in a message.
 _MOST_NAMES = 5

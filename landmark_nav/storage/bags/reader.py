@@ -178,7 +178,7 @@ class Bag:
         if name in by_user:
             if by_user[name] not in topics:
                 raise LandmarkNavError(
-                    f'{self.path}: --topic {name}={by_user[name]}: not in the bag; there are '
+                    f'{self.path}: --topic {name}={by_user[name]}: not in the bag, which has '
                     f'{definitions.listed(topics)}'
                 )
             found = [topics[by_user[name]]]
@@ -227,7 +227,12 @@ class Bag:
         """
         if topic := self.find(*alternatives):
             return topic
-        there = definitions.listed(f'{t} ({n})' for t, n in sorted(self.counts.items())) or 'none'
+        others, kind = definitions.OTHER_KIND.get(alternatives, ((), ''))
+        if self.find(*others):
+            raise LandmarkNavError(
+                f'{self.path}: it is a recording of {kind}: topic {alternatives[0]} is missing'
+            )
+        there = definitions.listed(self._filled()) or 'none'
         choices = [
             f'--topic {name}={topic}'
             for name in alternatives
@@ -237,7 +242,7 @@ class Bag:
         ]
         remedy = f', or give {" or ".join(choices[:2])}' if choices else ''
         raise LandmarkNavError(
-            f'{self.path}: topic {alternatives[0]} is missing: record it{remedy}; there are '
+            f'{self.path}: topic {alternatives[0]} is missing: record it{remedy}; it has '
             f'{there}'
         )
 
