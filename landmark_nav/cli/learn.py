@@ -60,15 +60,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--topic', '--overwrite', '--config')
     add(parser, '--robot', required=True)
     text = (
-        'room.yaml: walls and papers (default: walls are found, the scale is that of sweep/pose, '
+        'room.yaml: walls and papers; without papers its frame is that of the first sweep, as in '
+        'the file of --walls-out (default: walls are found, the scale is that of sweep/pose, '
     )
     text += 'odom, papers and markers, the frame that of the first sweep)'
     add(parser, '--room', help=text)
-    text = 'write the walls that were found as room.yaml'
+    text = 'write the walls as room.yaml, to be corrected and given as --room'
     add(parser, '--walls-out', metavar='F', type=Path, help=text)
     add(parser, '--out', required=True, metavar='MAP', help='map folder to write')
     text = 'coloured papers of this size hang upright somewhere: they give the scale (without '
-    text += '--room; width and height in metres, A4: 0.210 0.297)'
+    text += 'papers in --room; width and height in metres, A4: 0.210 0.297)'
     add(parser, '--paper-size', nargs=2, type=float, metavar=('W', 'H'), help=text)
     text = 'ArUco or AprilTag markers of this size, the side of the black square in metres, do'
     add(parser, '--marker-size', type=float, metavar='M', help=text)
@@ -85,18 +86,22 @@ def run(args: argparse.Namespace) -> int:
     atomic_io.check_writable(args.json, args.walls_out, args.report)
     room = load_room(args.room) if args.room else None
     given = load_calibration(args.robot)
-    config = _config(args)
     bag = open_bag(args.bag, args)
+    # Walls alone do not show where the sweeps were.
+    placed = room is not None and bool(room.papers or bag.find('sweep/pose'))
+    config = _config(args, placed)
     log = StageLog()
     with log.measure('checks'):
         checked(bag, given, room)
     with atomic_io.atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
-        if room is None:
-            located, frames = located_sweeps(bag, given, config, log)
-            panoramas, room, found = list(located.panoramas), located.room, located.provenance
-        else:
+        if room is not None and placed:
             panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
+        else:
+            located, frames = located_sweeps(bag, given, config, log)
+            if room is not None:
+                located = unmeasured.with_plan(located, room)
+            panoramas, room, found = list(located.panoramas), located.room, located.provenance
         shown = replace(log, steps=progress(range(_LEARNING_STAGES), 'learning'))
         if located is None:
             result = learn_from_panoramas(panoramas, room, config, shown)
@@ -188,8 +193,8 @@ def located_sweeps(
     return unmeasured.locate_sweeps(sweeps, known, given, config, config.unmeasured, log), frames
 
 
-def _config(args: argparse.Namespace) -> Configuration:
-    """Parameters of all stages by the file, and the given sizes of papers and markers."""
+def _config(args: argparse.Namespace, placed: bool) -> Configuration:
+    """Parameters by the file, and the given sizes of sheets, if sweeps are not yet `placed`."""
     nodes = ('panorama_synthesizer', 'landmark_learner')
     config = load_configuration(args.config, args.robot, *nodes)
     width, height = args.paper_size or (None, None)
@@ -200,10 +205,10 @@ def _config(args: argparse.Namespace) -> Configuration:
         'marker_dictionary': args.marker_dictionary,
     }
     sizes = {name: value for name, value in given.items() if value is not None}
-    if sizes and args.room:
+    if sizes and placed:
         raise UsageError(
-            '--paper-size and --marker-size give the scale where there is no --room: leave out '
-            'one of them'
+            '--paper-size and --marker-size are for sweeps that neither papers of --room nor '
+            'sweep/pose place: leave them out'
         )
     try:
         sheets = replace(config.unmeasured.sheets, **sizes)

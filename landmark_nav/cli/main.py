@@ -127,9 +127,9 @@ class _Parser(argparse.ArgumentParser):
     """Parser that reports errors in one line of bounded length, after the usage."""
 
     def error(self, message: str) -> NoReturn:
-        if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
-            if meant := _meant(found[1], re.findall(r'[\w-]+', found[2])):
-                message = message.partition(' (choose')[0] + meant
+        found = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        if found and (meant := _meant(found[1], re.findall(r'[\w-]+', found[2]))):
+            message = message.partition(' (choose')[0] + meant
         self.print_usage(sys.stderr)
         self.exit(2, one_line(f'{self.prog}: error: {message}') + '\n')
 

@@ -58,6 +58,8 @@ RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
 # Covariance of a pose that is only used for the distances of the walls.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
+# A plan whose walls are farther from those found is in another frame.
+_OTHER_PLAN_M = 0.5
 # Least change of directions for which panoramas are made again: half a pixel; most rounds.
 _SAME_RAD, _ROUNDS = 1e-3, 4
 # Relative sigma of the scale in the adjustment, which keeps it: with a smaller scale relief would
@@ -259,6 +261,22 @@ def _parallax_rad(before: Located, after: Located) -> float:
         ]
         changes.append(offset_m * np.mean(np.abs(near[1] - near[0])))
     return float(max(changes))
+
+
+def with_plan(located: Located, plan: Room) -> Located:
+    """
+    Replace the walls found by those of a plan in the frame of the map.
+
+    Raises `LandmarkNavError`: walls were found, but most are not in the plan.
+    """
+    found = [wall for wall in located.room.walls if wall.sigma_m]
+    middles = np.array([np.mean([wall.start, wall.end], axis=0) for wall in found])
+    if found and np.median(plan.wall_distances(middles).min(axis=1)) > _OTHER_PLAN_M:
+        raise LandmarkNavError(
+            'the walls of the room file are not where the sweeps see walls: without papers and '
+            'sweep/pose its origin is base_link at the first sweep, as in the file of --walls-out'
+        )
+    return replace(located, room=plan)
 
 
 def learn_located(

@@ -119,7 +119,7 @@ class TripletSelectorNode(ConfiguredNode):
         if self._camera is None:
             return 'no landmarks: call learn_landmarks or load_map'
         if self._fused is None:
-            return 'no fused pose: odom is missing, or the place is not found yet (initialpose gives it)'
+            return 'no fused pose: odom is missing, or the place is not found yet'
         if silent_s > _SILENCE_S:
             return f'no fused pose for {silent_s:.1f} s'
         return '' if self._frames.camera is not None else 'no camera_info'

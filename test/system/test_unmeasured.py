@@ -1,6 +1,8 @@
 """Learning without a plan, from sweeps with odometry between them, through the commands."""
 
 import json
+from types import SimpleNamespace
+from typing import Any
 
 from harness import BAGS, evaluate, start_of
 import numpy as np
@@ -8,8 +10,10 @@ import pytest
 from unmeasured import with_odometry
 
 from landmark_nav.cli.main import main
+from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.geometry import se2
+from landmark_nav.learning.unmeasured import with_plan
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.setup_files import load_room
 
@@ -56,6 +60,21 @@ def test_walls_found_are_those_of_the_room(learned):
         starts = np.array([w.start for w in true.walls])
         off = np.abs(np.sum((at - starts) * true.normals[:, :2], 1))
         assert off[alike].min() < 0.03, wall.id
+
+
+def test_the_walls_found_can_be_corrected_and_given(learned, tmp_path):
+    words = ['learn', str(learned[1] / 'sweeps'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
+    words += ['--room', str(learned[1] / 'room.yaml'), '--json', str(tmp_path / 'learn.json')]
+    assert main(words) == 0
+    again = json.loads((tmp_path / 'learn.json').read_text())
+    assert again['sweeps'][1]['pose'] == pytest.approx(learned[0]['sweeps'][1]['pose'], abs=3e-3)
+    assert set(again['landmarks_per_wall']) == set(learned[0]['landmarks_per_wall'])
+
+
+def test_a_plan_in_another_frame_is_refused(learned):
+    found: Any = SimpleNamespace(room=load_room(learned[1] / 'room.yaml'))
+    with pytest.raises(LandmarkNavError, match='first sweep'):
+        with_plan(found, load_room(BAGS / 'room.yaml'))
 
 
 def test_the_map_serves_a_drive(learned, tmp_path):

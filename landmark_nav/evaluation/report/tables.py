@@ -214,8 +214,7 @@ def learning_verdict(report: Mapping[str, Any], warning: str) -> dict[str, str]:
         f'{1e3 * without_m:.1f} mm of it apart from the mount'
         + (' and the scale)' if found else ')')
         + (f', off by at most {1e3 * max(errors):.1f} mm' if errors else ''),
-        f'no room.yaml: scale from {found["scale"]}, good to '
-        f'{100 * float(found["scale_sigma"]):.2g} %'
+        f'scale from {found["scale"]}, good to {100 * float(found["scale_sigma"]):.2g} %'
         if found
         else '',
         warning,

@@ -242,8 +242,7 @@ class Bag:
         ]
         remedy = f', or give {" or ".join(choices[:2])}' if choices else ''
         raise LandmarkNavError(
-            f'{self.path}: topic {alternatives[0]} is missing: record it{remedy}; it has '
-            f'{there}'
+            f'{self.path}: topic {alternatives[0]} is missing: record it{remedy}; it has {there}'
         )
 
     def _filled(self) -> dict[str, str]:
