@@ -180,13 +180,14 @@ def test_noise_that_cannot_be_is_named(tmp_path, odometry):
         load_odometry(path, OdometryNoiseConfig())
 
 
-def test_survives_its_file_with_what_errs_together(tmp_path):
+def test_survives_its_file_with_what_errs_together(tmp_path, caplog):
     rng = np.random.default_rng(0)
     root = 1e-3 * rng.normal(size=(len(NAMES), 4))
     values = Calibration.of_mount(MOUNT).values + 1e-3 * rng.normal(size=len(NAMES))
     before = Calibration(values, root @ root.T, MOUNT)
     save_calibration(before, tmp_path / 'robot.yaml')
     after = load_calibration(tmp_path / 'robot.yaml')
+    assert not caplog.records
     assert after.values == pytest.approx(before.values, abs=1e-9)
     assert after.covariance == pytest.approx(before.covariance, abs=1e-11)
     assert after.base.pan_sigma_rad == MOUNT.pan_sigma_rad
