@@ -282,6 +282,7 @@ class Fusion:
         move_to(seen.stamp_ns, anywhere, self._track)
         self._start_odds += update.log_evidence - anywhere.observe(seen).log_evidence
         if self._start_odds < 0.0:
+            _LOG.warning('images contradict the given start: the place is searched in images')
             # Estimates from a wrong pose are wrong.
             line.filter.restore(self._given)
             self._begin(line.filter)

@@ -109,6 +109,8 @@ def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
         lost = f'lost {when}' + (f' and {len(spells) - 3} times more' if len(spells) > 3 else '')
     else:
         lost = 'never lost'
+    if found := report.get('found'):
+        lost = f'place found after {found["after_s"]:.1f} s, then {lost}'
     degraded = sum(s['status'] == 'coasting' for s in report['spells'])
     undetected = f'{wrong} images are over 5 sigma off and not reported' if wrong else ''
     if wrong or report.get('warning'):
