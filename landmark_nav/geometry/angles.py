@@ -17,18 +17,7 @@ _MAX_RATE_RAD_S = 10.0
 
 
 def wrap_rad(angle_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """
-    Wrap angles to (-pi, pi].
-
-    Parameters
-    ----------
-    angle_rad : array_like, shape (...)
-        Angles, radians.
-
-    Returns
-    -------
-    ndarray, shape (...)
-    """
+    """Wrap angles (...), radians, to (-pi, pi]."""
     angle = np.asarray(angle_rad, dtype=np.float64)
     return np.asarray(np.pi - np.mod(np.pi - angle, 2.0 * np.pi))
 
@@ -54,17 +43,10 @@ def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDA
     A step of more than half a turn is a jump if it is faster than any joint. The angles of a
     driver that counts turns do not change.
 
-    Parameters
-    ----------
-    stamps_ns : array_like, shape (k,)
-        Times of the angles, ascending or descending.
-    angles_rad : array_like, shape (k,)
-        Measured angles, radians.
+    `stamps_ns` (k,): times of the angles, ascending or descending. `angles_rad` (k,): measured
+    angles, radians.
 
-    Returns
-    -------
-    ndarray, shape (k,)
-        Angles that differ from the measured ones by whole turns; the first is unchanged.
+    Returns (k,): angles that differ from the measured ones by whole turns; the first is unchanged.
     """
     angles = np.array(angles_rad, dtype=np.float64)
     steps = np.diff(angles)

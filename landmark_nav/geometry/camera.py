@@ -561,19 +561,12 @@ class PanTiltMount:
         """
         Pose of the optical frame in ``base_link``.
 
-        Parameters
-        ----------
-        pan_rad, tilt_rad : array_like, shape (...)
-            Joint angles; pan positive to the left, tilt positive upwards, in the axis frame.
-        roll_rad : float or array_like, shape (...)
-            Additional rotation about the optical axis, clockwise in the direction of view.
+        `pan_rad`, `tilt_rad` (...): joint angles; pan positive to the left, tilt positive upwards,
+        in the axis frame. `roll_rad` (...): additional rotation about the optical axis, clockwise
+        in the direction of view.
 
-        Returns
-        -------
-        rotation : ndarray, shape (..., 3, 3)
-            Optical frame -> base.
-        translation : ndarray, shape (..., 3)
-            Optical centre in base, metres.
+        Returns `rotation` (..., 3, 3): optical frame -> base; `translation` (..., 3): optical
+        centre in base, metres.
         """
         turned = self._axis_rotation @ rot_z(pan_rad) @ rot_y(np.negative(tilt_rad))
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)

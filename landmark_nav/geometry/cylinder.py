@@ -29,16 +29,8 @@ class Cylinder:
     """
     Geometry of a full-turn cylindrical image.
 
-    Parameters
-    ----------
-    width, height : int
-        Size, pixels; `width` spans exactly one turn.
-    fy : float
-        Pixels per unit tangent of elevation.
-    cx : float
-        Column of azimuth 0 in the base frame.
-    cy : float
-        Row of the horizon.
+    `width`, `height`: size, pixels; `width` spans exactly one turn. `fy`: pixels per unit tangent
+    of elevation. `cx`: column of azimuth 0 in the base frame. `cy`: row of the horizon.
     """
 
     width: int
@@ -122,12 +114,8 @@ def unseen_arcs(pan_rad: npt.ArrayLike, half_fov_rad: float) -> list[tuple[float
     """
     Arcs (from, to), counter-clockwise, radians, that no frame covers.
 
-    Parameters
-    ----------
-    pan_rad : array_like, shape (n,)
-        Pans of the frames, in any order, not necessarily wrapped.
-    half_fov_rad : float
-        Half the horizontal field of view.
+    `pan_rad` (n,): pans of the frames, in any order, not necessarily wrapped. `half_fov_rad`: half
+    the horizontal field of view.
     """
     pan = np.unique(np.mod(np.asarray(pan_rad, dtype=np.float64), 2.0 * np.pi))
     if not len(pan):
@@ -144,14 +132,8 @@ def describe_coverage(
     """
     Message about the gaps of a sweep; empty if no frame is missing and the turn is complete.
 
-    Parameters
-    ----------
-    pan_rad : array_like, shape (n,)
-        Pans of the frames.
-    half_fov_rad : float
-        Half the horizontal field of view.
-    missing_rad : array_like, shape (m,)
-        Pans of the missing frames.
+    `pan_rad` (n,): pans of the frames. `half_fov_rad`: half the horizontal field of view.
+    `missing_rad` (m,): pans of the missing frames.
     """
     missing = [f'{np.degrees(pan):.0f}' for pan in np.asarray(missing_rad, dtype=np.float64)]
     arcs = [

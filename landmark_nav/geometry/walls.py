@@ -149,19 +149,11 @@ class Room:
         """
         Horizontal distance to the first wall along rays.
 
-        Parameters
-        ----------
-        origin_xy : array_like, shape (..., 2)
-            Origins of the rays, map frame, metres.
-        azimuth_rad : array_like, shape (...)
-            Directions of the rays in map.
+        `origin_xy` (..., 2): origins of the rays, map frame, metres. `azimuth_rad` (...):
+        directions of the rays in map.
 
-        Returns
-        -------
-        distance : ndarray, shape (...)
-            Metres; inf where no wall is hit.
-        wall : ndarray of int, shape (...)
-            Index of the wall, -1 where none is hit.
+        Returns `distance` (...): metres; inf where no wall is hit; `wall` (...): index of the
+        wall, -1 where none is hit.
         """
         azimuth = np.asarray(azimuth_rad, dtype=np.float64)
         distance = self._wall_hits(origin_xy, np.cos(azimuth), np.sin(azimuth))

@@ -26,10 +26,7 @@ class ExpectedPoses(Generic[_Pose]):
     """
     The last fused poses, interpolated in time.
 
-    Parameters
-    ----------
-    max_age_s : float
-        Greatest difference in time between a pose and a request.
+    `max_age_s`: greatest difference in time between a pose and a request.
     """
 
     def __init__(self, max_age_s: float) -> None:
@@ -80,10 +77,7 @@ class SpreadCorrection:
     The lag acts on the pose of the base, not on the transform: otherwise a correction of the
     heading would rotate the robot about the distant origin of ``odom``.
 
-    Parameters
-    ----------
-    time_constant_s : float
-        Time after which 63 % of a correction is applied; 0 applies all at once.
+    `time_constant_s`: time after which 63 % of a correction is applied; 0 applies all at once.
     """
 
     def __init__(self, time_constant_s: float) -> None:
@@ -100,17 +94,10 @@ class SpreadCorrection:
         """
         Transform at a time.
 
-        Parameters
-        ----------
-        stamp_ns : int
-            Stamp of both poses; a stamp before the last one restarts.
-        pose_map_base, pose_odom_base : ndarray, shape (3,)
-            Fused pose, and pose by odometry.
+        `stamp_ns`: stamp of both poses; a stamp before the last one restarts. `pose_map_base`,
+        `pose_odom_base` (3,): fused pose, and pose by odometry.
 
-        Returns
-        -------
-        ndarray, shape (3,)
-            Pose of ``odom`` in ``map``.
+        Returns (3,): pose of ``odom`` in ``map``.
         """
         shown = pose_map_base
         if self._last is not None and self.time_constant_s > 0.0 and stamp_ns >= self._last[0]:

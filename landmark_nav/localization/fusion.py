@@ -80,12 +80,8 @@ class Fusion:
     """
     Estimates pose, calibration and map errors from inputs in any order; offline and in the node.
 
-    Parameters
-    ----------
-    landmark_map : LandmarkMap
-        Landmarks with their joint covariance.
-    calibration : Calibration
-        Prior of mount, lens and clocks.
+    `landmark_map`: landmarks with their joint covariance. `calibration`: prior of mount, lens and
+    clocks.
     """
 
     def __init__(
@@ -294,13 +290,9 @@ class Fusion:
         """
         Return the measurements of an image, of landmarks that are in the map.
 
-        Parameters
-        ----------
-        found : Detections
-            Detections, with image points or bearings. Without points or joints the bearings are
-            used, with the mount of `robot.yaml`, or with the calibrated one if there are points.
-        joints : JointSample or CameraFrame, optional
-            Measured pan and tilt at the stamp.
+        `found`: detections, with image points or bearings. Without points or joints the bearings
+        are used, with the mount of `robot.yaml`, or with the calibrated one if there are points.
+        `joints`: measured pan and tilt at the stamp.
         """
         found = found.chosen(self._map.has(found.ids))
         missed = self._map.indices(found.missed[self._map.has(found.missed)])

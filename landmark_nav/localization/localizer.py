@@ -89,12 +89,8 @@ class Localizer:
     Without `initialize`, and while it is lost or no landmark is in view, it relocalizes: it
     collects images until only one place explains them.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Prior of mount, lens and clocks.
-    config : LocalizationConfig
-        Parameters of detection, odometry, relocalization and the estimator.
+    `calibration`: prior of mount, lens and clocks. `config`: parameters of detection, odometry,
+    relocalization and the estimator.
     """
 
     def __init__(
@@ -160,10 +156,8 @@ class Localizer:
         """
         Correct the pose by an image, or search for the place while there is no pose.
 
-        Returns
-        -------
-        LocalizationUpdate or PoseEstimate or Refusal
-            An update if there was a pose before; otherwise the pose found, or why none was found.
+        Returns an update if there was a pose before; otherwise the pose found, or why none was
+        found.
         """
         self._fusion.use_camera(frame.camera.intrinsics)
         expected = self._fusion.expectation(frame.stamp_ns)

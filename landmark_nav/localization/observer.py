@@ -102,21 +102,11 @@ def most_informative(
     ``1 + h P h^T / r``; r includes the landmark's own error. The greedy choice gains at least 63 %
     of the optimum (Krause, Singh and Guestrin, JMLR 9, 2008).
 
-    Parameters
-    ----------
-    axis : PoseEstimate
-        Expected pose of the pan axis.
-    index : ndarray of int, shape (n,)
-        Indices of the candidates in the map.
-    bearing_sigma : float
-        Expected measurement sigma, rad.
-    novelty : ndarray, shape (landmarks of the map,), optional
-        Factor on the gain of each landmark: a landmark seen before repeats its error.
+    `axis`: expected pose of the pan axis. `index` (n,): indices of the candidates in the map.
+    `bearing_sigma`: expected measurement sigma, rad. `novelty` (landmarks of the map,): factor on
+    the gain of each landmark: a landmark seen before repeats its error.
 
-    Returns
-    -------
-    ndarray of int, shape (min(n, count),)
-        Chosen indices in the order of the map.
+    Returns (min(n, count),): chosen indices in the order of the map.
     """
     if len(index) <= count:
         return index
@@ -156,18 +146,9 @@ class Observation:
     """
     Results of the detection in one image.
 
-    Parameters
-    ----------
-    detections : Detections
-        Landmarks that were found.
-    refused : mapping of int to Refusal
-        Why others were not, by landmark id.
-    triangulate : callable
-        Computes `fix` on demand.
-    unusable : bool
-        Whether the image was not searched at all.
-    expected : mapping of int to Window
-        Where landmarks were searched, by id.
+    `detections`: landmarks that were found. `refused`: why others were not, by landmark id.
+    `triangulate`: computes `fix` on demand. `unusable`: whether the image was not searched at all.
+    `expected`: where landmarks were searched, by id.
     """
 
     detections: Detections
@@ -208,14 +189,8 @@ class Observer:
     """
     Finds landmarks in a sequence of images.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Prior of mount, lens and clocks.
-    config : ImageStagesConfig
-        Parameters of the stages of detection.
-    step : EstimatorConfig
-        Sigmas of sudden changes of camera and base.
+    `calibration`: prior of mount, lens and clocks. `config`: parameters of the stages of
+    detection. `step`: sigmas of sudden changes of camera and base.
     """
 
     def __init__(

@@ -36,12 +36,8 @@ def checked_start(
     Raises `LandmarkNavError`: the pose or covariance is not finite, or the covariance is not
     positive semidefinite.
 
-    Parameters
-    ----------
-    odometry_ns : tuple of int, optional
-        First and last stamp of the odometry.
-    now_ns : int, optional
-        Present time; the stamp of the last odometry counts if it is later.
+    `odometry_ns`: first and last stamp of the odometry. `now_ns`: present time; the stamp of the
+    last odometry counts if it is later.
     """
     if not is_finite(start):
         raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')

@@ -37,15 +37,9 @@ class Motions:
     """
     Motions between consecutive times.
 
-    Parameters
-    ----------
-    increment : ndarray, shape (m, 3)
-        Pose at each time in the frame of the one before.
-    by_bias : ndarray, shape (m, 3, 4)
-        Derivative by the scale of the way, the drift per metre, the scale of turns and the way
-        lost in turns.
-    covariance : ndarray, shape (m, 3, 3)
-        Covariance of the random errors.
+    `increment` (m, 3): pose at each time in the frame of the one before. `by_bias` (m, 3, 4):
+    derivative by the scale of the way, the drift per metre, the scale of turns and the way lost in
+    turns. `covariance` (m, 3, 3): covariance of the random errors.
     """
 
     increment: FloatArray
@@ -148,12 +142,8 @@ def known_places(
 
     Raises `LandmarkNavError`: a source lacks the pose of a sweep, or the robot moved during one.
 
-    Parameters
-    ----------
-    given : sequence of PoseEstimate or None
-        Pose published for each sweep.
-    spans_ns, samples, config
-        As in `places_by_odometry`; without samples odometry is no source.
+    `given`: pose published for each sweep. `spans_ns`, `samples`, `config`: as in
+    `places_by_odometry`; without samples odometry is no source.
     """
     known = [_given_places(given)] if any(pose is not None for pose in given) else []
     if samples:
@@ -182,12 +172,8 @@ def places_by_odometry(
 
     Raises `LandmarkNavError`: odometry does not cover a sweep, or the robot moved during one.
 
-    Parameters
-    ----------
-    spans_ns : sequence of tuple of int
-        First and last stamp of each sweep.
-    samples : sequence of OdometrySample
-        Odometry in the order of time, from the first sweep to the last.
+    `spans_ns`: first and last stamp of each sweep. `samples`: odometry in the order of time, from
+    the first sweep to the last.
     """
     for number, (begin, end) in enumerate(spans_ns, 1):
         if not samples or samples[0].stamp_ns > end or samples[-1].stamp_ns < begin:

@@ -136,16 +136,10 @@ def align(
     """
     Align a template with an image; None if it does not converge, or to a negative correlation.
 
-    Parameters
-    ----------
-    search, template : ndarray
-        Float32 images, blurred by `for_matching`.
-    start : tuple of float
-        Column and row of the template's upper left corner.
-    search_blur : tuple of float
-        Gaussian sigmas of the earlier blur of the search image, pixels.
-    along_px : float
-        Sigma along the edge if the template is an edge: it is aligned across the edge only.
+    `search`, `template`: float32 images, blurred by `for_matching`. `start`: column and row of the
+    template's upper left corner. `search_blur`: Gaussian sigmas of the earlier blur of the search
+    image, pixels. `along_px`: sigma along the edge if the template is an edge: it is aligned
+    across the edge only.
     """
     size = template.shape[1] - 2, template.shape[0] - 2
     rows = _rows(template)

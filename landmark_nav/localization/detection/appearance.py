@@ -58,16 +58,9 @@ def draw(
     """
     Render the expected appearance of landmarks in rectangles of the image.
 
-    Parameters
-    ----------
-    landmarks : sequence of Landmark
-        n landmarks.
-    viewer : ndarray, shape (3,)
-        Position of the camera in map.
-    rays : sequence of ndarray, shape (height, width, 2)
-        Rays of the pixels of each rectangle: x/z and y/z in the optical frame.
-    rays_to_patch : ndarray, shape (n, 3, 3)
-        Homographies from rays (x, y, 1) to metres on each patch.
+    `landmarks`: n landmarks. `viewer` (3,): position of the camera in map. `rays` (height, width,
+    2): rays of the pixels of each rectangle: x/z and y/z in the optical frame. `rays_to_patch` (n,
+    3, 3): homographies from rays (x, y, 1) to metres on each patch.
     """
     # Each step is done for all landmarks at once, which is faster than landmark by landmark.
     shown = [
@@ -121,12 +114,8 @@ def textures(landmark: Landmark, viewer: FloatArray) -> list[Texture]:
     """
     Images to blend, with weights that sum to one.
 
-    Parameters
-    ----------
-    landmark : Landmark
-        The landmark; without `views` its patch is the only image.
-    viewer : ndarray, shape (3,)
-        Position of the camera in map.
+    `landmark`: the landmark; without `views` its patch is the only image. `viewer` (3,): position
+    of the camera in map.
     """
     if not landmark.views:
         return [Texture(landmark.patch.astype(np.float32), 1.0)]

@@ -73,14 +73,8 @@ class RowModel(NamedTuple):
         """
         Covariance (n, n) of the rows by errors of pose, camera height and points.
 
-        Parameters
-        ----------
-        pose_covariance : ndarray, shape (3, 3)
-            Covariance of the base's pose.
-        points : ndarray, shape (n, 3, 3)
-            Covariance of each point.
-        shared : ndarray, shape (n, 3, F)
-            Loadings of the shared map factors.
+        `pose_covariance` (3, 3): covariance of the base's pose. `points` (n, 3, 3): covariance of
+        each point. `shared` (n, 3, F): loadings of the shared map factors.
         """
         by_point = np.column_stack([-self.by_pose[:, :2], self.by_height])[:, None]
         by_shared = (by_point @ shared)[:, 0]
@@ -95,16 +89,9 @@ class RowResiduals(NamedTuple):
     """
     Residuals of the rows of matches in images of one camera.
 
-    Parameters
-    ----------
-    off_px : ndarray, shape (n,)
-        Rows found minus rows expected.
-    by_tilt_roll : ndarray, shape (n, 2)
-        Their derivatives by tilt and roll of the camera, px/rad.
-    covariance : ndarray, shape (n, n)
-        Covariance of `off_px` by all errors but tilt and roll.
-    points : ndarray, shape (n, 3)
-        Positions of the landmarks in map, metres.
+    `off_px` (n,): rows found minus rows expected. `by_tilt_roll` (n, 2): their derivatives by tilt
+    and roll of the camera, px/rad. `covariance` (n, n): covariance of `off_px` by all errors but
+    tilt and roll. `points` (n, 3): positions of the landmarks in map, metres.
     """
 
     off_px: FloatArray
@@ -142,22 +129,14 @@ class RowResiduals(NamedTuple):
 
 def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.bool_]:
     """
-    Find the matches whose row in the image is inconsistent with the others.
+    Find the matches (n,) whose row in the image is inconsistent with the others.
 
     Errors of pose, tilt and roll are common to all, as `covariance` describes. The residual of a
     match given the others is its own error; the worst match is removed while it is too large
     (Baarda, A Testing Procedure for Use in Geodetic Networks, 1968).
 
-    Parameters
-    ----------
-    off_px : ndarray, shape (n,)
-        Rows found minus rows expected.
-    covariance : ndarray, shape (n, n)
-        Covariance of these differences.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
+    `off_px` (n,): rows found minus rows expected. `covariance` (n, n): covariance of these
+    differences.
     """
     wrong = np.zeros(len(off_px), dtype=np.bool_)
     left = np.arange(len(off_px))

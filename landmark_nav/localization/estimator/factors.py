@@ -341,14 +341,9 @@ def moved(state: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray, Fl
     """
     Return the state (CALIBRATION,) after a motion that the wheels measured, with its derivatives.
 
-    Returns
-    -------
-    mean : ndarray, shape (CALIBRATION,)
-        Predicted state, with the motion corrected by the errors of the odometry.
-    by_state : ndarray, shape (CALIBRATION, CALIBRATION)
-        Derivative by the state.
-    by_motion : ndarray, shape (3, 3)
-        Derivative of the pose by the motion.
+    Returns `mean` (CALIBRATION,): predicted state, with the motion corrected by the errors of the
+    odometry; `by_state` (CALIBRATION, CALIBRATION): derivative by the state; `by_motion` (3, 3):
+    derivative of the pose by the motion.
     """
     forward, left, turn = motion.increment.tolist()
     x, y, heading = state[:3].tolist()

@@ -97,21 +97,11 @@ class JointFilter:
     """
     Estimates pose and calibration of the robot from odometry and detections.
 
-    Parameters
-    ----------
-    landmark_map : LandmarkMap
-        Positions, own covariances and shared factors.
-    calibration : Calibration
-        Prior of the mount, lens and clocks.
-    start : PoseEstimate
-        Pose of the base in map, with its covariance.
-    config : EstimatorConfig
-        Noise of floor, map and mount.
+    `landmark_map`: positions, own covariances and shared factors. `calibration`: prior of the
+    mount, lens and clocks. `start`: pose of the base in map, with its covariance. `config`: noise
+    of floor, map and mount.
 
-    Attributes
-    ----------
-    predicted : State
-        Prediction before the last image.
+    `predicted`: prediction before the last image.
     """
 
     def __init__(

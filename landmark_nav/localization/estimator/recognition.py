@@ -19,12 +19,8 @@ def found_log_ratios(residual: FloatArray, covariance: FloatArray) -> FloatArray
     """
     Log likelihood ratio (m,) of each landmark that is found: right pose against wrong pose.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (m, d)
-        Measured minus expected.
-    covariance : ndarray, shape (m, d, d)
-        Covariance of each residual.
+    `residual` (m, d): measured minus expected. `covariance` (m, d, d): covariance of each
+    residual.
     """
     squares = np.einsum(
         'mi,mi->m', residual, np.linalg.solve(covariance, residual[..., None])[..., 0]

@@ -45,14 +45,8 @@ def smoothed_poses(
     """
     Return the pose at each image, given all of them.
 
-    Parameters
-    ----------
-    joint : JointFilter
-        Filter at the start; afterwards it is at the last image.
-    images : sequence of ImagePoints
-        Images in the order of time.
-    lost : ndarray of bool, shape (n,), optional
-        Images before which the motion is unknown.
+    `joint`: filter at the start; afterwards it is at the last image. `images`: images in the order
+    of time. `lost` (n,): images before which the motion is unknown.
     """
     if not images:
         return []
@@ -111,10 +105,7 @@ class ErrorRepetition:
     multiplied by P+ inv(P-) F. The variance of a mean of squares of Gaussian errors is twice the
     mean of the squares of their correlations.
 
-    Parameters
-    ----------
-    images : int
-        Number of images; at most `_MOST_ANCHORS` of them are compared with all later ones.
+    `images`: number of images; at most `_MOST_ANCHORS` of them are compared with all later ones.
     """
 
     def __init__(self, images: int) -> None:

@@ -36,12 +36,7 @@ class Timeline:
     """
     A joint filter that takes measurements in any order.
 
-    Parameters
-    ----------
-    track : OdometryTrack
-        Odometry, possibly from before the start.
-    window_s : float
-        Greatest delay of a measurement.
+    `track`: odometry, possibly from before the start. `window_s`: greatest delay of a measurement.
     """
 
     def __init__(self, joint: JointFilter, track: OdometryTrack, window_s: float = 2.0) -> None:

@@ -30,14 +30,8 @@ def integrate_commands(
     """
     Integrate commanded velocities from the origin; stamps are the times at which they take effect.
 
-    Parameters
-    ----------
-    stamps_ns : ndarray of int, shape (n,)
-        Stamps of the commands, increasing.
-    commands : ndarray, shape (n, 2)
-        Forward [m/s] and turning [rad/s] velocity, each until the next.
-    delay_s : float
-        Time from a command to its effect.
+    `stamps_ns` (n,): stamps of the commands, increasing. `commands` (n, 2): forward [m/s] and
+    turning [rad/s] velocity, each until the next. `delay_s`: time from a command to its effect.
     """
     seconds = 1e-9 * np.diff(stamps_ns)
     turn = commands[:-1, 1] * seconds
@@ -68,14 +62,9 @@ def command_delay_s(
     Raises `LandmarkNavError`: too few landmarks were seen twice within a second, or the robot did
     not turn meanwhile.
 
-    Parameters
-    ----------
-    stamps_ns : ndarray of int, shape (n,)
-        Stamps of the commands, increasing.
-    commands : ndarray, shape (n, 2)
-        Forward [m/s] and turning [rad/s] velocity, each until the next.
-    detections : sequence of Detections
-        Detections of a camera that is fixed on the robot.
+    `stamps_ns` (n,): stamps of the commands, increasing. `commands` (n, 2): forward [m/s] and
+    turning [rad/s] velocity, each until the next. `detections`: detections of a camera that is
+    fixed on the robot.
     """
     ids = np.concatenate([np.empty(0, np.int64), *(seen.ids for seen in detections)])
     stamps = np.repeat([seen.stamp_ns for seen in detections], [len(seen) for seen in detections])

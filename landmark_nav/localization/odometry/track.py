@@ -38,10 +38,8 @@ class Jitter:
     """
     Running estimate of the white noise of poses.
 
-    Attributes
-    ----------
-    variances : tuple of float
-        Variance of a position on one axis [m^2] and of a heading [rad^2]; zero if insignificant.
+    `variances`: variance of a position on one axis [m^2] and of a heading [rad^2]; zero if
+    insignificant.
     """
 
     def __init__(self) -> None:
@@ -143,11 +141,8 @@ class OdometryTrack:
         """
         Append a sample.
 
-        Returns
-        -------
-        Refusal or None
-            Why the sample was dropped; or, if `Distrusted`, why the motion up to it was replaced
-            by that of the last twist. None if it was used, or is an exact repetition.
+        Returns why the sample was dropped; or, if `Distrusted`, why the motion up to it was
+        replaced by that of the last twist. None if it was used, or is an exact repetition.
         """
         pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
         self._reports_speeds |= bool(sample.linear_m_s or sample.angular_rad_s)

@@ -68,19 +68,7 @@ class Hypotheses:
 
 
 def propose(detections: CandidateDetections, landmark_map: LandmarkMap) -> Hypotheses:
-    """
-    Find the poses that detections support.
-
-    Parameters
-    ----------
-    detections : Detections
-        All in one base frame.
-
-    Returns
-    -------
-    Hypotheses
-        Distinct poses; may be empty.
-    """
+    """Find the distinct poses that detections, all in one base frame, support; may be none."""
     votes = _Votes(detections, landmark_map)
     poses = votes.of_pairs()
     if landmark_map.walls:
@@ -277,19 +265,12 @@ def locate(
     """
     Find the robot's place without any prior.
 
-    Parameters
-    ----------
-    carried : CarriedFrames
-        Images, and the poses of the base at each by odometry.
-    detections : sequence of Detections
-        Possible detections in each image, found without a prior.
+    `carried`: images, and the poses of the base at each by odometry. `detections`: possible
+    detections in each image, found without a prior.
 
-    Returns
-    -------
-    Verification or Refusal
-        The pose of the base at the last image with its evidence; or ``not unique`` if another
-        place explains the images nearly as well, ``nothing recognised`` if none does, and ``too
-        little seen`` if there is not enough evidence.
+    Returns the pose of the base at the last image with its evidence; or ``not unique`` if another
+    place explains the images nearly as well, ``nothing recognised`` if none does, and ``too little
+    seen`` if there is not enough evidence.
     """
     moved = [
         replace(
@@ -339,12 +320,8 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
     """
     Take the first place, unless it has a rival or too few of its expected landmarks were found.
 
-    Parameters
-    ----------
-    places : sequence of Verification
-        Different places, the one with most landmarks first.
-    proposed : int
-        How many poses were proposed, for the message.
+    `places`: different places, the one with most landmarks first. `proposed`: how many poses were
+    proposed, for the message.
     """
     if not places:
         return nothing_recognised(f'none of {proposed} places shows what is to be seen there')

@@ -60,14 +60,9 @@ def shows_new(
     """
     Whether an image shows more of the room than earlier ones.
 
-    Parameters
-    ----------
-    direction : ndarray, shape (2,)
-        `view_direction` of the image.
-    directions : ndarray, shape (n, 2)
-        `view_direction` of earlier images, each in its own base frame.
-    poses : ndarray, shape (n, 3)
-        Poses of the base at the earlier images, in the base frame of this one.
+    `direction` (2,): `view_direction` of the image. `directions` (n, 2): `view_direction` of
+    earlier images, each in its own base frame. `poses` (n, 3): poses of the base at the earlier
+    images, in the base frame of this one.
     """
     off = np.reshape(directions, (-1, 2)) - direction
     off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2])
@@ -123,12 +118,8 @@ class Relocalizer:
     """
     Collects views of the room until only one place explains them.
 
-    Parameters
-    ----------
-    odometry : OdometryNoiseConfig, optional
-        Noise of the odometry.
-    stages : ImageStagesConfig, optional
-        Parameters of the detection that verifies a hypothesis.
+    `odometry`: noise of the odometry. `stages`: parameters of the detection that verifies a
+    hypothesis.
     """
 
     def __init__(
@@ -169,16 +160,10 @@ class Relocalizer:
         """
         Add an image.
 
-        Parameters
-        ----------
-        frame : CameraFrame
-            Image with its joint angles.
+        `frame`: image with its joint angles.
 
-        Returns
-        -------
-        PoseEstimate or Refusal
-            Pose of the base at the image's stamp, or why there is none yet. An image that shows
-            nothing new is not searched: the last reason is returned.
+        Returns pose of the base at the image's stamp, or why there is none yet. An image that
+        shows nothing new is not searched: the last reason is returned.
         """
         if not np.isfinite([frame.pan_rad, frame.tilt_rad]).all():
             return self._outcome

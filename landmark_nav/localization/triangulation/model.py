@@ -34,19 +34,11 @@ def bearing_residuals(
     """
     Measured minus expected bearing, wrapped to (-pi, pi].
 
-    Parameters
-    ----------
-    poses : array_like, shape (..., 3)
-        Poses of the pan axis in map.
-    positions : array_like, shape (..., n, 2)
-        Landmarks in map, metres.
-    bearings : array_like, shape (..., n)
-        Measured bearings, radians.
+    `poses` (..., 3): poses of the pan axis in map. `positions` (..., n, 2): landmarks in map,
+    metres. `bearings` (..., n): measured bearings, radians.
 
-    Returns
-    -------
-    ndarray, shape (..., n)
-        About pi where a closed form solved for the opposite direction: the modulo-pi ambiguity.
+    Returns (..., n): about pi where a closed form solved for the opposite direction: the modulo-pi
+    ambiguity.
     """
     pose = np.asarray(poses, dtype=np.float64)[..., None, :]
     delta = np.asarray(positions, dtype=np.float64) - pose[..., :2]
@@ -88,20 +80,10 @@ def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[flo
 
     The result is finite for collinear landmarks too, whose circle is their line.
 
-    Parameters
-    ----------
-    point : array_like, shape (2,)
-        Metres.
-    landmarks : array_like, shape (3, 2)
-        Metres.
+    `point` (2,): metres. `landmarks` (3, 2): metres.
 
-    Returns
-    -------
-    distance : float
-        From the circle or line, metres.
-    relative : float
-        The same over the radius of the circle or the range of the farthest landmark, whichever is
-        smaller.
+    Returns `distance`: from the circle or line, metres; `relative`: the same over the radius of
+    the circle or the range of the farthest landmark, whichever is smaller.
     """
     delta = np.asarray(landmarks, dtype=np.float64) - np.asarray(point, dtype=np.float64)
     square = np.sum(delta * delta, -1)
@@ -151,19 +133,13 @@ def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> Floa
     """
     Poses from three bearings each.
 
-    Parameters
-    ----------
-    positions : array_like, shape (..., 3, 2)
-        Landmarks in map, metres.
-    bearings : array_like, shape (..., 3)
-        Their bearings, counter-clockwise from the robot's heading, radians.
+    `positions` (..., 3, 2): landmarks in map, metres. `bearings` (..., 3): their bearings,
+    counter-clockwise from the robot's heading, radians.
 
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        x, y [m] and heading [rad]. On the circle through the landmarks (`danger_distance`) the
-        pose is undetermined: not finite or, by rounding, arbitrary. The equations also hold for
-        the opposite direction of a landmark: check `bearing_residuals` before use.
+    Returns (..., 3): x, y [m] and heading [rad]. On the circle through the landmarks
+    (`danger_distance`) the pose is undetermined: not finite or, by rounding, arbitrary. The
+    equations also hold for the opposite direction of a landmark: check `bearing_residuals` before
+    use.
     """
     position = np.asarray(positions, dtype=np.float64)
     bearing = np.asarray(bearings, dtype=np.float64)

@@ -56,16 +56,9 @@ class Fix:
     """
     A triangulated pose of the pan axis.
 
-    Parameters
-    ----------
-    pose : ndarray, shape (3,)
-        x, y [m] of the pan axis and heading [rad] of the base, map frame.
-    covariance : ndarray, shape (3, 3)
-        First-order covariance, with the errors of the map.
-    used : ndarray of bool, shape (n,)
-        Bearings that were used, without outliers.
-    solution : Solution
-        Least-squares solution of these bearings.
+    `pose` (3,): x, y [m] of the pan axis and heading [rad] of the base, map frame. `covariance`
+    (3, 3): first-order covariance, with the errors of the map. `used` (n,): bearings that were
+    used, without outliers. `solution`: least-squares solution of these bearings.
     """
 
     pose: FloatArray

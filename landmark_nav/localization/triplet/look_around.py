@@ -82,10 +82,7 @@ class LookAround:
         """
         Pan to turn to while the pose is unknown; None until that has lasted for `after_s`.
 
-        Parameters
-        ----------
-        now_s : float
-            Time by a monotonic clock.
+        `now_s`: time by a monotonic clock.
         """
         if self._since_s is None:
             self._since_s = now_s

@@ -55,16 +55,8 @@ class PanWindows:
     """
     Intervals of pan (m,) in which a landmark is whole in view, one for each turn of the axis.
 
-    Parameters
-    ----------
-    place : ndarray of int, shape (m,)
-        Index of the landmark.
-    lower, upper : ndarray, shape (m,)
-        Least and greatest pan.
-    pan_rad : float or None
-        Pan now, if the time of turns counts.
-    config : TripletConfig
-        Speed of the pan unit.
+    `place` (m,): index of the landmark. `lower`, `upper` (m,): least and greatest pan. `pan_rad`:
+    pan now, if the time of turns counts. `config`: speed of the pan unit.
     """
 
     place: IndexArray
@@ -85,16 +77,9 @@ class PanWindows:
         """
         Windows of n landmarks, within the limits of the joint.
 
-        Parameters
-        ----------
-        azimuth_rad : ndarray, shape (n,)
-            Azimuth of the landmarks in the frame of the pan axis, within (-pi, pi].
-        reach_rad : ndarray, shape (n,)
-            Greatest difference of pan and azimuth at which the landmark is whole in view.
-        limits_rad : tuple of float
-            Least and greatest pan.
-        pan_rad, config
-            As above.
+        `azimuth_rad` (n,): azimuth of the landmarks in the frame of the pan axis, within (-pi,
+        pi]. `reach_rad` (n,): greatest difference of pan and azimuth at which the landmark is
+        whole in view. `limits_rad`: least and greatest pan. `pan_rad`, `config`: as above.
         """
         first, last = (round(limit / _TURN) for limit in limits_rad)
         turns = _TURN * np.arange(first - 1, last + 2)[:, None]
@@ -137,14 +122,9 @@ class CameraState:
     """
     Where the camera looks and how far it can turn.
 
-    Parameters
-    ----------
-    pan_rad : float or None
-        Pan now: turning away from it takes time. None if that does not count.
-    tilt_rad : float
-        Tilt, positive upwards.
-    limits_rad : tuple of float
-        Least and greatest pan; the same twice for a camera that does not turn.
+    `pan_rad`: pan now: turning away from it takes time. None if that does not count. `tilt_rad`:
+    tilt, positive upwards. `limits_rad`: least and greatest pan; the same twice for a camera that
+    does not turn.
     """
 
     pan_rad: float | None = None

@@ -136,22 +136,13 @@ def best_triplets(
     """
     Triplets with the lowest score: variance times the landmarks' factors times the cost.
 
-    Parameters
-    ----------
-    tables : PairTables
-        Of n landmarks from viewpoints (p,), over which the variance is averaged.
-    factor : ndarray, shape (n,)
-        Factor of each landmark, at least 1.
-    cost : ndarray, shape (n, n)
-        Cost of each pair, at least 1, symmetric; infinite for pairs that can't be combined. The
-        cost of a triplet is the largest of its pairs.
+    `tables`: of n landmarks from viewpoints (p,), over which the variance is averaged. `factor`
+    (n,): factor of each landmark, at least 1. `cost` (n, n): cost of each pair, at least 1,
+    symmetric; infinite for pairs that can't be combined. The cost of a triplet is the largest of
+    its pairs.
 
-    Returns
-    -------
-    scores : ndarray, shape (m,)
-        Ascending; fewer than `count` if there are no more.
-    triplets : ndarray of int, shape (m, 3)
-        Indices of each, ascending.
+    Returns `scores` (m,): ascending; fewer than `count` if there are no more; `triplets` (m, 3):
+    indices of each, ascending.
     """
     with np.errstate(divide='ignore', invalid='ignore'):
         least = tables.error / tables.distance

@@ -59,14 +59,7 @@ def visible_landmarks(
     tilt_rad: float,
     config: TripletConfig,
 ) -> npt.NDArray[np.intp]:
-    """
-    Landmarks expected to be whole in a given view.
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-        Their indices in the map.
-    """
+    """Return the indices (m,) of the landmarks expected to be whole in a given view."""
     seen = observable(axis_position(prior.pose, mount), landmark_map, config)
     index = np.flatnonzero(seen)
     inside = fully_in_view(
