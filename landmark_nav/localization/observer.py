@@ -276,7 +276,8 @@ class Observer:
             seen.covariance_px2,
             frame.camera,
             frame.pan_rad,
-            known=upright.camera,
+            upright.camera,
+            result.rays,
         )
         seen = replace(
             seen,

@@ -10,6 +10,7 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import compose
+from landmark_nav.localization.detection.expectation import HALF_PIXEL
 from landmark_nav.localization.estimator import (
     EstimatorConfig,
     filter,
@@ -62,7 +63,10 @@ def test_points_of_a_wrong_lens_are_those_of_the_model(share):
     )
     pixels = np.array([[20.0, 30.0], [256.0, 254.0], [490.0, 400.0]])
     covariance = np.tile(np.eye(2), (3, 1, 1))
-    seen = ImagePoints.of_pixels(0, np.arange(3), pixels, covariance, given, 0.0, known)
+    known_rays = known.unproject(pixels[:, None] + HALF_PIXEL)
+    seen = ImagePoints.of_pixels(
+        0, np.arange(3), pixels, covariance, given, 0.0, known, known_rays
+    )
     rays = (1.0 + focal) * true.unproject(pixels)[:, :2] + [shift, 0.0]
     assert seen.points == pytest.approx(rays - seen.by_lens @ [focal, shift, bend], abs=3e-4)
 

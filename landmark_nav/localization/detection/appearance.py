@@ -111,12 +111,7 @@ def _texels_a_pixel(texels: Float32Array) -> tuple[float, float]:
 
 
 def textures(landmark: Landmark, viewer: FloatArray) -> list[Texture]:
-    """
-    Images to blend, with weights that sum to one.
-
-    `landmark`: the landmark; without `views` its patch is the only image. `viewer` (3,): position
-    of the camera in map.
-    """
+    """Images to blend for a camera at `viewer` (3,) in map, with weights that sum to one."""
     if not landmark.views:
         return [Texture(landmark.patch.astype(np.float32), 1.0)]
     angle, reach = _seen_from(landmark, viewer)
@@ -125,15 +120,10 @@ def textures(landmark: Landmark, viewer: FloatArray) -> list[Texture]:
     for _, its_angle, its_reach in views:
         farther = max(math.log(its_reach / reach), 0.0)
         misfit.append(((its_angle - angle) / _ASIDE_RAD) ** 2 + (farther / _FARTHER) ** 2)
-    best = min(misfit)
-    weight = [math.exp(0.5 * (best - m)) for m in misfit]
-    least = _LEAST_SHARE * sum(weight)
-    total = sum(w for w in weight if w >= least)
-    return [
-        Texture(image, w / total)
-        for (image, *_), w in zip(views, weight, strict=True)
-        if w >= least
-    ]
+    weight = [math.exp(0.5 * (min(misfit) - m)) for m in misfit]
+    kept = [(k, w) for k, w in enumerate(weight) if w >= _LEAST_SHARE * sum(weight)]
+    total = sum(w for _, w in kept)
+    return [Texture(views[k][0], w / total) for k, w in kept]
 
 
 @lru_cache(maxsize=4096)

@@ -38,8 +38,6 @@ _LEAST_DEPTH_M = 0.05
 _WIDEST_RAD = 1.0
 # Least step of the derivative of the pan by time, s: over a shorter one noise dominates.
 LEAST_STEP_S = 0.02
-# Half a pixel in each direction, to differentiate the lens.
-_HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,17 +114,17 @@ class ImagePoints:
         covariance_px2: FloatArray,
         camera: CameraModel,
         pan_rad: float,
-        known: CameraModel | None = None,
+        known: CameraModel,
+        rays: FloatArray,
     ) -> ImagePoints:
         """
         Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera.
 
         The lens bends rays by how far they are off the axis. That is removed with the lens that
         is `known` by now, and a linear model of others, so that points do not depend on what is
-        known.
+        known. `rays` (m, 3, 3) are its rays at the pixels with `HALF_PIXEL` added.
         """
-        known = known or camera
-        rays = known.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
+        rays = rays[..., :2]
         scale, shift = known.fx / camera.fx - 1.0, (known.cx - camera.cx) / camera.fx
         k1 = known.coefficients[0] - camera.coefficients[0]
         bent = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2) * [known.fx, known.fy]

@@ -14,17 +14,20 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter
-from landmark_nav.localization.estimator.state import information_of, State
+from landmark_nav.localization.estimator.state import State
 from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, PoseEstimate
 
 # Most images that are compared with all later ones.
 _MOST_ANCHORS = 100
+# Share of variances by rounding.
+_ROUNDING = 1e-12
 
 
 class _Step(NamedTuple):
@@ -87,13 +90,20 @@ def _backward(
     here, there = np.nonzero(after.landmarks[:, None] == predicted.landmarks)
     for k in range(3):
         together[:, fixed + 3 * there + k] = step.kept * before[:, fixed + 3 * here + k]
-    gain = together @ information_of(predicted.covariance)
+    gain = _solved(predicted.covariance, together.T).T
     off = mean - predicted.mean
     off[2] = wrap_rad(off[2])
     smoothed = after.mean + gain @ off
     smoothed[2] = wrap_rad(smoothed[2])
     spread = before + gain @ (covariance - predicted.covariance) @ gain.T
     return smoothed, 0.5 * (spread + spread.T)
+
+
+def _solved(covariance: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve for `right` (n, k) with a covariance (n, n), of which exact states have none."""
+    variance = np.diag(covariance)
+    regular = covariance + np.diag(np.where(variance > 0.0, _ROUNDING * variance, 1.0))
+    return np.asarray(cho_solve(cho_factor(regular), right))
 
 
 class ErrorRepetition:
@@ -127,7 +137,7 @@ class ErrorRepetition:
                 crossed[fixed + 3 * there + k] = kept * earlier[fixed + 3 * here + k]
         left = np.isin(predicted.landmarks, after.landmarks)
         if left.all():
-            corrected = after.covariance @ information_of(predicted.covariance) @ crossed
+            corrected = after.covariance @ _solved(predicted.covariance, crossed)
         else:
             # The image was not used, and its new landmarks are left out.
             corrected = crossed[np.append(np.ones(fixed, np.bool_), np.repeat(left, 3))]
