@@ -9,8 +9,10 @@ little of it is left. So repeated detections never make the pose more certain th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -81,16 +83,17 @@ _HARDLY_SHOWN = 3.0
 
 
 class _Hypothesis(NamedTuple):
-    """
-    What may have happened before an image: the prediction, the estimate, and its evidence.
-
-    `moved` says whether new landmarks are on an object that was moved since learning.
-    """
+    """What may have happened before an image: prediction, estimate, evidence."""
 
     prior: State
-    after: State
+    after: Callable[[], State]
     update: Update
-    moved: bool = False
+    moved: bool = False  # whether new landmarks are on an object that was moved since learning
+
+
+def _passed_over(state: State, seen: ImagePoints) -> State:
+    """Return the state after an image that is not used."""
+    return replace(state, stamp_ns=max(state.stamp_ns, seen.stamp_ns))
 
 
 class JointFilter:
@@ -381,8 +384,7 @@ class JointFilter:
         seen = usable(seen, len(self._errors.positions))
         seen = replace(seen, moved_back=self._state.moved_back)
         if not len(seen):
-            self._state = replace(self._state, stamp_ns=max(self._state.stamp_ns, seen.stamp_ns))
-            self.predicted = self._state
+            self._state = self.predicted = _passed_over(self._state, seen)
             return Update.of_nothing(seen)
         prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
         new = ~(seen.columns[:, None] == self._state.landmarks).any(axis=1)
@@ -391,7 +393,7 @@ class JointFilter:
             hypothesis = self._likeliest(expected, seen, new)
         elif not seen.lost and np.count_nonzero(new) >= _WITNESSES:
             hypothesis = self._perhaps_moved(expected, seen, new)
-        prior, after, update, moved = hypothesis
+        prior, correct, update, moved = hypothesis
         # What chance explains as well, in windows that large, must not move the pose.
         unused = update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0 or (
             expected.update.surprising
@@ -399,8 +401,9 @@ class JointFilter:
             < chance_log_evidence(expected.update.residual, expected.update.covariance)
         )
         if unused:
-            after, update = replace(prior, stamp_ns=after.stamp_ns), update.unused
-        elif not moved:
+            correct, update = partial(_passed_over, prior, seen), update.unused
+        after = correct()
+        if not (unused or moved):
             after = self._doubting(after, update, new)
         if unused or moved:
             # The image says nothing of its new landmarks, which stay new.
@@ -437,7 +440,7 @@ class JointFilter:
             if np.count_nonzero(update.weight[new] > _INLIER) >= _WITNESSES:
                 evidence = self._config.moved_log_odds + update.log_evidence
                 update = update._replace(log_evidence=evidence)
-                others, after = seen.chosen(~new), replace(prior, stamp_ns=expected.after.stamp_ns)
+                others, after = seen.chosen(~new), partial(_passed_over, prior, seen)
                 if len(others):
                     after, _ = self._corrected(prior, others, new[~new])
                 hypotheses.append(_Hypothesis(prior, after, update, moved=True))
@@ -492,7 +495,7 @@ class JointFilter:
 
     def _corrected(
         self, state: State, seen: ImagePoints, new: npt.NDArray[np.bool_]
-    ) -> tuple[State, Update]:
+    ) -> tuple[Callable[[], State], Update]:
         pan_sigma_rad = self._prior.base.pan_sigma_rad
         return corrected(state, seen, self._errors, new, pan_sigma_rad, self._config.tail_freedom)
 

@@ -15,19 +15,20 @@ _WINDOW_SIGMAS, _LEAST_WINDOW = 3.0, 0.02
 MISSED = float(np.log((1.0 - _FOUND) / (1.0 - _BY_CHANCE)))
 
 
+def squared_norms(residual: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Squared Mahalanobis norms (m,) of residuals (m, d) with covariances (m, d, d)."""
+    weighted = np.linalg.solve(covariance, residual[..., None])[..., 0]
+    return np.asarray(np.einsum('mi,mi->m', residual, weighted))
+
+
 def found_log_ratios(residual: FloatArray, covariance: FloatArray) -> FloatArray:
     """
     Log likelihood ratio (m,) of each landmark that is found: right pose against wrong pose.
 
-    `residual` (m, d): measured minus expected. `covariance` (m, d, d): covariance of each
-    residual.
+    `residual` (m, d) is measured minus expected, `covariance` (m, d, d) that of each.
     """
-    squares = np.einsum(
-        'mi,mi->m', residual, np.linalg.solve(covariance, residual[..., None])[..., 0]
-    )
-    half = _windows(covariance)
-    area = np.prod(2.0 * half, axis=1)
-    density = np.exp(-0.5 * np.minimum(squares, 1e3))
+    area = np.prod(2.0 * _windows(covariance), axis=1)
+    density = np.exp(-0.5 * np.minimum(squared_norms(residual, covariance), 1e3))
     density /= np.sqrt(np.linalg.det(2.0 * np.pi * covariance))
     return np.asarray(
         np.log((1.0 - _WRONG) * density * area + _WRONG) + np.log(_FOUND / _BY_CHANCE)
@@ -38,8 +39,7 @@ def chance_log_evidence(residual: FloatArray, covariance: FloatArray) -> float:
     """
     Log evidence of an image whose landmarks were all found by chance, in the widest window of all.
 
-    As in `Update.log_evidence`, the powers of 2 pi of normal densities are left out. Arguments as
-    in `found_log_ratios`.
+    As in `Update.log_evidence`, the powers of 2 pi of normal densities are left out.
     """
     half = np.maximum(_windows(covariance), np.abs(residual)).max(axis=0)
     each = np.log(_WRONG) - np.sum(np.log(2.0 * half)) + 0.5 * len(half) * np.log(2.0 * np.pi)
