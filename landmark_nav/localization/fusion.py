@@ -80,8 +80,7 @@ class Fusion:
     """
     Estimates pose, calibration and map errors from inputs in any order; offline and in the node.
 
-    `landmark_map`: landmarks with their joint covariance. `calibration`: prior of mount, lens and
-    clocks.
+    `robot` is the calibration in ``robot.yaml``, the prior.
     """
 
     def __init__(
@@ -91,12 +90,10 @@ class Fusion:
         config: EstimatorConfig | None = None,
         odometry: OdometryNoiseConfig | None = None,
     ) -> None:
-        self._map, self._robot, self._prior = landmark_map, calibration, calibration
+        self._map, self.robot, self._prior = landmark_map, calibration, calibration
         self._may_be = calibration.widened(_MAY_STEP)
-        self._config, self._odometry = (
-            config or EstimatorConfig(),
-            odometry or OdometryNoiseConfig(),
-        )
+        self._config = config or EstimatorConfig()
+        self._odometry = odometry or OdometryNoiseConfig()
         self._track, self._clock = OdometryTrack(self._odometry), ClockWatch()
         self._line: Timeline | None = None
         # A given start is tested until images alone give the pose: a filter with an unknown pose
@@ -127,13 +124,9 @@ class Fusion:
         if landmark_map.same_as(before):
             return
         if not self._used:
-            self._prior = landmark_map.calibration_from(self._robot)
+            self._prior = landmark_map.calibration_from(self.robot)
             self._may_be = self._prior.widened(_MAY_STEP)
-            self._change(
-                lambda joint: JointFilter(
-                    landmark_map, self._prior, joint.estimate, self._config, self._odometry
-                )
-            )
+            self._change(lambda joint: self._new_filter(self._prior, joint.estimate))
             return
         self._prior = replace(self._prior, by_map=None)
         self._change(lambda joint: joint.on_map(landmark_map))
@@ -187,7 +180,7 @@ class Fusion:
         if intrinsics is None:
             return
         # The robot file of a calibration that came from the map is that at learning.
-        robot, before = self._robot, self._prior
+        robot, before = self.robot, self._prior
         given, known = robot if robot.intrinsics is None else self._map.prior or robot, intrinsics
         self._prior = before.for_camera(known, given)
         if self._prior is before or before.intrinsics is None:
@@ -290,30 +283,20 @@ class Fusion:
         """
         Return the measurements of an image, of landmarks that are in the map.
 
-        `found`: detections, with image points or bearings. Without points or joints the bearings
-        are used, with the mount of `robot.yaml`, or with the calibrated one if there are points.
-        `joints`: measured pan and tilt at the stamp.
+        Without points or joints (at the stamp) the bearings are used, with the mount of
+        `robot.yaml`, or with the calibrated one if there are points.
         """
         found = found.chosen(self._map.has(found.ids))
         missed = self._map.indices(found.missed[self._map.has(found.missed)])
         columns = self._map.indices(found.ids)
         if (len(found.points) and joints is not None) or not len(found):
-            pan = joints.pan_rad if joints is not None else 0.0
-            points = ImagePoints(
+            at = joints or JointSample(found.stamp_ns, 0.0)
+            return ImagePoints(
                 found.stamp_ns, columns, found.points, found.point_covariance,
-                np.full(len(columns), pan), missed=missed, near=found.near,
-                sizes=found.sizes if len(found.sizes) else None,
-                by_lens=found.by_lens,
+                np.full(len(columns), at.pan_rad), at.tilt_rad, at.pan_rate_rad_s,
+                at.pan_sigma_rad, at.pan_track, missed=missed, near=found.near,
+                sizes=found.sizes if len(found.sizes) else None, by_lens=found.by_lens,
             )  # fmt: skip
-            if joints is None:
-                return points
-            return replace(
-                points,
-                tilt_rad=joints.tilt_rad,
-                pan_rate_rad_s=joints.pan_rate_rad_s,
-                pan_sigma_rad=joints.pan_sigma_rad,
-                pan_track=joints.pan_track,
-            )
         mount = self.calibration.mount if len(found.points) else self._prior.mount
         looked: float | None = None if len(found.points) else found.pan_rad
         if joints is not None:
@@ -332,7 +315,7 @@ class Fusion:
         """
         if self._line is None:
             return None
-        return self._integrity.inflated_if_lost(self._line.estimate(stamp_ns), self._wrong)
+        return self._integrity.inflated_if_lost(self._line.estimate(stamp_ns), bool(self._wrong))
 
     def expectation(self, stamp_ns: int) -> Expectation | None:
         """Expected pose in an image of a time; None before a pose is known."""
@@ -345,11 +328,6 @@ class Fusion:
     def level(self, estimate: PoseEstimate) -> ProtectionLevel:
         """Bound of the error of an estimate at 99 %."""
         return protection_level(estimate, self._update)
-
-    @property
-    def robot(self) -> Calibration:
-        """Calibration in ``robot.yaml``."""
-        return self._robot
 
     @property
     def calibration(self) -> Calibration:
@@ -381,14 +359,8 @@ class Fusion:
             return Status.LOST, _NO_POSE if self._map.landmarks else _NO_LANDMARKS
         at_ns = line.newest_ns if stamp_ns is None else max(stamp_ns, line.newest_ns)
         status, reason = self._integrity.status(line.estimate(at_ns))
-        if self._unlikely:
-            names = ', '.join(self._unlikely)
-            status = Status.LOST
-            reason = f'{names} would be far from robot.yaml: the robot is probably elsewhere'
-        if self._start_odds < 0.0:
-            status, reason = Status.LOST, str(_WRONG_START)
-        if self._elsewhere:
-            status, reason = Status.LOST, _OTHER_MAP
+        if self._wrong:
+            status, reason = Status.LOST, self._wrong
         name, sigmas = line.filter.contradiction
         if status is Status.OK and sigmas > _CONTRADICTION:
             status = Status.DEGRADED
@@ -402,9 +374,14 @@ class Fusion:
         return status, f'{silence}: {reason}'
 
     @property
-    def _wrong(self) -> bool:
-        """Whether mount or given start contradict the pose, or it may be of another map."""
-        return bool(self._unlikely) or self._start_odds < 0.0 or self._elsewhere
+    def _wrong(self) -> str:
+        """Why the pose is wrong, however well it fits the images; empty if nothing says so."""
+        if self._elsewhere:
+            return _OTHER_MAP
+        if self._start_odds < 0.0:
+            return str(_WRONG_START)
+        names = ', '.join(self._unlikely)
+        return names and f'{names} would be far from robot.yaml: the robot is probably elsewhere'
 
     @property
     def _prior_late(self) -> JointDelay:
@@ -420,7 +397,7 @@ class Fusion:
             # All images of a pan motion agree on a heading that late joint states rotated.
             prior = self._prior_late.sigma_s**2 - self._prior['joint_delay'][1] ** 2
             widened = self._prior.widened({'joint_delay': sqrt(max(0.0, prior))})
-            joint = JointFilter(self._map, widened, start, self._config, self._odometry)
+            joint = self._new_filter(widened, start)
         else:
             joint = self._line.filter
             if wrong and self._trusted is not None:
@@ -432,6 +409,9 @@ class Fusion:
         self._begin(joint.placed(start, pan_rate_rad_s))
         self._integrity, self._unlikely, self._elsewhere = Integrity(), (), False
         self._anywhere, self._start_odds = None, _GIVEN_RIGHT
+
+    def _new_filter(self, prior: Calibration, start: PoseEstimate) -> JointFilter:
+        return JointFilter(self._map, prior, start, self._config, self._odometry)
 
     def _change(self, changed: Callable[[JointFilter], JointFilter]) -> None:
         """Change the filter, and the trusted state with it."""

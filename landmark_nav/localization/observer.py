@@ -21,7 +21,7 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.se2 import relative
 from landmark_nav.localization.detection.correlation import detect_blurred, DetectionResult
 from landmark_nav.localization.detection.expectation import Expectation as Window
-from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, View
+from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, quadratic, View
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
 from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.joint_delay import in_time
@@ -55,27 +55,24 @@ class FrozenImage:
     """
     Detects images that equal an earlier one although the camera has moved.
 
-    Joints and odometry show whether it has moved: a pose in map is also corrected at rest.
+    Joints and odometry (`pose_odom`) show whether it has moved: a pose in map is also corrected at
+    rest.
     """
 
     def __init__(self) -> None:
-        self._pose_odom: FloatArray = np.zeros(3)
+        self.pose_odom: FloatArray = np.zeros(3)
         self._first: tuple[CameraFrame, FloatArray] | None = None
-
-    def add_odometry(self, sample: OdometrySample) -> None:
-        """Add a sample of odometry."""
-        self._pose_odom = sample.pose_odom_base
 
     def repeats(self, frame: CameraFrame) -> bool:
         """Whether an image is identical to one from another pose."""
         if self._first is None or not _same(frame.image, self._first[0].image):
-            self._first = frame, self._pose_odom
+            self._first = frame, self.pose_odom
             return False
         before, there = self._first
         if not np.ptp(frame.image):
             # If the lens is covered, all images are the same.
             return False
-        forward, left, heading = relative(there, self._pose_odom).tolist()
+        forward, left, heading = relative(there, self.pose_odom).tolist()
         aside = wrap_rad(frame.pan_rad + heading - before.pan_rad)
         turn = max(abs(float(aside)), abs(frame.tilt_rad - before.tilt_rad))
         return turn * frame.camera.fx > _MOVED_PX or np.hypot(forward, left) > _MOVED_M
@@ -111,8 +108,7 @@ def most_informative(
     if len(index) <= count:
         return index
     gradient = bearing_gradients(axis.pose, landmark_map.positions[index, :2])
-    own = landmark_map.covariances[index, :2, :2]
-    variance = bearing_sigma**2 + np.sum((gradient[:, None] @ own)[:, 0] * gradient, -1)
+    variance = bearing_sigma**2 + quadratic(gradient, landmark_map.covariances[index, :2, :2])
     rows = np.column_stack([gradient, np.full(len(index), -1.0)]) / np.sqrt(variance)[:, None]
     covariance: FloatArray = axis.covariance
     gain = np.sum(rows @ covariance * rows, -1)
@@ -189,8 +185,7 @@ class Observer:
     """
     Finds landmarks in a sequence of images.
 
-    `calibration`: prior of mount, lens and clocks. `config`: parameters of the stages of
-    detection. `step`: sigmas of sudden changes of camera and base.
+    `calibration` is the prior; `step` has the sigmas of sudden changes of camera and base.
     """
 
     def __init__(
@@ -208,7 +203,7 @@ class Observer:
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Add a sample of odometry."""
-        self._frozen.add_odometry(sample)
+        self._frozen.pose_odom = sample.pose_odom_base
 
     def fix(self, found: Detections, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """Triangulate from the bearings of one image; the prior rejects implausible results."""
@@ -239,20 +234,19 @@ class Observer:
         camera or base. An uncertain pose is first located by the image: `Detections.near`.
         """
         if self._frozen.repeats(frame):
-            return Observation(_nothing(frame.stamp_ns), {}, lambda: _HANGS, unusable=True)
+            none = np.empty(0)
+            empty = Detections(
+                frame.stamp_ns, none.astype(int), none, none, none, np.empty((0, 2))
+            )
+            return Observation(empty, {}, lambda: _HANGS, unusable=True)
         config = self._config
         place = self._narrowed(frame, expected)
         if place is not None:
             expected = replace(expected, pose=place.pose, covariance=place.covariance)
         upright = straight(frame, expected.calibration)
+        pan, tilt, mount = upright.pan_rad, upright.tilt_rad, expected.calibration.mount
         visible = visible_landmarks(
-            expected,
-            self._map,
-            upright.camera,
-            expected.calibration.mount,
-            upright.pan_rad,
-            upright.tilt_rad,
-            config.triplet,
+            expected, self._map, upright.camera, mount, pan, tilt, config.triplet
         )
         most = config.detection.max_count
         enough = min(config.detection.target_count, most)
@@ -283,7 +277,7 @@ class Observer:
             seen,
             missed=np.array(sorted(missed), dtype=np.int64),
             pan_sigma_rad=frame.pan_sigma_rad,
-            pan_rad=float(expected.calibration.mount.azimuth_base_rad(frame.pan_rad)),
+            pan_rad=float(mount.azimuth_base_rad(frame.pan_rad)),
             points=points.points,
             point_covariance=points.covariance,
             by_lens=points.by_lens,
@@ -319,11 +313,7 @@ class Observer:
         visible: IndexArray,
         count: int,
     ) -> tuple[DetectionResult, IndexArray]:
-        """
-        Search `count` of the visible landmarks in windows by the covariance of the state.
-
-        `upright` is the frame, `straight` by the calibration.
-        """
+        """Search `count` of the visible landmarks; `upright` is the frame `straight`ened."""
         config, mount = self._config, expected.calibration.mount
         # An error of the pan shifts the image like one of the heading.
         pan = expected.pan_sigma_rad(frame.pan_rate_rad_s)
@@ -344,11 +334,7 @@ class Observer:
         return result, looked_for
 
     def _distinct(self, visible: IndexArray, expected: PoseEstimate) -> IndexArray:
-        """
-        Landmarks without edges if there are enough others.
-
-        Edges whose window is wider than they are go in any case: it may show another one.
-        """
+        """Landmarks without edges if there are enough others, and without edges in wide windows."""
         edges = self._map.edges[visible]
         if np.sum(~edges) >= self._config.detection.target_count:
             return np.asarray(visible[~edges])
@@ -358,8 +344,3 @@ class Observer:
         half_rad = self._config.detection.window_sigmas * np.sqrt(variance)
         wide = half_rad > self._map.sizes_m[visible, 0] / np.sqrt(squared)
         return np.asarray(visible[~(wide & edges)])
-
-
-def _nothing(stamp_ns: int) -> Detections:
-    none = np.empty(0)
-    return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))

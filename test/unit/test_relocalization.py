@@ -264,7 +264,7 @@ def reported(frames):
         update = localizer.add_frame(frame)
         found = update.search if isinstance(update, LocalizationUpdate) else update
         places += isinstance(found, PoseEstimate)
-        statuses.append(localizer.status[0])
+        statuses.append(localizer.status()[0])
     return statuses, places
 
 

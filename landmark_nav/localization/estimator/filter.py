@@ -74,7 +74,7 @@ _OPEN_RAD = 0.02
 _EXCLUDED = float(np.log(0.01))
 # Sigmas of an unknown pose, m and rad.
 _ANYWHERE = (3.0, 3.0, 2.0)
-_DRIFTING = slice(SCALE, SLIP)
+_TILTS, _DRIFTING = [FLOOR_TILT, FLOOR_TILT + 1], slice(SCALE, SLIP)
 _CALIBRATED = np.arange(CALIBRATION, STATES)
 # Sigma of what is given as exact, in m, rad, 1 or s: so that images show what they would change.
 _EXACT = 1e-6
@@ -91,6 +91,16 @@ class _Hypothesis(NamedTuple):
     moved: bool = False  # whether new landmarks are on an object that was moved since learning
 
 
+def _continued(
+    new: State, mean: FloatArray, covariance: FloatArray, by_noise: FloatArray, before: State
+) -> State:
+    """Return a new state with these moments, and what was learned of noise and prior before."""
+    return replace(
+        new, mean=mean, covariance=covariance, by_noise=by_noise,
+        scales=before.scales, corrections=before.corrections,
+    )  # fmt: skip
+
+
 def _passed_over(state: State, seen: ImagePoints) -> State:
     """Return the state after an image that is not used."""
     return replace(state, stamp_ns=max(state.stamp_ns, seen.stamp_ns))
@@ -100,11 +110,8 @@ class JointFilter:
     """
     Estimates pose and calibration of the robot from odometry and detections.
 
-    `landmark_map`: positions, own covariances and shared factors. `calibration`: prior of the
-    mount, lens and clocks. `start`: pose of the base in map, with its covariance. `config`: noise
-    of floor, map and mount.
-
-    `predicted`: prediction before the last image.
+    `calibration` is the prior, `start` the pose of the base in map; `predicted` is the prediction
+    before the last image.
     """
 
     def __init__(
@@ -125,10 +132,8 @@ class JointFilter:
         variances = np.ones(self._fixed)
         variances[FLOOR_TILT:SCALE] = floor_tilt**2
         variances[SCALE:SLIP] = wheels.bias_sigmas**2
-        variances[SLIP], variances[TURN_LOSS] = (
-            wheels.slip_m_per_rad**2,
-            wheels.turn_loss_sigma_m_per_rad**2,
-        )
+        variances[SLIP] = wheels.slip_m_per_rad**2
+        variances[TURN_LOSS] = wheels.turn_loss_sigma_m_per_rad**2
         mean, covariance = np.zeros(self._fixed), np.diag(variances)
         mean[:3], covariance[:3, :3] = start.pose, start.covariance
         mean[CALIBRATION:STATES] = calibration.values
@@ -141,7 +146,7 @@ class JointFilter:
             covariance[STATES:, CALIBRATION:STATES] = shared.T
         by_noise = np.zeros((NOISES, STATES, STATES))
         by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_m_per_rad**2
-        by_noise[FLOOR, [FLOOR_TILT, FLOOR_TILT + 1], [FLOOR_TILT, FLOOR_TILT + 1]] = floor_tilt**2
+        by_noise[FLOOR, _TILTS, _TILTS] = floor_tilt**2
         none, nothing = np.empty(0, dtype=np.intp), np.empty((0, 3, 3))
         scales = NoiseScales.unknown(self._config.learning_sigma)
         self._state = State(
@@ -172,17 +177,18 @@ class JointFilter:
         tilt = float(np.sqrt(max(state.covariance[np.ix_(which, which)].sum(), 0.0)))
         return Expectation(state.stamp_ns, pose, covariance, self.calibration, tilt)
 
+    def _with(self, state: State) -> JointFilter:
+        other = copy(self)
+        other._state = other.predicted = state
+        return other
+
     def stepped(self) -> JointFilter:
         """Return the filter where base, camera or joint delay may have changed."""
-        other = copy(self)
-        other._state = self._stepped(self._state, self._config.knock)
-        return other
+        return self._with(self._stepped(self._state, self._config.knock))
 
     def with_lens(self, given: Calibration) -> JointFilter:
         """Return the filter where the lens is as in `given`."""
-        prior = self._prior.with_lens(given)
-        other, state = copy(self), self._state
-        other._prior = prior
+        prior, state = self._prior.with_lens(given), self._state
         lens = np.isin(NAMES, LENS)
         rows = CALIBRATION + np.flatnonzero(lens)
         mean, covariance, by_noise = (
@@ -193,9 +199,12 @@ class JointFilter:
         mean[rows] = prior.values[lens]
         covariance[rows, rows] = np.maximum(prior.sigmas[lens], _EXACT) ** 2
         corrections = np.where(lens, 0.0, state.corrections)
-        other._state = other.predicted = replace(
-            state, mean=mean, covariance=covariance, by_noise=by_noise, corrections=corrections
+        other = self._with(
+            replace(
+                state, mean=mean, covariance=covariance, by_noise=by_noise, corrections=corrections
+            )
         )
+        other._prior = prior
         return other
 
     def placed(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> JointFilter:
@@ -231,11 +240,7 @@ class JointFilter:
         by_kept[:3] = by_mount[:, : STATES - SCALE]
         by_noise = by_kept @ mine.by_noise[:, SCALE:, SCALE:] @ by_kept.T
         by_noise[FLOOR] += new.by_noise[FLOOR]
-        other._state = replace(
-            new, mean=mean, covariance=covariance, by_noise=by_noise, scales=mine.scales,
-            corrections=mine.corrections,
-        )  # fmt: skip
-        return other
+        return other._with(_continued(new, mean, covariance, by_noise, mine))
 
     def on_map(self, landmark_map: LandmarkMap) -> JointFilter:
         """Return the filter of the same robot at the same pose, with other landmarks."""
@@ -246,11 +251,7 @@ class JointFilter:
         mean, covariance = new.mean.copy(), new.covariance.copy()
         mean[:STATES] = mine.mean[:STATES]
         covariance[:STATES, :STATES] = mine.covariance[:STATES, :STATES]
-        other._state = replace(
-            new, mean=mean, covariance=covariance, by_noise=mine.by_noise, scales=mine.scales,
-            corrections=mine.corrections,
-        )  # fmt: skip
-        return other
+        return other._with(_continued(new, mean, covariance, mine.by_noise, mine))
 
     @property
     def calibration(self) -> Calibration:
@@ -270,8 +271,7 @@ class JointFilter:
         Quantity of the prior that images contradict most, and by how many sigmas.
 
         Corrections by images are independent, and each has the variance by which it decreased
-        that of the quantity: their sum tests the prior, however small its sigma is. What images
-        hardly show is left out.
+        that of the quantity: their sum tests the prior. What images hardly show is left out.
         """
         shift, variance = self._state.corrections
         prior = np.maximum(np.diag(self._prior.covariance), _EXACT**2)
@@ -330,24 +330,22 @@ class JointFilter:
         factors = scales.factors
         head, by_state, by_motion = moved(state.mean, motion)
         head[2] = wrap_rad(head[2])
-        slips, floor_tilts = np.exp(
-            -way / np.array([wheels.slip_length_m, config.floor_tilt_length_m])
-        ).tolist()
+        lengths = np.array([wheels.slip_length_m, config.floor_tilt_length_m])
+        slips, floor_tilts = np.exp(-way / lengths).tolist()
         head[SLIP] *= slips
         head[FLOOR_TILT:SCALE] *= floor_tilts
         by_state[SLIP, SLIP] = slips
-        by_state[FLOOR_TILT, FLOOR_TILT] = by_state[FLOOR_TILT + 1, FLOOR_TILT + 1] = floor_tilts
+        by_state[_TILTS, _TILTS] = floor_tilts
         by_noise = state.by_noise.copy()
         by_noise[:, :CALIBRATION] = by_state @ by_noise[:, :CALIBRATION]
         by_noise[:, :, :CALIBRATION] = by_noise[:, :, :CALIBRATION] @ by_state.T
         added = np.zeros((NOISES, CALIBRATION, CALIBRATION))
         sensed = factors[:SLIP_NOISE, None] * sensed_variances(motion, wheels)
         added[:SLIP_NOISE, :3, :3] = (by_motion * sensed[:, None]) @ by_motion.T
-        added[SLIP_NOISE, SLIP, SLIP] = (
-            factors[SLIP_NOISE] * slip_variance(motion, wheels) * (1.0 - slips**2)
-        )
+        slip = factors[SLIP_NOISE] * slip_variance(motion, wheels) * (1.0 - slips**2)
+        added[SLIP_NOISE, SLIP, SLIP] = slip
         floor = factors[FLOOR] * config.floor_tilt_sigma_rad**2 * (1.0 - floor_tilts**2)
-        added[FLOOR, [FLOOR_TILT, FLOOR_TILT + 1], [FLOOR_TILT, FLOOR_TILT + 1]] = floor
+        added[FLOOR, _TILTS, _TILTS] = floor
         by_noise[:, :CALIBRATION, :CALIBRATION] += added
         covariance = state.covariance.copy()
         covariance[:CALIBRATION] = by_state @ covariance[:CALIBRATION]
@@ -458,11 +456,7 @@ class JointFilter:
     def _perhaps_moved(
         self, expected: _Hypothesis, seen: ImagePoints, new: npt.NDArray[np.bool_]
     ) -> _Hypothesis:
-        """
-        Return the hypothesis where new landmarks moved together as far as the image leaves open.
-
-        The variance of their common motion is the mean over both cases.
-        """
+        """New landmarks moved together; the variance of that is the mean over both cases."""
         columns, config = seen.columns[new], self._config
         moved = self._displaced(expected.prior, columns, config.moved_sigma_m**2)
         evidence = self._corrected(moved, seen, new)[1].log_evidence
@@ -471,16 +465,11 @@ class JointFilter:
         return _Hypothesis(prior, *self._corrected(prior, seen, new))
 
     def _doubting(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
-        """
-        Return the state with wider own errors of new landmarks that were found to be off.
-
-        Own errors have the tail of the detections: what is off by itself stays off, image after
-        image, where one detection would not. An outlier says nothing of its landmark, which stays
-        new.
-        """
+        """Return the state with wider own errors of new landmarks that are found to be off."""
         looser = 1.0 / update.weight[new]
         if not (looser > 1.0).any():
             return state
+        # An outlier says nothing of its landmark, which stays new.
         columns, out = update.columns[new], update.weight[new] <= OUTLIER
         state = state.only(~np.isin(state.landmarks, columns[out]))
         columns, wider = columns[~out], looser[~out] - 1.0

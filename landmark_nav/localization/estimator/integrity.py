@@ -79,18 +79,14 @@ class ProtectionLevel(NamedTuple):
 def protection_level(estimate: PoseEstimate, update: Update | None = None) -> ProtectionLevel:
     """Return the protection level of a pose, with the last update if there was one."""
     position, heading = _sigmas(estimate.covariance)
-    level = ProtectionLevel(_POSITION * float(position), _HEADING * float(heading))
-    if update is None or not len(update.columns):
-        return level
-    wide, turned = _sigmas(estimate.covariance + update.without)
-    away = np.linalg.norm(update.separation[:, :2], axis=1)
-    return ProtectionLevel(
-        max(level.position_m, float((away + _POSITION_WITHOUT * wide).max())),
-        max(
-            level.heading_rad,
-            float((np.abs(update.separation[:, 2]) + _HEADING_WITHOUT * turned).max()),
-        ),
-    )
+    away, aside = _POSITION * float(position), _HEADING * float(heading)
+    if update is not None and len(update.columns):
+        wide, turned = _sigmas(estimate.covariance + update.without)
+        off = np.linalg.norm(update.separation[:, :2], axis=1)
+        away = max(away, float((off + _POSITION_WITHOUT * wide).max()))
+        off = np.abs(update.separation[:, 2])
+        aside = max(aside, float((off + _HEADING_WITHOUT * turned).max()))
+    return ProtectionLevel(away, aside)
 
 
 def is_unknown(covariance: FloatArray) -> bool:

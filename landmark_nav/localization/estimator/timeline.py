@@ -33,11 +33,7 @@ def move_to(stamp_ns: int, joint: JointFilter, track: OdometryTrack) -> None:
 
 
 class Timeline:
-    """
-    A joint filter that takes measurements in any order.
-
-    `track`: odometry, possibly from before the start. `window_s`: greatest delay of a measurement.
-    """
+    """A joint filter that takes measurements in any order, up to `window_s` late."""
 
     def __init__(self, joint: JointFilter, track: OdometryTrack, window_s: float = 2.0) -> None:
         self._filter, self._track, self._window_ns = joint, track, int(1e9 * window_s)
@@ -84,7 +80,11 @@ class Timeline:
         self._images.insert(place, seen)
         self._before.insert(place + 1, self._before[place])
         update = self._again(place)
-        self._trim()
+        oldest_ns = self._images[-1].stamp_ns - self._window_ns
+        if old := sum(image.stamp_ns < oldest_ns for image in self._images):
+            del self._images[:old], self._before[:old]
+            self._extrapolated = min(self._extrapolated, len(self._images))
+            self._track.trim(self._before[0].stamp_ns - REACH_NS)
         return update
 
     def estimate(self, stamp_ns: int | None = None) -> PoseEstimate:
@@ -114,19 +114,9 @@ class Timeline:
             self._predict(self._filter, self._before[place], image.stamp_ns)
             updates.append(self._filter.observe(image))
             self._before[place + 1] = self._filter.snapshot
-        ends = self._track.stamps_ns
-        last = ends[1] if ends else 0
+        last = (self._track.stamps_ns or (0, 0))[1]
         self._extrapolated = sum(image.stamp_ns > last for image in self._images)
         return updates[0]
-
-    def _trim(self) -> None:
-        """Drop images and states older than the window."""
-        newest = self._images[-1].stamp_ns
-        old = sum(image.stamp_ns < newest - self._window_ns for image in self._images)
-        if old:
-            del self._images[:old], self._before[:old]
-            self._extrapolated = min(self._extrapolated, len(self._images))
-            self._track.trim(self._before[0].stamp_ns - REACH_NS)
 
     def _settle(self) -> None:
         """Predict without images, so that the recomputed time stays within the window."""
