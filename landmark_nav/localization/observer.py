@@ -334,7 +334,7 @@ class Observer:
         return result, looked_for
 
     def _distinct(self, visible: IndexArray, expected: PoseEstimate) -> IndexArray:
-        """Landmarks without edges if there are enough others, and without edges in wide windows."""
+        """Landmarks without edges in wide windows, or without any if there are enough others."""
         edges = self._map.edges[visible]
         if np.sum(~edges) >= self._config.detection.target_count:
             return np.asarray(visible[~edges])

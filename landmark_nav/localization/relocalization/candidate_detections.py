@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -74,19 +74,17 @@ def unhidden_ranges(
     normal = landmark_map.normals[:, :2] @ turned
     facing = -np.sum(place * normal, -1) / reach
     reference = np.hypot(*(landmark_map.positions - landmark_map.viewpoints)[:, :2].T)
-    nearest, farthest = reach.min(axis=0), reach.max(axis=0)
-    nearest = np.maximum(nearest, _RELATIVE_RANGES[0] * reference)
-    farthest = np.minimum(farthest, _RELATIVE_RANGES[-1] * reference)
+    nearest = np.maximum(reach.min(axis=0), _RELATIVE_RANGES[0] * reference)
+    farthest = np.minimum(reach.max(axis=0), _RELATIVE_RANGES[-1] * reference)
     least, most = np.maximum(facing.min(axis=0), _LEAST_FORESHORTENING), facing.max(axis=0)
     margin = 0.5 * landmark_map.sizes_m[:, 0] / reach.min(axis=0)
     columns = strip.columns(aside.max(axis=0) + margin, aside.min(axis=0) - margin)
+    good = (farthest > nearest) & (most > _LEAST_FORESHORTENING) & (columns[1] > columns[0])
     return {
         int(k): SearchRange(
             _steps(nearest[k], farthest[k]), _steps(least[k], most[k]), tuple(columns[:, k])
         )
-        for k in np.flatnonzero(
-            (farthest > nearest) & (most > _LEAST_FORESHORTENING) & (columns[1] > columns[0])
-        )
+        for k in np.flatnonzero(good)
     }
 
 
@@ -139,17 +137,9 @@ def _resampled(image: ImageArray, pixels: FloatArray, resolution: float) -> Imag
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     small = cv2.resize(grey, None, fx=resolution, fy=resolution, interpolation=cv2.INTER_AREA)
     at = np.nan_to_num((pixels + 0.5) * resolution - 0.5, nan=-1e4).astype(np.float32)
-    return np.asarray(
-        cv2.remap(
-            small,
-            at[..., 0],
-            at[..., 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=float(np.mean(small)),
-        ),
-        dtype=np.uint8,
-    )
+    how: dict[str, Any] = {'borderMode': cv2.BORDER_CONSTANT, 'borderValue': float(small.mean())}
+    found = cv2.remap(small, at[..., 0], at[..., 1], cv2.INTER_LINEAR, **how)
+    return np.asarray(found, dtype=np.uint8)
 
 
 # Scale of the searched image, and least size of a template in it, pixels.
@@ -186,14 +176,11 @@ class CandidateDetections:
     @staticmethod
     def joined(parts: Sequence[CandidateDetections]) -> CandidateDetections:
         """Concatenate several, which must share a frame."""
+        none = np.zeros(0)
+        empty = CandidateDetections(none.astype(np.intp), none, none, none, np.zeros((0, 2)), none)
         names = [field.name for field in fields(CandidateDetections)]
-        if not parts:
-            none = np.zeros(0)
-            return CandidateDetections(
-                none.astype(np.intp), none, none, none, np.zeros((0, 2)), none
-            )
         return CandidateDetections(
-            *(np.concatenate([getattr(p, n) for p in parts]) for n in names)
+            *(np.concatenate([getattr(p, n) for p in (empty, *parts)]) for n in names)
         )
 
 
@@ -223,8 +210,7 @@ def find_candidate_detections(
     return CandidateDetections.joined(found)
 
 
-@dataclass(frozen=True, eq=False)
-class _Profile:
+class _Profile(NamedTuple):
     """The best match over all ranges and slants in each column of the strip."""
 
     score: npt.NDArray[np.float32]

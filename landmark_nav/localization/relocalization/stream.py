@@ -58,11 +58,10 @@ def shows_new(
     frame: CameraFrame, direction: FloatArray, directions: FloatArray, poses: FloatArray
 ) -> bool:
     """
-    Whether an image shows more of the room than earlier ones.
+    Whether an image with a `view_direction` (2,) shows more of the room than earlier ones.
 
-    `direction` (2,): `view_direction` of the image. `directions` (n, 2): `view_direction` of
-    earlier images, each in its own base frame. `poses` (n, 3): poses of the base at the earlier
-    images, in the base frame of this one.
+    Those looked in `directions` (n, 2), each in its own base frame; `poses` (n, 3) of the base
+    then are in the base frame of this image.
     """
     off = np.reshape(directions, (-1, 2)) - direction
     off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2])
@@ -72,9 +71,8 @@ def shows_new(
     return not np.any(same & near)
 
 
-# An image is dropped once the drift of odometry since then exceeds these sigmas.
-_MAX_DRIFT_M = 0.1
-_MAX_DRIFT_RAD = 0.1
+# An image is dropped once the drift of odometry since then exceeds these sigmas, m, m and rad.
+_MAX_DRIFT = np.array([0.1, 0.1, 0.1])
 # Most images kept.
 _MAX_FRAMES = 30
 # Odometry older by this means that the clock was set back.
@@ -115,12 +113,7 @@ class Unseen:
 
 
 class Relocalizer:
-    """
-    Collects views of the room until only one place explains them.
-
-    `odometry`: noise of the odometry. `stages`: parameters of the detection that verifies a
-    hypothesis.
-    """
+    """Collects views of the room until only one place explains them."""
 
     def __init__(
         self,
@@ -158,24 +151,17 @@ class Relocalizer:
 
     def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """
-        Add an image.
+        Return the pose of the base at an image's stamp, or why there is none yet.
 
-        `frame`: image with its joint angles.
-
-        Returns pose of the base at the image's stamp, or why there is none yet. An image that
-        shows nothing new is not searched: the last reason is returned.
+        An image that shows nothing new is not searched: the last reason is returned.
         """
         if not np.isfinite([frame.pan_rad, frame.tilt_rad]).all():
             return self._outcome
         direction = view_direction(frame, self._mount)
         poses, variances = self._carried(frame.stamp_ns)
         # Images from too far back, or from before the clock was set back, are dropped.
-        recent_enough = [
-            keyframe.frame.stamp_ns < frame.stamp_ns
-            and max(variance[:2]) < _MAX_DRIFT_M**2
-            and variance[2] < _MAX_DRIFT_RAD**2
-            for keyframe, variance in zip(self._kept, variances, strict=True)
-        ]
+        stamps_ns = np.array([keyframe.frame.stamp_ns for keyframe in self._kept], dtype=np.int64)
+        recent_enough = (stamps_ns < frame.stamp_ns) & (variances < _MAX_DRIFT**2).all(axis=1)
         self._kept = list(compress(self._kept, recent_enough))
         poses, variances = poses[recent_enough], variances[recent_enough]
         looked = np.array([keyframe.direction for keyframe in self._kept])
