@@ -190,12 +190,10 @@ class _Search:
             with np.errstate(invalid='ignore'):
                 good = np.flatnonzero(lower * weight <= self.limit * _ROUNDING)
             i, j, k, total, weight = (a.take(good) for a in (i, j, k, total, weight))
-        found = np.sort(np.stack([i, j, k], -1), axis=1)
-        scores, triplets = total * weight, np.concatenate([self.triplets, found])
-        finite = np.isfinite(scores)
-        scores = np.concatenate([self.scores, scores])
-        finite = np.concatenate([np.ones(len(self.scores), np.bool_), finite])
-        scores, triplets = scores[finite], triplets[finite]
+        finite = np.isfinite(total * weight)
+        scores = np.concatenate([self.scores, (total * weight)[finite]])
+        found = np.sort(np.stack([i, j, k], -1)[finite], axis=1)
+        triplets = np.concatenate([self.triplets, found])
         once = first_of_each(triplets)
         best = once[np.argsort(scores[once], kind='stable')[: self._count]]
         self.scores, self.triplets = scores[best], triplets[best]
