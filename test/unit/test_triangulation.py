@@ -50,7 +50,7 @@ class TestRecovery:
         np.testing.assert_allclose(fix.pose[:2], pose[:2], atol=1e-6)
         assert abs(wrap_rad(fix.pose[2] - heading)) < 1e-6
         assert -np.pi < fix.pose[2] <= np.pi
-        assert fix.chi_square < 1e-6
+        assert fix.solution.chi_square < 1e-6
 
     @settings(max_examples=50)
     @given(st.floats(0.7, 5.4), st.floats(0.7, 3.4), st.floats(-np.pi, np.pi))

@@ -135,16 +135,11 @@ def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     way = float(np.hypot(forward, left))
     rest = config.floor_m_per_sqrt_s**2 * motion.seconds
     rest_turn = config.floor_rad_per_sqrt_s**2 * motion.seconds
-    return np.array(
-        [
-            [
-                config.along_m_per_sqrt_m**2 * way + rest,
-                config.across_m_per_sqrt_m**2 * way + rest,
-                config.turn_rad_per_sqrt_m**2 * way + rest_turn,
-            ],
-            [0.0, 0.0, config.turn_rad_per_sqrt_rad**2 * abs(turn)],
-        ]
-    )
+    along = config.along_m_per_sqrt_m**2 * way + rest
+    across = config.across_m_per_sqrt_m**2 * way + rest
+    turned = config.turn_rad_per_sqrt_m**2 * way + rest_turn
+    by_turns = config.turn_rad_per_sqrt_rad**2 * abs(turn)
+    return np.array([[along, across, turned], [0.0, 0.0, by_turns]])
 
 
 def slip_variance(motion: Motion, config: OdometryNoiseConfig) -> float:
@@ -162,15 +157,11 @@ def left_variance(motion: Motion, config: OdometryNoiseConfig) -> float:
 
 def blind_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     """Variances (3,) of the time without odometry, and of extrapolation."""
-    position, heading = config.blind_m_per_sqrt_s**2, config.blind_rad_per_sqrt_s**2
-    ahead = 0.25 * motion.ahead_s4
-    return np.array(
-        [
-            motion.blind_seconds * position + ahead * _ACCELERATION_M_S2**2,
-            motion.blind_seconds * position,
-            motion.blind_seconds * heading + ahead * _TURN_ACCELERATION_RAD_S2**2,
-        ]
-    )
+    position = motion.blind_seconds * config.blind_m_per_sqrt_s**2
+    heading = motion.blind_seconds * config.blind_rad_per_sqrt_s**2
+    along = 0.25 * motion.ahead_s4 * _ACCELERATION_M_S2**2
+    turned = 0.25 * motion.ahead_s4 * _TURN_ACCELERATION_RAD_S2**2
+    return np.array([position + along, position, heading + turned])
 
 
 def jitter_variances(motion: Motion) -> FloatArray:

@@ -32,13 +32,10 @@ def bearing_residuals(
     poses: npt.ArrayLike, positions: npt.ArrayLike, bearings: npt.ArrayLike
 ) -> FloatArray:
     """
-    Measured minus expected bearing, wrapped to (-pi, pi].
+    Measured `bearings` (..., n) minus those expected of `positions` (..., n, 2), in (-pi, pi].
 
-    `poses` (..., 3): poses of the pan axis in map. `positions` (..., n, 2): landmarks in map,
-    metres. `bearings` (..., n): measured bearings, radians.
-
-    Returns (..., n): about pi where a closed form solved for the opposite direction: the modulo-pi
-    ambiguity.
+    `poses` (..., 3) are those of the pan axis. About pi where a closed form solved for the
+    opposite direction: the modulo-pi ambiguity.
     """
     pose = np.asarray(poses, dtype=np.float64)[..., None, :]
     delta = np.asarray(positions, dtype=np.float64) - pose[..., :2]
@@ -64,11 +61,7 @@ def bearing_gradients(pose: npt.ArrayLike, positions: npt.ArrayLike) -> FloatArr
 
 
 def map_share(gradients: FloatArray, covariance: FloatArray) -> FloatArray:
-    """
-    Covariance (n, n) of n bearings caused by the landmarks' joint covariance (2n, 2n).
-
-    It is G Sigma_L G^T with G the block diagonal of minus the bearing `gradients` (n, 2).
-    """
+    """Covariance (n, n) of bearings by that of the landmarks (2n, 2n) and `gradients` (n, 2)."""
     n = len(gradients)
     by_landmarks = (gradients[:, None] @ covariance.reshape(n, 2, 2 * n)).reshape(n, n, 2)
     return np.asarray((by_landmarks * gradients).sum(axis=-1))
@@ -76,14 +69,10 @@ def map_share(gradients: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[float, float]:
     """
-    Distance of a point from the circle through three landmarks, on which no pose can be computed.
+    Distance [m] of a point (2,) from the circle through three landmarks (3, 2), [m].
 
-    The result is finite for collinear landmarks too, whose circle is their line.
-
-    `point` (2,): metres. `landmarks` (3, 2): metres.
-
-    Returns `distance`: from the circle or line, metres; `relative`: the same over the radius of
-    the circle or the range of the farthest landmark, whichever is smaller.
+    On it no pose can be computed; that of collinear landmarks is their line. The second value is
+    relative to its radius or the range of the farthest landmark, whichever is smaller.
     """
     delta = np.asarray(landmarks, dtype=np.float64) - np.asarray(point, dtype=np.float64)
     square = np.sum(delta * delta, -1)
@@ -131,15 +120,11 @@ _BLOCK = 8192
 
 def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> FloatArray:
     """
-    Poses from three bearings each.
+    Poses (..., 3) from three `bearings` (..., 3) each, to landmarks at `positions` (..., 3, 2).
 
-    `positions` (..., 3, 2): landmarks in map, metres. `bearings` (..., 3): their bearings,
-    counter-clockwise from the robot's heading, radians.
-
-    Returns (..., 3): x, y [m] and heading [rad]. On the circle through the landmarks
-    (`danger_distance`) the pose is undetermined: not finite or, by rounding, arbitrary. The
-    equations also hold for the opposite direction of a landmark: check `bearing_residuals` before
-    use.
+    On the circle through the landmarks (`danger_distance`) the pose is undetermined: not finite
+    or, by rounding, arbitrary. The equations also hold for the opposite direction of a landmark:
+    check `bearing_residuals` before use.
     """
     position = np.asarray(positions, dtype=np.float64)
     bearing = np.asarray(bearings, dtype=np.float64)
@@ -224,12 +209,7 @@ class Solution:
 
 
 class Bearings(NamedTuple):
-    """
-    Bearings of n landmarks.
-
-    `position` (n, 2) of the landmarks in map, with the joint covariance `map_cov` (2 n, 2 n);
-    `bearing` (n,) with its own `variance` (n,).
-    """
+    """Bearings of n landmarks, whose positions have the joint covariance (2 n, 2 n) `map_cov`."""
 
     position: FloatArray
     bearing: FloatArray
@@ -239,10 +219,8 @@ class Bearings(NamedTuple):
     def chosen(self, index: IndexArray) -> Bearings:
         """Return the bearings of some landmarks."""
         rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
-        position, bearing, variance, map_cov = self
-        return Bearings(
-            position[index], bearing[index], variance[index], map_cov[np.ix_(rows, rows)]
-        )
+        position, bearing, variance = (values[index] for values in self[:3])
+        return Bearings(position, bearing, variance, self.map_cov[np.ix_(rows, rows)])
 
     def best_start(self, start: PoseEstimate | None) -> FloatArray | None:
         """Pose (3,) of those of triples and the prior with the least robust cost."""

@@ -79,11 +79,7 @@ class LookAround:
         self._left, self._target, self._since_s = [], None, None
 
     def pan_at(self, now_s: float, pan_rad: float, fov_rad: float) -> float | None:
-        """
-        Pan to turn to while the pose is unknown; None until that has lasted for `after_s`.
-
-        `now_s`: time by a monotonic clock.
-        """
+        """Pan to turn to while the pose is unknown; None until that has lasted for `after_s`."""
         if self._since_s is None:
             self._since_s = now_s
         if not self._config.enabled or now_s - self._since_s < self._config.after_s:
