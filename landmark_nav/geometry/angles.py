@@ -41,12 +41,8 @@ def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDA
     Remove the jumps of a driver that reports the angle of a joint within +-pi.
 
     A step of more than half a turn is a jump if it is faster than any joint. The angles of a
-    driver that counts turns do not change.
-
-    `stamps_ns` (k,): times of the angles, ascending or descending. `angles_rad` (k,): measured
-    angles, radians.
-
-    Returns (k,): angles that differ from the measured ones by whole turns; the first is unchanged.
+    driver that counts turns do not change, nor does the first. Angles (k,), radians, have
+    ascending or descending times (k,).
     """
     angles = np.array(angles_rad, dtype=np.float64)
     steps = np.diff(angles)

@@ -98,8 +98,7 @@ def rays_to_patch(
     coordinates of metres to the right and down from its centre (Hartley and Zisserman, Multiple
     View Geometry, 2004, section 13.1).
 
-    `positions`, `normals` (n, 3): patch centres and normals in map. `rotation_map_camera` (3, 3):
-    optical frame -> map. `center_map` (3,): optical centre in map.
+    Patch centres and normals (n, 3) are in map, as is the pose of the optical frame.
     """
     right, down = patch_axes(normals)
     offset = np.asarray(positions, dtype=np.float64) - np.asarray(center_map, dtype=np.float64)
@@ -119,11 +118,9 @@ def relative_sampling(
     Both images are upright cylinders, so ranges and angles of incidence are those in plan:
     ``s_v = rho0 / rho`` and ``s_h = s_v cos(beta) / cos(beta0)``.
 
-    `points`, `normals`, `viewpoints` (n, 3): patch centres, unit normals into the room and
-    reference viewpoints, map frame, metres. `viewers` (..., 3): viewpoints, map frame, metres.
-
-    Returns `horizontal` and `vertical` (..., n): relative sampling, 1 in the reference view;
-    `horizontal` is negative behind the wall.
+    Patch centres, unit normals into the room, and reference viewpoints are (n, 3), `viewers` are
+    (..., 3). The result, horizontal and vertical (..., n), is 1 in the reference view; the
+    horizontal one is negative behind the wall.
     """
     point = np.asarray(points, dtype=np.float64)[:, :2]
     normal = np.asarray(normals, dtype=np.float64)[:, :2]

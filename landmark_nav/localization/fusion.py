@@ -11,6 +11,7 @@ from math import hypot, log, sqrt
 import numpy as np
 
 from landmark_nav.calibration import Calibration
+from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.estimator import (
     EstimatorConfig,
@@ -25,7 +26,7 @@ from landmark_nav.localization.estimator import (
 )
 from landmark_nav.localization.estimator.state import State
 from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
-from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay, PanMotion
+from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import (
     ClockStep,
@@ -158,10 +159,11 @@ class Fusion:
         late = self._prior_late if self._line is None else self.late
         rate, bend = 0.0, 0.0
         if joints is not None:
-            pan = PanMotion.of(joints, self._prior.base)
-            rate = pan.rate_rad_s
-            if pan.track is not None and late.sigma_s:
-                _, rate, bend = pan.track.lagged(late.delay_s, late.sigma_s)
+            mount, track = self._prior.base, joints.pan_track
+            rate = mount.pan_sense * joints.pan_rate_rad_s
+            if track is not None and late.sigma_s:
+                azimuth = PanTrack(track.seconds, mount.azimuth_base_rad(track.pans_rad))
+                _, rate, bend = azimuth.lagged(late.delay_s, late.sigma_s)
             bend = hypot(bend, joints.pan_sigma_rad)
         # The pan may begin to turn meanwhile, or between joint states.
         bent = np.diag([0.0, 0.0, bend**2])
@@ -387,7 +389,9 @@ class Fusion:
     def _prior_late(self) -> JointDelay:
         """Prior of the delay at the start, which is wide unless the delay is known."""
         late = JointDelay(*self._prior['joint_delay'])
-        return late if late.is_known else replace(late, sigma_s=max(late.sigma_s, DELAY_BOUND_S))
+        return JointDelay(
+            late.delay_s, late.sigma_s if late.is_known else max(late.sigma_s, DELAY_BOUND_S)
+        )
 
     def _place(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> None:
         """Set the pose, with the estimates of the robot from while the pose was right."""

@@ -24,7 +24,6 @@ from landmark_nav.localization.detection.expectation import Expectation as Windo
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, quadratic, View
 from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
 from landmark_nav.localization.image_stages import ImageStagesConfig
-from landmark_nav.localization.joint_delay import in_time
 from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.localization.relocalization.verification import PlaceVerifier
 from landmark_nav.localization.start import is_prior_uncertain
@@ -99,11 +98,10 @@ def most_informative(
     ``1 + h P h^T / r``; r includes the landmark's own error. The greedy choice gains at least 63 %
     of the optimum (Krause, Singh and Guestrin, JMLR 9, 2008).
 
-    `axis`: expected pose of the pan axis. `index` (n,): indices of the candidates in the map.
-    `bearing_sigma`: expected measurement sigma, rad. `novelty` (landmarks of the map,): factor on
-    the gain of each landmark: a landmark seen before repeats its error.
-
-    Returns (min(n, count),): chosen indices in the order of the map.
+    `axis` is the expected pose of the pan axis, `index` (n,) are the candidates in the map, of
+    which some remain, in that order; `bearing_sigma` is the expected one of a measurement, rad.
+    `novelty` is a factor on the gain of each landmark of the map: one seen before repeats its
+    error.
     """
     if len(index) <= count:
         return index
@@ -142,9 +140,8 @@ class Observation:
     """
     Results of the detection in one image.
 
-    `detections`: landmarks that were found. `refused`: why others were not, by landmark id.
-    `triangulate`: computes `fix` on demand. `unusable`: whether the image was not searched at all.
-    `expected`: where landmarks were searched, by id.
+    `refused` says why landmarks were not found, `expected` where they were searched, by id;
+    `triangulate` computes `fix` on demand. An `unusable` image was not searched at all.
     """
 
     detections: Detections
@@ -161,18 +158,20 @@ class Observation:
 
 def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
     """Return an image with camera and joints corrected by a calibration."""
-    frame = in_time(frame, calibration['joint_delay'][0])
+    delay_s, track = calibration['joint_delay'][0], frame.pan_track
+    pan = frame.pan_rad
+    if track is None:
+        pan += frame.pan_rate_rad_s * delay_s
+    else:
+        given, lagged = track.at([0.0, delay_s]).tolist()
+        pan = pan + lagged - given
+    lens = (_STEP * round(calibration[name][0] / _STEP) for name in LENS)
     return replace(
         frame,
-        camera=_calibrated(frame.camera, *_lens_steps(calibration)),
-        pan_rad=frame.pan_rad * (1.0 + calibration['pan_scale'][0]),
+        camera=_calibrated(frame.camera, *lens),
+        pan_rad=pan * (1.0 + calibration['pan_scale'][0]),
         tilt_rad=frame.tilt_rad + calibration['camera_tilt'][0],
     )
-
-
-def _lens_steps(calibration: Calibration) -> tuple[float, ...]:
-    """Errors of the lens, to a tenth of a pixel."""
-    return tuple(_STEP * round(calibration[name][0] / _STEP) for name in LENS)
 
 
 @lru_cache(maxsize=8)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.se2 import compose
+from landmark_nav.geometry.se2 import arc, compose
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.parameters import Config
@@ -80,10 +80,10 @@ class DifferentialDrive:
         config = self._config
         most = dt_s * np.array([config.max_acceleration_m_s2, config.max_turn_acceleration_rad_s2])
         self.twist = self.twist + np.clip(self._command - self.twist, -most, most)
-        moved = compose(self.pose_map_base, _arc(self.twist * dt_s))
+        moved = compose(self.pose_map_base, arc(*self.twist * dt_s))
         if self.twist[0] != 0.0 and not self._free(moved[:2]):
             self.twist = np.array([0.0, self.twist[1]])
-            moved = compose(self.pose_map_base, _arc(self.twist * dt_s))
+            moved = compose(self.pose_map_base, arc(*self.twist * dt_s))
         self.pose_map_base = moved
         self._measure(dt_s)
 
@@ -100,16 +100,8 @@ class DifferentialDrive:
         left, right = counted - self._counted_m
         self._counted_m = counted
         step = np.array([0.5 * (left + right), (right - left) / self._track_m])
-        self.pose_odom_base = compose(self.pose_odom_base, _arc(step))
+        self.pose_odom_base = compose(self.pose_odom_base, arc(*step))
         self.measured_twist = step / dt_s
-
-
-def _arc(step: FloatArray) -> FloatArray:
-    """Relative pose (3,) after a distance and a turn (2,) along a circular arc."""
-    way, turn = step
-    # sinc is also exact for a straight line.
-    chord = way * np.sinc(0.5 * turn / np.pi)
-    return np.array([chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn])
 
 
 _HEIGHT_M = 1.75

@@ -58,9 +58,9 @@ def draw(
     """
     Render the expected appearance of landmarks in rectangles of the image.
 
-    `landmarks`: n landmarks. `viewer` (3,): position of the camera in map. `rays` (height, width,
-    2): rays of the pixels of each rectangle: x/z and y/z in the optical frame. `rays_to_patch` (n,
-    3, 3): homographies from rays (x, y, 1) to metres on each patch.
+    `viewer` (3,) is the camera in map; `rays` (height, width, 2) are x/z and y/z in the optical
+    frame of the pixels of each rectangle, `rays_to_patch` (n, 3, 3) homographies from rays
+    (x, y, 1) to metres on each patch.
     """
     # Each step is done for all landmarks at once, which is faster than landmark by landmark.
     shown = [

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from landmark_nav.geometry.se2 import arc, sinc
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray
 
@@ -171,15 +172,7 @@ def jitter_variances(motion: Motion) -> FloatArray:
 
 def twist_motion(linear_m_s: float, angular_rad_s: float, seconds: float) -> FloatArray:
     """Increment (3,) of a constant twist: an arc."""
-    turn = angular_rad_s * seconds
-    # Chord of the arc; sinc keeps straight motion regular.
-    chord = linear_m_s * seconds * _sinc(turn / math.tau)
-    return np.array([chord * math.cos(turn / 2.0), chord * math.sin(turn / 2.0), turn])
-
-
-def _sinc(x: float) -> float:
-    """``np.sinc``, with pi in it, of one number."""
-    return math.sin(math.pi * x) / (math.pi * x) if x else 1.0
+    return arc(linear_m_s * seconds, angular_rad_s * seconds)
 
 
 def fraction_of_motion(increment: FloatArray, fraction: float) -> FloatArray:
@@ -191,7 +184,7 @@ def fraction_of_motion(increment: FloatArray, fraction: float) -> FloatArray:
     if fraction <= 0.0:
         return np.zeros(3)
     forward, left, turn = increment.tolist()
-    ratio = fraction * _sinc(fraction * turn / math.tau) / _sinc(turn / math.tau)
+    ratio = fraction * sinc(fraction * turn / math.tau) / sinc(turn / math.tau)
     ahead, aside, back = ratio * forward, ratio * left, (fraction - 1.0) * turn / 2.0
     c, s = math.cos(back), math.sin(back)
     return np.array([c * ahead - s * aside, s * ahead + c * aside, fraction * turn])

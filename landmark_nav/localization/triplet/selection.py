@@ -54,14 +54,13 @@ def rank_triplets(
     """
     Compare all triplets that can be seen and choose one.
 
-    `prior`: pose of the base in map; its covariance widens the margins, and the expected
-    covariance is averaged over it. `config`: what counts as visible, and what time costs.
-    `camera_state`: where the camera looks and how far it turns; a full turn at no cost by default.
-    `previous`: the triplet looked at now; kept unless another is better by `config.hysteresis`.
-    `found_rate` (n,): share of attempts in which each landmark of the map was found, (0, 1].
+    The expected covariance is averaged over that of the prior, which also widens the margins.
+    `camera_state` is a full turn at no cost by default. `previous`, the triplet looked at now, is
+    kept unless another is better by `config.hysteresis`. `found_rate` (n,) is the share of
+    attempts in which each landmark of the map was found, (0, 1].
 
-    In the chosen triplet, `sigma_rad` are the sigmas of the expected bearings by prior and
-    map, `covariance` is that of the base's pose, and `pan_rad` where to look.
+    In the chosen triplet, `sigma_rad` are those of the expected bearings by prior and map,
+    `covariance` is that of the base's pose, and `pan_rad` where to look.
     """
     scene = PlanningScene(
         prior, landmark_map, camera, mount, config, camera_state or CameraState()
