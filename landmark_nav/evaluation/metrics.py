@@ -19,8 +19,8 @@ from landmark_nav.arrays import IntArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.estimator import ImagePoints, JointFilter
-from landmark_nav.localization.estimator.factors import project
+from landmark_nav.localization.estimator.factors import ImagePoints, project
+from landmark_nav.localization.estimator.filter import JointFilter
 from landmark_nav.localization.estimator.smoothing import ErrorRepetition
 from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.localizer import LocalizationConfig

@@ -13,18 +13,17 @@ import numpy as np
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.se2 import compose, inverse
-from landmark_nav.localization.estimator import (
-    EstimatorConfig,
-    ImagePoints,
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.filter import JointFilter
+from landmark_nav.localization.estimator.integrity import (
     Integrity,
     is_unknown,
-    JointFilter,
     protection_level,
     ProtectionLevel,
     Status,
-    Update,
 )
-from landmark_nav.localization.estimator.state import State
+from landmark_nav.localization.estimator.state import State, Update
 from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
 from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig

@@ -9,18 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.localization.estimator import (
-    EstimatorConfig,
-    ImagePoints,
-    ProtectionLevel,
-    Status,
-    Update,
-)
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.integrity import ProtectionLevel, Status
+from landmark_nav.localization.estimator.state import Update
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.observer import Observation, Observer, straight
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
+from landmark_nav.localization.relocalization.search import RelocalizationConfig
+from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 from landmark_nav.parameters import OF_ROBOT
 from landmark_nav.types import (
     CameraFrame,

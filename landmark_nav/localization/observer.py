@@ -22,18 +22,19 @@ from landmark_nav.geometry.se2 import relative
 from landmark_nav.localization.detection.correlation import detect_blurred, DetectionResult
 from landmark_nav.localization.detection.expectation import Expectation as Window
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, quadratic, View
-from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import ImagePoints
 from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.localization.relocalization.verification import PlaceVerifier
 from landmark_nav.localization.start import is_prior_uncertain
-from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     base_from_axis,
     bearing_gradients,
 )
-from landmark_nav.localization.triplet import visible_landmarks
+from landmark_nav.localization.triangulation.robust import triangulate
+from landmark_nav.localization.triplet.visibility import visible_landmarks
 from landmark_nav.types import (
     CameraFrame,
     Detections,

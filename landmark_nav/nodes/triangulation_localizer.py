@@ -18,7 +18,7 @@ from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.localization.expected_poses import ExpectedPoses
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.observer import Observation, Observer, straight
-from landmark_nav.localization.relocalization import Relocalizer, Unseen
+from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import GlobalPose

@@ -17,7 +17,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.se2 import compose, rot_z, rotation
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.matching import match_template
+from landmark_nav.matching.alignment import match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate, Refusal
 from landmark_nav.upkeep.comparison import (
     compare_maps,

@@ -11,14 +11,18 @@ from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.detection.expectation import HALF_PIXEL
-from landmark_nav.localization.estimator import (
-    EstimatorConfig,
-    filter,
+from landmark_nav.localization.estimator import filter
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import (
+    CALIBRATION,
+    DELAY,
     ImagePoints,
-    JointFilter,
-    protection_level,
+    moved,
+    project,
+    STATES,
 )
-from landmark_nav.localization.estimator.factors import CALIBRATION, DELAY, moved, project, STATES
+from landmark_nav.localization.estimator.filter import JointFilter
+from landmark_nav.localization.estimator.integrity import protection_level
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack

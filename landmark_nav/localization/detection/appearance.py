@@ -20,7 +20,7 @@ import numpy as np
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import PatchView
-from landmark_nav.matching import blur_to
+from landmark_nav.matching.alignment import blur_to
 from landmark_nav.types import FloatArray, Landmark
 
 # Sigmas of a view's weight: in the angle, and in the log of the ratio of distances.

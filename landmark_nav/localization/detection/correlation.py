@@ -28,7 +28,7 @@ from landmark_nav.localization.detection.expectation import (
     View,
 )
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals
-from landmark_nav.matching import blur_by, blur_sigmas, Match, match_template, sigmas_of
+from landmark_nav.matching.alignment import blur_by, blur_sigmas, Match, match_template, sigmas_of
 from landmark_nav.types import Detections, FloatArray, Landmark, LandmarkMap, Refusal
 
 _SHARP = np.zeros(2)

@@ -12,13 +12,12 @@ import numpy.typing as npt
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.correlation import detect_blurred
-from landmark_nav.localization.detection.expectation import View
+from landmark_nav.localization.detection.expectation import DetectionConfig, View
 from landmark_nav.localization.detection.rows import RowResiduals
 from landmark_nav.localization.image_stages import ImageStagesConfig
-from landmark_nav.localization.triangulation import Fix, triangulate
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
+from landmark_nav.localization.triangulation.robust import Fix, triangulate
 from landmark_nav.localization.triplet.visibility import visible_landmarks
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
