@@ -24,13 +24,11 @@ from landmark_nav.geometry.se2 import compose, rot_y, rot_z, rotation_rpy
 # polynomial models by the number of coefficients only, and drivers use the first two names for all
 # of them.
 _COEFFICIENTS = {'plumb_bob': 12, 'rational_polynomial': 12, 'equidistant': 4}
-
 # Resolution to which images are reduced on arrival. It bounds time and memory for any camera;
 # bearings are more accurate than a pixel anyway.
 MAX_PX_PER_RAD = 600.0
 # Length of `CameraModel.intrinsics`.
 INTRINSICS = 5
-
 # A lens is used up to the angle where its distorted radius grows more slowly than this, relative
 # to the undistorted one, and up to this angle at most.
 _MIN_SLOPE, _MAX_ANGLE_RAD = 0.2, float(np.radians(85.0))
@@ -38,15 +36,12 @@ _MIN_SLOPE, _MAX_ANGLE_RAD = 0.2, float(np.radians(85.0))
 _MIN_USED_SHARE, _MIN_HALF_FOV_RAD = 0.5, float(np.radians(1.5))
 # Largest tangent at the border of a perspective image: it is stretched 30 times there.
 _MAX_TANGENT = math.tan(math.radians(80.0))
-
 # Limit of Newton iterations: enough for 1e-9 px with any usable lens; most take three.
 _POLISH_ITERATIONS = 30
-
 # Spacing of the rays that `ray_grid` computes exactly.
 _GRID_PX = 8
 # Number of nearest grid nodes, along each axis, between which rays are interpolated.
 _NODES = 6
-
 # Optical frame (x right, y down, z forward) -> body frame (x forward, y left, z up).
 _BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 

@@ -235,10 +235,8 @@ NAMED_HUES_DEG = {
 
 # Saturation and value of a colour given by name.
 _NAMED_SATURATION, _NAMED_VALUE = 0.75, 0.75
-
 # Smallest saturation; below it, coloured light changes the hue too much.
 _MIN_SATURATION = 0.3
-
 _HSV = re.compile(r'hsv\(\s*([\d.]+)\s*,\s*([\d.]+)%?\s*,\s*([\d.]+)%?\s*\)')
 _HEX = re.compile(r'#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})')
 

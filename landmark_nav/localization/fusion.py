@@ -48,7 +48,6 @@ from landmark_nav.types import (
 )
 
 _LOG = logging.getLogger(__name__)
-
 # Motion while a clock was set back: unknown, as in one second without odometry.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
 # A turn of the camera is logged if there was none for this time: a wrong joint gives one an image.

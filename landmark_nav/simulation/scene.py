@@ -158,15 +158,12 @@ class Scene:
 
 # Height of the camera; furniture below it hides nothing on walls.
 EYE_HEIGHT_M = 1.1
-
 # Largest tangent of elevation in the image of a usual camera, with some reserve.
 _STEEPEST_VIEW = 0.4
-
 # Largest angles of incidence of papers, other items and the target.
 _STEEPEST_PAPER_DEG = 68.0
 _STEEPEST_ITEM_DEG = 62.0
 _STEEPEST_TARGET_DEG = 55.0
-
 _CLEARANCE_M = 0.5
 _BASELINE_M = (1.5, 2.5)
 _CANDIDATES = 140

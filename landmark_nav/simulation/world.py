@@ -107,7 +107,6 @@ class DifferentialDrive:
 _HEIGHT_M = 1.75
 _WIDTH_M = 0.62
 _CLEARANCE_M = 0.35
-
 # Smallest distance of people from the robot.
 _SHY_M = 0.9
 
@@ -197,7 +196,6 @@ def _draw_figure(rng: np.random.Generator) -> ImageArray:
 # Rate of the physics, independent of the steps of `advance`.
 _RATE_HZ = 60
 _SECOND_NS = 1_000_000_000
-
 DEFAULT_CAMERA = CameraModel(
     512, 512, 555.0, 555.0, 256.7, 254.1, 'plumb_bob', (-0.19, 0.06, 0.0005, -0.0003, 0.0)
 )
@@ -323,12 +321,9 @@ class RobotWorld:
 
 
 _FRAME = 'camera_optical_frame'
-
 # Rate of joint states and odometry on a drive; the physics runs at a multiple of it.
 STATE_RATE_HZ = 20
-
 _SETTLE_LIMIT_S = 3.0
-
 # Covariance of odometry messages: constant and large, as in usual drivers.
 _ODOMETRY_COVARIANCE = np.diag([0.05, 0.05, 0.05])
 _EXACT = np.zeros((3, 3))

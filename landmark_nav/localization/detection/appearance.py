@@ -62,36 +62,23 @@ def draw(
     frame of the pixels of each rectangle, `rays_to_patch` (n, 3, 3) homographies from rays
     (x, y, 1) to metres on each patch.
     """
-    # Each step is done for all landmarks at once, which is faster than landmark by landmark.
     shown = [
-        (k, *texture)
-        for k, landmark in enumerate(landmarks)
-        for texture in textures(landmark, viewer)
+        (k, *texture) for k, each in enumerate(landmarks) for texture in textures(each, viewer)
     ]
-    owner = [k for k, *_ in shown]
     to_texels = np.array([_to_texels(image, landmarks[k].width_m) for k, image, _ in shown])
-    texels = [
-        np.asarray(cv2.perspectiveTransform(rays[k], rays_to_texels), dtype=np.float32)
-        for k, rays_to_texels in zip(owner, to_texels @ rays_to_patch[owner], strict=True)
-    ]
-    steps = [_texels_a_pixel(each) for each in texels]
-    sources = [blur_to(image, step) for (_, image, _), step in zip(shown, steps, strict=True)]
-    parts = [
-        cv2.remap(  # type: ignore[call-overload]
-            source, each, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        for source, each in zip(sources, texels, strict=True)
-    ]
+    to_texels = to_texels @ rays_to_patch[[k for k, *_ in shown]]
     images = [np.zeros(each.shape[:2], np.float32) for each in rays]
-    squares = [[0.0, 0.0] for _ in rays]
-    for (k, _, share), part, (across, down) in zip(shown, parts, steps, strict=True):
+    squares = np.zeros((len(images), 2))
+    for (k, image, share), rays_to_texels in zip(shown, to_texels, strict=True):
+        texels = np.asarray(cv2.perspectiveTransform(rays[k], rays_to_texels), dtype=np.float32)
+        step = _texels_a_pixel(texels)
+        part = cv2.remap(  # type: ignore[call-overload]
+            blur_to(image, step), texels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
         cv2.scaleAdd(part, share, images[k], dst=images[k])
-        squares[k][0] += share * max(1.0 / across, 1.0) ** 2
-        squares[k][1] += share * max(1.0 / down, 1.0) ** 2
-    return [
-        Drawing(image, (math.sqrt(x), math.sqrt(y)))
-        for image, (x, y) in zip(images, squares, strict=True)
-    ]
+        squares[k] += [share * max(1.0 / each, 1.0) ** 2 for each in step]
+    finer = np.sqrt(squares).tolist()
+    return [Drawing(image, (x, y)) for image, (x, y) in zip(images, finer, strict=True)]
 
 
 def _to_texels(image: Float32Array, width_m: float) -> list[list[float]]:

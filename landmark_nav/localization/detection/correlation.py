@@ -137,16 +137,6 @@ def _detect(
     """Match the templates of landmarks."""
     if not landmarks:
         return []
-    width, height = view.camera.width, view.camera.height
-    windows = [
-        (
-            max(0, place.left - place.window[0]),
-            max(0, place.top - place.window[1]),
-            min(width, place.right + place.window[0] + 1),
-            min(height, place.bottom + place.window[1] + 1),
-        )
-        for place in expected
-    ]
     grid = view.camera.ray_grid
     drawings = draw(
         landmarks,
@@ -154,28 +144,26 @@ def _detect(
         [grid[place.top : place.bottom + 1, place.left : place.right + 1] for place in expected],
         np.array([place.ray_to_patch for place in expected]),
     )
-    # Of image and template, the sharper one is blurred to match the other.
-    blurs = [_blurs(drawing.finer, blur_px2) for drawing in drawings]
-    matches = [
-        match_template(
-            blur_by(view.grey[y0:y1, x0:x1].astype(np.float32), search_blur),
+    outcome: list[_Found | Refusal] = []
+    for landmark, place, drawing in zip(landmarks, expected, drawings, strict=True):
+        across, down = place.window
+        x0, y0 = max(0, place.left - across), max(0, place.top - down)
+        search = view.grey[y0 : place.bottom + down + 1, x0 : place.right + across + 1]
+        # Of image and template, the sharper one is blurred to match the other.
+        search_blur, template_blur = _blurs(drawing.finer, blur_px2)
+        match = match_template(
+            blur_by(search.astype(np.float32), search_blur),
             _inner(blur_by(drawing.image, template_blur), template_blur),
             min_score=landmark.threshold,
             max_second_ratio=config.max_second_ratio,
             search_blur=search_blur,
             edge=landmark.edge,
         )
-        for landmark, (x0, y0, x1, y1), drawing, (search_blur, template_blur) in zip(
-            landmarks, windows, drawings, blurs, strict=True
-        )
-    ]
-    outcome: list[_Found | Refusal] = []
-    for landmark, place, corner, match in zip(landmarks, expected, windows, matches, strict=True):
         if isinstance(match, Refusal):
             outcome.append(match)
             continue
-        middle = (place.left + place.right) / 2.0, (place.top + place.bottom) / 2.0
-        shift = match.xy - np.subtract(middle, corner[:2])
+        middle = (place.left + place.right) / 2.0 - x0, (place.top + place.bottom) / 2.0 - y0
+        shift = match.xy - middle
         outcome.append(_Found(landmark, place.uv + shift, match, float(shift[1])))
     return outcome
 

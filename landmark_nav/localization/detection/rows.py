@@ -14,7 +14,6 @@ from landmark_nav.types import FloatArray
 
 # Sigma of the camera's height, m.
 _CAMERA_HEIGHT_SIGMA_M = 0.01
-
 # With fewer matches a wrong height cannot be distinguished from a wrong tilt.
 _LEAST_HEIGHTS = 3
 # Step of numerical differentiation, metres or radians.

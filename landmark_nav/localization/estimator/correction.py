@@ -43,7 +43,6 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 _NO_INFORMATION = 1e6
 # Significance at which an image is surprising.
 _SURPRISE = 1e-3
-
 # Tangents from here on, at 0.01 deg from 90, leave no digits for the covariance.
 _MOST_TANGENT = 5e3
 

@@ -31,7 +31,6 @@ STATES = CALIBRATION + len(NAMES)
 _AXIS, _RPY, CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
 ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, _, DELAY = range(CALIBRATION + 9, STATES)
 YAW = _RPY + 2
-
 # Least depth of a visible point, m.
 _LEAST_DEPTH_M = 0.05
 # Greatest angle between a bearing and the optical axis.

@@ -32,7 +32,6 @@ _BOUND, _AT_ONCE, _LOST, _AGAINST = 8.0, 4.0, -4.0, -2.0
 _BLIND_S = 1.0
 # Sigmas above which a pose is lost, and a heading degraded.
 _LOST_M, _LOST_RAD, _DEGRADED_RAD = 1.0, 0.5, 0.02
-
 _RISK = 0.01
 # Probability that a given landmark of an image is wrong for long.
 _LANDMARK_RISK = 0.05

@@ -24,7 +24,6 @@ from landmark_nav.types import FloatArray
 
 # Sigmas of the accelerations while the last twist is extrapolated.
 _ACCELERATION_M_S2, _TURN_ACCELERATION_RAD_S2 = 0.5, 2.0
-
 _OF_WAY = (
     'along_m_per_sqrt_m',
     'across_m_per_sqrt_m',

@@ -68,11 +68,9 @@ class Jitter:
 
 # The last twist is extrapolated for this time, and the first one backwards.
 HORIZON_S = 0.25
-
 # A longer gap, such as by a clock that was set, counts as this one: a covariance without bound
 # loses the digits of what is known.
 _LONGEST_S = 3600.0
-
 # Motion is compounded in at most this number of steps.
 _MOST_STEPS = 3000
 
@@ -89,7 +87,6 @@ def steps_ns(begin_ns: int, end_ns: int, step_ns: int) -> list[int]:
 # to this motion (m or rad). Coarse encoders repeat a pose over less. Lower speeds than the last
 # value are noise.
 _FROZEN_SAMPLES, _FROZEN_WAY, _SLOW = 3, 0.03, 0.02
-
 # A driver that restarts sets the pose to zero, to within these values and the motion of one
 # interval. After this number of samples that agreed, the pose then differs from the speeds by more
 # than these values and the motion itself. So it does when wheels slip, but not to zero.

@@ -15,7 +15,6 @@ _OVERLAP = 0.25
 _ARRIVED_RAD = 0.03
 # A joint that has not arrived after this time, s, is stuck: the next view follows.
 _PATIENCE_S = 5.0
-
 # A pose with larger sigmas is unknown: of the position (root of the trace), of the heading.
 _LOST_SIGMA_M = 0.5
 _LOST_SIGMA_RAD = 0.5
