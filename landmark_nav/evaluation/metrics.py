@@ -249,9 +249,9 @@ def posterior_bound(
                 track.add(OdometrySample(int(truth.stamps_ns[moved]), truth.poses[moved]))
                 moved += 1
             track.add(OdometrySample(seen.stamp_ns, pose))
-            before = ideal.snapshot
+            before = ideal.state
             move_to(seen.stamp_ns, ideal, track)
-            state = ideal.snapshot
+            state = ideal.state
             points = project(
                 state.mean,
                 landmark_map.positions[seen.columns],

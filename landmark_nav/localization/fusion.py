@@ -250,7 +250,7 @@ class Fusion:
         self._unlikely = self.calibration.contradictions(self._may_be)
         sure = self._integrity.log_ratio >= _TRUSTED and self._anywhere is None
         if sure and self.status_at()[0] is Status.OK:
-            self._trusted = line.filter.snapshot
+            self._trusted = line.filter.state
         if self._update is not None and self._update.stepped:
             if abs(seen.stamp_ns - self._turned_ns) > _AGAIN_NS:
                 _LOG.warning('camera or base was turned, and the wheels did not measure it')
@@ -260,7 +260,7 @@ class Fusion:
     def _test_start(self) -> None:
         """Compare the pose with an unknown one from now on."""
         assert self._line is not None, 'it was placed'
-        self._anywhere, self._given = copy(self._line.filter), self._line.filter.snapshot
+        self._anywhere, self._given = copy(self._line.filter), self._line.filter.state
         self._anywhere.forget_pose()
 
     def _weigh_start(self, line: Timeline, seen: ImagePoints, update: Update) -> None:
@@ -272,7 +272,7 @@ class Fusion:
         self._start_odds += update.log_evidence - anywhere.observe(seen).log_evidence
         if self._start_odds < 0.0:
             # Estimates from a wrong pose are wrong.
-            line.filter.restore(self._given)
+            line.filter.state = self._given
             self._begin(line.filter)
         elif not is_prior_uncertain(anywhere.estimate.covariance):
             self._anywhere = None
@@ -344,13 +344,17 @@ class Fusion:
         """Noise of odometry as learned so far."""
         if self._line is None:
             return self._odometry
-        way, turns, slip, *_ = np.sqrt(self._line.filter.noise_factors).tolist()
+        way, turns, slip, *_ = np.sqrt(self._line.filter.state.scales.factors).tolist()
         return self._odometry.scaled(way, turns, slip)
 
     @property
     def detection_sigma_factor(self) -> float:
         """Factor on the sigmas of detections as learned so far."""
-        return 1.0 if self._line is None else float(np.sqrt(self._line.filter.noise_factors[-1]))
+        return (
+            1.0
+            if self._line is None
+            else float(np.sqrt(self._line.filter.state.scales.factors[-1]))
+        )
 
     def status_at(self, stamp_ns: int | None = None) -> tuple[Status, str]:
         """State of the pose at a time, by default the newest, and the reason if it is not OK."""
@@ -405,7 +409,7 @@ class Fusion:
             if wrong and self._trusted is not None:
                 # Estimates from a wrong pose are wrong. If the start was right, the pose was wrong
                 # for another reason: the camera may have been turned.
-                joint.restore(self._trusted)
+                joint.state = self._trusted
                 if self._start_odds >= 0.0 and not self._elsewhere:
                     joint = joint.stepped()
         self._begin(joint.placed(start, pan_rate_rad_s))
@@ -422,8 +426,8 @@ class Fusion:
         joint = self._line.filter
         if self._trusted is not None:
             trusted = copy(joint)
-            trusted.restore(self._trusted)
-            self._trusted = changed(trusted).snapshot
+            trusted.state = self._trusted
+            self._trusted = changed(trusted).state
         self._begin(changed(joint))
         if self._anywhere is not None:
             self._test_start()
@@ -437,12 +441,12 @@ class Fusion:
         self._track.add(sample)
         if self._line is not None:
             joint = self._line.filter_at(self._line.newest_ns)
-            joint.move(joint.snapshot.stamp_ns, _BLIND_SECOND)
+            joint.move(joint.state.stamp_ns, _BLIND_SECOND)
             self._begin(_restamped(joint, sample.stamp_ns))
             self._integrity = Integrity()
 
 
 def _restamped(joint: JointFilter, stamp_ns: int) -> JointFilter:
     """Return a filter with another time."""
-    joint.restore(replace(joint.snapshot, stamp_ns=stamp_ns))
+    joint.state = replace(joint.state, stamp_ns=stamp_ns)
     return joint

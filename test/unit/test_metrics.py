@@ -119,7 +119,7 @@ def test_nees_of_nineteen_of_twenty_drives_is_in_its_interval(prior):
             nonlocal before
             repetition.add(before or moved, moved, joint)
             joint.mark()
-            before = joint.snapshot
+            before = joint.state
 
         run = driven(drive, after=add)
         low, high = nees_interval_95(repetition.independent)

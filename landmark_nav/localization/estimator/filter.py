@@ -110,8 +110,8 @@ class JointFilter:
     """
     Estimates pose and calibration of the robot from odometry and detections.
 
-    `calibration` is the prior, `start` the pose of the base in map; `predicted` is the prediction
-    before the last image.
+    `calibration` is the prior, `start` the pose of the base in map. `state` may be set to an
+    earlier one; `predicted` is the prediction before the last image.
     """
 
     def __init__(
@@ -149,21 +149,21 @@ class JointFilter:
         by_noise[FLOOR, _TILTS, _TILTS] = floor_tilt**2
         none, nothing = np.empty(0, dtype=np.intp), np.empty((0, 3, 3))
         scales = NoiseScales.unknown(self._config.learning_sigma)
-        self._state = State(
+        self.state = State(
             start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0), nothing
         )
-        self.predicted = self._state
+        self.predicted = self.state
 
     @property
     def estimate(self) -> PoseEstimate:
         """Pose of the base in map."""
-        state = self._state
+        state = self.state
         return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), state.covariance[:3, :3].copy())
 
     @property
     def expectation(self) -> Expectation:
         """Expected pose in an image of this time, with the covariance that its search needs."""
-        state = self._state
+        state = self.state
         pose = compose(state.mean[:3], state.moved_back)
         axis = [*state.mean[CALIBRATION : CALIBRATION + 2], 0.0]
         by_base, _ = compose_jacobians(state.mean[:3], state.moved_back)
@@ -179,16 +179,16 @@ class JointFilter:
 
     def _with(self, state: State) -> JointFilter:
         other = copy(self)
-        other._state = other.predicted = state
+        other.state = other.predicted = state
         return other
 
     def stepped(self) -> JointFilter:
         """Return the filter where base, camera or joint delay may have changed."""
-        return self._with(self._stepped(self._state, self._config.knock))
+        return self._with(self._stepped(self.state, self._config.knock))
 
     def with_lens(self, given: Calibration) -> JointFilter:
         """Return the filter where the lens is as in `given`."""
-        prior, state = self._prior.with_lens(given), self._state
+        prior, state = self._prior.with_lens(given), self.state
         lens = np.isin(NAMES, LENS)
         rows = CALIBRATION + np.flatnonzero(lens)
         mean, covariance, by_noise = (
@@ -215,7 +215,7 @@ class JointFilter:
         found, turning at this rate to the left, are correlated with those of mount and delay.
         """
         other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
-        mine, new = self._state, other._state
+        mine, new = self.state, other.state
         mean, covariance = new.mean.copy(), new.covariance.copy()
         kept = slice(SCALE, self._fixed)
         mean[kept] = mine.mean[kept]
@@ -247,7 +247,7 @@ class JointFilter:
         other = JointFilter(
             landmark_map, self.calibration, self.estimate, self._config, self._odometry
         )
-        mine, new = self._state, other._state
+        mine, new = self.state, other.state
         mean, covariance = new.mean.copy(), new.covariance.copy()
         mean[:STATES] = mine.mean[:STATES]
         covariance[:STATES, :STATES] = mine.covariance[:STATES, :STATES]
@@ -260,8 +260,8 @@ class JointFilter:
         free = prior.sigmas > 0.0
         return replace(
             prior,
-            values=np.where(free, self._state.mean[mine], prior.values),
-            covariance=np.where(np.outer(free, free), self._state.covariance[mine, mine], 0.0),
+            values=np.where(free, self.state.mean[mine], prior.values),
+            covariance=np.where(np.outer(free, free), self.state.covariance[mine, mine], 0.0),
             by_map=None,
         )
 
@@ -273,7 +273,7 @@ class JointFilter:
         Corrections by images are independent, and each has the variance by which it decreased
         that of the quantity: their sum tests the prior. What images hardly show is left out.
         """
-        shift, variance = self._state.corrections
+        shift, variance = self.state.corrections
         prior = np.maximum(np.diag(self._prior.covariance), _EXACT**2)
         shown = variance > prior**2 / (prior + np.square(_HARDLY_SHOWN * DEFAULT_SIGMAS))
         sigmas = np.where(shown, np.abs(shift), 0.0) / np.sqrt(np.where(shown, variance, 1.0))
@@ -283,40 +283,26 @@ class JointFilter:
     @property
     def landmarks(self) -> FloatArray:
         """Current estimates (n, 3) of the positions of the map's landmarks."""
-        state = self._state
+        state = self.state
         found = self._errors.positions + self._errors.loadings @ state.mean[STATES : self._fixed]
         found[state.landmarks] += state.mean[self._fixed :].reshape(-1, 3)
         return np.asarray(found)
 
-    @property
-    def noise_factors(self) -> FloatArray:
-        """Factors on the variances of way, turns, slip, floor and detections, (NOISES,)."""
-        return self._state.scales.factors
-
-    @property
-    def snapshot(self) -> State:
-        """The complete state, for `restore`."""
-        return self._state
-
-    def restore(self, snapshot: State) -> None:
-        """Return to a snapshot."""
-        self._state = snapshot
-
     def look_back(self, track: OdometryTrack) -> None:
         """Take note of the motion of the base since an image of this time was taken."""
         if late_s := self._prior.base.image_delay_s:
-            back = track.motion_back(self._state.stamp_ns, late_s)
-            self._state = replace(self._state, moved_back=back)
+            back = track.motion_back(self.state.stamp_ns, late_s)
+            self.state = replace(self.state, moved_back=back)
 
     def mark(self) -> None:
         """Restart `carried`, the derivative by the present state."""
-        self._state = replace(self._state, carried=np.eye(CALIBRATION))
+        self.state = replace(self.state, carried=np.eye(CALIBRATION))
 
     def forget_pose(self) -> None:
         """Widen the covariance of the pose to a large room."""
-        covariance = self._state.covariance.copy()
+        covariance = self.state.covariance.copy()
         covariance[:3, :3] += np.diag(np.square(_ANYWHERE))
-        self._state = replace(self._state, covariance=covariance)
+        self.state = replace(self.state, covariance=covariance)
 
     def kept(self, way_m: float) -> float:
         """Share of a landmark's own error that is left after a way."""
@@ -324,7 +310,7 @@ class JointFilter:
 
     def move(self, stamp_ns: int, motion: Motion) -> None:
         """Predict by odometry."""
-        state, wheels, config = self._state, self._odometry, self._config
+        state, wheels, config = self.state, self._odometry, self._config
         way = float(np.hypot(motion.increment[0], motion.increment[1]))
         scales = state.scales.moved(way)
         factors = scales.factors
@@ -360,7 +346,7 @@ class JointFilter:
         covariance[_DRIFTING, _DRIFTING] += np.diag(wander)
         mean = state.mean.copy()
         mean[:CALIBRATION] = head
-        self._state = replace(
+        self.state = replace(
             state,
             stamp_ns=stamp_ns,
             mean=mean,
@@ -380,12 +366,12 @@ class JointFilter:
         map, and second detections of a landmark.
         """
         seen = usable(seen, len(self._errors.positions))
-        seen = replace(seen, moved_back=self._state.moved_back)
+        seen = replace(seen, moved_back=self.state.moved_back)
         if not len(seen):
-            self._state = self.predicted = _passed_over(self._state, seen)
+            self.state = self.predicted = _passed_over(self.state, seen)
             return Update.of_nothing(seen)
-        prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
-        new = ~(seen.columns[:, None] == self._state.landmarks).any(axis=1)
+        prior = self._with_landmarks(self._elapsed(self.state), seen.columns)
+        new = ~(seen.columns[:, None] == self.state.landmarks).any(axis=1)
         expected = hypothesis = _Hypothesis(prior, *self._corrected(prior, seen, new))
         if not seen.lost and expected.update.surprising:
             hypothesis = self._likeliest(expected, seen, new)
@@ -406,7 +392,7 @@ class JointFilter:
         if unused or moved:
             # The image says nothing of its new landmarks, which stay new.
             after = after.only(~np.isin(after.landmarks, seen.columns[new]))
-        self._state, self.predicted = after if unused else after.corrected_from(prior), prior
+        self.state, self.predicted = after if unused else after.corrected_from(prior), prior
         return update
 
     def _likeliest(

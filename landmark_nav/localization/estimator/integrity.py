@@ -102,22 +102,17 @@ def _sigmas(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class Integrity:
-    """Sums the likelihood ratios of images."""
+    """Sums the likelihood ratios of images: bounded log odds that the pose is right."""
 
     def __init__(self) -> None:
-        self._log_ratio, self._newest = 0.0, 0.0
+        self.log_ratio, self._newest = 0.0, 0.0
         self._found_ns: int | None = None
         self._stepped = False
 
     @property
-    def log_ratio(self) -> float:
-        """Log of the odds that the pose is right, by images alone, bounded."""
-        return self._log_ratio
-
-    @property
     def contradicted(self) -> bool:
         """Whether images do not show what should be seen from the pose."""
-        return self._log_ratio < _LOST
+        return self.log_ratio < _LOST
 
     def add(self, stamp_ns: int, update: Update | None, missed: int = 0) -> None:
         """Add an image: its update, and the number of landmarks that were not found."""
@@ -132,7 +127,7 @@ class Integrity:
             self._stepped |= update.stepped
             gained += float(np.minimum(update.log_ratios, _MOST).sum())
         self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
-        self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
+        self.log_ratio = float(np.clip(self.log_ratio + self._newest, -_BOUND, _BOUND))
 
     def inflated_if_lost(self, estimate: PoseEstimate, lost: bool = False) -> PoseEstimate:
         """Return a pose for publication: the covariance of a lost one is inflated."""
@@ -152,7 +147,7 @@ class Integrity:
             return Status.LOST, 'images do not show what should be seen from here'
         if is_unknown(estimate.covariance):
             return Status.LOST, f'sigma {position:.2f} m, {np.degrees(heading):.0f} deg'
-        if self._log_ratio < 0.0 or self._newest <= _AGAINST:
+        if self.log_ratio < 0.0 or self._newest <= _AGAINST:
             return Status.DEGRADED, 'images show little of what should be seen from here'
         if blind_s > _BLIND_S:
             return Status.DEGRADED, f'no landmark found for {blind_s:.1f} s'

@@ -55,18 +55,18 @@ def smoothed_poses(
         return []
     steps: list[_Step] = []
     for k, seen in enumerate(images):
-        after = joint.snapshot
+        after = joint.state
         move_to(seen.stamp_ns, joint, track)
         if lost is not None and lost[k]:
             joint.forget_pose()
-        moved = joint.snapshot
+        moved = joint.state
         joint.observe(seen)
         kept = _kept(joint, moved)
         # What is not in the state after the image was an outlier.
-        left = np.isin(joint.predicted.landmarks, joint.snapshot.landmarks)
+        left = np.isin(joint.predicted.landmarks, joint.state.landmarks)
         steps.append(_Step(after, joint.predicted.only(left), moved.carried, kept))
         joint.mark()
-    found = [(joint.snapshot.mean, joint.snapshot.covariance)]
+    found = [(joint.state.mean, joint.state.covariance)]
     for step in steps[:0:-1]:
         found.append(_backward(step, *found[-1]))
     return [
@@ -133,7 +133,7 @@ class ErrorRepetition:
 
     def add(self, before: State, moved: State, joint: JointFilter) -> None:
         """Add an image: the state after the last image, that before this one, and the filter."""
-        predicted, after = joint.predicted, joint.snapshot
+        predicted, after = joint.predicted, joint.state
         fixed = len(before.mean) - 3 * len(before.landmarks)
         crossed = np.zeros((len(predicted.mean), 0))
         if self._count:

@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -113,7 +112,12 @@ class Unseen:
 
 
 class Relocalizer:
-    """Collects views of the room until only one place explains them."""
+    """
+    Collects views of the room until only one place explains them.
+
+    Then `landmark_ids` are those from which it was found, and `in_time` is the place if the joint
+    states of the last image had no delay.
+    """
 
     def __init__(
         self,
@@ -130,8 +134,8 @@ class Relocalizer:
         self._track = OdometryTrack(self._odometry)
         self._kept: list[_Keyframe] = []
         self._outcome = Refusal('nothing seen yet', 'no image came')
-        self._landmark_ids = np.empty(0, dtype=np.int64)
-        self._in_time: PoseEstimate | None = None
+        self.landmark_ids = np.empty(0, dtype=np.int64)
+        self.in_time: PoseEstimate
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Add a sample of odometry."""
@@ -194,19 +198,8 @@ class Relocalizer:
             [DELAY_BOUND_S * kept.frame.pan_rate_rad_s for kept in self._kept]
         )
         others = max(delay_variances.mean() - delay_variances[-1], 0.0)
-        self._landmark_ids, self._in_time = outcome.ids, self._turned(outcome.estimate, others)
-        return self._turned(self._in_time, delay_variances[-1])
-
-    @property
-    def in_time(self) -> PoseEstimate:
-        """The last place, if the joint states of its last image had no delay."""
-        assert self._in_time is not None, 'no place was found'
-        return self._in_time
-
-    @property
-    def landmark_ids(self) -> npt.NDArray[np.int64]:
-        """Ids of the landmarks from which the last place was found."""
-        return self._landmark_ids
+        self.landmark_ids, self.in_time = outcome.ids, self._turned(outcome.estimate, others)
+        return self._turned(self.in_time, delay_variances[-1])
 
     def _tilted(
         self, frames: Sequence[CameraFrame], tilt_sigma_rad: float
