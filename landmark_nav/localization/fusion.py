@@ -161,7 +161,7 @@ class Fusion:
             rate = mount.pan_sense * joints.pan_rate_rad_s
             if track is not None and late.sigma_s:
                 azimuth = PanTrack(track.seconds, mount.azimuth_base_rad(track.pans_rad))
-                _, rate, bend = azimuth.lagged(late.delay_s, late.sigma_s)
+                rate, bend = azimuth.lagged(late.delay_s, late.sigma_s)
             bend = hypot(bend, joints.pan_sigma_rad)
         # The pan may begin to turn meanwhile, or between joint states.
         bent = np.diag([0.0, 0.0, bend**2])

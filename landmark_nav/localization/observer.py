@@ -23,7 +23,7 @@ from landmark_nav.localization.detection.correlation import detect_blurred, Dete
 from landmark_nav.localization.detection.expectation import Expectation as Window
 from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, quadratic, View
 from landmark_nav.localization.estimator.config import EstimatorConfig
-from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.factors import image_points
 from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.localization.relocalization.verification import PlaceVerifier
@@ -263,24 +263,17 @@ class Observer:
         missed = [k for k, why in result.refused.items() if why.reason not in NOT_LOOKED_FOR]
         seen, places = result.detections, result.expected
         sizes = np.array([places[k].size for k in seen.ids.tolist()]).reshape(-1, 2)
-        points = ImagePoints.of_pixels(
-            frame.stamp_ns,
-            self._map.indices(seen.ids),
-            seen.uv_px,
-            seen.covariance_px2,
-            frame.camera,
-            frame.pan_rad,
-            upright.camera,
-            result.rays,
+        points, covariance, by_lens = image_points(
+            seen.uv_px, seen.covariance_px2, frame.camera, upright.camera, result.rays
         )
         seen = replace(
             seen,
             missed=np.array(sorted(missed), dtype=np.int64),
             pan_sigma_rad=frame.pan_sigma_rad,
             pan_rad=float(mount.azimuth_base_rad(frame.pan_rad)),
-            points=points.points,
-            point_covariance=points.covariance,
-            by_lens=points.by_lens,
+            points=points,
+            point_covariance=covariance,
+            by_lens=by_lens,
             sizes=sizes / [frame.camera.fx, frame.camera.fy],
             near=None if place is None else place.pose,
             intrinsics=frame.camera.intrinsics,

@@ -16,6 +16,7 @@ from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import (
     CALIBRATION,
     DELAY,
+    image_points,
     ImagePoints,
     moved,
     project,
@@ -68,11 +69,9 @@ def test_points_of_a_wrong_lens_are_those_of_the_model(share):
     pixels = np.array([[20.0, 30.0], [256.0, 254.0], [490.0, 400.0]])
     covariance = np.tile(np.eye(2), (3, 1, 1))
     known_rays = known.unproject(pixels[:, None] + HALF_PIXEL)
-    seen = ImagePoints.of_pixels(
-        0, np.arange(3), pixels, covariance, given, 0.0, known, known_rays
-    )
+    points, _, by_lens = image_points(pixels, covariance, given, known, known_rays)
     rays = (1.0 + focal) * true.unproject(pixels)[:, :2] + [shift, 0.0]
-    assert seen.points == pytest.approx(rays - seen.by_lens @ [focal, shift, bend], abs=3e-4)
+    assert points == pytest.approx(rays - by_lens @ [focal, shift, bend], abs=3e-4)
 
 
 @pytest.mark.parametrize('seed', range(4))

@@ -39,6 +39,33 @@ _WIDEST_RAD = 1.0
 LEAST_STEP_S = 0.02
 
 
+def image_points(
+    uv_px: FloatArray,
+    covariance_px2: FloatArray,
+    camera: CameraModel,
+    known: CameraModel,
+    rays: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """
+    Normalised image coordinates (m, 2) of pixels, their covariances, and `ImagePoints.by_lens`.
+
+    The lens bends rays by how far they are off the axis. That is removed with the lens that is
+    `known` by now, and a linear model of others, so that points do not depend on what is known.
+    `rays` (m, 3, 3) are its rays at the pixels with `HALF_PIXEL` added.
+    """
+    rays = rays[..., :2]
+    scale, shift = known.fx / camera.fx - 1.0, (known.cx - camera.cx) / camera.fx
+    k1 = known.coefficients[0] - camera.coefficients[0]
+    bent = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2) * [known.fx, known.fy]
+    seen = (uv_px - [known.cx, known.cy]) / [known.fx, known.fy]
+    by_focal = rays[:, 0] - (bent @ seen[..., None])[..., 0]
+    by_k1 = -(bent @ known.by_distortion(rays[:, 0])[..., None])[..., 0]
+    by_lens = np.stack([by_focal, [1.0, 0.0] - bent[..., 0], by_k1], -1)
+    points = (1.0 + scale) * rays[:, 0] + [shift, 0.0] - by_lens @ [scale, shift, k1]
+    by_uv = bent / [camera.fx, camera.fy]
+    return points, by_uv @ covariance_px2 @ by_uv.swapaxes(1, 2), by_lens
+
+
 @dataclass(frozen=True, eq=False)
 class ImagePoints:
     """
@@ -79,44 +106,6 @@ class ImagePoints:
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self.columns)
-
-    @classmethod
-    def of_pixels(
-        cls,
-        stamp_ns: int,
-        columns: IndexArray,
-        uv_px: FloatArray,
-        covariance_px2: FloatArray,
-        camera: CameraModel,
-        pan_rad: float,
-        known: CameraModel,
-        rays: FloatArray,
-    ) -> ImagePoints:
-        """
-        Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera.
-
-        The lens bends rays by how far they are off the axis. That is removed with the lens that
-        is `known` by now, and a linear model of others, so that points do not depend on what is
-        known. `rays` (m, 3, 3) are its rays at the pixels with `HALF_PIXEL` added.
-        """
-        rays = rays[..., :2]
-        scale, shift = known.fx / camera.fx - 1.0, (known.cx - camera.cx) / camera.fx
-        k1 = known.coefficients[0] - camera.coefficients[0]
-        bent = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2) * [known.fx, known.fy]
-        seen = (uv_px - [known.cx, known.cy]) / [known.fx, known.fy]
-        by_focal = rays[:, 0] - (bent @ seen[..., None])[..., 0]
-        by_k1 = -(bent @ known.by_distortion(rays[:, 0])[..., None])[..., 0]
-        by_lens = np.stack([by_focal, [1.0, 0.0] - bent[..., 0], by_k1], -1)
-        points = (1.0 + scale) * rays[:, 0] + [shift, 0.0] - by_lens @ [scale, shift, k1]
-        by_uv = bent / [camera.fx, camera.fy]
-        return cls(
-            stamp_ns,
-            columns,
-            points,
-            by_uv @ covariance_px2 @ by_uv.swapaxes(1, 2),
-            np.full(len(columns), pan_rad),
-            by_lens=by_lens,
-        )
 
     @classmethod
     def of_bearings(
