@@ -23,8 +23,8 @@ from landmark_nav.localization.estimator.factors import (
     project,
     STATES,
 )
+from landmark_nav.localization.estimator.integrity import found_log_ratios, squared_norms
 from landmark_nav.localization.estimator.noise import DETECTION, learned
-from landmark_nav.localization.estimator.recognition import found_log_ratios, squared_norms
 from landmark_nav.localization.estimator.state import (
     information_of,
     MapErrors,

@@ -41,13 +41,13 @@ from landmark_nav.localization.estimator.factors import (
     TURN_LOSS,
     YAW,
 )
+from landmark_nav.localization.estimator.integrity import chance_log_evidence, MISSED
 from landmark_nav.localization.estimator.noise import (
     FLOOR,
     NOISES,
     NoiseScales,
     SLIP_NOISE,
 )
-from landmark_nav.localization.estimator.recognition import chance_log_evidence, MISSED
 from landmark_nav.localization.estimator.state import MapErrors, OUTLIER, State, Update
 from landmark_nav.localization.odometry.noise import (
     blind_variances,

@@ -16,8 +16,8 @@ from landmark_nav.localization.detection.correlation import detect_blurred
 from landmark_nav.localization.detection.expectation import DetectionConfig, View
 from landmark_nav.localization.detection.rows import RowResiduals
 from landmark_nav.localization.image_stages import ImageStagesConfig
-from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
-from landmark_nav.localization.triangulation.robust import Fix, triangulate
+from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis, Fix
+from landmark_nav.localization.triangulation.robust import triangulate
 from landmark_nav.localization.triplet.visibility import visible_landmarks
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
@@ -198,7 +198,7 @@ class PlaceVerifier:
         seen = found.landmark[fix.used]
         landmark = np.unique(seen)
         bearing = se2.bearings(fix.pose, self.landmark_map.positions[landmark, :2])
-        without = np.array([fix.solution.covariance_without(seen == one) for one in landmark])
+        without = np.array([fix.covariance_without(seen == one) for one in landmark])
         sigma = np.sqrt(without[:, 0, 0] + without[:, 1, 1])
         return Verification(estimate, self.landmark_map.ids[landmark], bearing, sigma, expected)
 

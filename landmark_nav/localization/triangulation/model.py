@@ -182,19 +182,29 @@ _UNDETERMINED = Refusal('degenerate geometry', 'the bearings leave a direction u
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """A least-squares pose (3,), its covariance (3, 3), Jacobian, residuals and weights."""
+class Fix:
+    """
+    A least-squares pose (3,) of the pan axis with the heading of the base, in map.
+
+    Its covariance (3, 3) is of first order, with the errors of the map. Jacobian, residuals and
+    weights are those of the bearings `used`, which is a mask (n,) of those given.
+    """
 
     pose: FloatArray
     covariance: FloatArray
     jacobian: FloatArray
     residual: FloatArray
     weight: FloatArray
+    used: BoolArray
 
     @property
     def chi_square(self) -> float:
-        """Chi-square of the residuals."""
+        """Chi-square of the residuals, with three degrees of freedom less than bearings used."""
         return float(self.residual @ self.weight @ self.residual)
+
+    def at(self, stamp_ns: int) -> PoseEstimate:
+        """Return the pose as an estimate of that time."""
+        return PoseEstimate(stamp_ns, self.pose, self.covariance)
 
     def covariance_without(self, rows: BoolArray) -> FloatArray:
         """Covariance (3, 3) of the pose without the bearings selected by `rows` (n,)."""
@@ -235,7 +245,7 @@ class Bearings(NamedTuple):
         square = bearing_residuals(poses, self.position, self.bearing) ** 2 / self.variance
         return np.asarray(poses[np.argmin(np.sum(np.log1p(square / 9.0), axis=-1))])
 
-    def solve(self, start: FloatArray) -> Solution | Refusal:
+    def solve(self, start: FloatArray) -> Fix | Refusal:
         """Gauss-Newton with weights updated in each iteration; steps of at most 1 m and 1 rad."""
         pose, jacobian = start.copy(), np.full((len(self.bearing), 3), -1.0)
         for _ in range(_MAX_STEPS):
@@ -261,11 +271,12 @@ class Bearings(NamedTuple):
             # The next step would be at least a hundred times smaller.
             if np.abs(step).max() < 1e-8:
                 pose[2] = wrap_rad(pose[2])
-                return Solution(pose, covariance, jacobian, residual, weight)
+                used = np.ones(len(residual), dtype=np.bool_)
+                return Fix(pose, covariance, jacobian, residual, weight, used)
         return Refusal('no convergence', f'last step {np.abs(step).max():.1e} m or rad')
 
 
-def w_statistics(solved: Solution) -> FloatArray:
+def w_statistics(solved: Fix) -> FloatArray:
     """Normalized residuals (n,): the w-statistic of each bearing (Baarda, 1968)."""
     weighted = solved.weight @ solved.residual
     spread = solved.weight @ solved.jacobian

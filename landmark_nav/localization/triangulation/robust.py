@@ -7,7 +7,7 @@ the pose of the base.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from landmark_nav.localization.triangulation.model import (
     bearing_residuals,
     Bearings,
     danger_distance,
-    Solution,
+    Fix,
     w_statistics,
 )
 from landmark_nav.parameters import Config
@@ -49,25 +49,6 @@ class TriangulationConfig(Config):
     max_sigma_m: float = 0.3
     # Least distance from a landmark, m.
     min_range_m: float = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class Fix:
-    """
-    A triangulated pose (3,) of the pan axis with the heading of the base, in map.
-
-    Its covariance (3, 3) is of first order, with the errors of the map. `used` (n,) are the
-    bearings without outliers, `solution` is that of least squares by these.
-    """
-
-    pose: FloatArray
-    covariance: FloatArray
-    used: BoolArray
-    solution: Solution
-
-    def at(self, stamp_ns: int) -> PoseEstimate:
-        """Return the pose as an estimate of that time."""
-        return PoseEstimate(stamp_ns, self.pose, self.covariance)
 
 
 def triangulate(
@@ -100,20 +81,20 @@ def triangulate(
     used = np.ones(n, dtype=np.bool_)
     solved = None if start is None else given.solve(start.pose)
     # No other start is needed if all bearings fit a pose near the prior.
-    if not isinstance(solved, Solution) or solved.chi_square > _limit(n, config):
+    if not isinstance(solved, Fix) or solved.chi_square > _limit(n, config):
         pose = given.best_start(start)
         if pose is None:
             return Refusal('degenerate geometry', 'no three landmarks fix a pose')
         solved = _without_outliers(given, pose, used, config)
         if isinstance(solved, Refusal):
             return solved
-    fix = Fix(solved.pose, solved.covariance, used, solved)
+    fix = replace(solved, used=used)
     return _refusal(fix, given.position[used], start, config) or fix
 
 
 def _without_outliers(
     given: Bearings, pose: FloatArray, used: BoolArray, config: TriangulationConfig
-) -> Solution | Refusal:
+) -> Fix | Refusal:
     """Solve from a pose (3,); sets `used` (n,) to False for outliers."""
     while True:
         index = np.flatnonzero(used)
