@@ -40,7 +40,6 @@ from landmark_nav.types import (
     Detections,
     Expectation,
     FloatArray,
-    ImageArray,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -49,6 +48,7 @@ from landmark_nav.types import (
 
 # A camera that turned or moved by more than this must see another image.
 _MOVED_PX, _MOVED_M = 1.0, 0.02
+_FEW_THEN_ALL = slice(None, None, 16), slice(None)
 
 
 class FrozenImage:
@@ -65,10 +65,14 @@ class FrozenImage:
 
     def repeats(self, frame: CameraFrame) -> bool:
         """Whether an image is identical to one from another pose."""
-        if self._first is None or not _same(frame.image, self._first[0].image):
+        before, there = self._first or (None, self.pose_odom)
+        # A few rows distinguish almost all images.
+        same = before is not None and all(
+            np.array_equal(frame.image[rows], before.image[rows]) for rows in _FEW_THEN_ALL
+        )
+        if before is None or not same:
             self._first = frame, self.pose_odom
             return False
-        before, there = self._first
         if not np.ptp(frame.image):
             # If the lens is covered, all images are the same.
             return False
@@ -76,12 +80,6 @@ class FrozenImage:
         aside = wrap_rad(frame.pan_rad + heading - before.pan_rad)
         turn = max(abs(float(aside)), abs(frame.tilt_rad - before.tilt_rad))
         return turn * frame.camera.fx > _MOVED_PX or np.hypot(forward, left) > _MOVED_M
-
-
-def _same(image: ImageArray, other: ImageArray) -> bool:
-    # A few rows distinguish almost all images.
-    few = slice(None, None, 16)
-    return np.array_equal(image[few], other[few]) and np.array_equal(image, other)
 
 
 def most_informative(

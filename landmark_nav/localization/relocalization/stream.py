@@ -18,7 +18,6 @@ from landmark_nav.localization.joint_delay import DELAY_BOUND_S
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
     left_variance,
-    Motion,
     motion_variances,
     OdometryNoiseConfig,
 )
@@ -220,15 +219,15 @@ class Relocalizer:
         return base_from_axis(replace(axis, covariance=covariance), self._mount)
 
     def _carried(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Poses (n, 3) of the base at the kept images, relative to now; their variances."""
-        motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]
-        poses = se2.inverse(np.array([m.increment for m in motions]).reshape(-1, 3))
-        return poses, np.array([self._variances(motion) for motion in motions]).reshape(-1, 3)
-
-    def _variances(self, motion: Motion) -> FloatArray:
-        """Variances (3,) of a motion by uncalibrated wheels."""
-        way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
-        share = _SLIP * np.array([way, way, turn])
-        sensed = motion_variances(motion, self._odometry)
-        sensed[1] = left_variance(motion, self._odometry)
-        return np.asarray(sensed + jitter_variances(motion) + share**2)
+        """Poses (n, 3) of the base at the kept images, relative to now, and variances."""
+        increments, variances = np.zeros((2, len(self._kept), 3))
+        for k, keyframe in enumerate(self._kept):
+            motion = self._track.motion(keyframe.frame.stamp_ns, stamp_ns)
+            increments[k] = motion.increment
+            way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
+            sensed = motion_variances(motion, self._odometry)
+            sensed[1] = left_variance(motion, self._odometry)
+            # Wheels may be uncalibrated.
+            share = _SLIP * np.array([way, way, turn])
+            variances[k] = sensed + jitter_variances(motion) + share**2
+        return se2.inverse(increments), variances
