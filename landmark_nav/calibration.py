@@ -117,13 +117,11 @@ class Calibration:
         """
         of_mount = (*mount.axis_xyz, *mount.axis_rpy, *mount.optical_center_offset)
         known = dict(zip(NAMES, (*of_mount, mount.camera_roll_rad), strict=False))
-        all_values = {**known, **(values or {})}
-        every = {**dict(zip(NAMES, DEFAULT_SIGMAS.tolist(), strict=True)), **(sigmas or {})}
-        return cls(
-            np.array([all_values.get(name, 0.0) for name in NAMES]),
-            np.diag(np.array([every[name] for name in NAMES]) ** 2),
-            mount,
-        )
+        known |= values or {}
+        every = dict(zip(NAMES, DEFAULT_SIGMAS.tolist(), strict=True))
+        every |= sigmas or {}
+        variances = np.array([every[name] for name in NAMES]) ** 2
+        return cls(np.array([known.get(k, 0.0) for k in NAMES]), np.diag(variances), mount)
 
     @classmethod
     def exact(cls, mount: PanTiltMount) -> Calibration:

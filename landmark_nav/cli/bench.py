@@ -36,12 +36,15 @@ from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stereo import wall_patch
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
-from landmark_nav.localization import triplet
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, View
+from landmark_nav.localization.detection.correlation import detect_landmarks
+from landmark_nav.localization.detection.expectation import DetectionConfig, View
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
-from landmark_nav.localization.triangulation import triangulate
+from landmark_nav.localization.triangulation.robust import triangulate
+from landmark_nav.localization.triplet.planning_scene import CameraState
 from landmark_nav.localization.triplet.search import mean_variance, pair_tables
+from landmark_nav.localization.triplet.selection import rank_triplets
+from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
 from landmark_nav.planning.planner import forecast, plan_positions
 from landmark_nav.planning.views import free_floor, PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
@@ -195,8 +198,8 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
     prior = _estimate(np.array([*places.poses[:, :2].mean(axis=0), 0.3]), 0.03)
 
     def expected(pan_rad: float) -> Any:
-        view = CAMERA, _MOUNT, pan_rad, 0.0, triplet.TripletConfig()
-        return triplet.visible_landmarks(prior, learned.map, *view)
+        view = CAMERA, _MOUNT, pan_rad, 0.0, TripletConfig()
+        return visible_landmarks(prior, learned.map, *view)
 
     best = max(4.0 * _STEP_RAD * np.arange(18), key=lambda pan: len(expected(float(pan))))
     seen = frame(prior.pose, float(best))
@@ -292,10 +295,10 @@ def _triplet(name: str, landmark_map: LandmarkMap, prior: PoseEstimate) -> _Comp
     count = len(landmark_map.landmarks)
     few = np.array(list(combinations(range(min(count, 40)), 3)))
     tables = pair_tables(prior.pose[None, :2], landmark_map, np.arange(count), 4e-4)
-    view = CAMERA, _MOUNT, triplet.TripletConfig(), triplet.CameraState(0.0)
+    view = CAMERA, _MOUNT, TripletConfig(), CameraState(0.0)
     return _Comparison(
         name,
-        lambda: triplet.rank_triplets(prior, landmark_map, *view),
+        lambda: rank_triplets(prior, landmark_map, *view),
         f'variances of {len(few)} triplets, all at once',
         lambda: mean_variance(tables, few),
     )

@@ -12,7 +12,7 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.replay import Replay, replay
 from landmark_nav.geometry.se2 import relative
-from landmark_nav.localization.estimator import JointFilter
+from landmark_nav.localization.estimator.filter import JointFilter
 from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.noise import left_variance, Motion

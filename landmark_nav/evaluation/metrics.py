@@ -19,8 +19,8 @@ from landmark_nav.arrays import IntArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.estimator import ImagePoints, JointFilter
-from landmark_nav.localization.estimator.factors import project
+from landmark_nav.localization.estimator.factors import ImagePoints, project
+from landmark_nav.localization.estimator.filter import JointFilter
 from landmark_nav.localization.estimator.smoothing import ErrorRepetition
 from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.localizer import LocalizationConfig
@@ -249,9 +249,9 @@ def posterior_bound(
                 track.add(OdometrySample(int(truth.stamps_ns[moved]), truth.poses[moved]))
                 moved += 1
             track.add(OdometrySample(seen.stamp_ns, pose))
-            before = ideal.snapshot
+            before = ideal.state
             move_to(seen.stamp_ns, ideal, track)
-            state = ideal.snapshot
+            state = ideal.state
             points = project(
                 state.mean,
                 landmark_map.positions[seen.columns],

@@ -236,8 +236,8 @@ def replay(
         PoseTrack(track.stamps_ns, se2.compose(start.pose, increments)),
         PoseTrack.of((s + later, pose) for (s, pose), later in zip(truth, known, strict=True)),
         time.perf_counter() - begin,
-        localizer.odometry_noise,
-        localizer.detection_sigma_factor,
+        localizer.fusion.odometry_noise,
+        localizer.fusion.detection_sigma_factor,
         tuple(samples),
-        localizer.calibration,
+        localizer.fusion.calibration,
     )

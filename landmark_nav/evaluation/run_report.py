@@ -20,8 +20,10 @@ from landmark_nav.evaluation import metrics
 from landmark_nav.evaluation.metrics import consistency, error_summary, pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry import se2
-from landmark_nav.localization.estimator import ImagePoints, JointFilter, Update
+from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.filter import JointFilter
 from landmark_nav.localization.estimator.smoothing import smoothed_poses
+from landmark_nav.localization.estimator.state import Update
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import FloatArray, LandmarkMap

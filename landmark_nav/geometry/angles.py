@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,18 +16,7 @@ _MAX_RATE_RAD_S = 10.0
 
 
 def wrap_rad(angle_rad: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """
-    Wrap angles to (-pi, pi].
-
-    Parameters
-    ----------
-    angle_rad : array_like, shape (...)
-        Angles, radians.
-
-    Returns
-    -------
-    ndarray, shape (...)
-    """
+    """Wrap angles (...), radians, to (-pi, pi]."""
     angle = np.asarray(angle_rad, dtype=np.float64)
     return np.asarray(np.pi - np.mod(np.pi - angle, 2.0 * np.pi))
 
@@ -52,19 +40,8 @@ def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDA
     Remove the jumps of a driver that reports the angle of a joint within +-pi.
 
     A step of more than half a turn is a jump if it is faster than any joint. The angles of a
-    driver that counts turns do not change.
-
-    Parameters
-    ----------
-    stamps_ns : array_like, shape (k,)
-        Times of the angles, ascending or descending.
-    angles_rad : array_like, shape (k,)
-        Measured angles, radians.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Angles that differ from the measured ones by whole turns; the first is unchanged.
+    driver that counts turns do not change, nor does the first. Angles (k,), radians, have
+    ascending or descending times (k,).
     """
     angles = np.array(angles_rad, dtype=np.float64)
     steps = np.diff(angles)
@@ -86,20 +63,6 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
 _WEIGHTS /= _WEIGHTS.sum()
 
 
-class LaggedPan(NamedTuple):
-    """
-    Pan at an uncertain time: value, derivative, and standard deviation from that line.
-
-    Statistical linearization (Gelb, Applied Optimal Estimation, 1974, section 6.2): derivative and
-    deviation are averages over the distribution of the time, because the joint may start or stop
-    within it.
-    """
-
-    pan_rad: float
-    rate_rad_s: float
-    bend_rad: float
-
-
 @dataclass(frozen=True, eq=False)
 class PanTrack:
     """Pan `pans_rad` (k,) at ascending times `seconds` (k,), relative to a reference time."""
@@ -112,10 +75,15 @@ class PanTrack:
         times = np.asarray(seconds, dtype=np.float64)
         return np.interp(times, self.seconds, self.pans_rad)
 
-    def lagged(self, seconds: float, sigma_s: float) -> LaggedPan:
-        """Pan at a time with a standard deviation."""
+    def lagged(self, seconds: float, sigma_s: float) -> tuple[float, float]:
+        """
+        Rate of the pan at a time with a standard deviation, and deviation from that line, rad.
+
+        Statistical linearization (Gelb, Applied Optimal Estimation, 1974, section 6.2): both are
+        averages over the distribution of the time, as the joint may start or stop within it.
+        """
         offsets = sigma_s * _NODES
         pan, *pans = self.at([seconds, *(seconds + offsets)]).tolist()
         moved = np.array(pans) - pan
         rate = float(_WEIGHTS @ (moved * _NODES)) / sigma_s
-        return LaggedPan(pan, rate, float(np.sqrt(_WEIGHTS @ (moved - rate * offsets) ** 2)))
+        return rate, float(np.sqrt(_WEIGHTS @ (moved - rate * offsets) ** 2))

@@ -24,13 +24,11 @@ from landmark_nav.geometry.se2 import compose, rot_y, rot_z, rotation_rpy
 # polynomial models by the number of coefficients only, and drivers use the first two names for all
 # of them.
 _COEFFICIENTS = {'plumb_bob': 12, 'rational_polynomial': 12, 'equidistant': 4}
-
 # Resolution to which images are reduced on arrival. It bounds time and memory for any camera;
 # bearings are more accurate than a pixel anyway.
 MAX_PX_PER_RAD = 600.0
 # Length of `CameraModel.intrinsics`.
 INTRINSICS = 5
-
 # A lens is used up to the angle where its distorted radius grows more slowly than this, relative
 # to the undistorted one, and up to this angle at most.
 _MIN_SLOPE, _MAX_ANGLE_RAD = 0.2, float(np.radians(85.0))
@@ -38,15 +36,12 @@ _MIN_SLOPE, _MAX_ANGLE_RAD = 0.2, float(np.radians(85.0))
 _MIN_USED_SHARE, _MIN_HALF_FOV_RAD = 0.5, float(np.radians(1.5))
 # Largest tangent at the border of a perspective image: it is stretched 30 times there.
 _MAX_TANGENT = math.tan(math.radians(80.0))
-
 # Limit of Newton iterations: enough for 1e-9 px with any usable lens; most take three.
 _POLISH_ITERATIONS = 30
-
 # Spacing of the rays that `ray_grid` computes exactly.
 _GRID_PX = 8
 # Number of nearest grid nodes, along each axis, between which rays are interpolated.
 _NODES = 6
-
 # Optical frame (x right, y down, z forward) -> body frame (x forward, y left, z up).
 _BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -59,18 +54,10 @@ class CameraModel:
     Raises `LandmarkNavError`: unknown model, too many coefficients, values that are impossible for
     a camera, or a lens model that folds back within most of the image.
 
-    Parameters
-    ----------
-    width, height : int
-        Image size, pixels.
-    fx, fy, cx, cy : float
-        Focal lengths and principal point, pixels.
-    model : str
-        ROS distortion model: ``plumb_bob``, ``rational_polynomial`` or ``equidistant``.
-    distortion : tuple of float
-        Coefficients in the order of ROS and OpenCV (thin prism terms last); empty: none.
-    full_size : (int, int), optional
-        Width and height of the original image, if this camera is that of a reduced one.
+    Focal lengths and principal point are in pixels. `model` is the ROS distortion model:
+    ``plumb_bob``, ``rational_polynomial`` or ``equidistant``; `distortion` has its coefficients in
+    the order of ROS and OpenCV (thin prism terms last), empty: none. `full_size` is width and
+    height of the original image, if this camera is that of a reduced one.
     """
 
     width: int
@@ -325,14 +312,8 @@ class CameraModel:
         """Largest normalised radius in the image; beyond it the polynomial may fold back."""
         u = np.linspace(-0.5, self.width - 0.5, 17)
         v = np.linspace(-0.5, self.height - 0.5, 17)
-        border = np.concatenate(
-            [
-                np.stack([u, np.full_like(u, v[0])], -1),
-                np.stack([u, np.full_like(u, v[-1])], -1),
-                np.stack([np.full_like(v, u[0]), v], -1),
-                np.stack([np.full_like(v, u[-1]), v], -1),
-            ]
-        )
+        grid = np.stack(np.meshgrid(u, v), -1)
+        border = np.concatenate([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
         return float(np.linalg.norm(self.unproject(border)[:, :2], axis=1).max())
 
     def project(self, points_optical: npt.ArrayLike) -> FloatArray:
@@ -421,13 +402,9 @@ class CameraModel:
     def contains(self, pixels: npt.ArrayLike, margin_px: float = 0.0) -> npt.NDArray[np.bool_]:
         """Whether pixels (..., 2) lie in the image, `margin_px` inside its border."""
         uv = np.asarray(pixels, dtype=np.float64)
+        most = np.array([self.width, self.height]) - 1 - margin_px
         with np.errstate(invalid='ignore'):
-            return np.asarray(
-                (uv[..., 0] >= margin_px)
-                & (uv[..., 0] <= self.width - 1 - margin_px)
-                & (uv[..., 1] >= margin_px)
-                & (uv[..., 1] <= self.height - 1 - margin_px)
-            )
+            return np.asarray(((uv >= margin_px) & (uv <= most)).all(axis=-1))
 
     @cached_property
     def half_fov_rad(self) -> float:
@@ -475,28 +452,13 @@ class PanTiltMount:
 
     Raises `LandmarkNavError`: the lower pan limit is not below the upper one.
 
-    Parameters
-    ----------
-    axis_xyz : tuple of float
-        Lever arm: position of the pan axis in ``base_link``, metres.
-    axis_rpy : tuple of float
-        Orientation of the axis frame at pan 0 in ``base_link``, radians.
-    optical_center_offset : tuple of float
-        Vector from the axis to the optical centre, metres, in the frame that turns with pan and
-        tilt (x along the view, y left, z up).
-    camera_roll_rad : float
-        Rotation of the camera about its optical axis, clockwise in the direction of view; pi if it
-        is mounted upside down.
-    pan_sigma_rad : float
-        Standard deviation of the measured joint angles; the error is common to one image.
-    base_frame, pan_joint, tilt_joint : str
-        Names of the base frame and of the joints.
-    pan_min_rad, pan_max_rad : float
-        Limits of the pan joint.
-    pan_rate_rad_s, pan_acceleration_rad_s2 : float
-        Rate and acceleration of the pan joint, for the duration of moves.
-    image_delay_s : float
-        Time by which the stamps of images lag those of odometry.
+    Lengths are in metres, angles in radians. The pan axis is at `axis_xyz` in `base_frame`, turned
+    by `axis_rpy` at pan 0. `optical_center_offset` is from the axis to the optical centre, in the
+    frame that turns with pan and tilt (x along the view, y left, z up). `camera_roll_rad` is about
+    the optical axis, clockwise in the direction of view; pi if the camera is mounted upside down.
+    The error of the measured joint angles, `pan_sigma_rad`, is common to one image. Limits, rate
+    and acceleration are those of the pan joint. `image_delay_s` is the time by which the stamps of
+    images lag those of odometry.
     """
 
     axis_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -559,21 +521,10 @@ class PanTiltMount:
         roll_rad: npt.ArrayLike = 0.0,
     ) -> tuple[FloatArray, FloatArray]:
         """
-        Pose of the optical frame in ``base_link``.
+        Rotations (..., 3, 3) optical frame -> ``base_link``, and optical centres (..., 3), metres.
 
-        Parameters
-        ----------
-        pan_rad, tilt_rad : array_like, shape (...)
-            Joint angles; pan positive to the left, tilt positive upwards, in the axis frame.
-        roll_rad : float or array_like, shape (...)
-            Additional rotation about the optical axis, clockwise in the direction of view.
-
-        Returns
-        -------
-        rotation : ndarray, shape (..., 3, 3)
-            Optical frame -> base.
-        translation : ndarray, shape (..., 3)
-            Optical centre in base, metres.
+        Pans (...) are positive to the left, tilts (...) upwards, in the axis frame; `roll_rad`
+        (...) is an additional rotation about the optical axis, clockwise in the direction of view.
         """
         turned = self._axis_rotation @ rot_z(pan_rad) @ rot_y(np.negative(tilt_rad))
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)

@@ -27,18 +27,10 @@ _MAX_PIXELS = 16_000_000
 @dataclass(frozen=True)
 class Cylinder:
     """
-    Geometry of a full-turn cylindrical image.
+    Geometry of a cylindrical image, whose `width` spans exactly one turn.
 
-    Parameters
-    ----------
-    width, height : int
-        Size, pixels; `width` spans exactly one turn.
-    fy : float
-        Pixels per unit tangent of elevation.
-    cx : float
-        Column of azimuth 0 in the base frame.
-    cy : float
-        Row of the horizon.
+    `fy` are pixels per unit tangent of elevation, `cx` is the column of azimuth 0 in the base
+    frame, `cy` the row of the horizon.
     """
 
     width: int
@@ -119,16 +111,7 @@ def _first_few(words: Sequence[str], between: str) -> str:
 
 
 def unseen_arcs(pan_rad: npt.ArrayLike, half_fov_rad: float) -> list[tuple[float, float]]:
-    """
-    Arcs (from, to), counter-clockwise, radians, that no frame covers.
-
-    Parameters
-    ----------
-    pan_rad : array_like, shape (n,)
-        Pans of the frames, in any order, not necessarily wrapped.
-    half_fov_rad : float
-        Half the horizontal field of view.
-    """
+    """Arcs (from, to), counter-clockwise, radians, that no frame at pans (n,) sees."""
     pan = np.unique(np.mod(np.asarray(pan_rad, dtype=np.float64), 2.0 * np.pi))
     if not len(pan):
         return [(-np.pi, np.pi)]
@@ -141,18 +124,7 @@ def unseen_arcs(pan_rad: npt.ArrayLike, half_fov_rad: float) -> list[tuple[float
 def describe_coverage(
     pan_rad: npt.ArrayLike, half_fov_rad: float, missing_rad: npt.ArrayLike = ()
 ) -> str:
-    """
-    Message about the gaps of a sweep; empty if no frame is missing and the turn is complete.
-
-    Parameters
-    ----------
-    pan_rad : array_like, shape (n,)
-        Pans of the frames.
-    half_fov_rad : float
-        Half the horizontal field of view.
-    missing_rad : array_like, shape (m,)
-        Pans of the missing frames.
-    """
+    """Message about gaps of a sweep with frames at pans (n,), and missing ones at (m,)."""
     missing = [f'{np.degrees(pan):.0f}' for pan in np.asarray(missing_rad, dtype=np.float64)]
     arcs = [
         f'from pan {np.degrees(a):.0f} to {np.degrees(b):.0f} deg'

@@ -100,6 +100,17 @@ def compose_jacobians(
     return by_first, by_second
 
 
+def arc(way_m: float, turn_rad: float) -> FloatArray:
+    """Relative pose (3,) after a motion along a circular arc or a straight line."""
+    chord = way_m * sinc(turn_rad / math.tau)
+    return np.array([chord * math.cos(turn_rad / 2.0), chord * math.sin(turn_rad / 2.0), turn_rad])
+
+
+def sinc(x: float) -> float:
+    """``np.sinc``, with pi in it, of one number."""
+    return math.sin(math.pi * x) / (math.pi * x) if x else 1.0
+
+
 def squared_distance(pose: FloatArray, other: FloatArray, covariance: FloatArray) -> float:
     """Squared Mahalanobis distance of two poses (3,), by the covariance of their difference."""
     offset = pose - other

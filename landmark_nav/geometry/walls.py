@@ -147,21 +147,10 @@ class Room:
         self, origin_xy: npt.ArrayLike, azimuth_rad: npt.ArrayLike
     ) -> tuple[FloatArray, IndexArray]:
         """
-        Horizontal distance to the first wall along rays.
+        Distance (...) [m] to the first wall along horizontal rays, and its index (...).
 
-        Parameters
-        ----------
-        origin_xy : array_like, shape (..., 2)
-            Origins of the rays, map frame, metres.
-        azimuth_rad : array_like, shape (...)
-            Directions of the rays in map.
-
-        Returns
-        -------
-        distance : ndarray, shape (...)
-            Metres; inf where no wall is hit.
-        wall : ndarray of int, shape (...)
-            Index of the wall, -1 where none is hit.
+        Rays start at `origin_xy` (..., 2) in the directions (...) in map. Where no wall is hit,
+        the distance is inf and the index -1.
         """
         azimuth = np.asarray(azimuth_rad, dtype=np.float64)
         distance = self._wall_hits(origin_xy, np.cos(azimuth), np.sin(azimuth))
@@ -218,12 +207,16 @@ class Room:
 
     def wall_distances(self, points_xy: npt.ArrayLike) -> FloatArray:
         """Distances (..., walls) of points (..., 2) from the walls, metres."""
-        points = np.asarray(points_xy, dtype=np.float64)[..., None, :]
-        side = self._ends - self._starts
-        length_sq = np.sum(side**2, -1)
-        t = np.clip(np.sum((points - self._starts) * side, -1) / length_sq, 0.0, 1.0)
-        foot = self._starts + t[..., None] * side
-        return np.asarray(np.linalg.norm(points - foot, axis=-1))
+        return segment_distances(points_xy, self._starts, self._ends - self._starts)
+
+
+def segment_distances(
+    points_xy: npt.ArrayLike, starts: FloatArray, sides: FloatArray
+) -> FloatArray:
+    """Distances (..., n) of points (..., 2) from segments by their starts and vectors (n, 2)."""
+    offset = np.asarray(points_xy, dtype=np.float64)[..., None, :] - starts
+    share = np.clip(np.sum(offset * sides, -1) / np.sum(sides**2, -1), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(offset - share[..., None] * sides, axis=-1))
 
 
 NAMED_HUES_DEG = {
@@ -242,10 +235,8 @@ NAMED_HUES_DEG = {
 
 # Saturation and value of a colour given by name.
 _NAMED_SATURATION, _NAMED_VALUE = 0.75, 0.75
-
 # Smallest saturation; below it, coloured light changes the hue too much.
 _MIN_SATURATION = 0.3
-
 _HSV = re.compile(r'hsv\(\s*([\d.]+)\s*,\s*([\d.]+)%?\s*,\s*([\d.]+)%?\s*\)')
 _HEX = re.compile(r'#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})')
 

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.localization.detection.expectation import Expectation
 from landmark_nav.localization.observer import Observation
 from landmark_nav.types import FloatArray, ImageArray, PoseEstimate
 
@@ -34,19 +33,10 @@ def draw_observation(
 
     A thin frame is the search window. A bold frame is a match, with number and correlation, in
     another colour for the triplet; a cross is its expected centre. Labels that would overlap
-    others are left out.
+    others are left out. `chosen` are the ids of the triplet.
 
-    Parameters
-    ----------
-    image : ndarray, shape (height, width) or (height, width, 3)
-        Observed image, grey or BGR, uint8.
-    chosen : array_like of int
-        Ids of the landmarks of the triplet.
-
-    Returns
-    -------
-    ndarray, shape (rows, columns, 3)
-        BGR image of the same size, or twice as large if the image is small.
+    The image, grey (height, width) or BGR (height, width, 3), uint8, becomes BGR, of the same size
+    or twice as large if it is small.
     """
     bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     scale = 1 if bgr.shape[1] >= _WIDE_PX else 2
@@ -55,40 +45,29 @@ def draw_observation(
     canvas = _Canvas(np.asarray(bgr, dtype=np.uint8), scale)
     found = seen.detections
     triplet = set(np.asarray(chosen, dtype=np.int64).tolist())
-    canvas.write(_summary(seen), (0, 0, canvas.width, 0), (255, 255, 255))
-    for window in map(_window, seen.expected.values()):
-        canvas.frame(window, _WINDOW, 1)
+    fix = 'fix' if isinstance(seen.fix, PoseEstimate) else f'no fix: {seen.fix.reason}'
+    summary = f'{len(found)} found of {len(seen.expected)} looked for; {fix}'
+    canvas.write(summary, (0, 0, canvas.pixels.shape[1] // scale, 0), (255, 255, 255))
+    windows = {}
+    for number, place in seen.expected.items():
+        x, y = place.window
+        windows[number] = place.left - x, place.top - y, place.right + x, place.bottom + y
+        canvas.frame(windows[number], _WINDOW, 1)
     for number, score, uv in zip(
         found.ids.tolist(), found.score.tolist(), found.uv_px, strict=True
     ):
         color = _CHOSEN if number in triplet else _FOUND
         place = seen.expected[number]
         canvas.cross(place.uv, _WINDOW)
-        box = canvas.frame(_template(place, uv - place.uv), color, 2)
+        x, y = (round(value) for value in (uv - place.uv).tolist())
+        box = place.left + x, place.top + y, place.right + x, place.bottom + y
+        canvas.frame(box, color, 2)
         canvas.write(f'{number}: {score:.2f}', box, color)
     for number, refusal in seen.refused.items():
-        if number in seen.expected:
-            box = canvas.frame(_window(seen.expected[number]), _REFUSED, 1)
-            canvas.write(f'{number}: {refusal.reason}'[:_MOST_LETTERS], box, _REFUSED)
+        if number in windows:
+            canvas.frame(windows[number], _REFUSED, 1)
+            canvas.write(f'{number}: {refusal.reason}'[:_MOST_LETTERS], windows[number], _REFUSED)
     return canvas.pixels
-
-
-def _summary(seen: Observation) -> str:
-    fix = 'fix' if isinstance(seen.fix, PoseEstimate) else f'no fix: {seen.fix.reason}'
-    looked, found = len(seen.expected), len(seen.detections)
-    return f'{found} found of {looked} looked for; {fix}'
-
-
-def _template(place: Expectation, shift: FloatArray) -> _Box:
-    """Corners of the template, shifted."""
-    x, y = (round(value) for value in shift.tolist())
-    return place.left + x, place.top + y, place.right + x, place.bottom + y
-
-
-def _window(place: Expectation) -> _Box:
-    """Corners of the search window."""
-    across, down = place.window
-    return place.left - across, place.top - down, place.right + across, place.bottom + down
 
 
 class _Canvas:
@@ -98,16 +77,10 @@ class _Canvas:
         self.pixels, self._scale = pixels, scale
         self._words: list[_Box] = []
 
-    @property
-    def width(self) -> int:
-        """Width of the original image, pixels."""
-        return int(self.pixels.shape[1]) // self._scale
-
-    def frame(self, box: _Box, color: _Bgr, thickness: int) -> _Box:
-        """Draw a frame and return its corners."""
+    def frame(self, box: _Box, color: _Bgr, thickness: int) -> None:
+        """Draw a frame."""
         left, top, right, bottom = (self._scale * value for value in box)
         cv2.rectangle(self.pixels, (left, top), (right, bottom), color, thickness, cv2.LINE_AA)
-        return box
 
     def cross(self, uv: FloatArray, color: _Bgr) -> None:
         """Mark a point (2,)."""

@@ -8,7 +8,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.odometry.noise import twist_motion
@@ -18,19 +17,11 @@ _HISTORY = 200
 # A pose is extrapolated over this time: an image need not wait for the next odometry.
 _AHEAD_NS = 100_000_000
 
-
 _Pose = TypeVar('_Pose', bound=PoseEstimate)
 
 
 class ExpectedPoses(Generic[_Pose]):
-    """
-    The last fused poses, interpolated in time.
-
-    Parameters
-    ----------
-    max_age_s : float
-        Greatest difference in time between a pose and a request.
-    """
+    """The last fused poses, for requests up to `max_age_s` from one."""
 
     def __init__(self, max_age_s: float) -> None:
         self._max_age_ns = round(1e9 * max_age_s)
@@ -68,8 +59,7 @@ class ExpectedPoses(Generic[_Pose]):
         seconds = (stamp_ns - pose.stamp_ns) * 1e-9
         if abs(stamp_ns - pose.stamp_ns) > self._max_age_ns:
             return Refusal('no fused pose near its stamp', f'the nearest is {seconds:+.2f} s off')
-        motion = twist_motion(linear, angular, seconds)
-        moved = np.asarray(se2.compose(pose.pose, motion))
+        moved = compose(pose.pose, twist_motion(linear, angular, seconds))
         return replace(pose, stamp_ns=stamp_ns, pose=moved)
 
 
@@ -80,10 +70,7 @@ class SpreadCorrection:
     The lag acts on the pose of the base, not on the transform: otherwise a correction of the
     heading would rotate the robot about the distant origin of ``odom``.
 
-    Parameters
-    ----------
-    time_constant_s : float
-        Time after which 63 % of a correction is applied; 0 applies all at once.
+    `time_constant_s`: time after which 63 % of a correction is applied; 0 applies all at once.
     """
 
     def __init__(self, time_constant_s: float) -> None:
@@ -98,19 +85,9 @@ class SpreadCorrection:
         self, stamp_ns: int, pose_map_base: FloatArray, pose_odom_base: FloatArray
     ) -> FloatArray:
         """
-        Transform at a time.
+        Pose (3,) of ``odom`` in ``map`` by the fused pose and that by odometry, (3,).
 
-        Parameters
-        ----------
-        stamp_ns : int
-            Stamp of both poses; a stamp before the last one restarts.
-        pose_map_base, pose_odom_base : ndarray, shape (3,)
-            Fused pose, and pose by odometry.
-
-        Returns
-        -------
-        ndarray, shape (3,)
-            Pose of ``odom`` in ``map``.
+        `stamp_ns` is that of both; a stamp before the last one restarts.
         """
         shown = pose_map_base
         if self._last is not None and self.time_constant_s > 0.0 and stamp_ns >= self._last[0]:

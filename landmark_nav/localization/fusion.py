@@ -11,21 +11,21 @@ from math import hypot, log, sqrt
 import numpy as np
 
 from landmark_nav.calibration import Calibration
+from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.se2 import compose, inverse
-from landmark_nav.localization.estimator import (
-    EstimatorConfig,
-    ImagePoints,
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.filter import JointFilter
+from landmark_nav.localization.estimator.integrity import (
     Integrity,
     is_unknown,
-    JointFilter,
     protection_level,
     ProtectionLevel,
     Status,
-    Update,
 )
-from landmark_nav.localization.estimator.state import State
+from landmark_nav.localization.estimator.state import State, Update
 from landmark_nav.localization.estimator.timeline import move_to, REACH_NS, Timeline
-from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay, PanMotion
+from landmark_nav.localization.joint_delay import DELAY_BOUND_S, JointDelay
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import (
     ClockStep,
@@ -48,7 +48,6 @@ from landmark_nav.types import (
 )
 
 _LOG = logging.getLogger(__name__)
-
 # Motion while a clock was set back: unknown, as in one second without odometry.
 _BLIND_SECOND = Motion(np.zeros(3), 1.0, blind_seconds=1.0)
 # A turn of the camera is logged if there was none for this time: a wrong joint gives one an image.
@@ -80,12 +79,7 @@ class Fusion:
     """
     Estimates pose, calibration and map errors from inputs in any order; offline and in the node.
 
-    Parameters
-    ----------
-    landmark_map : LandmarkMap
-        Landmarks with their joint covariance.
-    calibration : Calibration
-        Prior of mount, lens and clocks.
+    `robot` is the calibration in ``robot.yaml``, the prior.
     """
 
     def __init__(
@@ -95,12 +89,10 @@ class Fusion:
         config: EstimatorConfig | None = None,
         odometry: OdometryNoiseConfig | None = None,
     ) -> None:
-        self._map, self._robot, self._prior = landmark_map, calibration, calibration
+        self._map, self.robot, self._prior = landmark_map, calibration, calibration
         self._may_be = calibration.widened(_MAY_STEP)
-        self._config, self._odometry = (
-            config or EstimatorConfig(),
-            odometry or OdometryNoiseConfig(),
-        )
+        self._config = config or EstimatorConfig()
+        self._odometry = odometry or OdometryNoiseConfig()
         self._track, self._clock = OdometryTrack(self._odometry), ClockWatch()
         self._line: Timeline | None = None
         # A given start is tested until images alone give the pose: a filter with an unknown pose
@@ -131,13 +123,9 @@ class Fusion:
         if landmark_map.same_as(before):
             return
         if not self.used_image:
-            self._prior = landmark_map.calibration_from(self._robot)
+            self._prior = landmark_map.calibration_from(self.robot)
             self._may_be = self._prior.widened(_MAY_STEP)
-            self._change(
-                lambda joint: JointFilter(
-                    landmark_map, self._prior, joint.estimate, self._config, self._odometry
-                )
-            )
+            self._change(lambda joint: self._new_filter(self._prior, joint.estimate))
             return
         self._prior = replace(self._prior, by_map=None)
         self._change(lambda joint: joint.on_map(landmark_map))
@@ -169,10 +157,11 @@ class Fusion:
         late = self._prior_late if self._line is None else self.late
         rate, bend = 0.0, 0.0
         if joints is not None:
-            pan = PanMotion.of(joints, self._prior.base)
-            rate = pan.rate_rad_s
-            if pan.track is not None and late.sigma_s:
-                _, rate, bend = pan.track.lagged(late.delay_s, late.sigma_s)
+            mount, track = self._prior.base, joints.pan_track
+            rate = mount.pan_sense * joints.pan_rate_rad_s
+            if track is not None and late.sigma_s:
+                azimuth = PanTrack(track.seconds, mount.azimuth_base_rad(track.pans_rad))
+                rate, bend = azimuth.lagged(late.delay_s, late.sigma_s)
             bend = hypot(bend, joints.pan_sigma_rad)
         # The pan may begin to turn meanwhile, or between joint states.
         bent = np.diag([0.0, 0.0, bend**2])
@@ -191,7 +180,7 @@ class Fusion:
         if intrinsics is None:
             return
         # The robot file of a calibration that came from the map is that at learning.
-        robot, before = self._robot, self._prior
+        robot, before = self.robot, self._prior
         given, known = robot if robot.intrinsics is None else self._map.prior or robot, intrinsics
         self._prior = before.for_camera(known, given)
         if self._prior is before or before.intrinsics is None:
@@ -261,7 +250,7 @@ class Fusion:
         self._unlikely = self.calibration.contradictions(self._may_be)
         sure = self._integrity.log_ratio >= _TRUSTED and self._anywhere is None
         if sure and self.status_at()[0] is Status.OK:
-            self._trusted = line.filter.snapshot
+            self._trusted = line.filter.state
         if self._update is not None and self._update.stepped:
             if abs(seen.stamp_ns - self._turned_ns) > _AGAIN_NS:
                 _LOG.warning('camera or base was turned, and the wheels did not measure it')
@@ -271,7 +260,7 @@ class Fusion:
     def _test_start(self) -> None:
         """Compare the pose with an unknown one from now on."""
         assert self._line is not None, 'it was placed'
-        self._anywhere, self._given = copy(self._line.filter), self._line.filter.snapshot
+        self._anywhere, self._given = copy(self._line.filter), self._line.filter.state
         self._anywhere.forget_pose()
 
     def _weigh_start(self, line: Timeline, seen: ImagePoints, update: Update) -> None:
@@ -284,7 +273,7 @@ class Fusion:
         if self._start_odds < 0.0:
             _LOG.warning('images contradict the given start: the place is searched in images')
             # Estimates from a wrong pose are wrong.
-            line.filter.restore(self._given)
+            line.filter.state = self._given
             self._begin(line.filter)
         elif not is_prior_uncertain(anywhere.estimate.covariance):
             self._anywhere = None
@@ -295,34 +284,20 @@ class Fusion:
         """
         Return the measurements of an image, of landmarks that are in the map.
 
-        Parameters
-        ----------
-        found : Detections
-            Detections, with image points or bearings. Without points or joints the bearings are
-            used, with the mount of `robot.yaml`, or with the calibrated one if there are points.
-        joints : JointSample or CameraFrame, optional
-            Measured pan and tilt at the stamp.
+        Without points or joints (at the stamp) the bearings are used, with the mount of
+        `robot.yaml`, or with the calibrated one if there are points.
         """
         found = found.chosen(self._map.has(found.ids))
         missed = self._map.indices(found.missed[self._map.has(found.missed)])
         columns = self._map.indices(found.ids)
         if (len(found.points) and joints is not None) or not len(found):
-            pan = joints.pan_rad if joints is not None else 0.0
-            points = ImagePoints(
+            at = joints or JointSample(found.stamp_ns, 0.0)
+            return ImagePoints(
                 found.stamp_ns, columns, found.points, found.point_covariance,
-                np.full(len(columns), pan), missed=missed, near=found.near,
-                sizes=found.sizes if len(found.sizes) else None,
-                by_lens=found.by_lens,
+                np.full(len(columns), at.pan_rad), at.tilt_rad, at.pan_rate_rad_s,
+                at.pan_sigma_rad, at.pan_track, missed=missed, near=found.near,
+                sizes=found.sizes if len(found.sizes) else None, by_lens=found.by_lens,
             )  # fmt: skip
-            if joints is None:
-                return points
-            return replace(
-                points,
-                tilt_rad=joints.tilt_rad,
-                pan_rate_rad_s=joints.pan_rate_rad_s,
-                pan_sigma_rad=joints.pan_sigma_rad,
-                pan_track=joints.pan_track,
-            )
         mount = self.calibration.mount if len(found.points) else self._prior.mount
         looked: float | None = None if len(found.points) else found.pan_rad
         if joints is not None:
@@ -341,7 +316,7 @@ class Fusion:
         """
         if self._line is None:
             return None
-        return self._integrity.inflated_if_lost(self._line.estimate(stamp_ns), self._wrong)
+        return self._integrity.inflated_if_lost(self._line.estimate(stamp_ns), bool(self._wrong))
 
     def expectation(self, stamp_ns: int) -> Expectation | None:
         """Expected pose in an image of a time; None before a pose is known."""
@@ -354,11 +329,6 @@ class Fusion:
     def level(self, estimate: PoseEstimate) -> ProtectionLevel:
         """Bound of the error of an estimate at 99 %."""
         return protection_level(estimate, self._update)
-
-    @property
-    def robot(self) -> Calibration:
-        """Calibration in ``robot.yaml``."""
-        return self._robot
 
     @property
     def calibration(self) -> Calibration:
@@ -375,13 +345,17 @@ class Fusion:
         """Noise of odometry as learned so far."""
         if self._line is None:
             return self._odometry
-        way, turns, slip, *_ = np.sqrt(self._line.filter.noise_factors).tolist()
+        way, turns, slip, *_ = np.sqrt(self._line.filter.state.scales.factors).tolist()
         return self._odometry.scaled(way, turns, slip)
 
     @property
     def detection_sigma_factor(self) -> float:
         """Factor on the sigmas of detections as learned so far."""
-        return 1.0 if self._line is None else float(np.sqrt(self._line.filter.noise_factors[-1]))
+        return (
+            1.0
+            if self._line is None
+            else float(np.sqrt(self._line.filter.state.scales.factors[-1]))
+        )
 
     def status_at(self, stamp_ns: int | None = None) -> tuple[Status, str]:
         """State of the pose at a time, by default the newest, and the reason if it is not OK."""
@@ -390,14 +364,8 @@ class Fusion:
             return Status.LOST, _NO_POSE if self._map.landmarks else _NO_LANDMARKS
         at_ns = line.newest_ns if stamp_ns is None else max(stamp_ns, line.newest_ns)
         status, reason = self._integrity.status(line.estimate(at_ns))
-        if self._unlikely:
-            names = ', '.join(self._unlikely)
-            status = Status.LOST
-            reason = f'{names} would be far from robot.yaml: the robot is probably elsewhere'
-        if self._start_odds < 0.0:
-            status, reason = Status.LOST, str(_WRONG_START)
-        if self._elsewhere:
-            status, reason = Status.LOST, _OTHER_MAP
+        if self._wrong:
+            status, reason = Status.LOST, self._wrong
         name, sigmas = line.filter.contradiction
         if status is Status.OK and sigmas > _CONTRADICTION:
             status = Status.DEGRADED
@@ -411,15 +379,22 @@ class Fusion:
         return status, f'{silence}: {reason}'
 
     @property
-    def _wrong(self) -> bool:
-        """Whether mount or given start contradict the pose, or it may be of another map."""
-        return bool(self._unlikely) or self._start_odds < 0.0 or self._elsewhere
+    def _wrong(self) -> str:
+        """Why the pose is wrong, however well it fits the images; empty if nothing says so."""
+        if self._elsewhere:
+            return _OTHER_MAP
+        if self._start_odds < 0.0:
+            return str(_WRONG_START)
+        names = ', '.join(self._unlikely)
+        return names and f'{names} would be far from robot.yaml: the robot is probably elsewhere'
 
     @property
     def _prior_late(self) -> JointDelay:
         """Prior of the delay at the start, which is wide unless the delay is known."""
         late = JointDelay(*self._prior['joint_delay'])
-        return late if late.is_known else replace(late, sigma_s=max(late.sigma_s, DELAY_BOUND_S))
+        return JointDelay(
+            late.delay_s, late.sigma_s if late.is_known else max(late.sigma_s, DELAY_BOUND_S)
+        )
 
     def _place(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> None:
         """Set the pose, with the estimates of the robot from while the pose was right."""
@@ -429,18 +404,21 @@ class Fusion:
             # All images of a pan motion agree on a heading that late joint states rotated.
             prior = self._prior_late.sigma_s**2 - self._prior['joint_delay'][1] ** 2
             widened = self._prior.widened({'joint_delay': sqrt(max(0.0, prior))})
-            joint = JointFilter(self._map, widened, start, self._config, self._odometry)
+            joint = self._new_filter(widened, start)
         else:
             joint = self._line.filter
             if wrong and self._trusted is not None:
                 # Estimates from a wrong pose are wrong. If the start was right, the pose was wrong
                 # for another reason: the camera may have been turned.
-                joint.restore(self._trusted)
+                joint.state = self._trusted
                 if self._start_odds >= 0.0 and not self._elsewhere:
                     joint = joint.stepped()
         self._begin(joint.placed(start, pan_rate_rad_s))
         self._integrity, self._unlikely, self._elsewhere = Integrity(), (), False
         self._anywhere, self._start_odds = None, _GIVEN_RIGHT
+
+    def _new_filter(self, prior: Calibration, start: PoseEstimate) -> JointFilter:
+        return JointFilter(self._map, prior, start, self._config, self._odometry)
 
     def _change(self, changed: Callable[[JointFilter], JointFilter]) -> None:
         """Change the filter, and the trusted state with it."""
@@ -449,8 +427,8 @@ class Fusion:
         joint = self._line.filter
         if self._trusted is not None:
             trusted = copy(joint)
-            trusted.restore(self._trusted)
-            self._trusted = changed(trusted).snapshot
+            trusted.state = self._trusted
+            self._trusted = changed(trusted).state
         self._begin(changed(joint))
         if self._anywhere is not None:
             self._test_start()
@@ -464,12 +442,12 @@ class Fusion:
         self._track.add(sample)
         if self._line is not None:
             joint = self._line.filter_at(self._line.newest_ns)
-            joint.move(joint.snapshot.stamp_ns, _BLIND_SECOND)
+            joint.move(joint.state.stamp_ns, _BLIND_SECOND)
             self._begin(_restamped(joint, sample.stamp_ns))
             self._integrity = Integrity()
 
 
 def _restamped(joint: JointFilter, stamp_ns: int) -> JointFilter:
     """Return a filter with another time."""
-    joint.restore(replace(joint.snapshot, stamp_ns=stamp_ns))
+    joint.state = replace(joint.state, stamp_ns=stamp_ns)
     return joint

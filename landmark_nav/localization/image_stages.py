@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from landmark_nav.localization.detection import DetectionConfig
-from landmark_nav.localization.triangulation import TriangulationConfig
+from landmark_nav.localization.detection.expectation import DetectionConfig
+from landmark_nav.localization.triangulation.robust import TriangulationConfig
 from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.parameters import Config
 

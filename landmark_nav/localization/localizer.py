@@ -9,19 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.localization.estimator import (
-    EstimatorConfig,
-    ImagePoints,
-    ProtectionLevel,
-    Status,
-    Update,
-)
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.integrity import ProtectionLevel, Status
+from landmark_nav.localization.estimator.state import Update
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.image_stages import ImageStagesConfig
-from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.observer import Observation, Observer, straight
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
-from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer, Unseen
+from landmark_nav.localization.relocalization.search import RelocalizationConfig
+from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 from landmark_nav.parameters import OF_ROBOT
 from landmark_nav.types import (
     CameraFrame,
@@ -50,24 +47,10 @@ class LocalizationUpdate:
     """
     All results of one image.
 
-    Parameters
-    ----------
-    observation : Observation
-        Landmarks found and refused.
-    used : int
-        Number of landmarks that corrected the pose.
-    fused : PoseEstimate
-        Estimate at the image's stamp, after the update.
-    status, reason : str
-        ``tracking``, ``coasting`` or ``lost`` after the update, and the reason for the last two.
-    search : PoseEstimate or Refusal, optional
-        Result of the relocalization, if it was run.
-    level : ProtectionLevel, optional
-        Bound of the error of `fused` at 99 %.
-    points : ImagePoints, optional
-        Input of the estimator.
-    taken : Update or Refusal, optional
-        Update of the estimator, or why the image was not used.
+    `used` landmarks corrected the pose; `fused` is the estimate after that, with its protection
+    `level`; ``status`` is tracking, coasting or lost, and `reason` says why for the last two.
+    `search` is the result of the relocalization, if it was run; `points` is the input of the
+    estimator, `taken` its update, or why the image was not used.
     """
 
     stamp_ns: int
@@ -87,21 +70,15 @@ class Localizer:
     Detection, relocalization and the estimator: what the nodes of the navigation phase do.
 
     Without `initialize`, and while it is lost or no landmark is in view, it relocalizes: it
-    collects images until only one place explains them.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Prior of mount, lens and clocks.
-    config : LocalizationConfig
-        Parameters of detection, odometry, relocalization and the estimator.
+    collects images until only one place explains them. `calibration` is the prior; `fusion` has
+    the estimates.
     """
 
     def __init__(
         self, landmark_map: LandmarkMap, calibration: Calibration, config: LocalizationConfig
     ) -> None:
         self._map, self._config = landmark_map, config
-        self._fusion = Fusion(landmark_map, calibration, config.estimator, config.odometry)
+        self.fusion = Fusion(landmark_map, calibration, config.estimator, config.odometry)
         self._observer = Observer(landmark_map, calibration, config, config.estimator)
         self._unseen = Unseen(config.relocalization.unseen_s)
         self._sample: OdometrySample | None = None
@@ -109,7 +86,7 @@ class Localizer:
 
     def initialize(self, start: PoseEstimate) -> None:
         """Restart at a pose of the base."""
-        self._fusion.initialize(start)
+        self.fusion.initialize(start)
         self._relocalizer = None
         self._unseen.restart()
 
@@ -119,58 +96,16 @@ class Localizer:
         self._observer.add_odometry(sample)
         if self._relocalizer is not None:
             self._relocalizer.add_odometry(sample)
-        return self._fusion.add_odometry(sample)
-
-    def estimate(self, stamp_ns: int | None = None) -> PoseEstimate | None:
-        """Pose of the base at a time, by default the newest; None if there is none yet."""
-        return self._fusion.estimate(stamp_ns)
-
-    @property
-    def calibration(self) -> Calibration:
-        """The current estimate of the calibration."""
-        return self._fusion.calibration
-
-    @property
-    def level(self) -> ProtectionLevel | None:
-        """Bound of the error of the newest estimate at 99 %."""
-        estimate = self._fusion.estimate()
-        return None if estimate is None else self._fusion.level(estimate)
-
-    @property
-    def late(self) -> JointDelay:
-        """Delay of the joint states' stamps."""
-        return self._fusion.late
-
-    @property
-    def odometry_noise(self) -> OdometryNoiseConfig:
-        """Noise of odometry as learned so far."""
-        return self._fusion.odometry_noise
-
-    @property
-    def detection_sigma_factor(self) -> float:
-        """Factor on the sigmas of detections as learned so far."""
-        return self._fusion.detection_sigma_factor
-
-    @property
-    def status(self) -> tuple[str, str]:
-        """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
-        return self._status()
+        return self.fusion.add_odometry(sample)
 
     def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
-        """
-        Correct the pose by an image, or search for the place while there is no pose.
-
-        Returns
-        -------
-        LocalizationUpdate or PoseEstimate or Refusal
-            An update if there was a pose before; otherwise the pose found, or why none was found.
-        """
-        self._fusion.use_camera(frame.camera.intrinsics)
-        expected = self._fusion.expectation(frame.stamp_ns)
+        """Correct the pose by an image; while there is none, return that found or why none is."""
+        self.fusion.use_camera(frame.camera.intrinsics)
+        expected = self.fusion.expectation(frame.stamp_ns)
         if expected is None:
             return self._search(frame)
         seen = self._observer.look(frame, expected)
-        update = self._updated(seen, self._fusion.points(seen.detections, frame))
+        update = self._updated(seen, self.fusion.points(seen.detections, frame))
         self._unseen.note(frame.stamp_ns, len(seen.detections))
         searches = update.status == 'lost' or self._unseen.lasts
         if not searches or seen.unusable or not self._config.relocalization.when_lost:
@@ -178,29 +113,29 @@ class Localizer:
             return update
         self._relocalizer = self._relocalizer or self._new_search()
         outcome = self._search(frame)
-        status, reason = self._status(frame.stamp_ns)
-        fused = self.estimate(frame.stamp_ns) or update.fused
+        status, reason = self.status(frame.stamp_ns)
+        fused = self.fusion.estimate(frame.stamp_ns) or update.fused
         return replace(update, fused=fused, status=status, reason=reason, search=outcome)
 
     def add_detections(self, found: Detections) -> LocalizationUpdate | Refusal:
         """Correct the pose by bearings of another sensor."""
-        prior = self._fusion.estimate(found.stamp_ns)
+        prior = self.fusion.estimate(found.stamp_ns)
         if prior is None:
             return Refusal('no images: bearings alone show no place')
         known = self._map.has(found.ids)
         refused = {int(k): Refusal('not in the map') for k in found.ids[~known]}
         found = found.chosen(known)
         seen = Observation(found, refused, lambda: self._observer.fix(found, prior))
-        return self._updated(seen, self._fusion.points(found))
+        return self._updated(seen, self.fusion.points(found))
 
-    def _status(self, stamp_ns: int | None = None) -> tuple[str, str]:
-        status, reason = self._fusion.status_at(stamp_ns)
+    def status(self, stamp_ns: int | None = None) -> tuple[str, str]:
+        """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
+        status, reason = self.fusion.status_at(stamp_ns)
         return STATUS[status], reason
 
     def _new_search(self) -> Relocalizer:
-        config = self._config
-        mount, search_config = self.calibration.mount, config.relocalization
-        search = Relocalizer(self._map, mount, search_config, config.odometry, config)
+        config, mount = self._config, self.fusion.calibration.mount
+        search = Relocalizer(self._map, mount, config.relocalization, config.odometry, config)
         if self._sample is not None:
             search.add_odometry(self._sample)
         return search
@@ -208,22 +143,22 @@ class Localizer:
     def _search(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """Relocalize; images that contribute to the result are not fused again."""
         assert self._relocalizer is not None, 'it searches'
-        outcome = self._relocalizer.add_frame(straight(frame, self.calibration))
+        outcome = self._relocalizer.add_frame(straight(frame, self.fusion.calibration))
         if isinstance(outcome, Refusal):
             return outcome
-        if not self._fusion.reaches(frame.stamp_ns):
+        if not self.fusion.reaches(frame.stamp_ns):
             return Refusal('the image is far off the odometry', 'are their clocks the same?')
-        self._fusion.place(self._relocalizer.in_time, frame)
+        self.fusion.place(self._relocalizer.in_time, frame)
         self._relocalizer = None
         self._unseen.restart()
-        return self._fusion.estimate(frame.stamp_ns) or outcome
+        return self.fusion.estimate(frame.stamp_ns) or outcome
 
     def _updated(self, seen: Observation, points: ImagePoints) -> LocalizationUpdate:
         """Correct the state by the points of an image."""
-        stamp, taken = points.stamp_ns, self._fusion.add_points(points)
-        fused = self._fusion.estimate(stamp)
+        stamp, taken = points.stamp_ns, self.fusion.add_points(points)
+        fused = self.fusion.estimate(stamp)
         assert fused is not None, 'a pose is known'
-        status, reason = self._status(stamp)
+        status, reason = self.status(stamp)
         return LocalizationUpdate(
             stamp,
             seen,
@@ -231,7 +166,7 @@ class Localizer:
             fused,
             status,
             reason,
-            level=self._fusion.level(fused),
+            level=self.fusion.level(fused),
             points=points,
             taken=taken,
         )

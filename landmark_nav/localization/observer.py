@@ -21,26 +21,25 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.se2 import relative
 from landmark_nav.localization.detection.correlation import detect_blurred, DetectionResult
 from landmark_nav.localization.detection.expectation import Expectation as Window
-from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, View
-from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints
+from landmark_nav.localization.detection.expectation import NOT_LOOKED_FOR, quadratic, View
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import image_points
 from landmark_nav.localization.image_stages import ImageStagesConfig
-from landmark_nav.localization.joint_delay import in_time
 from landmark_nav.localization.relocalization.search import localize_within_prior
 from landmark_nav.localization.relocalization.verification import PlaceVerifier
 from landmark_nav.localization.start import is_prior_uncertain
-from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     base_from_axis,
     bearing_gradients,
 )
-from landmark_nav.localization.triplet import visible_landmarks
+from landmark_nav.localization.triangulation.robust import triangulate
+from landmark_nav.localization.triplet.visibility import visible_landmarks
 from landmark_nav.types import (
     CameraFrame,
     Detections,
     Expectation,
     FloatArray,
-    ImageArray,
     LandmarkMap,
     OdometrySample,
     PoseEstimate,
@@ -49,42 +48,38 @@ from landmark_nav.types import (
 
 # A camera that turned or moved by more than this must see another image.
 _MOVED_PX, _MOVED_M = 1.0, 0.02
+_FEW_THEN_ALL = slice(None, None, 16), slice(None)
 
 
 class FrozenImage:
     """
     Detects images that equal an earlier one although the camera has moved.
 
-    Joints and odometry show whether it has moved: a pose in map is also corrected at rest.
+    Joints and odometry (`pose_odom`) show whether it has moved: a pose in map is also corrected at
+    rest.
     """
 
     def __init__(self) -> None:
-        self._pose_odom: FloatArray = np.zeros(3)
+        self.pose_odom: FloatArray = np.zeros(3)
         self._first: tuple[CameraFrame, FloatArray] | None = None
-
-    def add_odometry(self, sample: OdometrySample) -> None:
-        """Add a sample of odometry."""
-        self._pose_odom = sample.pose_odom_base
 
     def repeats(self, frame: CameraFrame) -> bool:
         """Whether an image is identical to one from another pose."""
-        if self._first is None or not _same(frame.image, self._first[0].image):
-            self._first = frame, self._pose_odom
+        before, there = self._first or (None, self.pose_odom)
+        # A few rows distinguish almost all images.
+        same = before is not None and all(
+            np.array_equal(frame.image[rows], before.image[rows]) for rows in _FEW_THEN_ALL
+        )
+        if before is None or not same:
+            self._first = frame, self.pose_odom
             return False
-        before, there = self._first
         if not np.ptp(frame.image):
             # If the lens is covered, all images are the same.
             return False
-        forward, left, heading = relative(there, self._pose_odom).tolist()
+        forward, left, heading = relative(there, self.pose_odom).tolist()
         aside = wrap_rad(frame.pan_rad + heading - before.pan_rad)
         turn = max(abs(float(aside)), abs(frame.tilt_rad - before.tilt_rad))
         return turn * frame.camera.fx > _MOVED_PX or np.hypot(forward, left) > _MOVED_M
-
-
-def _same(image: ImageArray, other: ImageArray) -> bool:
-    # A few rows distinguish almost all images.
-    few = slice(None, None, 16)
-    return np.array_equal(image[few], other[few]) and np.array_equal(image, other)
 
 
 def most_informative(
@@ -102,27 +97,15 @@ def most_informative(
     ``1 + h P h^T / r``; r includes the landmark's own error. The greedy choice gains at least 63 %
     of the optimum (Krause, Singh and Guestrin, JMLR 9, 2008).
 
-    Parameters
-    ----------
-    axis : PoseEstimate
-        Expected pose of the pan axis.
-    index : ndarray of int, shape (n,)
-        Indices of the candidates in the map.
-    bearing_sigma : float
-        Expected measurement sigma, rad.
-    novelty : ndarray, shape (landmarks of the map,), optional
-        Factor on the gain of each landmark: a landmark seen before repeats its error.
-
-    Returns
-    -------
-    ndarray of int, shape (min(n, count),)
-        Chosen indices in the order of the map.
+    `axis` is the expected pose of the pan axis, `index` (n,) are the candidates in the map, of
+    which some remain, in that order; `bearing_sigma` is the expected one of a measurement, rad.
+    `novelty` is a factor on the gain of each landmark of the map: one seen before repeats its
+    error.
     """
     if len(index) <= count:
         return index
     gradient = bearing_gradients(axis.pose, landmark_map.positions[index, :2])
-    own = landmark_map.covariances[index, :2, :2]
-    variance = bearing_sigma**2 + np.sum((gradient[:, None] @ own)[:, 0] * gradient, -1)
+    variance = bearing_sigma**2 + quadratic(gradient, landmark_map.covariances[index, :2, :2])
     rows = np.column_stack([gradient, np.full(len(index), -1.0)]) / np.sqrt(variance)[:, None]
     covariance: FloatArray = axis.covariance
     gain = np.sum(rows @ covariance * rows, -1)
@@ -156,18 +139,8 @@ class Observation:
     """
     Results of the detection in one image.
 
-    Parameters
-    ----------
-    detections : Detections
-        Landmarks that were found.
-    refused : mapping of int to Refusal
-        Why others were not, by landmark id.
-    triangulate : callable
-        Computes `fix` on demand.
-    unusable : bool
-        Whether the image was not searched at all.
-    expected : mapping of int to Window
-        Where landmarks were searched, by id.
+    `refused` says why landmarks were not found, `expected` where they were searched, by id;
+    `triangulate` computes `fix` on demand. An `unusable` image was not searched at all.
     """
 
     detections: Detections
@@ -184,18 +157,20 @@ class Observation:
 
 def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
     """Return an image with camera and joints corrected by a calibration."""
-    frame = in_time(frame, calibration['joint_delay'][0])
+    delay_s, track = calibration['joint_delay'][0], frame.pan_track
+    pan = frame.pan_rad
+    if track is None:
+        pan += frame.pan_rate_rad_s * delay_s
+    else:
+        given, lagged = track.at([0.0, delay_s]).tolist()
+        pan = pan + lagged - given
+    lens = (_STEP * round(calibration[name][0] / _STEP) for name in LENS)
     return replace(
         frame,
-        camera=_calibrated(frame.camera, *_lens_steps(calibration)),
-        pan_rad=frame.pan_rad * (1.0 + calibration['pan_scale'][0]),
+        camera=_calibrated(frame.camera, *lens),
+        pan_rad=pan * (1.0 + calibration['pan_scale'][0]),
         tilt_rad=frame.tilt_rad + calibration['camera_tilt'][0],
     )
-
-
-def _lens_steps(calibration: Calibration) -> tuple[float, ...]:
-    """Errors of the lens, to a tenth of a pixel."""
-    return tuple(_STEP * round(calibration[name][0] / _STEP) for name in LENS)
 
 
 @lru_cache(maxsize=8)
@@ -208,14 +183,7 @@ class Observer:
     """
     Finds landmarks in a sequence of images.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Prior of mount, lens and clocks.
-    config : ImageStagesConfig
-        Parameters of the stages of detection.
-    step : EstimatorConfig
-        Sigmas of sudden changes of camera and base.
+    `calibration` is the prior; `step` has the sigmas of sudden changes of camera and base.
     """
 
     def __init__(
@@ -233,7 +201,7 @@ class Observer:
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Add a sample of odometry."""
-        self._frozen.add_odometry(sample)
+        self._frozen.pose_odom = sample.pose_odom_base
 
     def fix(self, found: Detections, prior: PoseEstimate) -> PoseEstimate | Refusal:
         """Triangulate from the bearings of one image; the prior rejects implausible results."""
@@ -264,20 +232,19 @@ class Observer:
         camera or base. An uncertain pose is first located by the image: `Detections.near`.
         """
         if self._frozen.repeats(frame):
-            return Observation(_nothing(frame.stamp_ns), {}, lambda: _HANGS, unusable=True)
+            none = np.empty(0)
+            empty = Detections(
+                frame.stamp_ns, none.astype(int), none, none, none, np.empty((0, 2))
+            )
+            return Observation(empty, {}, lambda: _HANGS, unusable=True)
         config = self._config
         place = self._narrowed(frame, expected)
         if place is not None:
             expected = replace(expected, pose=place.pose, covariance=place.covariance)
         upright = straight(frame, expected.calibration)
+        pan, tilt, mount = upright.pan_rad, upright.tilt_rad, expected.calibration.mount
         visible = visible_landmarks(
-            expected,
-            self._map,
-            upright.camera,
-            expected.calibration.mount,
-            upright.pan_rad,
-            upright.tilt_rad,
-            config.triplet,
+            expected, self._map, upright.camera, mount, pan, tilt, config.triplet
         )
         most = config.detection.max_count
         enough = min(config.detection.target_count, most)
@@ -294,23 +261,17 @@ class Observer:
         missed = [k for k, why in result.refused.items() if why.reason not in NOT_LOOKED_FOR]
         seen, places = result.detections, result.expected
         sizes = np.array([places[k].size for k in seen.ids.tolist()]).reshape(-1, 2)
-        points = ImagePoints.of_pixels(
-            frame.stamp_ns,
-            self._map.indices(seen.ids),
-            seen.uv_px,
-            seen.covariance_px2,
-            frame.camera,
-            frame.pan_rad,
-            known=upright.camera,
+        points, covariance, by_lens = image_points(
+            seen.uv_px, seen.covariance_px2, frame.camera, upright.camera, result.rays
         )
         seen = replace(
             seen,
             missed=np.array(sorted(missed), dtype=np.int64),
             pan_sigma_rad=frame.pan_sigma_rad,
-            pan_rad=float(expected.calibration.mount.azimuth_base_rad(frame.pan_rad)),
-            points=points.points,
-            point_covariance=points.covariance,
-            by_lens=points.by_lens,
+            pan_rad=float(mount.azimuth_base_rad(frame.pan_rad)),
+            points=points,
+            point_covariance=covariance,
+            by_lens=by_lens,
             sizes=sizes / [frame.camera.fx, frame.camera.fy],
             near=None if place is None else place.pose,
             intrinsics=frame.camera.intrinsics,
@@ -343,11 +304,7 @@ class Observer:
         visible: IndexArray,
         count: int,
     ) -> tuple[DetectionResult, IndexArray]:
-        """
-        Search `count` of the visible landmarks in windows by the covariance of the state.
-
-        `upright` is the frame, `straight` by the calibration.
-        """
+        """Search `count` of the visible landmarks; `upright` is the frame `straight`ened."""
         config, mount = self._config, expected.calibration.mount
         # An error of the pan shifts the image like one of the heading.
         pan = expected.pan_sigma_rad(frame.pan_rate_rad_s)
@@ -368,11 +325,7 @@ class Observer:
         return result, looked_for
 
     def _distinct(self, visible: IndexArray, expected: PoseEstimate) -> IndexArray:
-        """
-        Landmarks without edges if there are enough others.
-
-        Edges whose window is wider than they are go in any case: it may show another one.
-        """
+        """Landmarks without edges in wide windows, or without any if there are enough others."""
         edges = self._map.edges[visible]
         if np.sum(~edges) >= self._config.detection.target_count:
             return np.asarray(visible[~edges])
@@ -382,8 +335,3 @@ class Observer:
         half_rad = self._config.detection.window_sigmas * np.sqrt(variance)
         wide = half_rad > self._map.sizes_m[visible, 0] / np.sqrt(squared)
         return np.asarray(visible[~(wide & edges)])
-
-
-def _nothing(stamp_ns: int) -> Detections:
-    none = np.empty(0)
-    return Detections(stamp_ns, none.astype(np.int64), none, none, none, none.reshape(0, 2))

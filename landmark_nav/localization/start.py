@@ -13,11 +13,6 @@ from landmark_nav.types import FloatArray, PoseEstimate
 _UNKNOWN = np.array([100.0, 100.0, np.pi])
 
 
-def is_finite(estimate: PoseEstimate) -> bool:
-    """Whether a pose and its covariance are finite."""
-    return bool(np.isfinite(estimate.pose).all() and np.isfinite(estimate.covariance).all())
-
-
 def with_sigmas(start: PoseEstimate, sigma_m: float, sigma_rad: float) -> PoseEstimate:
     """Return a start in which variances of zero are replaced by those of these sigmas."""
     variance = np.square([sigma_m, sigma_m, sigma_rad])
@@ -33,17 +28,13 @@ def checked_start(
 
     Sigmas are limited to those of an unknown pose, 100 m and half a turn.
 
+    `odometry_ns` are the first and last stamp of the odometry; the last counts as the present time
+    if it is later than `now_ns`.
+
     Raises `LandmarkNavError`: the pose or covariance is not finite, or the covariance is not
     positive semidefinite.
-
-    Parameters
-    ----------
-    odometry_ns : tuple of int, optional
-        First and last stamp of the odometry.
-    now_ns : int, optional
-        Present time; the stamp of the last odometry counts if it is later.
     """
-    if not is_finite(start):
+    if not (np.isfinite(start.pose).all() and np.isfinite(start.covariance).all()):
         raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')
     sigmas = np.sqrt(np.maximum(start.covariance.diagonal(), 0.0))
     share = _UNKNOWN / np.maximum(sigmas, _UNKNOWN)

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from landmark_nav.errors import LandmarkNavError
@@ -32,53 +31,14 @@ _STEP_NS = 50_000_000
 _LEAST_VARIANCE = 1e-8
 
 
-@dataclass(frozen=True, eq=False)
-class Motions:
-    """
-    Motions between consecutive times.
-
-    Parameters
-    ----------
-    increment : ndarray, shape (m, 3)
-        Pose at each time in the frame of the one before.
-    by_bias : ndarray, shape (m, 3, 4)
-        Derivative by the scale of the way, the drift per metre, the scale of turns and the way
-        lost in turns.
-    covariance : ndarray, shape (m, 3, 3)
-        Covariance of the random errors.
-    """
-
-    increment: FloatArray
-    by_bias: FloatArray
-    covariance: FloatArray
-
-
-def motions_between(
-    stamps_ns: npt.NDArray[np.int64],
-    odometry: Sequence[OdometrySample],
-    config: OdometryNoiseConfig,
-) -> Motions:
-    """
-    Compound the odometry between times (m + 1,).
-
-    Side slip is a state of the filter. Here it is white noise, with the same effect over ways
-    that are much longer than its correlation length.
-    """
-    track = OdometryTrack(config)
-    for sample in odometry:
-        track.add(sample)
-    parts = [
-        _between(steps_ns(begin, end, _STEP_NS), track, config)
-        for begin, end in pairwise(stamps_ns.tolist())
-    ]
-    increment, by_bias, covariance = (np.array(part) for part in zip(*parts, strict=True))
-    return Motions(increment, by_bias, covariance)
-
-
 def _between(
     times_ns: Sequence[int], track: OdometryTrack, config: OdometryNoiseConfig
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Increment (3,), its derivative by the biases (3, 4) and its covariance (3, 3)."""
+    """
+    Increment (3,), its derivative by the biases (3, 4) and the covariance (3, 3) of the rest.
+
+    Biases are scale of the way, drift per metre, scale of turns, and way lost in turns.
+    """
     poses, steps, variances = [np.zeros(3)], [], []
     for begin, end in pairwise(times_ns):
         motion = track.motion(begin, end)
@@ -105,27 +65,36 @@ def _between(
     return pose[-1], np.sum(effect @ shifted, axis=0), covariance
 
 
-def chained(motions: Motions, config: OdometryNoiseConfig) -> PlaceChain:
+def _chain(
+    stamps_ns: Sequence[int], samples: Sequence[OdometrySample], config: OdometryNoiseConfig
+) -> PlaceChain:
     """
-    Poses at all times in the frame of the first, with their joint covariance.
+    Poses at some times in the frame of the first, with their joint covariance.
 
     Systematic errors of the wheels are common to all motions (Smith, Self and Cheeseman, 1990).
+    Side slip is white noise here, with the same effect over ways that are much longer than its
+    correlation length.
     """
-    count = len(motions.increment) + 1
-    poses = np.zeros((count, 3))
+    known = [sample.stamp_ns for sample in samples]
+    # There may be hours of other samples.
+    first = max(bisect_left(known, stamps_ns[0]) - _MARGIN, 0)
+    track = OdometryTrack(config)
+    for sample in samples[first : bisect_right(known, stamps_ns[-1]) + _MARGIN]:
+        track.add(sample)
+    poses = np.zeros((len(stamps_ns), 3))
     # Loadings of each pose by the systematic errors and by the random errors of each motion.
     bias_sigma = np.array([*config.bias_sigmas, config.turn_loss_sigma_m_per_rad])
-    loading = np.zeros((count, 3, len(bias_sigma) + 3 * len(motions.increment)))
-    for k, (step, by_bias, covariance) in enumerate(
-        zip(motions.increment, motions.by_bias, motions.covariance, strict=True)
-    ):
+    biases = len(bias_sigma)
+    loading = np.zeros((len(poses), 3, biases + 3 * (len(poses) - 1)))
+    for k, (begin, end) in enumerate(pairwise(stamps_ns)):
+        step, by_bias, covariance = _between(steps_ns(begin, end, _STEP_NS), track, config)
         by_pose, by_step = compose_jacobians(poses[k], step)
         poses[k + 1] = compose(poses[k], step)
-        own = len(bias_sigma) + 3 * k
+        own = biases + 3 * k
         loading[k + 1] = by_pose @ loading[k]
-        loading[k + 1, :, : len(bias_sigma)] += by_step @ by_bias * bias_sigma
+        loading[k + 1, :, :biases] += by_step @ by_bias * bias_sigma
         loading[k + 1, :, own : own + 3] += by_step @ np.linalg.cholesky(covariance)
-    flat = loading.reshape(3 * count, -1)
+    flat = loading.reshape(3 * len(poses), -1)
     return PlaceChain(poses, flat @ flat.T)
 
 
@@ -148,12 +117,7 @@ def known_places(
 
     Raises `LandmarkNavError`: a source lacks the pose of a sweep, or the robot moved during one.
 
-    Parameters
-    ----------
-    given : sequence of PoseEstimate or None
-        Pose published for each sweep.
-    spans_ns, samples, config
-        As in `places_by_odometry`; without samples odometry is no source.
+    `given` are the poses published; without `samples` odometry is no source.
     """
     known = [_given_places(given)] if any(pose is not None for pose in given) else []
     if samples:
@@ -182,12 +146,7 @@ def places_by_odometry(
 
     Raises `LandmarkNavError`: odometry does not cover a sweep, or the robot moved during one.
 
-    Parameters
-    ----------
-    spans_ns : sequence of tuple of int
-        First and last stamp of each sweep.
-    samples : sequence of OdometrySample
-        Odometry in the order of time, from the first sweep to the last.
+    `spans_ns` are the first and last stamp of each sweep; `samples` are in the order of time.
     """
     for number, (begin, end) in enumerate(spans_ns, 1):
         if not samples or samples[0].stamp_ns > end or samples[-1].stamp_ns < begin:
@@ -195,22 +154,18 @@ def places_by_odometry(
                 f'odom does not cover sweep {number} (of {begin * 1e-9:.1f} s): it must come from '
                 'the first sweep to the last'
             )
-        x, y, turn = _motions([begin, end], samples, config).increment[0]
+        x, y, turn = _chain([begin, end], samples, config).poses[1]
         if np.hypot(x, y) > _STANDS_M or abs(turn) > _STANDS_RAD:
             raise LandmarkNavError(
                 f'the robot moved {100 * np.hypot(x, y):.0f} cm and '
                 f'{np.degrees(turn):.1f} deg by odom in sweep {number}: let it stand, sweep again'
             )
     middles = [(begin + end) // 2 for begin, end in spans_ns]
-    return replace(chained(_motions(middles, samples, config), config), slip_m=_SLIP_M)
+    return replace(_chain(middles, samples, config), slip_m=_SLIP_M)
 
 
 def _given_places(given: Sequence[PoseEstimate | None]) -> PlaceChain:
-    """
-    Published poses of sweeps; the error of the first moves the whole map.
-
-    Raises `LandmarkNavError`: a sweep has no pose.
-    """
+    """Published poses of sweeps; the error of the first moves the whole map."""
     known = [pose for pose in given if pose is not None]
     if len(known) < len(given):
         missing = 1 + next(k for k, pose in enumerate(given) if pose is None)
@@ -234,18 +189,8 @@ def carried_on(
 ) -> PoseEstimate:
     """Carry a pose on to the last of one or more samples of odometry."""
     end_ns = samples[-1].stamp_ns
-    chain = chained(_motions([place.stamp_ns, end_ns], samples, config), config)
+    chain = _chain([place.stamp_ns, end_ns], samples, config)
     by_pose, by_way = compose_jacobians(place.pose, chain.poses[1])
     covariance = by_pose @ place.covariance @ by_pose.T
     covariance += by_way @ chain.covariance[3:, 3:] @ by_way.T
     return PoseEstimate(end_ns, compose(place.pose, chain.poses[1]), covariance)
-
-
-def _motions(
-    stamps_ns: Sequence[int], samples: Sequence[OdometrySample], config: OdometryNoiseConfig
-) -> Motions:
-    """Motions between times, from the samples around them: there may be hours of others."""
-    known = [sample.stamp_ns for sample in samples]
-    first = max(bisect_left(known, stamps_ns[0]) - _MARGIN, 0)
-    last = bisect_right(known, stamps_ns[-1]) + _MARGIN
-    return motions_between(np.array(stamps_ns), samples[first:last], config)

@@ -26,7 +26,6 @@ _BLANK = 0.1
 _LEAST_SEQUENCE = 12
 # Least peak of the correlation; lower ones are by chance.
 _LEAST_SCORE = 0.4
-
 # Least peak that a match of two images would have, so that a lower one means that they differ.
 _CLEAR_SCORE = 1.5 * _LEAST_SCORE
 

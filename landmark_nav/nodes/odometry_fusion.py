@@ -13,7 +13,7 @@ import numpy as np
 from landmark_nav.calibration import NAMES, SHOWN_IN, UNITS
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.localization.estimator import Status
+from landmark_nav.localization.estimator.integrity import Status
 from landmark_nav.localization.expected_poses import SpreadCorrection
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.track import Distrusted

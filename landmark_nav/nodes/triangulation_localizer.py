@@ -16,9 +16,9 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.localization.expected_poses import ExpectedPoses
-from landmark_nav.localization.joint_delay import JointDelay, PanMotion
+from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.observer import Observation, Observer, straight
-from landmark_nav.localization.relocalization import Relocalizer, Unseen
+from landmark_nav.localization.relocalization.stream import Relocalizer, Unseen
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import GlobalPose
@@ -165,7 +165,7 @@ class PlaceSearch:
                 found.pose,
                 found.covariance,
                 relocalizer.landmark_ids,
-                PanMotion.of(frame, self.calibration.base).rate_rad_s,
+                self.calibration.base.pan_sense * frame.pan_rate_rad_s,
             )
             self._place.publish(
                 encode.global_pose(ros_factory, place, self._node.config.map_frame)

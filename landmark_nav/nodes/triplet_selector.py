@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from landmark_nav.localization.triplet import CameraState
 from landmark_nav.localization.triplet.look_around import is_known, LookAround
+from landmark_nav.localization.triplet.planning_scene import CameraState
 from landmark_nav.localization.triplet.ranking import Ranking
 from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode, encode

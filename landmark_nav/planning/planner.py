@@ -40,7 +40,6 @@ Cost = Callable[[IndexArray], float]
 Show = Callable[[Iterable[IndexArray], str, int], Iterator[IndexArray]]
 
 _MAX_ROUNDS = 12
-
 # Exchange ends after a round with a smaller relative gain.
 _MIN_GAIN = 0.004
 
@@ -105,7 +104,6 @@ _SEARCH_CELLS = 70
 _REPORT_CELLS = 900
 _MAP_CELLS = 6000
 _MAP_SPACING_M = 0.1
-
 # Number of random sets of which the best is the start of the exchange. In two rooms the result is
 # within 0.1 % of that from the best pair, grown; a finer grid around it gained 0.4 % at most.
 _STARTS = 100

@@ -28,7 +28,6 @@ from landmark_nav.types import FloatArray
 
 # Number of states of each panorama: x, y, heading. The offsets of walls follow after all of them.
 _POSE = 3
-
 # Greatest ratio of resolutions at which two panoramas show a patch alike.
 _MOST_STRETCH = 4.0
 # Landmarks that a fix needs.

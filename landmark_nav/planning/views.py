@@ -159,11 +159,6 @@ class Views:
         return len(self.eye)
 
 
-def eye_height(mount: PanTiltMount) -> float:
-    """Height of the optical centre above the floor, metres."""
-    return float(mount.camera_pose_base(0.0)[1][2])
-
-
 def ahead_rad(floor_xy: FloatArray, room: Room) -> FloatArray:
     """Azimuths (n,) in map from points (n, 2) to the centre of the papers, or of the room."""
     hung = [paper.center[:2] for paper in room.papers] or room.bounds
@@ -202,7 +197,7 @@ def look(
     A sweep at other poses cannot be located; in a room without papers all are taken.
     """
     axis = mount.axis_pose_map(poses_map_base)[:, :2]
-    eye = np.column_stack([axis, np.full(len(axis), eye_height(mount))])
+    eye = np.column_stack([axis, np.full(len(axis), mount.camera_pose_base(0.0)[1][2])])
     middle = poses_map_base[:, 2] + _azimuth_base(
         mount, np.array([0.5 * (config.pan_min_rad + config.pan_max_rad)])
     )

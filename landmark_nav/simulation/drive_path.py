@@ -16,13 +16,10 @@ from landmark_nav.types import FloatArray
 _CELL_M = 0.1
 _CLEARANCE_M = 0.42
 _LOOK_AHEAD_M = 0.45
-
 # Smallest clearance of a start that is part of the path.
 _TIGHT_M = 0.3
-
 # Smallest cost (about metres) of the path to the next goal of a tour.
 _LEAST_LEG_M = 1.5
-
 # Number of random goals, of which the one with the smallest turn is used; number of cells over
 # which directions are computed.
 _GOALS_TRIED = 12

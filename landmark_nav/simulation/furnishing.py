@@ -14,14 +14,11 @@ from landmark_nav.types import FloatArray
 Generator = np.random.Generator
 
 _TARGET_SIZE_M = 0.5
-
 # Smallest distance of things on a wall from each other, and from corners.
 _GAP_M = 0.1
 _CORNER_M = 0.12
-
 # Size of tags (16 cm) with their white border, and heights that are tried for them.
 _TAG_M, _TAG_HEIGHTS_M = 0.2, (1.5, 1.1, 1.9)
-
 _POSTERS = ('photo', 'poster')
 # Relative power of a dimmed lamp on another day.
 _DIMMED = 0.35
@@ -265,10 +262,8 @@ def _lamps(room: Room, items: list[WallItem], rng: Generator) -> tuple[Lamp, ...
 
 
 _ATTEMPTS = 25
-
 # Wanted number of things that are in view from both sweep positions.
 _WANTED_ITEMS = 8
-
 _PAPER_SIZE_M = (0.21, 0.297)
 
 

@@ -103,19 +103,14 @@ class PanTiltUnit:
 
 # Distance of chosen pans from the limits, so that the camera can follow while the base turns.
 _RESERVE_RAD = 0.4
-
 # Largest angle of incidence of an item.
 _STEEPEST_DEG = 58.0
-
 # Nearer items fill the image, so that few others are in view, and look unlike when learned.
 _NEAR_M = 1.9
-
 # Below this quality, an item is abandoned for a better one.
 _LOST_QUALITY = 0.2
-
 # Items within this angle of each other are in view together.
 _TOGETHER_RAD = 0.35
-
 # Preferred smallest angle between an item and the next one.
 _ELSEWHERE_RAD = 0.6
 

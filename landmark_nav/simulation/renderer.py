@@ -92,7 +92,6 @@ def coverage(
 
 # Side of the cells of pixels that have a common level of detail.
 _CELL_PX = 4
-
 # Offset of the level of detail, octaves: slightly finer than one texel per pixel.
 _SHARPNESS = -0.35
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.se2 import transform_points
-from landmark_nav.geometry.walls import Room
+from landmark_nav.geometry.walls import Room, segment_distances
 from landmark_nav.types import FloatArray
 
 
@@ -133,10 +133,7 @@ class Scene:
         It is 0 inside furniture, and has no meaning outside the room.
         """
         points = np.asarray(points_xy, dtype=np.float64)
-        start, side = self._edges
-        offset = points[..., None, :] - start
-        t = np.clip(np.sum(offset * side, -1) / np.sum(side**2, -1), 0.0, 1.0)
-        distance = np.sqrt(np.sum((offset - t[..., None] * side) ** 2, -1).min(-1))
+        distance = segment_distances(points, *self._edges).min(-1)
         if self.boxes:
             corner, inward = self._box_sides
             depth = np.sum((points[..., None, None, :] - corner) * inward, -1).min(-1)
@@ -161,15 +158,12 @@ class Scene:
 
 # Height of the camera; furniture below it hides nothing on walls.
 EYE_HEIGHT_M = 1.1
-
 # Largest tangent of elevation in the image of a usual camera, with some reserve.
 _STEEPEST_VIEW = 0.4
-
 # Largest angles of incidence of papers, other items and the target.
 _STEEPEST_PAPER_DEG = 68.0
 _STEEPEST_ITEM_DEG = 62.0
 _STEEPEST_TARGET_DEG = 55.0
-
 _CLEARANCE_M = 0.5
 _BASELINE_M = (1.5, 2.5)
 _CANDIDATES = 140

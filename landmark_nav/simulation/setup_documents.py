@@ -89,7 +89,6 @@ def scene_document(scene: Scene) -> str:
 _WALL_M = 0.005
 _PAPER_M = 0.001
 _HEIGHT_M = 0.005
-
 _SAME_CORNER_M = 1e-6
 _PARALLEL = 0.1
 

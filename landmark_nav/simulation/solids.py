@@ -20,10 +20,8 @@ _WALL_TEXEL_M = 0.002
 _BOX_TEXEL_M = 0.0025
 _FLOOR_TEXEL_M = 0.004
 _CEILING_TEXEL_M = 0.008
-
 # Levels of foreshortening in the pyramids of walls: up to a factor of eight.
 _WALL_SLANTS = 4
-
 # Colours of printed papers, blue, green, red; papers of other colours have exactly that colour.
 _PAPER_COLORS = {
     'red': (38.0, 36.0, 196.0),

@@ -22,10 +22,8 @@ from landmark_nav.types import FloatArray, ImageArray
 
 # Ambient light as a factor on the albedo.
 _AMBIENT = 0.55
-
 # Gain of a lamp of power 1, before the decrease with distance.
 _LAMP_GAIN = 1.5
-
 # Added to the squared distance, since lamps are wide: the light is finite beside one.
 _LAMP_RADIUS_M = 0.9
 
@@ -74,7 +72,6 @@ def values_of(light: LightArray) -> ImageArray:
 
 # Border around each level, so that interpolation does not reach the next level.
 _BORDER_PX = 3
-
 # Step of the grid on which illumination is computed; it is interpolated between.
 _LIGHT_STEP_M = 0.15
 _LEVELS = 5

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.se2 import compose
+from landmark_nav.geometry.se2 import arc, compose
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import MessageFactory
 from landmark_nav.parameters import Config
@@ -80,10 +80,10 @@ class DifferentialDrive:
         config = self._config
         most = dt_s * np.array([config.max_acceleration_m_s2, config.max_turn_acceleration_rad_s2])
         self.twist = self.twist + np.clip(self._command - self.twist, -most, most)
-        moved = compose(self.pose_map_base, _arc(self.twist * dt_s))
+        moved = compose(self.pose_map_base, arc(*self.twist * dt_s))
         if self.twist[0] != 0.0 and not self._free(moved[:2]):
             self.twist = np.array([0.0, self.twist[1]])
-            moved = compose(self.pose_map_base, _arc(self.twist * dt_s))
+            moved = compose(self.pose_map_base, arc(*self.twist * dt_s))
         self.pose_map_base = moved
         self._measure(dt_s)
 
@@ -100,22 +100,13 @@ class DifferentialDrive:
         left, right = counted - self._counted_m
         self._counted_m = counted
         step = np.array([0.5 * (left + right), (right - left) / self._track_m])
-        self.pose_odom_base = compose(self.pose_odom_base, _arc(step))
+        self.pose_odom_base = compose(self.pose_odom_base, arc(*step))
         self.measured_twist = step / dt_s
-
-
-def _arc(step: FloatArray) -> FloatArray:
-    """Relative pose (3,) after a distance and a turn (2,) along a circular arc."""
-    way, turn = step
-    # sinc is also exact for a straight line.
-    chord = way * np.sinc(0.5 * turn / np.pi)
-    return np.array([chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn])
 
 
 _HEIGHT_M = 1.75
 _WIDTH_M = 0.62
 _CLEARANCE_M = 0.35
-
 # Smallest distance of people from the robot.
 _SHY_M = 0.9
 
@@ -205,7 +196,6 @@ def _draw_figure(rng: np.random.Generator) -> ImageArray:
 # Rate of the physics, independent of the steps of `advance`.
 _RATE_HZ = 60
 _SECOND_NS = 1_000_000_000
-
 DEFAULT_CAMERA = CameraModel(
     512, 512, 555.0, 555.0, 256.7, 254.1, 'plumb_bob', (-0.19, 0.06, 0.0005, -0.0003, 0.0)
 )
@@ -331,12 +321,9 @@ class RobotWorld:
 
 
 _FRAME = 'camera_optical_frame'
-
 # Rate of joint states and odometry on a drive; the physics runs at a multiple of it.
 STATE_RATE_HZ = 20
-
 _SETTLE_LIMIT_S = 3.0
-
 # Covariance of odometry messages: constant and large, as in usual drivers.
 _ODOMETRY_COVARIANCE = np.diag([0.05, 0.05, 0.05])
 _EXACT = np.zeros((3, 3))

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.matching import blur_to, match_template
+from landmark_nav.matching.alignment import blur_to, match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, Refusal, RefusalCode
 
 # Greatest distance of a patch from the plane of the other, and least cosine of their normals.

@@ -17,7 +17,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.se2 import compose, rot_z, rotation
 from landmark_nav.geometry.walls import Room, Wall
-from landmark_nav.matching import match_template
+from landmark_nav.matching.alignment import match_template
 from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate, Refusal
 from landmark_nav.upkeep.comparison import (
     compare_maps,
@@ -189,13 +189,14 @@ def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
     """Similar textures at the same height, the best first."""
     texels = [k.width_m / k.patch.shape[1] for m in (a, b) for k in m.landmarks if k.patch.size]
     texel = float(np.median(texels)) if texels else 1.0
+
+    def image(k: Landmark) -> Float32Array:
+        shape = max(int(k.height_m / texel), 1), max(int(k.width_m / texel), 1)
+        return resampled(k, texel, shape, np.zeros(2))
+
     images_a, images_b = (
-        [
-            (k, resampled(k, texel, _shape(k, texel), np.zeros(2)), index)
-            for index, k in enumerate(one.landmarks)
-            if k.patch.size
-        ]
-        for one in (a, b)
+        [(k, image(k), index) for index, k in enumerate(m.landmarks) if k.patch.size]
+        for m in (a, b)
     )
     rows = []
     for one, image_a, i in images_a:
@@ -217,10 +218,6 @@ def _matches(a: LandmarkMap, b: LandmarkMap, scale_sigma: float) -> _Matches:
     table = np.array(sorted(rows, reverse=True)[:_MOST_MATCHES]).reshape(-1, 10)
     index = table[:, 8:].astype(np.intp)
     return _Matches(table[:, 1:4], table[:, 4:7], wrap_rad(table[:, 7]), index[:, 0], index[:, 1])
-
-
-def _shape(k: Landmark, texel_m: float) -> tuple[int, int]:
-    return max(int(k.height_m / texel_m), 1), max(int(k.width_m / texel_m), 1)
 
 
 def _offset(a: Float32Array, b: Float32Array) -> tuple[float, FloatArray, FloatArray] | None:
@@ -335,12 +332,9 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
         newer = replace(newer, landmarks=tuple(k for k in on_walls if k is not None))
     comparison = compare_maps(older, newer)
     _check_agreement(comparison)
-    outdated = {pair.a.id for pair in comparison.pairs if not _older_stays(pair)}
-    kept_out = {
-        pair.b.id
-        for pair in comparison.pairs
-        if pair.texture is not Texture.UNKNOWN and _older_stays(pair)
-    }
+    known_pairs = [pair for pair in comparison.pairs if pair.texture is not Texture.UNKNOWN]
+    outdated = {pair.a.id for pair in known_pairs if not _older_stays(pair)}
+    kept_out = {pair.b.id for pair in known_pairs if _older_stays(pair)}
     first_free = int(max(older.ids, default=-1)) + 1
     factors_older, factors_newer = (m.shared_loadings.shape[2] for m in (older, newer))
     added = [k for k in newer.landmarks if k.id not in kept_out]
@@ -362,11 +356,8 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
 
 
 def _older_stays(pair: Pair) -> bool:
-    if pair.texture is Texture.CHANGED:
-        return False
-    if pair.texture is Texture.UNKNOWN:
-        return True
-    return bool(np.trace(pair.a.covariance) <= np.trace(pair.b.covariance))
+    better = np.trace(pair.a.covariance) <= np.trace(pair.b.covariance)
+    return bool(pair.texture is Texture.SAME and better)
 
 
 def _check_same_room(a: LandmarkMap, b: LandmarkMap) -> None:

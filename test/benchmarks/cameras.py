@@ -22,7 +22,7 @@ from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import bearings
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
-from landmark_nav.localization.triplet import CameraState
+from landmark_nav.localization.triplet.planning_scene import CameraState
 from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour
 from landmark_nav.simulation.furnishing import generate_scene

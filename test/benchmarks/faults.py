@@ -86,7 +86,7 @@ def outcome(
             # The clock of the truth is never set back.
             true, ticks = event.pose, ticks + 1
             continue
-        if localizer.estimate() is None:
+        if localizer.fusion.estimate() is None:
             localizer.initialize(PoseEstimate(event.stamp_ns, start, np.diag(START_SIGMA**2)))
         after_s = period_s * (ticks - 1) - at_s
         if isinstance(event, OdometrySample):
@@ -96,7 +96,7 @@ def outcome(
             assert isinstance(update, LocalizationUpdate)
             if after_s >= 0.0:
                 done.judge(after_s, update, true)
-        done.note(after_s, localizer.status)
+        done.note(after_s, localizer.status())
     return done
 
 

@@ -32,14 +32,15 @@ import numpy.typing as npt
 from relocalize import camera_image, free_poses
 
 from landmark_nav.geometry.patches import patch_axes
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, View
+from landmark_nav.localization.detection.correlation import detect_landmarks
+from landmark_nav.localization.detection.expectation import DetectionConfig, View
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
     fully_in_view,
     observable,
     TripletConfig,
 )
-from landmark_nav.matching import blur_to, Match, match_template
+from landmark_nav.matching.alignment import blur_to, Match, match_template
 from landmark_nav.simulation.furnishing import another_day, generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.solids import wall_solids

@@ -36,7 +36,7 @@ from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
-from landmark_nav.localization.triangulation import triangulate
+from landmark_nav.localization.triangulation.robust import triangulate
 from landmark_nav.localization.triplet.visibility import (
     axis_position,
     fully_in_view,

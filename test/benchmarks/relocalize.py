@@ -17,7 +17,7 @@ from harness import as_jpeg, learned_room, print_row, rooms_parser
 import numpy as np
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.relocalization import Relocalizer
+from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.simulation.furnishing import another_day, generate_scene
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import RobotWorld

@@ -16,7 +16,8 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.configuration import Configuration
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.expected_poses import ExpectedPoses
-from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
+from landmark_nav.localization.relocalization.search import RelocalizationConfig
+from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.messages import decode, encode
 from landmark_nav.nodes.triangulation_localizer import PlaceSearch
 from landmark_nav.ros.camera_frames import listen_for_pan, PanCommander

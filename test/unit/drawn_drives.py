@@ -190,7 +190,7 @@ def driven(
             stamp += round(event.seconds * NS)
             joint.move(stamp, event)
             continue
-        moved = joint.snapshot
+        moved = joint.state
         if len(event):
             updates.append(joint.observe(changed(len(errors), event)))
         after(joint, moved)

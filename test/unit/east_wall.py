@@ -8,12 +8,8 @@ from scenes import rectangle_room, textured_room, true_landmark
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.localization.detection import (
-    detect_landmarks,
-    DetectionConfig,
-    DetectionResult,
-    View,
-)
+from landmark_nav.localization.detection.correlation import detect_landmarks, DetectionResult
+from landmark_nav.localization.detection.expectation import DetectionConfig, View
 from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, PoseEstimate
 
 LENS = CameraModel(

@@ -38,12 +38,13 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
-from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, View
+from landmark_nav.localization.detection.correlation import detect_landmarks
+from landmark_nav.localization.detection.expectation import DetectionConfig, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals, wrong_heights
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
-from landmark_nav.localization.relocalization import Relocalizer
+from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.localization.relocalization.verification import estimate_camera_tilt
-from landmark_nav.matching import Match, match_template
+from landmark_nav.matching.alignment import Match, match_template
 from landmark_nav.types import PoseEstimate, Refusal
 
 

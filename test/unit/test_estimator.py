@@ -10,14 +10,20 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.localization.estimator import (
-    EstimatorConfig,
-    filter,
+from landmark_nav.localization.detection.expectation import HALF_PIXEL
+from landmark_nav.localization.estimator import filter
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import (
+    CALIBRATION,
+    DELAY,
+    image_points,
     ImagePoints,
-    JointFilter,
-    protection_level,
+    moved,
+    project,
+    STATES,
 )
-from landmark_nav.localization.estimator.factors import CALIBRATION, DELAY, moved, project, STATES
+from landmark_nav.localization.estimator.filter import JointFilter
+from landmark_nav.localization.estimator.integrity import protection_level
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
@@ -62,9 +68,10 @@ def test_points_of_a_wrong_lens_are_those_of_the_model(share):
     )
     pixels = np.array([[20.0, 30.0], [256.0, 254.0], [490.0, 400.0]])
     covariance = np.tile(np.eye(2), (3, 1, 1))
-    seen = ImagePoints.of_pixels(0, np.arange(3), pixels, covariance, given, 0.0, known)
+    known_rays = known.unproject(pixels[:, None] + HALF_PIXEL)
+    points, _, by_lens = image_points(pixels, covariance, given, known, known_rays)
     rays = (1.0 + focal) * true.unproject(pixels)[:, :2] + [shift, 0.0]
-    assert seen.points == pytest.approx(rays - seen.by_lens @ [focal, shift, bend], abs=3e-4)
+    assert points == pytest.approx(rays - by_lens @ [focal, shift, bend], abs=3e-4)
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -309,17 +316,17 @@ def test_no_step_is_seen_where_there_is_none():
 def test_what_is_no_measurement_changes_nothing(change):
     drive = simulated(5, seconds=4.0)
     run = driven(drive)
-    before = run.filter.snapshot
+    before = run.filter.state
     seen = next(event for event in drive.events if isinstance(event, ImagePoints))
     update = run.filter.observe(change(seen))  # type: ignore[operator]
     assert len(update.columns) == 0
-    assert (run.filter.snapshot.mean == before.mean).all()
-    assert (run.filter.snapshot.covariance == before.covariance).all()
+    assert (run.filter.state.mean == before.mean).all()
+    assert (run.filter.state.covariance == before.covariance).all()
 
 
 def test_the_noise_of_the_wheels_is_learned():
     quiet = OdometryNoiseConfig().scaled(3.0, 3.0, 3.0)
-    factors = driven(simulated(9), odometry=quiet).filter.noise_factors
+    factors = driven(simulated(9), odometry=quiet).filter.state.scales.factors
     assert (factors[:3] < 0.7).all()
 
 
@@ -392,7 +399,7 @@ def test_a_pose_that_the_camera_found_is_off_by_what_the_mount_is_off_by():
         joint = JointFilter(landmarks, prior, place).placed(place, 0.0)
         error = np.concatenate([found - base, given - true])
         error[2] = np.arctan2(np.sin(error[2]), np.cos(error[2]))
-        covariance = joint.snapshot.covariance[np.ix_(states, states)] + 1e-10 * np.eye(6)
+        covariance = joint.state.covariance[np.ix_(states, states)] + 1e-10 * np.eye(6)
         squares.append(error @ np.linalg.solve(covariance, error))
     # The pose has no errors of its own: three numbers are drawn.
     assert 2.5 < np.mean(squares) < 3.6
@@ -401,7 +408,7 @@ def test_a_pose_that_the_camera_found_is_off_by_what_the_mount_is_off_by():
 def test_errors_of_landmarks_are_bounded_in_number_and_stay_consistent(monkeypatch):
     monkeypatch.setattr(filter, '_MOST_LANDMARKS', 10)
     runs = [driven(simulated(seed, seconds=10.0)) for seed in range(4)]
-    assert max(len(run.filter.snapshot.landmarks) for run in runs) <= 10
+    assert max(len(run.filter.state.landmarks) for run in runs) <= 10
     assert all(np.mean(run.nees < 31.8) == 1.0 for run in runs)
     assert max(np.hypot(*run.errors[-1, :2]) for run in runs) < 0.02
 

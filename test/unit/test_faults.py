@@ -441,11 +441,11 @@ def test_a_delay_that_is_over_is_taken_back(sensed, seconds):
         localizer.add_odometry(step.odometry)
         if frame is not None and since < seconds + 3.0:
             localizer.add_frame(stamped_late(frame, LATE_S if 0.0 < since < seconds else 0.0))
-            delays.append(localizer.late.delay_s)
+            delays.append(localizer.fusion.late.delay_s)
     assert max(delays) > 0.15
     # The joints show nothing of longer ones.
     assert np.abs(delays).max() < 0.4
-    assert abs(delays[-1]) < max(0.02, 4.0 * localizer.late.sigma_s)
+    assert abs(delays[-1]) < max(0.02, 4.0 * localizer.fusion.late.sigma_s)
 
 
 def test_poses_that_jitter_are_weighed_as_such(sensed):

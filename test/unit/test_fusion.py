@@ -13,7 +13,7 @@ from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, LENS, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.localization.estimator import Status
+from landmark_nav.localization.estimator.integrity import Status
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.localization.triplet.look_around import is_known

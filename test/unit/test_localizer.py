@@ -21,8 +21,9 @@ from landmark_nav.localization.expected_poses import ExpectedPoses, SpreadCorrec
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.observer import most_informative, Observation
 from landmark_nav.localization.triangulation.model import bearing_gradients
-from landmark_nav.localization.triplet import CameraState, TripletConfig
+from landmark_nav.localization.triplet.planning_scene import CameraState
 from landmark_nav.localization.triplet.selection import ActiveCamera
+from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import (

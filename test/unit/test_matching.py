@@ -4,8 +4,7 @@ import pytest
 from scenes import smooth_texture
 
 from landmark_nav.learning.stereo.wall_stereo import log_magnification, MARGIN
-from landmark_nav.matching import Match, match_template
-from landmark_nav.matching.alignment import align
+from landmark_nav.matching.alignment import align, Match, match_template
 from landmark_nav.types import Refusal
 
 

@@ -22,7 +22,9 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
-from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints, JointFilter
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.filter import JointFilter
 from landmark_nav.localization.estimator.smoothing import ErrorRepetition, smoothed_poses
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
@@ -117,7 +119,7 @@ def test_nees_of_nineteen_of_twenty_drives_is_in_its_interval(prior):
             nonlocal before
             repetition.add(before or moved, moved, joint)
             joint.mark()
-            before = joint.snapshot
+            before = joint.state
 
         run = driven(drive, after=add)
         low, high = nees_interval_95(repetition.independent)

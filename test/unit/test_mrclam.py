@@ -13,7 +13,9 @@ from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.estimator import EstimatorConfig, ImagePoints, JointFilter
+from landmark_nav.localization.estimator.config import EstimatorConfig
+from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.filter import JointFilter
 from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig, twist_motion
 from landmark_nav.localization.odometry.track import OdometryTrack

@@ -14,10 +14,11 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
-from landmark_nav.localization.relocalization import RelocalizationConfig, Relocalizer
 from landmark_nav.localization.relocalization.candidate_detections import (
     find_candidate_detections,
 )
+from landmark_nav.localization.relocalization.search import RelocalizationConfig
+from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.types import (
     CameraFrame,
     FloatArray,
@@ -264,7 +265,7 @@ def reported(frames):
         update = localizer.add_frame(frame)
         found = update.search if isinstance(update, LocalizationUpdate) else update
         places += isinstance(found, PoseEstimate)
-        statuses.append(localizer.status[0])
+        statuses.append(localizer.status()[0])
     return statuses, places
 
 

@@ -7,14 +7,15 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import bearings
-from landmark_nav.localization.triangulation import Fix, triangulate, TriangulationConfig
 from landmark_nav.localization.triangulation.model import (
     axis_from_base,
     base_from_axis,
     bearing_gradients,
     danger_distance,
+    Fix,
     triangulate_three,
 )
+from landmark_nav.localization.triangulation.robust import triangulate, TriangulationConfig
 from landmark_nav.types import PoseEstimate, Refusal
 
 LANDMARKS = np.array([[0.0, 1.0], [2.0, 4.0], [6.0, 3.0], [5.0, 0.0], [6.5, 1.0], [3.5, 4.4]])

@@ -14,20 +14,14 @@ import pytest
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Wall
-from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import axis_from_base
-from landmark_nav.localization.triplet import (
-    CameraState,
-    rank_triplets,
-    TripletConfig,
-    visible_landmarks,
-)
+from landmark_nav.localization.triangulation.robust import triangulate
 from landmark_nav.localization.triplet.look_around import (
     LookAround,
     LookAroundConfig,
     views_around,
 )
-from landmark_nav.localization.triplet.planning_scene import PanWindows, travel_s
+from landmark_nav.localization.triplet.planning_scene import CameraState, PanWindows, travel_s
 from landmark_nav.localization.triplet.ranking import LandmarkVisibility, Verdict
 from landmark_nav.localization.triplet.search import (
     best_triplets,
@@ -35,6 +29,8 @@ from landmark_nav.localization.triplet.search import (
     pair_tables,
     position_variance,
 )
+from landmark_nav.localization.triplet.selection import rank_triplets
+from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
 from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate, Refusal, Triplet
 
 WIDTH, DEPTH = 6.6, 4.4

@@ -8,7 +8,7 @@ from rendered_drives import camera_image, expected, MAP, MOUNT, START
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.localization.estimator import EstimatorConfig
+from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.image_stages import ImageStagesConfig
 from landmark_nav.localization.observer import Observer
 from landmark_nav.localization.relocalization.search import localize_within_prior

@@ -19,7 +19,7 @@ from landmark_nav.evaluation.figures.style import caption, mark, show, Strip, wi
 from landmark_nav.geometry.patches import observed_well
 from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.pipeline import LearningResult
-from landmark_nav.localization.triplet import TripletConfig
+from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.planning.planner import Plan
 from landmark_nav.planning.prediction import Forecast
 from landmark_nav.types import Landmark, LandmarkMap

@@ -34,7 +34,7 @@ from landmark_nav.learning.stereo.wall_patch import (
     wall_texture,
     WallPatch,
 )
-from landmark_nav.matching import blur_to, Match, match_template
+from landmark_nav.matching.alignment import blur_to, Match, match_template
 from landmark_nav.types import Candidate, FloatArray, Panorama, Refusal
 
 # Sigma of the Gaussian blur against noise, pixels.

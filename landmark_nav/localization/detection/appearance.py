@@ -20,7 +20,7 @@ import numpy as np
 
 from landmark_nav.arrays import Float32Array
 from landmark_nav.geometry.patches import PatchView
-from landmark_nav.matching import blur_to
+from landmark_nav.matching.alignment import blur_to
 from landmark_nav.types import FloatArray, Landmark
 
 # Sigmas of a view's weight: in the angle, and in the log of the ratio of distances.
@@ -58,47 +58,27 @@ def draw(
     """
     Render the expected appearance of landmarks in rectangles of the image.
 
-    Parameters
-    ----------
-    landmarks : sequence of Landmark
-        n landmarks.
-    viewer : ndarray, shape (3,)
-        Position of the camera in map.
-    rays : sequence of ndarray, shape (height, width, 2)
-        Rays of the pixels of each rectangle: x/z and y/z in the optical frame.
-    rays_to_patch : ndarray, shape (n, 3, 3)
-        Homographies from rays (x, y, 1) to metres on each patch.
+    `viewer` (3,) is the camera in map; `rays` (height, width, 2) are x/z and y/z in the optical
+    frame of the pixels of each rectangle, `rays_to_patch` (n, 3, 3) homographies from rays
+    (x, y, 1) to metres on each patch.
     """
-    # Each step is done for all landmarks at once, which is faster than landmark by landmark.
     shown = [
-        (k, *texture)
-        for k, landmark in enumerate(landmarks)
-        for texture in textures(landmark, viewer)
+        (k, *texture) for k, each in enumerate(landmarks) for texture in textures(each, viewer)
     ]
-    owner = [k for k, *_ in shown]
     to_texels = np.array([_to_texels(image, landmarks[k].width_m) for k, image, _ in shown])
-    texels = [
-        np.asarray(cv2.perspectiveTransform(rays[k], rays_to_texels), dtype=np.float32)
-        for k, rays_to_texels in zip(owner, to_texels @ rays_to_patch[owner], strict=True)
-    ]
-    steps = [_texels_a_pixel(each) for each in texels]
-    sources = [blur_to(image, step) for (_, image, _), step in zip(shown, steps, strict=True)]
-    parts = [
-        cv2.remap(  # type: ignore[call-overload]
-            source, each, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        for source, each in zip(sources, texels, strict=True)
-    ]
+    to_texels = to_texels @ rays_to_patch[[k for k, *_ in shown]]
     images = [np.zeros(each.shape[:2], np.float32) for each in rays]
-    squares = [[0.0, 0.0] for _ in rays]
-    for (k, _, share), part, (across, down) in zip(shown, parts, steps, strict=True):
+    squares = np.zeros((len(images), 2))
+    for (k, image, share), rays_to_texels in zip(shown, to_texels, strict=True):
+        texels = np.asarray(cv2.perspectiveTransform(rays[k], rays_to_texels), dtype=np.float32)
+        step = _texels_a_pixel(texels)
+        part = cv2.remap(  # type: ignore[call-overload]
+            blur_to(image, step), texels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
         cv2.scaleAdd(part, share, images[k], dst=images[k])
-        squares[k][0] += share * max(1.0 / across, 1.0) ** 2
-        squares[k][1] += share * max(1.0 / down, 1.0) ** 2
-    return [
-        Drawing(image, (math.sqrt(x), math.sqrt(y)))
-        for image, (x, y) in zip(images, squares, strict=True)
-    ]
+        squares[k] += [share * max(1.0 / each, 1.0) ** 2 for each in step]
+    finer = np.sqrt(squares).tolist()
+    return [Drawing(image, (x, y)) for image, (x, y) in zip(images, finer, strict=True)]
 
 
 def _to_texels(image: Float32Array, width_m: float) -> list[list[float]]:
@@ -118,16 +98,7 @@ def _texels_a_pixel(texels: Float32Array) -> tuple[float, float]:
 
 
 def textures(landmark: Landmark, viewer: FloatArray) -> list[Texture]:
-    """
-    Images to blend, with weights that sum to one.
-
-    Parameters
-    ----------
-    landmark : Landmark
-        The landmark; without `views` its patch is the only image.
-    viewer : ndarray, shape (3,)
-        Position of the camera in map.
-    """
+    """Images to blend for a camera at `viewer` (3,) in map, with weights that sum to one."""
     if not landmark.views:
         return [Texture(landmark.patch.astype(np.float32), 1.0)]
     angle, reach = _seen_from(landmark, viewer)
@@ -136,15 +107,10 @@ def textures(landmark: Landmark, viewer: FloatArray) -> list[Texture]:
     for _, its_angle, its_reach in views:
         farther = max(math.log(its_reach / reach), 0.0)
         misfit.append(((its_angle - angle) / _ASIDE_RAD) ** 2 + (farther / _FARTHER) ** 2)
-    best = min(misfit)
-    weight = [math.exp(0.5 * (best - m)) for m in misfit]
-    least = _LEAST_SHARE * sum(weight)
-    total = sum(w for w in weight if w >= least)
-    return [
-        Texture(image, w / total)
-        for (image, *_), w in zip(views, weight, strict=True)
-        if w >= least
-    ]
+    weight = [math.exp(0.5 * (min(misfit) - m)) for m in misfit]
+    kept = [(k, w) for k, w in enumerate(weight) if w >= _LEAST_SHARE * sum(weight)]
+    total = sum(w for _, w in kept)
+    return [Texture(views[k][0], w / total) for k, w in kept]
 
 
 @lru_cache(maxsize=4096)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
-from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -24,18 +23,18 @@ from landmark_nav.localization.detection.expectation import (
     DetectionConfig,
     expect,
     Expectation,
+    HALF_PIXEL,
     quadratic,
     View,
 )
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals
-from landmark_nav.matching import blur_by, blur_sigmas, Match, match_template, sigmas_of
+from landmark_nav.matching.alignment import blur_by, blur_sigmas, Match, match_template, sigmas_of
 from landmark_nav.types import Detections, FloatArray, Landmark, LandmarkMap, Refusal
 
 _SHARP = np.zeros(2)
 # Blur mixes the surroundings into a patch, which shifts matches by this share of its sigma
 # (measured: 0.03 to 0.04 in the study and in simulated rooms, at 1.5 and 3 pixels).
 _BLURRED_IN = 0.04
-_HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +42,10 @@ class DetectionResult:
     """
     Landmarks found in an image, and by id why the others were not.
 
-    `rays` (n, 3) to the landmarks found are in the optical frame; `blur_px2` (n, 2) is the
-    variance of the blur at each, relative to the images of the map. `heights` has all matches,
-    with those refused for their height. `expected` is where each landmark was searched, by id.
+    `rays` (n, 3, 3) are at the landmarks found, and half a pixel right of and below each;
+    `blur_px2` (n, 2) is the variance of the blur at each, relative to the images of the map.
+    `heights` has all matches, with those refused for their height. `expected` is where each
+    landmark was searched, by id.
     """
 
     detections: Detections
@@ -66,28 +66,23 @@ def detect_landmarks(
     """
     Find landmarks in an image.
 
-    Parameters
-    ----------
-    indices : ndarray of int, shape (n,)
-        Landmarks of the map to search: those expected in this view.
-    blur_px2 : ndarray, shape (2,)
-        Variance of the image's blur relative to the images of the map, across and down; negative
-        if the image is sharper.
+    `indices` (n,): landmarks of the map to search: those expected in this view. `blur_px2` (2,):
+    variance of the image's blur relative to the images of the map, across and down; negative if
+    the image is sharper.
     """
     refused: dict[int, Refusal] = {}
+    expected: dict[int, Expectation] = {}
     looked: list[Landmark] = []
-    places: list[Expectation] = []
-    for k, expected in zip(indices, expect(landmark_map, indices, view, config), strict=True):
+    for k, place in zip(indices, expect(landmark_map, indices, view, config), strict=True):
         landmark = landmark_map.landmarks[k]
-        if (refusal := expected.refusal(config.min_size_px)) is not None:
+        if (refusal := place.refusal(config.min_size_px)) is not None:
             refused[landmark.id] = refusal
         else:
             looked.append(landmark)
-            places.append(expected)
+            expected[landmark.id] = place
     found: list[_Found] = []
-    for landmark, match in zip(
-        looked, _detect(looked, places, view, config, blur_px2), strict=True
-    ):
+    matches = _detect(looked, list(expected.values()), view, config, blur_px2)
+    for landmark, match in zip(looked, matches, strict=True):
         if isinstance(match, Refusal):
             refused[landmark.id] = match
         else:
@@ -103,7 +98,7 @@ def detect_landmarks(
         }
         found, covariance = list(compress(found, ~wrong)), covariance[~wrong]
     uv = np.array([f.uv for f in found]).reshape(-1, 2)
-    rays = view.camera.unproject(uv[:, None] + _HALF_PIXEL)
+    rays = view.camera.unproject(uv[:, None] + HALF_PIXEL)
     bearing, variance = _bearings([f.landmark for f in found], rays, covariance, view)
     return DetectionResult(
         Detections(
@@ -116,10 +111,10 @@ def detect_landmarks(
             covariance_px2=covariance,
         ),
         refused,
-        rays[:, 0],
+        rays,
         blur_px2 + np.array([f.match.blur_px2 for f in found]).reshape(-1, 2),
         heights,
-        {landmark.id: place for landmark, place in zip(looked, places, strict=True)},
+        expected,
     )
 
 
@@ -142,16 +137,6 @@ def _detect(
     """Match the templates of landmarks."""
     if not landmarks:
         return []
-    width, height = view.camera.width, view.camera.height
-    windows = [
-        (
-            max(0, place.left - place.window[0]),
-            max(0, place.top - place.window[1]),
-            min(width, place.right + place.window[0] + 1),
-            min(height, place.bottom + place.window[1] + 1),
-        )
-        for place in expected
-    ]
     grid = view.camera.ray_grid
     drawings = draw(
         landmarks,
@@ -159,29 +144,25 @@ def _detect(
         [grid[place.top : place.bottom + 1, place.left : place.right + 1] for place in expected],
         np.array([place.ray_to_patch for place in expected]),
     )
-    # Of image and template, the sharper one is blurred to match the other.
-    blurs = [_blurs(drawing.finer, blur_px2) for drawing in drawings]
-    matches = [
-        match_template(
-            blur_by(view.grey[y0:y1, x0:x1].astype(np.float32), search_blur),
+    outcome: list[_Found | Refusal] = []
+    for landmark, place, drawing in zip(landmarks, expected, drawings, strict=True):
+        across, down = place.window
+        x0, y0 = max(0, place.left - across), max(0, place.top - down)
+        search = view.grey[y0 : place.bottom + down + 1, x0 : place.right + across + 1]
+        # Of image and template, the sharper one is blurred to match the other.
+        search_blur, template_blur = _blurs(drawing.finer, blur_px2)
+        match = match_template(
+            blur_by(search.astype(np.float32), search_blur),
             _inner(blur_by(drawing.image, template_blur), template_blur),
             min_score=landmark.threshold,
             max_second_ratio=config.max_second_ratio,
             search_blur=search_blur,
             edge=landmark.edge,
         )
-        for landmark, (x0, y0, x1, y1), drawing, (search_blur, template_blur) in zip(
-            landmarks, windows, drawings, blurs, strict=True
-        )
-    ]
-    outcome: list[_Found | Refusal] = []
-    for landmark, place, (x0, y0, *_), match in zip(
-        landmarks, expected, windows, matches, strict=True
-    ):
         if isinstance(match, Refusal):
             outcome.append(match)
             continue
-        middle = ((place.left + place.right) / 2.0 - x0, (place.top + place.bottom) / 2.0 - y0)
+        middle = (place.left + place.right) / 2.0 - x0, (place.top + place.bottom) / 2.0 - y0
         shift = match.xy - middle
         outcome.append(_Found(landmark, place.uv + shift, match, float(shift[1])))
     return outcome
@@ -191,8 +172,7 @@ def _blurs(
     finer: tuple[float, float], blur_px2: FloatArray
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Sigmas of the blurs that make search image and template equally sharp."""
-    finer_across, finer_down = blur_sigmas(finer)
-    across, down = finer_across**2 - blur_px2[0], finer_down**2 - blur_px2[1]
+    across, down = (np.square(blur_sigmas(finer)) - blur_px2).tolist()
     return sigmas_of(across, down), sigmas_of(-across, -down)
 
 
@@ -222,12 +202,7 @@ def _heights(
 def _bearings(
     landmarks: Sequence[Landmark], rays: FloatArray, covariance: FloatArray, view: View
 ) -> tuple[FloatArray, FloatArray]:
-    """
-    Bearings (n,) at the pan axis in the base frame, and their variances (n,).
-
-    `rays` (n, 3, 3) are those to the centre, and to half a pixel right of it and below it;
-    `covariance` (n, 2, 2) is that of the centre's pixel.
-    """
+    """Bearings (n,) at the pan axis in the base, and variances, by `rays` and pixel covariance."""
     if not landmarks:
         return np.empty(0), np.empty(0)
     directions = rays @ view.rotation.T
@@ -235,9 +210,7 @@ def _bearings(
     by_uv = 2.0 * wrap_rad(azimuth[:, 1:] - azimuth[:, :1])
     # The expected range transfers the bearing from the optical centre to the pan axis. Its error
     # matters little, as the two are close to each other.
-    position = np.array([k.position[:2] for k in landmarks])
-    away = position - view.center[:2]
-    reach = np.hypot(away[:, 0], away[:, 1])
+    reach = np.hypot(*(np.array([k.position[:2] for k in landmarks]) - view.center[:2]).T)
     toward = np.array([np.cos(azimuth[:, 0]), np.sin(azimuth[:, 0])]).T
     at_axis = view.center[:2] + reach[:, None] * toward - view.axis
     bearing = wrap_rad(np.arctan2(at_axis[:, 1], at_axis[:, 0]) - view.prior.pose[2])
@@ -271,7 +244,7 @@ def detect_blurred(
             # They may be missed because the image is sharp again.
             return result, 0.5 * blur_px2
         before = blur_px2
-        found = [median(part) for part in result.blur_px2.T.tolist()]
+        found = np.median(result.blur_px2, axis=0)
         blur_px2 = np.clip(found, _SHARPEST_PX2, _BLURRIEST_PX2)
         if np.abs(blur_px2 - before).max() < _SAME_PX2:
             break

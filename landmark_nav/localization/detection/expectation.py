@@ -45,6 +45,8 @@ class DetectionConfig(Config):
 
 # Least half width of a search window, pixels.
 LEAST_WINDOW_PX = 4
+# A pixel, and half a pixel right of it and below it, to differentiate the lens.
+HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
 NOT_LOOKED_FOR = _OUT_OF_VIEW, _TOO_SMALL = 'out of view', 'too small or cut off'
 
 
@@ -110,12 +112,8 @@ def expect(
     width, height = view.camera.width, view.camera.height
     # The largest upright rectangle inside the patch's quadrilateral, cut by the image.
     low, high = [u[:, 1], v[:, 1]], [u[:, 2], v[:, 2]]
-    corners = np.array(
-        [
-            np.ceil(np.maximum(low, 1.0)),
-            np.floor(np.minimum(high, [[width - 2.0], [height - 2.0]])),
-        ]
-    )
+    most = np.array([[width - 2.0], [height - 2.0]])
+    corners = np.array([np.ceil(np.maximum(low, 1.0)), np.floor(np.minimum(high, most))])
     # Points behind the camera have no pixels.
     corners[:, :, ~np.isfinite(pixels).all((1, 2))] = np.array([0.0, -1.0])[:, None, None]
     (left, top), (end_x, end_y) = corners.astype(int).tolist()
@@ -133,25 +131,21 @@ def _windows(
     reach = np.hypot(d[:, 0], d[:, 1])
     from_base = position[:, :2] - view.prior.pose[:2]
     by_pose = np.array([d[:, 1] / reach**2, -d[:, 0] / reach**2, -np.ones(len(d))]).T
-    across = by_pose[:, :2]
-    bearing_var = quadratic(by_pose, view.prior.covariance)
-    bearing_var += quadratic(across, covariance[:, :2, :2])
+    own = covariance[:, :2, :2]
+    bearing_var = quadratic(by_pose, view.prior.covariance) + quadratic(by_pose[:, :2], own)
     along = from_base / np.hypot(from_base[:, 0], from_base[:, 1])[:, None]
-    range_var = quadratic(along, view.prior.covariance[:2, :2])
-    range_var += quadratic(along, covariance[:, :2, :2])
+    range_var = quadratic(along, view.prior.covariance[:2, :2] + own)
     optical = d @ view.rotation
     aside = optical[:, 0] / optical[:, 2]
     sigma_u = view.camera.fx * (1.0 + aside**2) * np.sqrt(bearing_var)
     rise = np.abs(d[:, 2] / reach)
-    sigma_v = view.camera.fy * np.sqrt(
-        rise**2 * range_var / reach**2 + covariance[:, 2, 2] / reach**2
-    )
+    sigma_v = view.camera.fy * np.sqrt(rise**2 * range_var + covariance[:, 2, 2]) / reach
     # Off the optical axis an error of the bearing also moves landmarks vertically.
     sigma_v += np.abs(aside) * rise * sigma_u
     sigmas = np.array([sigma_u, np.hypot(sigma_v, config.vertical_sigma_px)]).T
     half = np.ceil(config.window_sigmas * sigmas + 2.0)
     window = np.clip(half, LEAST_WINDOW_PX, config.max_window_px)
-    return [(u, v) for u, v in window.astype(int).tolist()]
+    return list(map(tuple, window.astype(int).tolist()))
 
 
 def quadratic(rows: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.types import FloatArray
 
 # Sigma of the camera's height, m.
 _CAMERA_HEIGHT_SIGMA_M = 0.01
-
 # With fewer matches a wrong height cannot be distinguished from a wrong tilt.
 _LEAST_HEIGHTS = 3
 # Step of numerical differentiation, metres or radians.
@@ -73,14 +73,8 @@ class RowModel(NamedTuple):
         """
         Covariance (n, n) of the rows by errors of pose, camera height and points.
 
-        Parameters
-        ----------
-        pose_covariance : ndarray, shape (3, 3)
-            Covariance of the base's pose.
-        points : ndarray, shape (n, 3, 3)
-            Covariance of each point.
-        shared : ndarray, shape (n, 3, F)
-            Loadings of the shared map factors.
+        `points` (n, 3, 3) are total covariances, `shared` (n, 3, F) the loadings of what of them
+        is shared.
         """
         by_point = np.column_stack([-self.by_pose[:, :2], self.by_height])[:, None]
         by_shared = (by_point @ shared)[:, 0]
@@ -95,16 +89,9 @@ class RowResiduals(NamedTuple):
     """
     Residuals of the rows of matches in images of one camera.
 
-    Parameters
-    ----------
-    off_px : ndarray, shape (n,)
-        Rows found minus rows expected.
-    by_tilt_roll : ndarray, shape (n, 2)
-        Their derivatives by tilt and roll of the camera, px/rad.
-    covariance : ndarray, shape (n, n)
-        Covariance of `off_px` by all errors but tilt and roll.
-    points : ndarray, shape (n, 3)
-        Positions of the landmarks in map, metres.
+    `off_px` (n,) are rows found minus rows expected, with derivatives `by_tilt_roll` (n, 2) by
+    tilt and roll of the camera, px/rad, and the covariance (n, n) by all other errors; `points`
+    (n, 3) are the landmarks in map, metres.
     """
 
     off_px: FloatArray
@@ -115,15 +102,13 @@ class RowResiduals(NamedTuple):
     @staticmethod
     def joined(parts: Sequence[RowResiduals]) -> RowResiduals:
         """Combine the residuals of several images, with independent errors."""
-        off_px = np.concatenate([np.empty(0), *(part.off_px for part in parts)])
-        by_tilt_roll = np.concatenate([np.empty((0, 2)), *(part.by_tilt_roll for part in parts)])
-        points = np.concatenate([np.empty((0, 3)), *(part.points for part in parts)])
-        covariance = np.zeros((len(off_px), len(off_px)))
-        first = 0
-        for part in parts:
-            rows = slice(first, first := first + len(part.off_px))
-            covariance[rows, rows] = part.covariance
-        return RowResiduals(off_px, by_tilt_roll, covariance, points)
+        off_px, by_tilt_roll, covariances, points = zip(*parts, strict=True)
+        return RowResiduals(
+            np.concatenate(off_px),
+            np.concatenate(by_tilt_roll),
+            block_diag(*covariances),
+            np.concatenate(points),
+        )
 
     def wrong(self, tilt_roll_rad: float) -> npt.NDArray[np.bool_]:
         """Which matches (n,) are inconsistent with the others, for a sigma of tilt and roll."""
@@ -142,22 +127,11 @@ class RowResiduals(NamedTuple):
 
 def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.bool_]:
     """
-    Find the matches whose row in the image is inconsistent with the others.
+    Find the matches (n,) whose row in the image is inconsistent with the others.
 
     Errors of pose, tilt and roll are common to all, as `covariance` describes. The residual of a
     match given the others is its own error; the worst match is removed while it is too large
     (Baarda, A Testing Procedure for Use in Geodetic Networks, 1968).
-
-    Parameters
-    ----------
-    off_px : ndarray, shape (n,)
-        Rows found minus rows expected.
-    covariance : ndarray, shape (n, n)
-        Covariance of these differences.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
     """
     wrong = np.zeros(len(off_px), dtype=np.bool_)
     left = np.arange(len(off_px))

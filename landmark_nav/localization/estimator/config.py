@@ -103,12 +103,15 @@ class EstimatorConfig(Config):
     @property
     def knock(self) -> Step:
         """What is open after a knock: base and camera may have moved, and the joint delay."""
-        return self._base._replace(calibration=self._turned | self._late)
+        turned = dict.fromkeys(('axis_yaw', 'camera_roll', 'camera_tilt'), self.step_sigma_rad)
+        calibration = {**turned, 'joint_delay': self.step_sigma_s}
+        return Step(self.step_probability, self.step_sigma_m, self.step_sigma_rad, calibration)
 
     @property
     def zoom(self) -> Step:
         """The same, and the focal length changed."""
-        return self.knock._replace(calibration=self.knock.calibration | self._zoomed)
+        calibration = {**self.knock.calibration, 'focal_scale': self.step_sigma_focal}
+        return self.knock._replace(calibration=calibration)
 
     @property
     def steps(self) -> tuple[tuple[tuple[Step, ...], Step], ...]:
@@ -120,24 +123,10 @@ class EstimatorConfig(Config):
         if not self.step_probability:
             return ()
         slip = Step(self.slip_probability, self.slip_sigma_m, self.slip_sigma_rad, {})
-        camera = Step(self.step_probability, 0.0, 0.0, self._turned)
-        late = camera._replace(calibration=self._late)
-        zoom = Step(self.zoom_probability, 0.0, 0.0, self._zoomed)
-        knock = self._base, camera, late
-        return ((slip,), slip), (knock, self.knock), ((zoom,), self.zoom)
-
-    @property
-    def _base(self) -> Step:
-        return Step(self.step_probability, self.step_sigma_m, self.step_sigma_rad, {})
-
-    @property
-    def _turned(self) -> dict[str, float]:
-        return dict.fromkeys(('axis_yaw', 'camera_roll', 'camera_tilt'), self.step_sigma_rad)
-
-    @property
-    def _late(self) -> dict[str, float]:
-        return {'joint_delay': self.step_sigma_s}
-
-    @property
-    def _zoomed(self) -> dict[str, float]:
-        return {'focal_scale': self.step_sigma_focal}
+        turned, late = self.knock.calibration, {'joint_delay': self.step_sigma_s}
+        turned = {name: sigma for name, sigma in turned.items() if name not in late}
+        still = self.knock._replace(sigma_m=0.0, sigma_rad=0.0)
+        base = self.knock._replace(calibration={})
+        knock = base, still._replace(calibration=turned), still._replace(calibration=late)
+        focal = Step(self.zoom_probability, 0.0, 0.0, {'focal_scale': self.step_sigma_focal})
+        return ((slip,), slip), (knock, self.knock), ((focal,), self.zoom)

@@ -7,8 +7,8 @@ the linearisation.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,8 @@ from landmark_nav.localization.estimator.factors import (
     project,
     STATES,
 )
+from landmark_nav.localization.estimator.integrity import found_log_ratios, squared_norms
 from landmark_nav.localization.estimator.noise import DETECTION, learned
-from landmark_nav.localization.estimator.recognition import found_log_ratios
 from landmark_nav.localization.estimator.state import (
     information_of,
     MapErrors,
@@ -43,7 +43,6 @@ _WEIGHINGS, _SAME_WEIGHT = 10, 0.3
 _NO_INFORMATION = 1e6
 # Significance at which an image is surprising.
 _SURPRISE = 1e-3
-
 # Tangents from here on, at 0.01 deg from 90, leave no digits for the covariance.
 _MOST_TANGENT = 5e3
 
@@ -69,22 +68,14 @@ def corrected(
     new: npt.NDArray[np.bool_],
     pan_sigma_rad: float,
     freedom: float,
-) -> tuple[State, Update]:
+) -> tuple[Callable[[], State], Update]:
     """
-    Correct a state by the detections of an image.
+    Correct a state by the detections of an image; the new state is computed when it is called.
 
-    Parameters
-    ----------
-    state : State
-        Prediction, with own errors of all landmarks seen.
-    errors : MapErrors
-        Errors of the map.
-    new : ndarray of bool, shape (m,)
-        Landmarks that were not seen before: their own errors have the tail of the detections.
-    pan_sigma_rad : float
-        Noise of the pan joint, which all detections of an image share.
-    freedom : float
-        Degrees of freedom of the t distribution of detections; 0 means Gaussian.
+    `state`: prediction, with own errors of all landmarks seen. `new` (m,): landmarks that were not
+    seen before: their own errors have the tail of the detections. `pan_sigma_rad`: noise of the
+    pan joint, which all detections of an image share. `freedom`: degrees of freedom of the t
+    distribution of detections; 0 means Gaussian.
     """
     late = float(np.sqrt(state.covariance[DELAY, DELAY]))
     seen = replace(seen, delay_step_s=max(late, LEAST_STEP_S))
@@ -135,9 +126,7 @@ def corrected(
             others = np.linalg.inv(blocks)
             alone: FloatArray = (others @ pull.reshape(count, rows, 1))[..., 0]
             nominal = others - excess
-            squares = np.einsum(
-                'mi,mi->m', alone, np.linalg.solve(nominal, alone[..., None])[..., 0]
-            )
+            squares = squared_norms(alone, nominal)
             if not freedom:
                 break
             before, looser = looser, np.maximum((freedom + squares) / (freedom + rows), 1.0)
@@ -146,8 +135,7 @@ def corrected(
         widened, square = covariance, float(innovation @ pull)
         out = looser > 1.0 / OUTLIER
         if out.any():
-            # What is found elsewhere than the landmark has no information: in a wide window
-            # even its widened tail would.
+            # What is found elsewhere than the landmark has no information.
             behind = np.where(out, _NO_INFORMATION, behind)
             excess = tailed * (looser - 1.0 + behind)[:, None, None]
             covariance = _with_blocks(spread, noise + excess)
@@ -160,24 +148,6 @@ def corrected(
         mean, pan_error = after, turned
         if change < _CONVERGED:
             break
-    gain = with_state @ precision
-    # Joseph's form: an unknown pose leaves the gain few digits, whose errors then hardly matter.
-    corrected = gain @ (2.0 * with_state - gain @ covariance).T
-    # In place: the covariance is larger than the cache.
-    np.subtract(state.covariance, corrected, out=corrected)
-    symmetric = corrected + corrected.T
-    symmetric *= 0.5
-    # Parts of the covariance by each noise. Errors of landmarks and map are taken as their
-    # regression on the state and a rest, so that no more is by noise than there is.
-    by_acted = gain[:STATES]
-    acted = with_state[:STATES].T @ information_of(state.covariance[:STATES, :STATES])
-    of_noise = acted @ state.by_noise @ acted.T
-    detected = _with_blocks(np.zeros_like(spread), noise * looser[:, None, None])
-    of_noise[DETECTION] += detected
-    scales = learned(state.scales, innovation, covariance, of_noise)
-    left = np.eye(STATES) - by_acted @ acted
-    by_noise = left @ state.by_noise @ left.T
-    by_noise[DETECTION] += by_acted @ detected @ by_acted.T
     _, log_determinant = np.linalg.slogdet(widened)
     evidence = -0.5 * (square + log_determinant)
     if freedom:
@@ -186,7 +156,35 @@ def corrected(
     pulls = pull.reshape(count, rows, 1)
     columns = with_state[:3] @ precision
     separating = columns.reshape(3, count, rows).swapaxes(0, 1) @ others
-    update = Update(
+
+    def after_image() -> State:
+        gain = with_state @ precision
+        # Joseph's form: an unknown pose leaves the gain few digits, whose errors hardly matter.
+        corrected = gain @ (2.0 * with_state - gain @ covariance).T
+        # In place: the covariance is larger than the cache.
+        np.subtract(state.covariance, corrected, out=corrected)
+        symmetric = corrected + corrected.T
+        symmetric *= 0.5
+        # Parts of the covariance by each noise. Errors of landmarks and map are taken as their
+        # regression on the state and a rest, so that no more is by noise than there is.
+        by_acted = gain[:STATES]
+        acted = with_state[:STATES].T @ information_of(state.covariance[:STATES, :STATES])
+        of_noise = acted @ state.by_noise @ acted.T
+        detected = _with_blocks(np.zeros_like(spread), noise * looser[:, None, None])
+        of_noise[DETECTION] += detected
+        left = np.eye(STATES) - by_acted @ acted
+        by_noise = left @ state.by_noise @ left.T
+        by_noise[DETECTION] += by_acted @ detected @ by_acted.T
+        return replace(
+            state,
+            stamp_ns=max(state.stamp_ns, seen.stamp_ns),
+            mean=mean,
+            covariance=symmetric,
+            by_noise=by_noise,
+            scales=learned(state.scales, innovation, covariance, of_noise),
+        )
+
+    return after_image, Update(
         seen.stamp_ns,
         seen.columns,
         alone,
@@ -194,28 +192,11 @@ def corrected(
         1.0 / (looser + behind),
         found_log_ratios(alone, nominal),
         float(evidence),
-        square > _surprise(count * rows),
+        bool(square > chdtri(count * rows, _SURPRISE)),
         False,
         -(separating @ pulls)[..., 0],
         separating @ columns.reshape(3, count, rows).transpose(1, 2, 0),
     )
-    return (
-        replace(
-            state,
-            stamp_ns=max(state.stamp_ns, seen.stamp_ns),
-            mean=mean,
-            covariance=symmetric,
-            by_noise=by_noise,
-            scales=scales,
-        ),
-        update,
-    )
-
-
-@lru_cache
-def _surprise(count: int) -> float:
-    """Chi-square limit of an image with this number of measurements."""
-    return float(chdtri(count, _SURPRISE))
 
 
 def _with_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:

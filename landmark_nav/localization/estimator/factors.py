@@ -31,58 +31,58 @@ STATES = CALIBRATION + len(NAMES)
 _AXIS, _RPY, CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
 ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, _, DELAY = range(CALIBRATION + 9, STATES)
 YAW = _RPY + 2
-
 # Least depth of a visible point, m.
 _LEAST_DEPTH_M = 0.05
 # Greatest angle between a bearing and the optical axis.
 _WIDEST_RAD = 1.0
 # Least step of the derivative of the pan by time, s: over a shorter one noise dominates.
 LEAST_STEP_S = 0.02
-# Half a pixel in each direction, to differentiate the lens.
-_HALF_PIXEL = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
+
+
+def image_points(
+    uv_px: FloatArray,
+    covariance_px2: FloatArray,
+    camera: CameraModel,
+    known: CameraModel,
+    rays: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """
+    Normalised image coordinates (m, 2) of pixels, their covariances, and `ImagePoints.by_lens`.
+
+    The lens bends rays by how far they are off the axis. That is removed with the lens that is
+    `known` by now, and a linear model of others, so that points do not depend on what is known.
+    `rays` (m, 3, 3) are its rays at the pixels with `HALF_PIXEL` added.
+    """
+    rays = rays[..., :2]
+    scale, shift = known.fx / camera.fx - 1.0, (known.cx - camera.cx) / camera.fx
+    k1 = known.coefficients[0] - camera.coefficients[0]
+    bent = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2) * [known.fx, known.fy]
+    seen = (uv_px - [known.cx, known.cy]) / [known.fx, known.fy]
+    by_focal = rays[:, 0] - (bent @ seen[..., None])[..., 0]
+    by_k1 = -(bent @ known.by_distortion(rays[:, 0])[..., None])[..., 0]
+    by_lens = np.stack([by_focal, [1.0, 0.0] - bent[..., 0], by_k1], -1)
+    points = (1.0 + scale) * rays[:, 0] + [shift, 0.0] - by_lens @ [scale, shift, k1]
+    by_uv = bent / [camera.fx, camera.fy]
+    return points, by_uv @ covariance_px2 @ by_uv.swapaxes(1, 2), by_lens
 
 
 @dataclass(frozen=True, eq=False)
 class ImagePoints:
     """
-    Landmarks found in one image.
+    Landmarks found in one image, by `columns` (m,) of the map.
 
-    Parameters
-    ----------
-    stamp_ns : int
-        Time of the image.
-    columns : ndarray of int, shape (m,)
-        Their indices in the map.
-    points : ndarray, shape (m, 2)
-        Normalised image coordinates.
-    covariance : ndarray, shape (m, 2, 2)
-        Covariance of each point.
-    pan_rad : ndarray, shape (m,)
-        Measured pan.
-    tilt_rad : float
-        Measured tilt.
-    pan_rate_rad_s, pan_sigma_rad : float
-        Rate of the pan, and the sigma of the measured pan, an error that all points share.
-    pan_track : PanTrack, optional
-        Pan around the stamp; without it the rate is used.
-    rows : bool
-        Whether y/z is measured; not for bearings.
-    missed : ndarray of int, shape (k,)
-        Landmarks that should be in view and were not found.
-    delay_step_s : float
-        Step of the derivative by the delay, during which the pan may begin to turn.
-    near : ndarray, shape (3,), optional
-        Pose of the base by the image itself, if the prior was uncertain: the first linearization
-        point, not a measurement.
-    sizes : ndarray, shape (m, 2), optional
-        Width and height of the templates: one of a wrong scale fits at any of its points.
-    by_lens : ndarray, shape (m, 2, 3), optional
-        Derivatives of the undistorted points of given pixels by focal scale, principal point and
-        distortion; `points` are linearly extrapolated to the lens of camera_info.
-    moved_back : ndarray, shape (3,)
-        Pose of the base when the image was taken, in the base at the stamp.
-    lost : bool
-        Whether the pose was lost before: then no step is assumed, as another place is likelier.
+    `points` (m, 2) are normalised image coordinates with their covariance (m, 2, 2), seen at
+    measured `pan_rad` (m,) and `tilt_rad`. All share an error of the pan with `pan_sigma_rad`;
+    `pan_track` is the pan around the stamp, without it `pan_rate_rad_s` is used. `rows` is whether
+    y/z is measured; not for bearings. `missed` (k,) should be in view and were not found. The pan
+    may begin to turn during `delay_step_s`, the step of the derivative by the delay. `near` (3,)
+    is the pose of the base by the image itself, if the prior was uncertain: the first
+    linearization point, not a measurement. `sizes` (m, 2) are width and height of the templates:
+    one of a wrong scale fits at any of its points. `by_lens` (m, 2, 3) are derivatives of the
+    undistorted points of given pixels by focal scale, principal point and distortion; `points` are
+    linearly extrapolated to the lens of camera_info. `moved_back` (3,) is the pose of the base
+    when the image was taken, in the base at the stamp. If the pose was `lost` before, no step is
+    assumed, as another place is likelier.
     """
 
     stamp_ns: int
@@ -106,44 +106,6 @@ class ImagePoints:
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self.columns)
-
-    @classmethod
-    def of_pixels(
-        cls,
-        stamp_ns: int,
-        columns: IndexArray,
-        uv_px: FloatArray,
-        covariance_px2: FloatArray,
-        camera: CameraModel,
-        pan_rad: float,
-        known: CameraModel | None = None,
-    ) -> ImagePoints:
-        """
-        Return those of pixels (m, 2) with covariances (m, 2, 2) in a calibrated camera.
-
-        The lens bends rays by how far they are off the axis. That is removed with the lens that
-        is `known` by now, and a linear model of others, so that points do not depend on what is
-        known.
-        """
-        known = known or camera
-        rays = known.unproject(uv_px[:, None] + _HALF_PIXEL)[..., :2]
-        scale, shift = known.fx / camera.fx - 1.0, (known.cx - camera.cx) / camera.fx
-        k1 = known.coefficients[0] - camera.coefficients[0]
-        bent = 2.0 * (rays[:, 1:] - rays[:, :1]).swapaxes(1, 2) * [known.fx, known.fy]
-        seen = (uv_px - [known.cx, known.cy]) / [known.fx, known.fy]
-        by_focal = rays[:, 0] - (bent @ seen[..., None])[..., 0]
-        by_k1 = -(bent @ known.by_distortion(rays[:, 0])[..., None])[..., 0]
-        by_lens = np.stack([by_focal, [1.0, 0.0] - bent[..., 0], by_k1], -1)
-        points = (1.0 + scale) * rays[:, 0] + [shift, 0.0] - by_lens @ [scale, shift, k1]
-        by_uv = bent / [camera.fx, camera.fy]
-        return cls(
-            stamp_ns,
-            columns,
-            points,
-            by_uv @ covariance_px2 @ by_uv.swapaxes(1, 2),
-            np.full(len(columns), pan_rad),
-            by_lens=by_lens,
-        )
 
     @classmethod
     def of_bearings(
@@ -341,14 +303,9 @@ def moved(state: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray, Fl
     """
     Return the state (CALIBRATION,) after a motion that the wheels measured, with its derivatives.
 
-    Returns
-    -------
-    mean : ndarray, shape (CALIBRATION,)
-        Predicted state, with the motion corrected by the errors of the odometry.
-    by_state : ndarray, shape (CALIBRATION, CALIBRATION)
-        Derivative by the state.
-    by_motion : ndarray, shape (3, 3)
-        Derivative of the pose by the motion.
+    Returns `mean` (CALIBRATION,): predicted state, with the motion corrected by the errors of the
+    odometry; `by_state` (CALIBRATION, CALIBRATION): derivative by the state; `by_motion` (3, 3):
+    derivative of the pose by the motion.
     """
     forward, left, turn = motion.increment.tolist()
     x, y, heading = state[:3].tolist()

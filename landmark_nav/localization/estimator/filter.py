@@ -9,8 +9,10 @@ little of it is left. So repeated detections never make the pose more certain th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -39,13 +41,13 @@ from landmark_nav.localization.estimator.factors import (
     TURN_LOSS,
     YAW,
 )
+from landmark_nav.localization.estimator.integrity import chance_log_evidence, MISSED
 from landmark_nav.localization.estimator.noise import (
     FLOOR,
     NOISES,
     NoiseScales,
     SLIP_NOISE,
 )
-from landmark_nav.localization.estimator.recognition import chance_log_evidence, MISSED
 from landmark_nav.localization.estimator.state import MapErrors, OUTLIER, State, Update
 from landmark_nav.localization.odometry.noise import (
     blind_variances,
@@ -72,7 +74,7 @@ _OPEN_RAD = 0.02
 _EXCLUDED = float(np.log(0.01))
 # Sigmas of an unknown pose, m and rad.
 _ANYWHERE = (3.0, 3.0, 2.0)
-_DRIFTING = slice(SCALE, SLIP)
+_TILTS, _DRIFTING = [FLOOR_TILT, FLOOR_TILT + 1], slice(SCALE, SLIP)
 _CALIBRATED = np.arange(CALIBRATION, STATES)
 # Sigma of what is given as exact, in m, rad, 1 or s: so that images show what they would change.
 _EXACT = 1e-6
@@ -81,37 +83,35 @@ _HARDLY_SHOWN = 3.0
 
 
 class _Hypothesis(NamedTuple):
-    """
-    What may have happened before an image: the prediction, the estimate, and its evidence.
-
-    `moved` says whether new landmarks are on an object that was moved since learning.
-    """
+    """What may have happened before an image: prediction, estimate, evidence."""
 
     prior: State
-    after: State
+    after: Callable[[], State]
     update: Update
-    moved: bool = False
+    moved: bool = False  # whether new landmarks are on an object that was moved since learning
+
+
+def _continued(
+    new: State, mean: FloatArray, covariance: FloatArray, by_noise: FloatArray, before: State
+) -> State:
+    """Return a new state with these moments, and what was learned of noise and prior before."""
+    return replace(
+        new, mean=mean, covariance=covariance, by_noise=by_noise,
+        scales=before.scales, corrections=before.corrections,
+    )  # fmt: skip
+
+
+def _passed_over(state: State, seen: ImagePoints) -> State:
+    """Return the state after an image that is not used."""
+    return replace(state, stamp_ns=max(state.stamp_ns, seen.stamp_ns))
 
 
 class JointFilter:
     """
     Estimates pose and calibration of the robot from odometry and detections.
 
-    Parameters
-    ----------
-    landmark_map : LandmarkMap
-        Positions, own covariances and shared factors.
-    calibration : Calibration
-        Prior of the mount, lens and clocks.
-    start : PoseEstimate
-        Pose of the base in map, with its covariance.
-    config : EstimatorConfig
-        Noise of floor, map and mount.
-
-    Attributes
-    ----------
-    predicted : State
-        Prediction before the last image.
+    `calibration` is the prior, `start` the pose of the base in map. `state` may be set to an
+    earlier one; `predicted` is the prediction before the last image.
     """
 
     def __init__(
@@ -132,10 +132,8 @@ class JointFilter:
         variances = np.ones(self._fixed)
         variances[FLOOR_TILT:SCALE] = floor_tilt**2
         variances[SCALE:SLIP] = wheels.bias_sigmas**2
-        variances[SLIP], variances[TURN_LOSS] = (
-            wheels.slip_m_per_rad**2,
-            wheels.turn_loss_sigma_m_per_rad**2,
-        )
+        variances[SLIP] = wheels.slip_m_per_rad**2
+        variances[TURN_LOSS] = wheels.turn_loss_sigma_m_per_rad**2
         mean, covariance = np.zeros(self._fixed), np.diag(variances)
         mean[:3], covariance[:3, :3] = start.pose, start.covariance
         mean[CALIBRATION:STATES] = calibration.values
@@ -148,24 +146,24 @@ class JointFilter:
             covariance[STATES:, CALIBRATION:STATES] = shared.T
         by_noise = np.zeros((NOISES, STATES, STATES))
         by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_m_per_rad**2
-        by_noise[FLOOR, [FLOOR_TILT, FLOOR_TILT + 1], [FLOOR_TILT, FLOOR_TILT + 1]] = floor_tilt**2
+        by_noise[FLOOR, _TILTS, _TILTS] = floor_tilt**2
         none, nothing = np.empty(0, dtype=np.intp), np.empty((0, 3, 3))
         scales = NoiseScales.unknown(self._config.learning_sigma)
-        self._state = State(
+        self.state = State(
             start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0), nothing
         )
-        self.predicted = self._state
+        self.predicted = self.state
 
     @property
     def estimate(self) -> PoseEstimate:
         """Pose of the base in map."""
-        state = self._state
+        state = self.state
         return PoseEstimate(state.stamp_ns, state.mean[:3].copy(), state.covariance[:3, :3].copy())
 
     @property
     def expectation(self) -> Expectation:
         """Expected pose in an image of this time, with the covariance that its search needs."""
-        state = self._state
+        state = self.state
         pose = compose(state.mean[:3], state.moved_back)
         axis = [*state.mean[CALIBRATION : CALIBRATION + 2], 0.0]
         by_base, _ = compose_jacobians(state.mean[:3], state.moved_back)
@@ -179,17 +177,18 @@ class JointFilter:
         tilt = float(np.sqrt(max(state.covariance[np.ix_(which, which)].sum(), 0.0)))
         return Expectation(state.stamp_ns, pose, covariance, self.calibration, tilt)
 
+    def _with(self, state: State) -> JointFilter:
+        other = copy(self)
+        other.state = other.predicted = state
+        return other
+
     def stepped(self) -> JointFilter:
         """Return the filter where base, camera or joint delay may have changed."""
-        other = copy(self)
-        other._state = self._stepped(self._state, self._config.knock)
-        return other
+        return self._with(self._stepped(self.state, self._config.knock))
 
     def with_lens(self, given: Calibration) -> JointFilter:
         """Return the filter where the lens is as in `given`."""
-        prior = self._prior.with_lens(given)
-        other, state = copy(self), self._state
-        other._prior = prior
+        prior, state = self._prior.with_lens(given), self.state
         lens = np.isin(NAMES, LENS)
         rows = CALIBRATION + np.flatnonzero(lens)
         mean, covariance, by_noise = (
@@ -200,9 +199,12 @@ class JointFilter:
         mean[rows] = prior.values[lens]
         covariance[rows, rows] = np.maximum(prior.sigmas[lens], _EXACT) ** 2
         corrections = np.where(lens, 0.0, state.corrections)
-        other._state = other.predicted = replace(
-            state, mean=mean, covariance=covariance, by_noise=by_noise, corrections=corrections
+        other = self._with(
+            replace(
+                state, mean=mean, covariance=covariance, by_noise=by_noise, corrections=corrections
+            )
         )
+        other._prior = prior
         return other
 
     def placed(self, start: PoseEstimate, pan_rate_rad_s: float | None = None) -> JointFilter:
@@ -213,7 +215,7 @@ class JointFilter:
         found, turning at this rate to the left, are correlated with those of mount and delay.
         """
         other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
-        mine, new = self._state, other._state
+        mine, new = self.state, other.state
         mean, covariance = new.mean.copy(), new.covariance.copy()
         kept = slice(SCALE, self._fixed)
         mean[kept] = mine.mean[kept]
@@ -238,26 +240,18 @@ class JointFilter:
         by_kept[:3] = by_mount[:, : STATES - SCALE]
         by_noise = by_kept @ mine.by_noise[:, SCALE:, SCALE:] @ by_kept.T
         by_noise[FLOOR] += new.by_noise[FLOOR]
-        other._state = replace(
-            new, mean=mean, covariance=covariance, by_noise=by_noise, scales=mine.scales,
-            corrections=mine.corrections,
-        )  # fmt: skip
-        return other
+        return other._with(_continued(new, mean, covariance, by_noise, mine))
 
     def on_map(self, landmark_map: LandmarkMap) -> JointFilter:
         """Return the filter of the same robot at the same pose, with other landmarks."""
         other = JointFilter(
             landmark_map, self.calibration, self.estimate, self._config, self._odometry
         )
-        mine, new = self._state, other._state
+        mine, new = self.state, other.state
         mean, covariance = new.mean.copy(), new.covariance.copy()
         mean[:STATES] = mine.mean[:STATES]
         covariance[:STATES, :STATES] = mine.covariance[:STATES, :STATES]
-        other._state = replace(
-            new, mean=mean, covariance=covariance, by_noise=mine.by_noise, scales=mine.scales,
-            corrections=mine.corrections,
-        )  # fmt: skip
-        return other
+        return other._with(_continued(new, mean, covariance, mine.by_noise, mine))
 
     @property
     def calibration(self) -> Calibration:
@@ -266,8 +260,8 @@ class JointFilter:
         free = prior.sigmas > 0.0
         return replace(
             prior,
-            values=np.where(free, self._state.mean[mine], prior.values),
-            covariance=np.where(np.outer(free, free), self._state.covariance[mine, mine], 0.0),
+            values=np.where(free, self.state.mean[mine], prior.values),
+            covariance=np.where(np.outer(free, free), self.state.covariance[mine, mine], 0.0),
             by_map=None,
         )
 
@@ -277,10 +271,9 @@ class JointFilter:
         Quantity of the prior that images contradict most, and by how many sigmas.
 
         Corrections by images are independent, and each has the variance by which it decreased
-        that of the quantity: their sum tests the prior, however small its sigma is. What images
-        hardly show is left out.
+        that of the quantity: their sum tests the prior. What images hardly show is left out.
         """
-        shift, variance = self._state.corrections
+        shift, variance = self.state.corrections
         prior = np.maximum(np.diag(self._prior.covariance), _EXACT**2)
         shown = variance > prior**2 / (prior + np.square(_HARDLY_SHOWN * DEFAULT_SIGMAS))
         sigmas = np.where(shown, np.abs(shift), 0.0) / np.sqrt(np.where(shown, variance, 1.0))
@@ -290,40 +283,26 @@ class JointFilter:
     @property
     def landmarks(self) -> FloatArray:
         """Current estimates (n, 3) of the positions of the map's landmarks."""
-        state = self._state
+        state = self.state
         found = self._errors.positions + self._errors.loadings @ state.mean[STATES : self._fixed]
         found[state.landmarks] += state.mean[self._fixed :].reshape(-1, 3)
         return np.asarray(found)
 
-    @property
-    def noise_factors(self) -> FloatArray:
-        """Factors on the variances of way, turns, slip, floor and detections, (NOISES,)."""
-        return self._state.scales.factors
-
-    @property
-    def snapshot(self) -> State:
-        """The complete state, for `restore`."""
-        return self._state
-
-    def restore(self, snapshot: State) -> None:
-        """Return to a snapshot."""
-        self._state = snapshot
-
     def look_back(self, track: OdometryTrack) -> None:
         """Take note of the motion of the base since an image of this time was taken."""
         if late_s := self._prior.base.image_delay_s:
-            back = track.motion_back(self._state.stamp_ns, late_s)
-            self._state = replace(self._state, moved_back=back)
+            back = track.motion_back(self.state.stamp_ns, late_s)
+            self.state = replace(self.state, moved_back=back)
 
     def mark(self) -> None:
         """Restart `carried`, the derivative by the present state."""
-        self._state = replace(self._state, carried=np.eye(CALIBRATION))
+        self.state = replace(self.state, carried=np.eye(CALIBRATION))
 
     def forget_pose(self) -> None:
         """Widen the covariance of the pose to a large room."""
-        covariance = self._state.covariance.copy()
+        covariance = self.state.covariance.copy()
         covariance[:3, :3] += np.diag(np.square(_ANYWHERE))
-        self._state = replace(self._state, covariance=covariance)
+        self.state = replace(self.state, covariance=covariance)
 
     def kept(self, way_m: float) -> float:
         """Share of a landmark's own error that is left after a way."""
@@ -331,30 +310,28 @@ class JointFilter:
 
     def move(self, stamp_ns: int, motion: Motion) -> None:
         """Predict by odometry."""
-        state, wheels, config = self._state, self._odometry, self._config
+        state, wheels, config = self.state, self._odometry, self._config
         way = float(np.hypot(motion.increment[0], motion.increment[1]))
         scales = state.scales.moved(way)
         factors = scales.factors
         head, by_state, by_motion = moved(state.mean, motion)
         head[2] = wrap_rad(head[2])
-        slips, floor_tilts = np.exp(
-            -way / np.array([wheels.slip_length_m, config.floor_tilt_length_m])
-        ).tolist()
+        lengths = np.array([wheels.slip_length_m, config.floor_tilt_length_m])
+        slips, floor_tilts = np.exp(-way / lengths).tolist()
         head[SLIP] *= slips
         head[FLOOR_TILT:SCALE] *= floor_tilts
         by_state[SLIP, SLIP] = slips
-        by_state[FLOOR_TILT, FLOOR_TILT] = by_state[FLOOR_TILT + 1, FLOOR_TILT + 1] = floor_tilts
+        by_state[_TILTS, _TILTS] = floor_tilts
         by_noise = state.by_noise.copy()
         by_noise[:, :CALIBRATION] = by_state @ by_noise[:, :CALIBRATION]
         by_noise[:, :, :CALIBRATION] = by_noise[:, :, :CALIBRATION] @ by_state.T
         added = np.zeros((NOISES, CALIBRATION, CALIBRATION))
         sensed = factors[:SLIP_NOISE, None] * sensed_variances(motion, wheels)
         added[:SLIP_NOISE, :3, :3] = (by_motion * sensed[:, None]) @ by_motion.T
-        added[SLIP_NOISE, SLIP, SLIP] = (
-            factors[SLIP_NOISE] * slip_variance(motion, wheels) * (1.0 - slips**2)
-        )
+        slip = factors[SLIP_NOISE] * slip_variance(motion, wheels) * (1.0 - slips**2)
+        added[SLIP_NOISE, SLIP, SLIP] = slip
         floor = factors[FLOOR] * config.floor_tilt_sigma_rad**2 * (1.0 - floor_tilts**2)
-        added[FLOOR, [FLOOR_TILT, FLOOR_TILT + 1], [FLOOR_TILT, FLOOR_TILT + 1]] = floor
+        added[FLOOR, _TILTS, _TILTS] = floor
         by_noise[:, :CALIBRATION, :CALIBRATION] += added
         covariance = state.covariance.copy()
         covariance[:CALIBRATION] = by_state @ covariance[:CALIBRATION]
@@ -369,7 +346,7 @@ class JointFilter:
         covariance[_DRIFTING, _DRIFTING] += np.diag(wander)
         mean = state.mean.copy()
         mean[:CALIBRATION] = head
-        self._state = replace(
+        self.state = replace(
             state,
             stamp_ns=stamp_ns,
             mean=mean,
@@ -389,19 +366,18 @@ class JointFilter:
         map, and second detections of a landmark.
         """
         seen = usable(seen, len(self._errors.positions))
-        seen = replace(seen, moved_back=self._state.moved_back)
+        seen = replace(seen, moved_back=self.state.moved_back)
         if not len(seen):
-            self._state = replace(self._state, stamp_ns=max(self._state.stamp_ns, seen.stamp_ns))
-            self.predicted = self._state
+            self.state = self.predicted = _passed_over(self.state, seen)
             return Update.of_nothing(seen)
-        prior = self._with_landmarks(self._elapsed(self._state), seen.columns)
-        new = ~(seen.columns[:, None] == self._state.landmarks).any(axis=1)
+        prior = self._with_landmarks(self._elapsed(self.state), seen.columns)
+        new = ~(seen.columns[:, None] == self.state.landmarks).any(axis=1)
         expected = hypothesis = _Hypothesis(prior, *self._corrected(prior, seen, new))
         if not seen.lost and expected.update.surprising:
             hypothesis = self._likeliest(expected, seen, new)
         elif not seen.lost and np.count_nonzero(new) >= _WITNESSES:
             hypothesis = self._perhaps_moved(expected, seen, new)
-        prior, after, update, moved = hypothesis
+        prior, correct, update, moved = hypothesis
         # What chance explains as well, in windows that large, must not move the pose.
         unused = update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0 or (
             expected.update.surprising
@@ -409,13 +385,14 @@ class JointFilter:
             < chance_log_evidence(expected.update.residual, expected.update.covariance)
         )
         if unused:
-            after, update = replace(prior, stamp_ns=after.stamp_ns), update.unused
-        elif not moved:
+            correct, update = partial(_passed_over, prior, seen), update.unused
+        after = correct()
+        if not (unused or moved):
             after = self._doubting(after, update, new)
         if unused or moved:
             # The image says nothing of its new landmarks, which stay new.
             after = after.only(~np.isin(after.landmarks, seen.columns[new]))
-        self._state, self.predicted = after if unused else after.corrected_from(prior), prior
+        self.state, self.predicted = after if unused else after.corrected_from(prior), prior
         return update
 
     def _likeliest(
@@ -447,7 +424,7 @@ class JointFilter:
             if np.count_nonzero(update.weight[new] > _INLIER) >= _WITNESSES:
                 evidence = self._config.moved_log_odds + update.log_evidence
                 update = update._replace(log_evidence=evidence)
-                others, after = seen.chosen(~new), replace(prior, stamp_ns=expected.after.stamp_ns)
+                others, after = seen.chosen(~new), partial(_passed_over, prior, seen)
                 if len(others):
                     after, _ = self._corrected(prior, others, new[~new])
                 hypotheses.append(_Hypothesis(prior, after, update, moved=True))
@@ -465,11 +442,7 @@ class JointFilter:
     def _perhaps_moved(
         self, expected: _Hypothesis, seen: ImagePoints, new: npt.NDArray[np.bool_]
     ) -> _Hypothesis:
-        """
-        Return the hypothesis where new landmarks moved together as far as the image leaves open.
-
-        The variance of their common motion is the mean over both cases.
-        """
+        """New landmarks moved together; the variance of that is the mean over both cases."""
         columns, config = seen.columns[new], self._config
         moved = self._displaced(expected.prior, columns, config.moved_sigma_m**2)
         evidence = self._corrected(moved, seen, new)[1].log_evidence
@@ -478,16 +451,11 @@ class JointFilter:
         return _Hypothesis(prior, *self._corrected(prior, seen, new))
 
     def _doubting(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
-        """
-        Return the state with wider own errors of new landmarks that were found to be off.
-
-        Own errors have the tail of the detections: what is off by itself stays off, image after
-        image, where one detection would not. An outlier says nothing of its landmark, which stays
-        new.
-        """
+        """Return the state with wider own errors of new landmarks that are found to be off."""
         looser = 1.0 / update.weight[new]
         if not (looser > 1.0).any():
             return state
+        # An outlier says nothing of its landmark, which stays new.
         columns, out = update.columns[new], update.weight[new] <= OUTLIER
         state = state.only(~np.isin(state.landmarks, columns[out]))
         columns, wider = columns[~out], looser[~out] - 1.0
@@ -502,7 +470,7 @@ class JointFilter:
 
     def _corrected(
         self, state: State, seen: ImagePoints, new: npt.NDArray[np.bool_]
-    ) -> tuple[State, Update]:
+    ) -> tuple[Callable[[], State], Update]:
         pan_sigma_rad = self._prior.base.pan_sigma_rad
         return corrected(state, seen, self._errors, new, pan_sigma_rad, self._config.tail_freedom)
 

@@ -19,9 +19,54 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, ndtri
 
-from landmark_nav.localization.estimator.recognition import MISSED
 from landmark_nav.localization.estimator.state import Update
 from landmark_nav.types import FloatArray, PoseEstimate
+
+# Rates: of false detections with a right pose; of landmarks in view that are found with a right
+# pose, and by chance with a wrong one.
+_WRONG, _FOUND, _BY_CHANCE = 0.1, 0.8, 0.15
+# Half width of the window in which chance matches are uniform: in sigmas, and at least this angle.
+_WINDOW_SIGMAS, _LEAST_WINDOW = 3.0, 0.02
+# Log likelihood ratio of a landmark that is not found: right pose against wrong pose.
+MISSED = float(np.log((1.0 - _FOUND) / (1.0 - _BY_CHANCE)))
+
+
+def squared_norms(residual: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Squared Mahalanobis norms (m,) of residuals (m, d) with covariances (m, d, d)."""
+    weighted = np.linalg.solve(covariance, residual[..., None])[..., 0]
+    return np.asarray(np.einsum('mi,mi->m', residual, weighted))
+
+
+def found_log_ratios(residual: FloatArray, covariance: FloatArray) -> FloatArray:
+    """
+    Log likelihood ratio (m,) of each landmark that is found: right pose against wrong pose.
+
+    `residual` (m, d) is measured minus expected, `covariance` (m, d, d) that of each.
+    """
+    area = np.prod(2.0 * _windows(covariance), axis=1)
+    density = np.exp(-0.5 * np.minimum(squared_norms(residual, covariance), 1e3))
+    density /= np.sqrt(np.linalg.det(2.0 * np.pi * covariance))
+    return np.asarray(
+        np.log((1.0 - _WRONG) * density * area + _WRONG) + np.log(_FOUND / _BY_CHANCE)
+    )
+
+
+def chance_log_evidence(residual: FloatArray, covariance: FloatArray) -> float:
+    """
+    Log evidence of an image whose landmarks were all found by chance, in the widest window of all.
+
+    As in `Update.log_evidence`, the powers of 2 pi of normal densities are left out.
+    """
+    half = np.maximum(_windows(covariance), np.abs(residual)).max(axis=0)
+    each = np.log(_WRONG) - np.sum(np.log(2.0 * half)) + 0.5 * len(half) * np.log(2.0 * np.pi)
+    return float(len(residual) * each)
+
+
+def _windows(covariance: FloatArray) -> FloatArray:
+    """Half sizes (m, d) of the windows for covariances (m, d, d)."""
+    sigmas = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return np.maximum(_WINDOW_SIGMAS * sigmas, _LEAST_WINDOW)
+
 
 # Greatest contributions of one detection and of all misses of an image, which share causes, nats.
 _MOST, _MOST_MISSED = 2.0, 2.0
@@ -32,7 +77,6 @@ _BOUND, _AT_ONCE, _LOST, _AGAINST = 8.0, 4.0, -4.0, -2.0
 _BLIND_S = 1.0
 # Sigmas above which a pose is lost, and a heading degraded.
 _LOST_M, _LOST_RAD, _DEGRADED_RAD = 1.0, 0.5, 0.02
-
 _RISK = 0.01
 # Probability that a given landmark of an image is wrong for long.
 _LANDMARK_RISK = 0.05
@@ -79,18 +123,14 @@ class ProtectionLevel(NamedTuple):
 def protection_level(estimate: PoseEstimate, update: Update | None = None) -> ProtectionLevel:
     """Return the protection level of a pose, with the last update if there was one."""
     position, heading = _sigmas(estimate.covariance)
-    level = ProtectionLevel(_POSITION * float(position), _HEADING * float(heading))
-    if update is None or not len(update.columns):
-        return level
-    wide, turned = _sigmas(estimate.covariance + update.without)
-    away = np.linalg.norm(update.separation[:, :2], axis=1)
-    return ProtectionLevel(
-        max(level.position_m, float((away + _POSITION_WITHOUT * wide).max())),
-        max(
-            level.heading_rad,
-            float((np.abs(update.separation[:, 2]) + _HEADING_WITHOUT * turned).max()),
-        ),
-    )
+    away, aside = _POSITION * float(position), _HEADING * float(heading)
+    if update is not None and len(update.columns):
+        wide, turned = _sigmas(estimate.covariance + update.without)
+        off = np.linalg.norm(update.separation[:, :2], axis=1)
+        away = max(away, float((off + _POSITION_WITHOUT * wide).max()))
+        off = np.abs(update.separation[:, 2])
+        aside = max(aside, float((off + _HEADING_WITHOUT * turned).max()))
+    return ProtectionLevel(away, aside)
 
 
 def is_unknown(covariance: FloatArray) -> bool:
@@ -107,22 +147,17 @@ def _sigmas(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 class Integrity:
-    """Sums the likelihood ratios of images."""
+    """Sums the likelihood ratios of images: bounded log odds that the pose is right."""
 
     def __init__(self) -> None:
-        self._log_ratio, self._newest = 0.0, 0.0
+        self.log_ratio, self._newest = 0.0, 0.0
         self._found_ns: int | None = None
         self._stepped = False
 
     @property
-    def log_ratio(self) -> float:
-        """Log of the odds that the pose is right, by images alone, bounded."""
-        return self._log_ratio
-
-    @property
     def contradicted(self) -> bool:
         """Whether images do not show what should be seen from the pose."""
-        return self._log_ratio < _LOST
+        return self.log_ratio < _LOST
 
     def add(self, stamp_ns: int, update: Update | None, missed: int = 0) -> None:
         """Add an image: its update, and the number of landmarks that were not found."""
@@ -137,7 +172,7 @@ class Integrity:
             self._stepped |= update.stepped
             gained += float(np.minimum(update.log_ratios, _MOST).sum())
         self._newest = float(np.clip(gained, -_AT_ONCE, _AT_ONCE))
-        self._log_ratio = float(np.clip(self._log_ratio + self._newest, -_BOUND, _BOUND))
+        self.log_ratio = float(np.clip(self.log_ratio + self._newest, -_BOUND, _BOUND))
 
     def inflated_if_lost(self, estimate: PoseEstimate, lost: bool = False) -> PoseEstimate:
         """Return a pose for publication: the covariance of a lost one is inflated."""
@@ -157,7 +192,7 @@ class Integrity:
             return Status.LOST, 'images do not show what should be seen from here'
         if is_unknown(estimate.covariance):
             return Status.LOST, f'sigma {position:.2f} m, {np.degrees(heading):.0f} deg'
-        if self._log_ratio < 0.0 or self._newest <= _AGAINST:
+        if self.log_ratio < 0.0 or self._newest <= _AGAINST:
             return Status.DEGRADED, 'images show little of what should be seen from here'
         if blind_s > _BLIND_S:
             return Status.DEGRADED, f'no landmark found for {blind_s:.1f} s'

@@ -66,14 +66,8 @@ def learned(
     """
     Return the scales after one measurement.
 
-    Parameters
-    ----------
-    innovation : ndarray, shape (m,)
-        Measured minus predicted.
-    covariance : ndarray, shape (m, m)
-        Covariance of the innovation by the filter.
-    by_noise : ndarray, shape (NOISES, m, m)
-        Part of that covariance by each noise.
+    `innovation` (m,): measured minus predicted. `covariance` (m, m): covariance of the innovation
+    by the filter. `by_noise` (NOISES, m, m): part of that covariance by each noise.
     """
     if not scales.prior_sigma:
         return scales

@@ -14,17 +14,20 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter
-from landmark_nav.localization.estimator.state import information_of, State
+from landmark_nav.localization.estimator.state import State
 from landmark_nav.localization.estimator.timeline import move_to
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.types import FloatArray, PoseEstimate
 
 # Most images that are compared with all later ones.
 _MOST_ANCHORS = 100
+# Share of variances by rounding.
+_ROUNDING = 1e-12
 
 
 class _Step(NamedTuple):
@@ -43,38 +46,29 @@ def smoothed_poses(
     lost: npt.NDArray[np.bool_] | None = None,
 ) -> list[PoseEstimate]:
     """
-    Return the pose at each image, given all of them.
+    Return the pose at each image, in the order of time, given all of them.
 
-    Parameters
-    ----------
-    joint : JointFilter
-        Filter at the start; afterwards it is at the last image.
-    images : sequence of ImagePoints
-        Images in the order of time.
-    lost : ndarray of bool, shape (n,), optional
-        Images before which the motion is unknown.
+    `joint` is the filter at the start, and afterwards at the last image. Before the images `lost`
+    (n,) the motion is unknown.
     """
     if not images:
         return []
     steps: list[_Step] = []
     for k, seen in enumerate(images):
-        after = joint.snapshot
+        after = joint.state
         move_to(seen.stamp_ns, joint, track)
         if lost is not None and lost[k]:
             joint.forget_pose()
-        moved = joint.snapshot
+        moved = joint.state
         joint.observe(seen)
-        kept = joint.kept(moved.way_m) if joint.predicted.way_m < moved.way_m else 1.0
+        kept = _kept(joint, moved)
         # What is not in the state after the image was an outlier.
-        left = np.isin(joint.predicted.landmarks, joint.snapshot.landmarks)
+        left = np.isin(joint.predicted.landmarks, joint.state.landmarks)
         steps.append(_Step(after, joint.predicted.only(left), moved.carried, kept))
         joint.mark()
-    state = joint.snapshot
-    mean, covariance = state.mean, state.covariance
-    found = [(mean, covariance)]
+    found = [(joint.state.mean, joint.state.covariance)]
     for step in steps[:0:-1]:
-        mean, covariance = _backward(step, mean, covariance)
-        found.append((mean, covariance))
+        found.append(_backward(step, *found[-1]))
     return [
         PoseEstimate(seen.stamp_ns, mean[:3], covariance[:3, :3])
         for seen, (mean, covariance) in zip(images, reversed(found), strict=True)
@@ -86,20 +80,38 @@ def _backward(
 ) -> tuple[FloatArray, FloatArray]:
     """Smoothed mean and covariance of a state, given those of the next."""
     before, after, predicted = step.after.covariance, step.after, step.predicted
-    fixed = len(after.mean) - 3 * len(after.landmarks)
-    together = np.zeros((len(before), len(predicted.mean)))
-    together[:, :CALIBRATION] = before[:, :CALIBRATION] @ step.by_head.T
-    together[:, CALIBRATION:fixed] = before[:, CALIBRATION:fixed]
-    here, there = np.nonzero(after.landmarks[:, None] == predicted.landmarks)
-    for k in range(3):
-        together[:, fixed + 3 * there + k] = step.kept * before[:, fixed + 3 * here + k]
-    gain = together @ information_of(predicted.covariance)
+    gain = _solved(predicted.covariance, _carried(step, before)).T
     off = mean - predicted.mean
     off[2] = wrap_rad(off[2])
     smoothed = after.mean + gain @ off
     smoothed[2] = wrap_rad(smoothed[2])
     spread = before + gain @ (covariance - predicted.covariance) @ gain.T
     return smoothed, 0.5 * (spread + spread.T)
+
+
+def _kept(joint: JointFilter, moved: State) -> float:
+    """Share of the own errors of landmarks that the prediction of the last image kept."""
+    return joint.kept(moved.way_m) if joint.predicted.way_m < moved.way_m else 1.0
+
+
+def _carried(step: _Step, rows: FloatArray) -> FloatArray:
+    """Apply the derivative of the prediction by the state before to the rows (n, k) of that."""
+    after, predicted = step.after, step.predicted
+    fixed = len(after.mean) - 3 * len(after.landmarks)
+    carried = np.zeros((len(predicted.mean), rows.shape[1]))
+    carried[:CALIBRATION] = step.by_head @ rows[:CALIBRATION]
+    carried[CALIBRATION:fixed] = rows[CALIBRATION:fixed]
+    here, there = np.nonzero(after.landmarks[:, None] == predicted.landmarks)
+    for k in range(3):
+        carried[fixed + 3 * there + k] = step.kept * rows[fixed + 3 * here + k]
+    return carried
+
+
+def _solved(covariance: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve for `right` (n, k) with a covariance (n, n), of which exact states have none."""
+    variance = np.diag(covariance)
+    regular = covariance + np.diag(np.where(variance > 0.0, _ROUNDING * variance, 1.0))
+    return np.asarray(cho_solve(cho_factor(regular), right))
 
 
 class ErrorRepetition:
@@ -111,10 +123,7 @@ class ErrorRepetition:
     multiplied by P+ inv(P-) F. The variance of a mean of squares of Gaussian errors is twice the
     mean of the squares of their correlations.
 
-    Parameters
-    ----------
-    images : int
-        Number of images; at most `_MOST_ANCHORS` of them are compared with all later ones.
+    `images`: number of images; at most `_MOST_ANCHORS` of them are compared with all later ones.
     """
 
     def __init__(self, images: int) -> None:
@@ -124,19 +133,15 @@ class ErrorRepetition:
 
     def add(self, before: State, moved: State, joint: JointFilter) -> None:
         """Add an image: the state after the last image, that before this one, and the filter."""
-        predicted, after = joint.predicted, joint.snapshot
-        fixed, earlier = len(before.mean) - 3 * len(before.landmarks), self._with_earlier
-        crossed = np.zeros((len(predicted.mean), earlier.shape[1]))
+        predicted, after = joint.predicted, joint.state
+        fixed = len(before.mean) - 3 * len(before.landmarks)
+        crossed = np.zeros((len(predicted.mean), 0))
         if self._count:
-            kept = joint.kept(moved.way_m) if predicted.way_m < moved.way_m else 1.0
-            crossed[:CALIBRATION] = moved.carried @ earlier[:CALIBRATION]
-            crossed[CALIBRATION:fixed] = earlier[CALIBRATION:fixed]
-            here, there = np.nonzero(before.landmarks[:, None] == predicted.landmarks)
-            for k in range(3):
-                crossed[fixed + 3 * there + k] = kept * earlier[fixed + 3 * here + k]
+            step = _Step(before, predicted, moved.carried, _kept(joint, moved))
+            crossed = _carried(step, self._with_earlier)
         left = np.isin(predicted.landmarks, after.landmarks)
         if left.all():
-            corrected = after.covariance @ information_of(predicted.covariance) @ crossed
+            corrected = after.covariance @ _solved(predicted.covariance, crossed)
         else:
             # The image was not used, and its new landmarks are left out.
             corrected = crossed[np.append(np.ones(fixed, np.bool_), np.repeat(left, 3))]

@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from landmark_nav.geometry.se2 import arc, sinc
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray
 
 # Sigmas of the accelerations while the last twist is extrapolated.
 _ACCELERATION_M_S2, _TURN_ACCELERATION_RAD_S2 = 0.5, 2.0
-
 _OF_WAY = (
     'along_m_per_sqrt_m',
     'across_m_per_sqrt_m',
@@ -135,16 +135,11 @@ def sensed_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     way = float(np.hypot(forward, left))
     rest = config.floor_m_per_sqrt_s**2 * motion.seconds
     rest_turn = config.floor_rad_per_sqrt_s**2 * motion.seconds
-    return np.array(
-        [
-            [
-                config.along_m_per_sqrt_m**2 * way + rest,
-                config.across_m_per_sqrt_m**2 * way + rest,
-                config.turn_rad_per_sqrt_m**2 * way + rest_turn,
-            ],
-            [0.0, 0.0, config.turn_rad_per_sqrt_rad**2 * abs(turn)],
-        ]
-    )
+    along = config.along_m_per_sqrt_m**2 * way + rest
+    across = config.across_m_per_sqrt_m**2 * way + rest
+    turned = config.turn_rad_per_sqrt_m**2 * way + rest_turn
+    by_turns = config.turn_rad_per_sqrt_rad**2 * abs(turn)
+    return np.array([[along, across, turned], [0.0, 0.0, by_turns]])
 
 
 def slip_variance(motion: Motion, config: OdometryNoiseConfig) -> float:
@@ -162,15 +157,11 @@ def left_variance(motion: Motion, config: OdometryNoiseConfig) -> float:
 
 def blind_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
     """Variances (3,) of the time without odometry, and of extrapolation."""
-    position, heading = config.blind_m_per_sqrt_s**2, config.blind_rad_per_sqrt_s**2
-    ahead = 0.25 * motion.ahead_s4
-    return np.array(
-        [
-            motion.blind_seconds * position + ahead * _ACCELERATION_M_S2**2,
-            motion.blind_seconds * position,
-            motion.blind_seconds * heading + ahead * _TURN_ACCELERATION_RAD_S2**2,
-        ]
-    )
+    position = motion.blind_seconds * config.blind_m_per_sqrt_s**2
+    heading = motion.blind_seconds * config.blind_rad_per_sqrt_s**2
+    along = 0.25 * motion.ahead_s4 * _ACCELERATION_M_S2**2
+    turned = 0.25 * motion.ahead_s4 * _TURN_ACCELERATION_RAD_S2**2
+    return np.array([position + along, position, heading + turned])
 
 
 def jitter_variances(motion: Motion) -> FloatArray:
@@ -180,15 +171,7 @@ def jitter_variances(motion: Motion) -> FloatArray:
 
 def twist_motion(linear_m_s: float, angular_rad_s: float, seconds: float) -> FloatArray:
     """Increment (3,) of a constant twist: an arc."""
-    turn = angular_rad_s * seconds
-    # Chord of the arc; sinc keeps straight motion regular.
-    chord = linear_m_s * seconds * _sinc(turn / math.tau)
-    return np.array([chord * math.cos(turn / 2.0), chord * math.sin(turn / 2.0), turn])
-
-
-def _sinc(x: float) -> float:
-    """``np.sinc``, with pi in it, of one number."""
-    return math.sin(math.pi * x) / (math.pi * x) if x else 1.0
+    return arc(linear_m_s * seconds, angular_rad_s * seconds)
 
 
 def fraction_of_motion(increment: FloatArray, fraction: float) -> FloatArray:
@@ -200,7 +183,7 @@ def fraction_of_motion(increment: FloatArray, fraction: float) -> FloatArray:
     if fraction <= 0.0:
         return np.zeros(3)
     forward, left, turn = increment.tolist()
-    ratio = fraction * _sinc(fraction * turn / math.tau) / _sinc(turn / math.tau)
+    ratio = fraction * sinc(fraction * turn / math.tau) / sinc(turn / math.tau)
     ahead, aside, back = ratio * forward, ratio * left, (fraction - 1.0) * turn / 2.0
     c, s = math.cos(back), math.sin(back)
     return np.array([c * ahead - s * aside, s * ahead + c * aside, fraction * turn])

@@ -35,14 +35,7 @@ _LEAST = (1e-3, 1e-3)
 
 
 class Jitter:
-    """
-    Running estimate of the white noise of poses.
-
-    Attributes
-    ----------
-    variances : tuple of float
-        Variance of a position on one axis [m^2] and of a heading [rad^2]; zero if insignificant.
-    """
+    """Running estimate of the white noise of poses: m^2 on one axis, rad^2; 0 if insignificant."""
 
     def __init__(self) -> None:
         self.variances = (0.0, 0.0)
@@ -75,11 +68,9 @@ class Jitter:
 
 # The last twist is extrapolated for this time, and the first one backwards.
 HORIZON_S = 0.25
-
 # A longer gap, such as by a clock that was set, counts as this one: a covariance without bound
 # loses the digits of what is known.
 _LONGEST_S = 3600.0
-
 # Motion is compounded in at most this number of steps.
 _MOST_STEPS = 3000
 
@@ -96,7 +87,6 @@ def steps_ns(begin_ns: int, end_ns: int, step_ns: int) -> list[int]:
 # to this motion (m or rad). Coarse encoders repeat a pose over less. Lower speeds than the last
 # value are noise.
 _FROZEN_SAMPLES, _FROZEN_WAY, _SLOW = 3, 0.03, 0.02
-
 # A driver that restarts sets the pose to zero, to within these values and the motion of one
 # interval. After this number of samples that agreed, the pose then differs from the speeds by more
 # than these values and the motion itself. So it does when wheels slip, but not to zero.
@@ -141,22 +131,19 @@ class OdometryTrack:
 
     def add(self, sample: OdometrySample) -> Refusal | None:
         """
-        Append a sample.
+        Append a sample; return why it was dropped, None if it was used or is a repetition.
 
-        Returns
-        -------
-        Refusal or None
-            Why the sample was dropped; or, if `Distrusted`, why the motion up to it was replaced
-            by that of the last twist. None if it was used, or is an exact repetition.
+        If `Distrusted`, the motion up to it was replaced by that of the last twist.
         """
-        pose_odom = np.asarray(sample.pose_odom_base, dtype=np.float64).tolist()
+        pose = np.asarray(sample.pose_odom_base, dtype=np.float64)
+        pose_odom = pose.tolist()
         self._reports_speeds |= bool(sample.linear_m_s or sample.angular_rad_s)
         if not all(map(math.isfinite, (*pose_odom, sample.linear_m_s, sample.angular_rad_s))):
             return Refusal('odometry is not a number')
         last = self._last
         if last is None:
             self._agreed = sample
-            self._append(sample, np.asarray(sample.pose_odom_base, dtype=np.float64), False)
+            self._append(sample, pose, False)
             return None
         seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
         same_pose = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
@@ -169,14 +156,11 @@ class OdometryTrack:
         increment = relative(last.pose_odom_base, sample.pose_odom_base)
         way, turn = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
         # The speeds give the motion if they agreed with the poses until now.
-        reset = self._contradicts_speeds(increment, last, sample, seconds) and _is_near_zero(
-            sample, seconds
-        )
-        jumped = (
-            way > self._config.max_speed_m_s * min(seconds, _LONGEST_S)
-            or turn > self._config.max_rate_rad_s * seconds
-            or reset
-        )
+        contradicts = self._contradicts_speeds(increment, last, sample, seconds)
+        moved = sample.linear_m_s * seconds, sample.angular_rad_s * seconds
+        reset = contradicts and _differs_little(pose, *moved)
+        jumped = reset or way > self._config.max_speed_m_s * min(seconds, _LONGEST_S)
+        jumped |= turn > self._config.max_rate_rad_s * seconds
         if jumped:
             known = min(seconds, HORIZON_S)
             increment = twist_motion(last.linear_m_s, last.angular_rad_s, known)
@@ -208,13 +192,9 @@ class OdometryTrack:
         linear = 0.5 * (last.linear_m_s + sample.linear_m_s)
         angular = 0.5 * (last.angular_rad_s + sample.angular_rad_s)
         off = increment - twist_motion(linear, angular, seconds)
-        agreed, self._agreeing = self._agreeing, self._agreeing + 1
-        if (
-            math.hypot(off[0], off[1]) > _OFF_M + abs(linear) * seconds
-            or abs(off[2]) > _OFF_RAD + abs(angular) * seconds
-        ):
-            self._agreeing = 0
-        return agreed >= _AGREED and not self._agreeing
+        agrees = _differs_little(off, linear * seconds, angular * seconds)
+        agreed, self._agreeing = self._agreeing, self._agreeing + 1 if agrees else 0
+        return agreed >= _AGREED and not agrees
 
     @property
     def _frozen(self) -> bool:
@@ -288,9 +268,8 @@ class OdometryTrack:
         """Pose (3,) at a time: interpolated at constant twist, or extrapolated."""
         beyond = self._beyond_s(stamp_ns)
         if beyond:
-            near, pose = (
-                (self._last, self._poses[-1]) if beyond > 0.0 else (self._first, self._poses[0])
-            )
+            ends = (self._last, self._poses[-1]), (self._first, self._poses[0])
+            near, pose = ends[0] if beyond > 0.0 else ends[1]
             assert near is not None
             return compose(pose, twist_motion(near.linear_m_s, near.angular_rad_s, beyond))
         after = bisect_left(self._stamps, stamp_ns)
@@ -313,14 +292,10 @@ class OdometryTrack:
         return outside + since + (stamp_ns - self._stamps[after - 1] if total > since else 0)
 
 
-def _is_near_zero(sample: OdometrySample, seconds: float) -> bool:
-    """Whether a pose is within one interval's motion of zero."""
-    x, y, heading = sample.pose_odom_base
-    return (
-        seconds <= HORIZON_S
-        and math.hypot(x, y) < _OFF_M + abs(sample.linear_m_s) * seconds
-        and abs(heading) < _OFF_RAD + abs(sample.angular_rad_s) * seconds
-    )
+def _differs_little(off: FloatArray, way_m: float, turn_rad: float) -> bool:
+    """Whether a difference of poses (3,) is within the motion of one interval."""
+    near = math.hypot(off[0], off[1]) <= _OFF_M + abs(way_m)
+    return near and bool(abs(off[2]) <= _OFF_RAD + abs(turn_rad))
 
 
 # A stamp that is off by more than this may be wrong, or the clock was set.

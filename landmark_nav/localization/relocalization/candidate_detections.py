@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -74,19 +74,17 @@ def unhidden_ranges(
     normal = landmark_map.normals[:, :2] @ turned
     facing = -np.sum(place * normal, -1) / reach
     reference = np.hypot(*(landmark_map.positions - landmark_map.viewpoints)[:, :2].T)
-    nearest, farthest = reach.min(axis=0), reach.max(axis=0)
-    nearest = np.maximum(nearest, _RELATIVE_RANGES[0] * reference)
-    farthest = np.minimum(farthest, _RELATIVE_RANGES[-1] * reference)
+    nearest = np.maximum(reach.min(axis=0), _RELATIVE_RANGES[0] * reference)
+    farthest = np.minimum(reach.max(axis=0), _RELATIVE_RANGES[-1] * reference)
     least, most = np.maximum(facing.min(axis=0), _LEAST_FORESHORTENING), facing.max(axis=0)
     margin = 0.5 * landmark_map.sizes_m[:, 0] / reach.min(axis=0)
     columns = strip.columns(aside.max(axis=0) + margin, aside.min(axis=0) - margin)
+    good = (farthest > nearest) & (most > _LEAST_FORESHORTENING) & (columns[1] > columns[0])
     return {
         int(k): SearchRange(
             _steps(nearest[k], farthest[k]), _steps(least[k], most[k]), tuple(columns[:, k])
         )
-        for k in np.flatnonzero(
-            (farthest > nearest) & (most > _LEAST_FORESHORTENING) & (columns[1] > columns[0])
-        )
+        for k in np.flatnonzero(good)
     }
 
 
@@ -139,17 +137,9 @@ def _resampled(image: ImageArray, pixels: FloatArray, resolution: float) -> Imag
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     small = cv2.resize(grey, None, fx=resolution, fy=resolution, interpolation=cv2.INTER_AREA)
     at = np.nan_to_num((pixels + 0.5) * resolution - 0.5, nan=-1e4).astype(np.float32)
-    return np.asarray(
-        cv2.remap(
-            small,
-            at[..., 0],
-            at[..., 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=float(np.mean(small)),
-        ),
-        dtype=np.uint8,
-    )
+    how: dict[str, Any] = {'borderMode': cv2.BORDER_CONSTANT, 'borderValue': float(small.mean())}
+    found = cv2.remap(small, at[..., 0], at[..., 1], cv2.INTER_LINEAR, **how)
+    return np.asarray(found, dtype=np.uint8)
 
 
 # Scale of the searched image, and least size of a template in it, pixels.
@@ -186,14 +176,11 @@ class CandidateDetections:
     @staticmethod
     def joined(parts: Sequence[CandidateDetections]) -> CandidateDetections:
         """Concatenate several, which must share a frame."""
+        none = np.zeros(0)
+        empty = CandidateDetections(none.astype(np.intp), none, none, none, np.zeros((0, 2)), none)
         names = [field.name for field in fields(CandidateDetections)]
-        if not parts:
-            none = np.zeros(0)
-            return CandidateDetections(
-                none.astype(np.intp), none, none, none, np.zeros((0, 2)), none
-            )
         return CandidateDetections(
-            *(np.concatenate([getattr(p, n) for p in parts]) for n in names)
+            *(np.concatenate([getattr(p, n) for p in (empty, *parts)]) for n in names)
         )
 
 
@@ -205,19 +192,10 @@ def find_candidate_detections(
     tilt_sigma_rad: float = 0.0,
 ) -> CandidateDetections:
     """
-    Search every landmark in the whole image.
+    Search every landmark in the whole image; return detections in its base frame, mostly false.
 
-    Parameters
-    ----------
-    prior : PoseEstimate, optional
-        Pose of the base at the time of the image: the search is limited to what it allows.
-    tilt_sigma_rad : float
-        Sigma of tilt and roll of the camera, which widens the bands of rows.
-
-    Returns
-    -------
-    CandidateDetections
-        In the base frame at the time of the image; most of them are false.
+    The search is limited to what a `prior` of the base at that time allows; `tilt_sigma_rad`, of
+    tilt and roll of the camera, widens the bands of rows.
     """
     strip, landmarks = Strip(frame, mount, _RESOLUTION), landmark_map.landmarks
     if prior is None:
@@ -227,25 +205,16 @@ def find_candidate_detections(
     sigma = float(np.hypot(_TANGENT_SIGMA, tilt_sigma_rad))
     found = []
     for k, look in search_ranges.items():
-        profile = _search(landmarks[k], look, strip, sigma)
-        found.append(_measured(k, landmarks[k], profile, strip, sigma))
+        best = _search(landmarks[k], look, strip, sigma)
+        found.append(_measured(k, landmarks[k], best, strip, sigma))
     return CandidateDetections.joined(found)
 
 
-@dataclass(frozen=True, eq=False)
-class _Profile:
-    """The best match over all ranges and slants in each column of the strip."""
-
-    score: npt.NDArray[np.float32]
-    tangent: FloatArray
-    reach: FloatArray
-    half_width: FloatArray
-
-
-def _search(landmark: Landmark, look: SearchRange, strip: Strip, tangent_sigma: float) -> _Profile:
-    columns = len(strip.azimuth)
-    best = np.full(columns, -1.0, np.float32)
-    tangent, reach, half_width = np.zeros(columns), np.ones(columns), np.ones(columns)
+def _search(
+    landmark: Landmark, look: SearchRange, strip: Strip, tangent_sigma: float
+) -> FloatArray:
+    """Score, tangent, range and half width (4, columns) of the best match in each column."""
+    best = np.tile([[-1.0], [0.0], [1.0], [1.0]], len(strip.azimuth))
     rise = landmark.position[2] - strip.center[2]
     first, end = look.columns
     for distance in look.ranges:
@@ -270,22 +239,21 @@ def _search(landmark: Landmark, look: SearchRange, strip: Strip, tangent_sigma: 
             row = np.argmax(scores, axis=0)
             score = np.take_along_axis(scores, row[None], 0)[0]
             begin = first + (width - 1) // 2
-            place = slice(begin, begin + len(score))
-            better = score > best[place]
-            best[place][better] = score[better]
+            better = np.flatnonzero(score > best[0, begin : begin + len(score)])
             at = top + row[better] + (height - 1) / 2.0
-            tangent[place][better] = strip.tangent[0] - at / strip.px_per_rad
-            reach[place][better] = distance
-            half_width[place][better] = width / 2.0
-    return _Profile(best, tangent, reach, half_width)
+            tangent = strip.tangent[0] - at / strip.px_per_rad
+            best[:, begin + better] = np.broadcast_arrays(
+                score[better], tangent, distance, width / 2.0
+            )
+    return best
 
 
 def _measured(
-    index: int, landmark: Landmark, profile: _Profile, strip: Strip, tangent_sigma: float
+    index: int, landmark: Landmark, best: FloatArray, strip: Strip, tangent_sigma: float
 ) -> CandidateDetections:
-    """Detections at the best peaks of a landmark's profile, with their ranges."""
-    columns = _peaks(profile)
-    tangent, reach = profile.tangent[columns], profile.reach[columns]
+    """Detections at the peaks of the best matches of a landmark, with their ranges."""
+    columns = _peaks(best[0], best[3])
+    score, tangent, reach, _ = best[:, columns]
     rise = landmark.position[2] - strip.center[2]
     # The range by the height, if the landmark is above or below the camera, and by the scale.
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -303,19 +271,19 @@ def _measured(
         np.exp(log_range),
         1.0 / np.sqrt(weight + by_scale),
         np.tile(strip.center[:2], (len(columns), 1)),
-        profile.score[columns].astype(np.float64),
+        score,
     )
 
 
-def _peaks(profile: _Profile) -> npt.NDArray[np.intp]:
+def _peaks(score: FloatArray, half_width: FloatArray) -> npt.NDArray[np.intp]:
     """Columns of the best peaks, more than half a template's width apart."""
-    score = profile.score.copy()
+    score = score.copy()
     columns: list[int] = []
     for _ in range(_PER_VIEW):
         column = int(np.argmax(score))
         if score[column] < _MIN_SCORE:
             break
         columns.append(column)
-        reach = int(np.ceil(profile.half_width[column]))
+        reach = int(np.ceil(half_width[column]))
         score[max(0, column - reach) : column + reach + 1] = -1.0
     return np.array(columns, dtype=np.intp)

@@ -8,11 +8,8 @@ Most detections are false: each pair of them proposes a pose, all vote. Two dete
 are two points relative to the robot; with the positions of the two landmarks they determine a
 pose. The score of a pose is the number of landmarks that it explains.
 
-A wide prior made narrow by the image itself.
-
-A wide prior leaves open at which scale and slant landmarks appear. So all that may be in view are
-searched at all scales and slants that the prior allows. Several detections that agree on a pose
-give a narrow prior, with which landmarks are looked for as usual.
+A wide prior leaves open at which scale and slant landmarks appear: all that it allows are searched
+in the image, and several detections that agree on a pose give a narrow prior.
 """
 
 from __future__ import annotations
@@ -26,7 +23,6 @@ from scipy.special import chdtri, erfc
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import squared_distance, transform_points
-from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.relocalization.candidate_detections import (
     CandidateDetections,
     find_candidate_detections,
@@ -59,41 +55,17 @@ _PLACES = 60
 DISTINCT_M, DISTINCT_RAD = 0.4, 0.2
 
 
-@dataclass(frozen=True, eq=False)
-class Hypotheses:
-    """Poses (n, 3) of the base in map, and the number of landmarks each explains, descending."""
-
-    poses: FloatArray
-    support: npt.NDArray[np.intp]
-
-
-def propose(detections: CandidateDetections, landmark_map: LandmarkMap) -> Hypotheses:
-    """
-    Find the poses that detections support.
-
-    Parameters
-    ----------
-    detections : Detections
-        All in one base frame.
-
-    Returns
-    -------
-    Hypotheses
-        Distinct poses; may be empty.
-    """
+def propose(detections: CandidateDetections, landmark_map: LandmarkMap) -> FloatArray:
+    """Distinct poses (n, 3) that detections, all in one base frame, support, the best first."""
     votes = _Votes(detections, landmark_map)
     poses = votes.of_pairs()
-    if landmark_map.walls:
-        poses = poses[Room(landmark_map.walls).contains(poses[:, :2])]
-    support = votes.support(poses, _ROUGH_RAD)
-    kept = _distinct(poses, support)
+    if landmark_map.room is not None:
+        poses = poses[landmark_map.room.contains(poses[:, :2])]
+    poses = _distinct(poses, votes.support(poses, _ROUGH_RAD))
     # Refine poses of pairs by all detections that agree, with decreasing tolerance.
-    poses = votes.refined(poses[kept], _ROUGH_RAD)
-    poses = votes.refined(poses, 0.5 * (_ROUGH_RAD + _FINE_RAD))
-    poses = votes.refined(poses, _FINE_RAD)
-    support = votes.support(poses, _FINE_RAD)
-    kept = _distinct(poses, support)
-    return Hypotheses(poses[kept], support[kept])
+    for tolerance_rad in (_ROUGH_RAD, 0.5 * (_ROUGH_RAD + _FINE_RAD), _FINE_RAD):
+        poses = votes.refined(poses, tolerance_rad)
+    return _distinct(poses, votes.support(poses, _FINE_RAD))
 
 
 class _Votes:
@@ -140,61 +112,46 @@ class _Votes:
         position = at - np.stack([turned.real, turned.imag], -1)
         return np.column_stack([position, wrap_rad(heading)])
 
-    def _residuals(self, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Landmarks (h, s, 2) relative to each pose; bearing and relative range errors (h, s)."""
+    def _fit(
+        self, poses: FloatArray, tolerance_rad: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+        """
+        Compare detections (s,) with poses (h, 3): arrays (h, s).
+
+        Returns x and y of the landmarks in the frame of each pose, from the optical centre; errors
+        of bearing and relative range; and whether bearing, range and direction of the patch fit.
+        """
         cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-        dx = self.place[:, 0] - poses[:, :1]
-        dy = self.place[:, 1] - poses[:, 1:2]
+        dx, dy = self.place[:, 0] - poses[:, :1], self.place[:, 1] - poses[:, 1:2]
         x = cos * dx + sin * dy - self.center[:, 0]
         y = cos * dy - sin * dx - self.center[:, 1]
         ahead = self.direction[:, 0] * x + self.direction[:, 1] * y
         aside = self.direction[:, 0] * y - self.direction[:, 1] * x
-        bearing = np.arctan2(aside, ahead)
-        relative = np.log(self.range / np.hypot(x, y))
-        return np.stack([x, y], -1), bearing, relative
-
-    def _agree(
-        self,
-        poses: FloatArray,
-        points: FloatArray,
-        bearing: FloatArray,
-        relative: FloatArray,
-        tolerance_rad: float,
-    ) -> npt.NDArray[np.bool_]:
-        """Whether detections fit poses (h, s): bearing, range, and facing the camera."""
-        cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+        bearing, relative = np.arctan2(aside, ahead), np.log(self.range / np.hypot(x, y))
         normal_x = cos * self.normal[:, 0] + sin * self.normal[:, 1]
         normal_y = cos * self.normal[:, 1] - sin * self.normal[:, 0]
-        facing = normal_x * points[..., 0] + normal_y * points[..., 1] < 0.0
-        near = np.abs(relative) < 3.0 * self.range_sigma + tolerance_rad
-        return np.asarray(facing & near & (np.abs(bearing) < tolerance_rad))
+        fits = normal_x * x + normal_y * y < 0.0
+        fits &= np.abs(relative) < 3.0 * self.range_sigma + tolerance_rad
+        return x, y, bearing, relative, fits & (np.abs(bearing) < tolerance_rad)
 
     def support(self, poses: FloatArray, tolerance_rad: float) -> npt.NDArray[np.intp]:
         """Number of landmarks that each pose explains, (h,)."""
         count = np.zeros(len(poses), dtype=np.intp)
         for start in range(0, len(poses), _BLOCK):
             block = slice(start, start + _BLOCK)
-            fits = self._agree(poses[block], *self._residuals(poses[block]), tolerance_rad)
+            *_, fits = self._fit(poses[block], tolerance_rad)
             count[block] = np.logical_or.reduceat(fits, self.first, axis=1).sum(axis=1)
         return count
 
     def refined(self, poses: FloatArray, tolerance_rad: float) -> FloatArray:
         """Poses after a Gauss-Newton step on the bearings and ranges that agree with each."""
-        points, bearing, relative = self._residuals(poses)
-        fits = self._agree(poses, points, bearing, relative, tolerance_rad)
-        x, y = points[..., 0], points[..., 1]
-        square = x**2 + y**2
-        cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+        x, y, bearing, relative, fits = self._fit(poses, tolerance_rad)
+        square = (x**2 + y**2)[..., None]
         # Derivatives of the expected bearing and the log of the expected range by a shift of the
         # base in its own frame and a turn about its origin.
-        from_base_x, from_base_y = x + self.center[:, 0], y + self.center[:, 1]
-        by_turn = np.stack([from_base_y, -from_base_x], -1)
-        by_bearing = np.stack(
-            [y / square, -x / square, (x * by_turn[..., 1] - y * by_turn[..., 0]) / square], -1
-        )
-        by_range = np.stack(
-            [-x / square, -y / square, (x * by_turn[..., 0] + y * by_turn[..., 1]) / square], -1
-        )
+        turned_x, turned_y = y + self.center[:, 1], -(x + self.center[:, 0])
+        by_bearing = np.stack([y, -x, x * turned_y - y * turned_x], -1) / square
+        by_range = np.stack([-x, -y, x * turned_x + y * turned_y], -1) / square
         weight_bearing = fits / (0.3 * tolerance_rad) ** 2
         weight_range = fits / self.range_sigma**2
         normal = np.einsum('hs,hsi,hsj->hij', weight_bearing, by_bearing, by_bearing)
@@ -203,13 +160,14 @@ class _Votes:
         right = np.einsum('hs,hsi,hs->hi', -weight_bearing, by_bearing, bearing)
         right += np.einsum('hs,hsi,hs->hi', weight_range, by_range, relative)
         step = np.linalg.solve(normal + 1e-6 * np.eye(3), right[..., None])[..., 0]
-        moved_x = cos[:, 0] * step[:, 0] - sin[:, 0] * step[:, 1]
-        moved_y = sin[:, 0] * step[:, 0] + cos[:, 0] * step[:, 1]
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        moved_x = cos * step[:, 0] - sin * step[:, 1]
+        moved_y = sin * step[:, 0] + cos * step[:, 1]
         return np.asarray(poses + np.stack([moved_x, moved_y, step[:, 2]], -1))
 
 
-def _distinct(poses: FloatArray, support: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Indices of the poses, best first, without those close to a better one."""
+def _distinct(poses: FloatArray, support: npt.NDArray[np.intp]) -> FloatArray:
+    """Poses with enough support, best first, without those close to a better one."""
     left = support.astype(np.float64)
     left[support < _MIN_SUPPORT] = -1.0
     kept: list[int] = []
@@ -222,7 +180,7 @@ def _distinct(poses: FloatArray, support: npt.NDArray[np.intp]) -> npt.NDArray[n
         near = np.hypot(offset[:, 0], offset[:, 1]) < DISTINCT_M
         near &= np.abs(wrap_rad(offset[:, 2])) < DISTINCT_RAD
         left[near] = -1.0
-    return np.array(kept, dtype=np.intp)
+    return poses[kept]
 
 
 @dataclass(frozen=True)
@@ -277,19 +235,10 @@ def locate(
     """
     Find the robot's place without any prior.
 
-    Parameters
-    ----------
-    carried : CarriedFrames
-        Images, and the poses of the base at each by odometry.
-    detections : sequence of Detections
-        Possible detections in each image, found without a prior.
-
-    Returns
-    -------
-    Verification or Refusal
-        The pose of the base at the last image with its evidence; or ``not unique`` if another
-        place explains the images nearly as well, ``nothing recognised`` if none does, and ``too
-        little seen`` if there is not enough evidence.
+    `detections` are possible ones in each image, found without a prior. The result is the pose of
+    the base at the last image with its evidence; or ``not unique`` if another place explains the
+    images nearly as well, ``nothing recognised`` if none does, and ``too little seen`` if there is
+    not enough evidence.
     """
     moved = [
         replace(
@@ -299,13 +248,13 @@ def locate(
         )
         for seen, pose in zip(detections, carried.poses_last_base, strict=True)
     ]
-    proposed = propose(CandidateDetections.joined(moved), verifier.landmark_map)
-    if not len(proposed.poses):
+    poses = propose(CandidateDetections.joined(moved), verifier.landmark_map)
+    if not len(poses):
         return nothing_recognised('no two detections agree on a place')
-    poses, count, places = proposed.poses, len(proposed.poses), list[Verification]()
+    places: list[Verification] = []
     for some in poses[:CANDIDATES], poses[CANDIDATES:_ALL_CANDIDATES]:
         places = verified_places(some, carried, verifier, places)
-        judged = _judged(best_place(places, count), config)
+        judged = _judged(best_place(places, len(poses)), config)
         if isinstance(judged, Refusal):
             break
     return judged
@@ -328,23 +277,16 @@ def verified_places(
 
 def _known(place: Verification, others: Sequence[Verification]) -> bool:
     """Whether a place is the same as one of the others."""
-    offsets = [place.estimate.pose - other.estimate.pose for other in others]
-    return any(
-        np.hypot(*offset[:2]) < 0.5 * DISTINCT_M and abs(wrap_rad(offset[2])) < 0.5 * DISTINCT_RAD
-        for offset in offsets
-    )
+    apart = np.array([place.estimate.pose - k.estimate.pose for k in others]).reshape(-1, 3)
+    near = np.hypot(apart[:, 0], apart[:, 1]) < 0.5 * DISTINCT_M
+    return bool(np.any(near & (np.abs(wrap_rad(apart[:, 2])) < 0.5 * DISTINCT_RAD)))
 
 
 def best_place(places: Sequence[Verification], proposed: int) -> Verification | Refusal:
     """
     Take the first place, unless it has a rival or too few of its expected landmarks were found.
 
-    Parameters
-    ----------
-    places : sequence of Verification
-        Different places, the one with most landmarks first.
-    proposed : int
-        How many poses were proposed, for the message.
+    `places` are different ones, that with most landmarks first, out of so many `proposed`.
     """
     if not places:
         return nothing_recognised(f'none of {proposed} places shows what is to be seen there')
@@ -380,41 +322,31 @@ def _judged(best: Verification | Refusal, config: RelocalizationConfig) -> Verif
     if isinstance(best, Refusal):
         return best
     found, where = len(best.ids), _where(best)
-    if found < config.min_landmarks:
-        return Refusal('too little seen', f'{found} landmarks support {where}')
     spread = _span(best.bearing_rad)
-    if spread < _MIN_SPREAD_RAD:
-        return Refusal(
-            'too little seen',
-            f'all {found} landmarks lie within {np.degrees(spread):.0f} deg: look around',
-        )
     sigma = float(np.sqrt(np.trace(best.estimate.covariance[:2, :2])))
     sigma_turn = float(np.sqrt(best.estimate.covariance[2, 2]))
-    if sigma > config.max_sigma_m or sigma_turn > config.max_sigma_rad:
-        return Refusal(
-            'too little seen',
-            f'at {where} sigma is {sigma:.3f} m and {np.degrees(sigma_turn):.2f} deg: look around',
-        )
     risk = _risks(best, config.max_sigma_m)
-    if risk.sum() > _MOST_RISK:
+    if found < config.min_landmarks:
+        why = f'{found} landmarks support {where}'
+    elif spread < _MIN_SPREAD_RAD:
+        why = f'all {found} landmarks lie within {np.degrees(spread):.0f} deg: look around'
+    elif sigma > config.max_sigma_m or sigma_turn > config.max_sigma_rad:
+        turn = f'{np.degrees(sigma_turn):.2f} deg'
+        why = f'at {where} sigma is {sigma:.3f} m and {turn}: look around'
+    elif risk.sum() > _MOST_RISK:
         decides = int(np.argmax(risk))
-        return Refusal(
-            'too little seen',
-            f'at {where} landmark {best.ids[decides]} decides, without it sigma is '
-            f'{best.sigma_without_m[decides]:.3f} m: look around',
-        )
-    return best
+        without = f'without it sigma is {best.sigma_without_m[decides]:.3f} m'
+        why = f'at {where} landmark {best.ids[decides]} decides, {without}: look around'
+    else:
+        return best
+    return Refusal('too little seen', why)
 
 
 def _risks(place: Verification, max_sigma_m: float) -> FloatArray:
-    """
-    Chance that a place is far off because a landmark was mistaken, for each landmark found, (n,).
-
-    The fewer of those expected are found, the likelier is each of them something else; the place
-    then is as uncertain as without it.
-    """
-    found, expected = len(place.ids), place.expected
-    gone = (expected - found + 1.0) / (expected + 2.0)
+    """Chance (n,) that a place is far off because a landmark that was found was mistaken."""
+    # The fewer of those expected are found, the likelier is each of them something else; the place
+    # then is as uncertain as without it.
+    gone = (place.expected - len(place.ids) + 1.0) / (place.expected + 2.0)
     mistaken = gone * _TAKEN_SHARE / (gone * _TAKEN_SHARE + 1.0 - gone)
     far = _OFF_SIGMAS * max_sigma_m / place.sigma_without_m
     return np.asarray(mistaken * erfc(far / np.sqrt(2.0)))
@@ -440,16 +372,13 @@ def localize_within_prior(
     prior = replace(prior, covariance=prior.covariance + np.diag(np.square(_LEAST_SIGMA)))
     landmark_map = verifier.landmark_map
     detections = find_candidate_detections(frame, landmark_map, verifier.mount, prior)
-    poses = propose(detections, landmark_map).poses
+    poses = propose(detections, landmark_map)
     rough = np.diag(np.square(_PROPOSED_SIGMA))
     likely = poses[[_allows(prior, pose, rough) for pose in poses]]
     still = CarriedFrames(frame.stamp_ns, [frame], np.zeros((1, 3)), np.zeros((1, 3)))
-    places = [
-        place
-        for place in verified_places(likely[:CANDIDATES], still, verifier)
-        if _allows(prior, place.estimate.pose, place.estimate.covariance)
-    ]
-    return best_place(places, len(likely))
+    places = verified_places(likely[:CANDIDATES], still, verifier)
+    possible = [k for k in places if _allows(prior, k.estimate.pose, k.estimate.covariance)]
+    return best_place(possible, len(likely))
 
 
 def _allows(prior: PoseEstimate, pose: FloatArray, covariance: FloatArray) -> bool:

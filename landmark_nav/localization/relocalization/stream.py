@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -19,7 +18,6 @@ from landmark_nav.localization.joint_delay import DELAY_BOUND_S
 from landmark_nav.localization.odometry.noise import (
     jitter_variances,
     left_variance,
-    Motion,
     motion_variances,
     OdometryNoiseConfig,
 )
@@ -58,16 +56,10 @@ def shows_new(
     frame: CameraFrame, direction: FloatArray, directions: FloatArray, poses: FloatArray
 ) -> bool:
     """
-    Whether an image shows more of the room than earlier ones.
+    Whether an image with a `view_direction` (2,) shows more of the room than earlier ones.
 
-    Parameters
-    ----------
-    direction : ndarray, shape (2,)
-        `view_direction` of the image.
-    directions : ndarray, shape (n, 2)
-        `view_direction` of earlier images, each in its own base frame.
-    poses : ndarray, shape (n, 3)
-        Poses of the base at the earlier images, in the base frame of this one.
+    Those looked in `directions` (n, 2), each in its own base frame; `poses` (n, 3) of the base
+    then are in the base frame of this image.
     """
     off = np.reshape(directions, (-1, 2)) - direction
     off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2])
@@ -77,9 +69,8 @@ def shows_new(
     return not np.any(same & near)
 
 
-# An image is dropped once the drift of odometry since then exceeds these sigmas.
-_MAX_DRIFT_M = 0.1
-_MAX_DRIFT_RAD = 0.1
+# An image is dropped once the drift of odometry since then exceeds these sigmas, m, m and rad.
+_MAX_DRIFT = np.array([0.1, 0.1, 0.1])
 # Most images kept.
 _MAX_FRAMES = 30
 # Odometry older by this means that the clock was set back.
@@ -123,12 +114,8 @@ class Relocalizer:
     """
     Collects views of the room until only one place explains them.
 
-    Parameters
-    ----------
-    odometry : OdometryNoiseConfig, optional
-        Noise of the odometry.
-    stages : ImageStagesConfig, optional
-        Parameters of the detection that verifies a hypothesis.
+    Then `landmark_ids` are those from which it was found, and `in_time` is the place if the joint
+    states of the last image had no delay.
     """
 
     def __init__(
@@ -146,8 +133,8 @@ class Relocalizer:
         self._track = OdometryTrack(self._odometry)
         self._kept: list[_Keyframe] = []
         self._outcome = Refusal('nothing seen yet', 'no image came')
-        self._landmark_ids = np.empty(0, dtype=np.int64)
-        self._in_time: PoseEstimate | None = None
+        self.landmark_ids = np.empty(0, dtype=np.int64)
+        self.in_time: PoseEstimate
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Add a sample of odometry."""
@@ -167,30 +154,17 @@ class Relocalizer:
 
     def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """
-        Add an image.
+        Return the pose of the base at an image's stamp, or why there is none yet.
 
-        Parameters
-        ----------
-        frame : CameraFrame
-            Image with its joint angles.
-
-        Returns
-        -------
-        PoseEstimate or Refusal
-            Pose of the base at the image's stamp, or why there is none yet. An image that shows
-            nothing new is not searched: the last reason is returned.
+        An image that shows nothing new is not searched: the last reason is returned.
         """
         if not np.isfinite([frame.pan_rad, frame.tilt_rad]).all():
             return self._outcome
         direction = view_direction(frame, self._mount)
         poses, variances = self._carried(frame.stamp_ns)
         # Images from too far back, or from before the clock was set back, are dropped.
-        recent_enough = [
-            keyframe.frame.stamp_ns < frame.stamp_ns
-            and max(variance[:2]) < _MAX_DRIFT_M**2
-            and variance[2] < _MAX_DRIFT_RAD**2
-            for keyframe, variance in zip(self._kept, variances, strict=True)
-        ]
+        stamps_ns = np.array([keyframe.frame.stamp_ns for keyframe in self._kept], dtype=np.int64)
+        recent_enough = (stamps_ns < frame.stamp_ns) & (variances < _MAX_DRIFT**2).all(axis=1)
         self._kept = list(compress(self._kept, recent_enough))
         poses, variances = poses[recent_enough], variances[recent_enough]
         looked = np.array([keyframe.direction for keyframe in self._kept])
@@ -223,19 +197,8 @@ class Relocalizer:
             [DELAY_BOUND_S * kept.frame.pan_rate_rad_s for kept in self._kept]
         )
         others = max(delay_variances.mean() - delay_variances[-1], 0.0)
-        self._landmark_ids, self._in_time = outcome.ids, self._turned(outcome.estimate, others)
-        return self._turned(self._in_time, delay_variances[-1])
-
-    @property
-    def in_time(self) -> PoseEstimate:
-        """The last place, if the joint states of its last image had no delay."""
-        assert self._in_time is not None, 'no place was found'
-        return self._in_time
-
-    @property
-    def landmark_ids(self) -> npt.NDArray[np.int64]:
-        """Ids of the landmarks from which the last place was found."""
-        return self._landmark_ids
+        self.landmark_ids, self.in_time = outcome.ids, self._turned(outcome.estimate, others)
+        return self._turned(self.in_time, delay_variances[-1])
 
     def _tilted(
         self, frames: Sequence[CameraFrame], tilt_sigma_rad: float
@@ -256,15 +219,15 @@ class Relocalizer:
         return base_from_axis(replace(axis, covariance=covariance), self._mount)
 
     def _carried(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Poses (n, 3) of the base at the kept images, relative to now; their variances."""
-        motions = [self._track.motion(kept.frame.stamp_ns, stamp_ns) for kept in self._kept]
-        poses = se2.inverse(np.array([m.increment for m in motions]).reshape(-1, 3))
-        return poses, np.array([self._variances(motion) for motion in motions]).reshape(-1, 3)
-
-    def _variances(self, motion: Motion) -> FloatArray:
-        """Variances (3,) of a motion by uncalibrated wheels."""
-        way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
-        share = _SLIP * np.array([way, way, turn])
-        sensed = motion_variances(motion, self._odometry)
-        sensed[1] = left_variance(motion, self._odometry)
-        return np.asarray(sensed + jitter_variances(motion) + share**2)
+        """Poses (n, 3) of the base at the kept images, relative to now, and variances."""
+        increments, variances = np.zeros((2, len(self._kept), 3))
+        for k, keyframe in enumerate(self._kept):
+            motion = self._track.motion(keyframe.frame.stamp_ns, stamp_ns)
+            increments[k] = motion.increment
+            way, turn = np.hypot(*motion.increment[:2]), abs(motion.increment[2])
+            sensed = motion_variances(motion, self._odometry)
+            sensed[1] = left_variance(motion, self._odometry)
+            # Wheels may be uncalibrated.
+            share = _SLIP * np.array([way, way, turn])
+            variances[k] = sensed + jitter_variances(motion) + share**2
+        return se2.inverse(increments), variances

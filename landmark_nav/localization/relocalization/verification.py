@@ -12,13 +12,12 @@ import numpy.typing as npt
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.detection import DetectionConfig
 from landmark_nav.localization.detection.correlation import detect_blurred
-from landmark_nav.localization.detection.expectation import View
+from landmark_nav.localization.detection.expectation import DetectionConfig, View
 from landmark_nav.localization.detection.rows import RowResiduals
 from landmark_nav.localization.image_stages import ImageStagesConfig
-from landmark_nav.localization.triangulation import Fix, triangulate
-from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
+from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis, Fix
+from landmark_nav.localization.triangulation.robust import triangulate
 from landmark_nav.localization.triplet.visibility import visible_landmarks
 from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, PoseEstimate, Refusal
 
@@ -111,15 +110,14 @@ class CarriedFrames:
 
     def levelled(self, camera_tilt: CameraTilt) -> CarriedFrames:
         """Return the images with corrected tilt and roll of the camera."""
-        frames = [
-            replace(
-                frame,
-                tilt_rad=frame.tilt_rad + camera_tilt.tilt_rad,
-                roll_rad=frame.roll_rad + camera_tilt.roll_rad,
-            )
-            for frame in self.frames
-        ]
-        return replace(self, frames=frames)
+        tilt, roll, *_ = camera_tilt
+        return replace(
+            self,
+            frames=[
+                replace(frame, tilt_rad=frame.tilt_rad + tilt, roll_rad=frame.roll_rad + roll)
+                for frame in self.frames
+            ],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +142,7 @@ class Verification:
         return len(self.ids) / self.expected
 
 
-@dataclass(frozen=True, eq=False)
-class _Bearings:
+class _Bearings(NamedTuple):
     """Bearings of landmarks (columns of the map), each from one of the frames."""
 
     landmark: npt.NDArray[np.intp]
@@ -182,13 +179,11 @@ class PlaceVerifier:
             tall = replace(detection, vertical_sigma_px=height_px)
             _, expected, heights = self._look(prior, carried, tall)
             camera_tilt = estimate_camera_tilt(heights)
-            if camera_tilt.matches < _MOST * expected:
-                return Refusal(
-                    'no tilt', f'{camera_tilt.matches} of {expected} landmarks agree on one'
-                )
-            carried = carried.levelled(
-                camera_tilt if camera_tilt.is_roll else camera_tilt._replace(roll_rad=0.0)
-            )
+            if (matches := camera_tilt.matches) < _MOST * expected:
+                return Refusal('no tilt', f'{matches} of {expected} landmarks agree on one')
+            if not camera_tilt.is_roll:
+                camera_tilt = camera_tilt._replace(roll_rad=0.0)
+            carried = carried.levelled(camera_tilt)
         for sigmas in _SIGMAS:
             prior = replace(estimate, covariance=np.diag(np.square(sigmas)))
             found, expected, heights = self._look(prior, carried, detection)
@@ -203,7 +198,7 @@ class PlaceVerifier:
         seen = found.landmark[fix.used]
         landmark = np.unique(seen)
         bearing = se2.bearings(fix.pose, self.landmark_map.positions[landmark, :2])
-        without = np.array([fix.solution.covariance_without(seen == one) for one in landmark])
+        without = np.array([fix.covariance_without(seen == one) for one in landmark])
         sigma = np.sqrt(without[:, 0, 0] + without[:, 1, 1])
         return Verification(estimate, self.landmark_map.ids[landmark], bearing, sigma, expected)
 
@@ -213,27 +208,24 @@ class PlaceVerifier:
         """Return the bearings found, the number of expected landmarks, and the rows of matches."""
         landmark_map, mount = self.landmark_map, self.mount
         poses = se2.compose(prior.pose, carried.poses_last_base)
-        views = [
-            View(
-                frame, PoseEstimate(frame.stamp_ns, pose, prior.covariance + np.diag(drift)), mount
-            )
-            for frame, pose, drift in zip(carried.frames, poses, carried.variances, strict=True)
-        ]
-        landmarks, frames, asides = [], [], []
-        for k, (frame, view) in enumerate(zip(carried.frames, views, strict=True)):
+        views, expected = [], []
+        for k, (frame, pose, drift) in enumerate(
+            zip(carried.frames, poses, carried.variances, strict=True)
+        ):
+            here = PoseEstimate(frame.stamp_ns, pose, prior.covariance + np.diag(drift))
+            views.append(View(frame, here, mount))
             pan, tilt = frame.pan_rad, frame.tilt_rad
             index = visible_landmarks(
-                view.prior, landmark_map, frame.camera, mount, pan, tilt, self.stages.triplet
+                here, landmark_map, frame.camera, mount, pan, tilt, self.stages.triplet
             )
-            axis = axis_from_base(view.prior, mount).pose
+            axis = axis_from_base(here, mount).pose
             turn, _ = mount.camera_pose_base(pan, tilt)
             offset = landmark_map.positions[index, :2] - axis[:2]
             middle = axis[2] + np.arctan2(turn[1, 2], turn[0, 2])
-            landmarks.append(index)
-            frames.append(np.full(len(index), k))
-            asides.append(np.abs(wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - middle)))
-        landmark, of_frame = np.concatenate(landmarks), np.concatenate(frames)
-        order = np.lexsort((np.concatenate(asides), landmark))
+            aside = np.abs(wrap_rad(np.arctan2(offset[:, 1], offset[:, 0]) - middle))
+            expected.append((index, np.full(len(index), k), aside))
+        landmark, of_frame, aside = map(np.concatenate, zip(*expected, strict=True))
+        order = np.lexsort((aside, landmark))
         landmark, of_frame = landmark[order], of_frame[order]
         best = np.arange(len(order)) - np.searchsorted(landmark, landmark) < _VIEWS
         parts, heights, blur = [], [], np.zeros(2)
@@ -250,13 +242,9 @@ class PlaceVerifier:
     def _solve(
         self, found: _Bearings, prior: PoseEstimate, carried: CarriedFrames
     ) -> Fix | Refusal:
-        """
-        Triangulate the pan axis at the last image from bearings taken at different places.
-
-        A bearing from an earlier pose is one to a virtual landmark, shifted by the motion of the
-        axis since then (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009).
-        Errors of odometry are errors of the virtual landmark.
-        """
+        """Triangulate the pan axis at the last image from bearings taken at different places."""
+        # A bearing from an earlier pose is one to a virtual landmark, shifted by the motion of the
+        # axis since then (Font-Llagunes and Batlle, Consistent triangulation, RAS 57(9), 2009).
         axis = np.array([*self.mount.axis_xyz[:2], 0.0])
         moved = se2.relative(axis, se2.compose(carried.poses_last_base, axis))[found.frame]
         position = self.landmark_map.positions[found.landmark, :2]
@@ -280,13 +268,9 @@ class PlaceVerifier:
 
 
 def _drift(sight: FloatArray, variances: FloatArray) -> FloatArray:
-    """
-    Covariance (2n, 2n) of virtual landmarks by the errors of odometry.
-
-    They accumulate from the last image backwards, so two bearings share those of the later one. An
-    error of the turn moves a landmark across the line of sight `sight` (n, 2), in proportion to
-    the range.
-    """
+    """Covariance (2n, 2n) of virtual landmarks at `sight` (n, 2) by the errors of odometry."""
+    # They accumulate from the last image backwards, so two bearings share those of the later one.
+    # An error of the turn moves a landmark across the line of sight.
     across = np.stack([-sight[:, 1], sight[:, 0]], -1).reshape(-1)
     turn = np.minimum.outer(variances[:, 2], variances[:, 2])
     way = variances[:, :2].max(axis=1)

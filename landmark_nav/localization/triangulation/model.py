@@ -32,21 +32,10 @@ def bearing_residuals(
     poses: npt.ArrayLike, positions: npt.ArrayLike, bearings: npt.ArrayLike
 ) -> FloatArray:
     """
-    Measured minus expected bearing, wrapped to (-pi, pi].
+    Measured `bearings` (..., n) minus those expected of `positions` (..., n, 2), in (-pi, pi].
 
-    Parameters
-    ----------
-    poses : array_like, shape (..., 3)
-        Poses of the pan axis in map.
-    positions : array_like, shape (..., n, 2)
-        Landmarks in map, metres.
-    bearings : array_like, shape (..., n)
-        Measured bearings, radians.
-
-    Returns
-    -------
-    ndarray, shape (..., n)
-        About pi where a closed form solved for the opposite direction: the modulo-pi ambiguity.
+    `poses` (..., 3) are those of the pan axis. About pi where a closed form solved for the
+    opposite direction: the modulo-pi ambiguity.
     """
     pose = np.asarray(poses, dtype=np.float64)[..., None, :]
     delta = np.asarray(positions, dtype=np.float64) - pose[..., :2]
@@ -72,11 +61,7 @@ def bearing_gradients(pose: npt.ArrayLike, positions: npt.ArrayLike) -> FloatArr
 
 
 def map_share(gradients: FloatArray, covariance: FloatArray) -> FloatArray:
-    """
-    Covariance (n, n) of n bearings caused by the landmarks' joint covariance (2n, 2n).
-
-    It is G Sigma_L G^T with G the block diagonal of minus the bearing `gradients` (n, 2).
-    """
+    """Covariance (n, n) of bearings by that of the landmarks (2n, 2n) and `gradients` (n, 2)."""
     n = len(gradients)
     by_landmarks = (gradients[:, None] @ covariance.reshape(n, 2, 2 * n)).reshape(n, n, 2)
     return np.asarray((by_landmarks * gradients).sum(axis=-1))
@@ -84,24 +69,10 @@ def map_share(gradients: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[float, float]:
     """
-    Distance of a point from the circle through three landmarks, on which no pose can be computed.
+    Distance [m] of a point (2,) from the circle through three landmarks (3, 2), [m].
 
-    The result is finite for collinear landmarks too, whose circle is their line.
-
-    Parameters
-    ----------
-    point : array_like, shape (2,)
-        Metres.
-    landmarks : array_like, shape (3, 2)
-        Metres.
-
-    Returns
-    -------
-    distance : float
-        From the circle or line, metres.
-    relative : float
-        The same over the radius of the circle or the range of the farthest landmark, whichever is
-        smaller.
+    On it no pose can be computed; that of collinear landmarks is their line. The second value is
+    relative to its radius or the range of the farthest landmark, whichever is smaller.
     """
     delta = np.asarray(landmarks, dtype=np.float64) - np.asarray(point, dtype=np.float64)
     square = np.sum(delta * delta, -1)
@@ -149,21 +120,11 @@ _BLOCK = 8192
 
 def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> FloatArray:
     """
-    Poses from three bearings each.
+    Poses (..., 3) from three `bearings` (..., 3) each, to landmarks at `positions` (..., 3, 2).
 
-    Parameters
-    ----------
-    positions : array_like, shape (..., 3, 2)
-        Landmarks in map, metres.
-    bearings : array_like, shape (..., 3)
-        Their bearings, counter-clockwise from the robot's heading, radians.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        x, y [m] and heading [rad]. On the circle through the landmarks (`danger_distance`) the
-        pose is undetermined: not finite or, by rounding, arbitrary. The equations also hold for
-        the opposite direction of a landmark: check `bearing_residuals` before use.
+    On the circle through the landmarks (`danger_distance`) the pose is undetermined: not finite
+    or, by rounding, arbitrary. The equations also hold for the opposite direction of a landmark:
+    check `bearing_residuals` before use.
     """
     position = np.asarray(positions, dtype=np.float64)
     bearing = np.asarray(bearings, dtype=np.float64)
@@ -221,19 +182,29 @@ _UNDETERMINED = Refusal('degenerate geometry', 'the bearings leave a direction u
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """A least-squares pose (3,), its covariance (3, 3), Jacobian, residuals and weights."""
+class Fix:
+    """
+    A least-squares pose (3,) of the pan axis with the heading of the base, in map.
+
+    Its covariance (3, 3) is of first order, with the errors of the map. Jacobian, residuals and
+    weights are those of the bearings `used`, which is a mask (n,) of those given.
+    """
 
     pose: FloatArray
     covariance: FloatArray
     jacobian: FloatArray
     residual: FloatArray
     weight: FloatArray
+    used: BoolArray
 
     @property
     def chi_square(self) -> float:
-        """Chi-square of the residuals."""
+        """Chi-square of the residuals, with three degrees of freedom less than bearings used."""
         return float(self.residual @ self.weight @ self.residual)
+
+    def at(self, stamp_ns: int) -> PoseEstimate:
+        """Return the pose as an estimate of that time."""
+        return PoseEstimate(stamp_ns, self.pose, self.covariance)
 
     def covariance_without(self, rows: BoolArray) -> FloatArray:
         """Covariance (3, 3) of the pose without the bearings selected by `rows` (n,)."""
@@ -248,12 +219,7 @@ class Solution:
 
 
 class Bearings(NamedTuple):
-    """
-    Bearings of n landmarks.
-
-    `position` (n, 2) of the landmarks in map, with the joint covariance `map_cov` (2 n, 2 n);
-    `bearing` (n,) with its own `variance` (n,).
-    """
+    """Bearings of n landmarks, whose positions have the joint covariance (2 n, 2 n) `map_cov`."""
 
     position: FloatArray
     bearing: FloatArray
@@ -263,10 +229,8 @@ class Bearings(NamedTuple):
     def chosen(self, index: IndexArray) -> Bearings:
         """Return the bearings of some landmarks."""
         rows = np.stack([2 * index, 2 * index + 1], -1).reshape(-1)
-        position, bearing, variance, map_cov = self
-        return Bearings(
-            position[index], bearing[index], variance[index], map_cov[np.ix_(rows, rows)]
-        )
+        position, bearing, variance = (values[index] for values in self[:3])
+        return Bearings(position, bearing, variance, self.map_cov[np.ix_(rows, rows)])
 
     def best_start(self, start: PoseEstimate | None) -> FloatArray | None:
         """Pose (3,) of those of triples and the prior with the least robust cost."""
@@ -281,7 +245,7 @@ class Bearings(NamedTuple):
         square = bearing_residuals(poses, self.position, self.bearing) ** 2 / self.variance
         return np.asarray(poses[np.argmin(np.sum(np.log1p(square / 9.0), axis=-1))])
 
-    def solve(self, start: FloatArray) -> Solution | Refusal:
+    def solve(self, start: FloatArray) -> Fix | Refusal:
         """Gauss-Newton with weights updated in each iteration; steps of at most 1 m and 1 rad."""
         pose, jacobian = start.copy(), np.full((len(self.bearing), 3), -1.0)
         for _ in range(_MAX_STEPS):
@@ -307,11 +271,12 @@ class Bearings(NamedTuple):
             # The next step would be at least a hundred times smaller.
             if np.abs(step).max() < 1e-8:
                 pose[2] = wrap_rad(pose[2])
-                return Solution(pose, covariance, jacobian, residual, weight)
+                used = np.ones(len(residual), dtype=np.bool_)
+                return Fix(pose, covariance, jacobian, residual, weight, used)
         return Refusal('no convergence', f'last step {np.abs(step).max():.1e} m or rad')
 
 
-def w_statistics(solved: Solution) -> FloatArray:
+def w_statistics(solved: Fix) -> FloatArray:
     """Normalized residuals (n,): the w-statistic of each bearing (Baarda, 1968)."""
     weighted = solved.weight @ solved.residual
     spread = solved.weight @ solved.jacobian

@@ -7,7 +7,7 @@ the pose of the base.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from landmark_nav.localization.triangulation.model import (
     bearing_residuals,
     Bearings,
     danger_distance,
-    Solution,
+    Fix,
     w_statistics,
 )
 from landmark_nav.parameters import Config
@@ -51,38 +51,6 @@ class TriangulationConfig(Config):
     min_range_m: float = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class Fix:
-    """
-    A triangulated pose of the pan axis.
-
-    Parameters
-    ----------
-    pose : ndarray, shape (3,)
-        x, y [m] of the pan axis and heading [rad] of the base, map frame.
-    covariance : ndarray, shape (3, 3)
-        First-order covariance, with the errors of the map.
-    used : ndarray of bool, shape (n,)
-        Bearings that were used, without outliers.
-    solution : Solution
-        Least-squares solution of these bearings.
-    """
-
-    pose: FloatArray
-    covariance: FloatArray
-    used: BoolArray
-    solution: Solution
-
-    @property
-    def chi_square(self) -> float:
-        """Chi-square of the residuals, with ``used.sum() - 3`` degrees of freedom."""
-        return self.solution.chi_square
-
-    def at(self, stamp_ns: int) -> PoseEstimate:
-        """Return the pose as an estimate of that time."""
-        return PoseEstimate(stamp_ns, self.pose, self.covariance)
-
-
 def triangulate(
     positions: npt.ArrayLike,
     bearings: npt.ArrayLike,
@@ -101,18 +69,9 @@ def triangulate(
     Raises `LandmarkNavError`: arrays that do not match, values that are not finite, variances that
     are not positive.
 
-    Parameters
-    ----------
-    positions : array_like, shape (n, 2)
-        Landmarks in map, metres.
-    bearings, variances : array_like, shape (n,)
-        Bearings at the pan axis [rad] and their own variances [rad^2].
-    map_covariance : array_like, shape (2n, 2n), optional
-        Joint covariance of `positions`, metres squared.
-    start : PoseEstimate, optional
-        Prior of the pan axis: tried as a start, and the fix must be plausible beside it.
-    config : TriangulationConfig, optional
-        Limits.
+    `positions` (n, 2) are in map, with the joint covariance `map_covariance` (2n, 2n); `bearings`
+    (n,) [rad] at the pan axis have their own `variances` (n,). `start`, a prior of the pan axis,
+    is tried as a start, and the fix must be plausible beside it.
     """
     config = config or TriangulationConfig()
     given = _checked(positions, bearings, variances, map_covariance)
@@ -120,24 +79,22 @@ def triangulate(
     if n < 3:
         return Refusal('fewer than three bearings', f'{n} given')
     used = np.ones(n, dtype=np.bool_)
-    solved: Solution | Refusal | None = None
-    if start is not None:
-        solved = given.solve(start.pose)
+    solved = None if start is None else given.solve(start.pose)
     # No other start is needed if all bearings fit a pose near the prior.
-    if not isinstance(solved, Solution) or solved.chi_square > _limit(n, config):
+    if not isinstance(solved, Fix) or solved.chi_square > _limit(n, config):
         pose = given.best_start(start)
         if pose is None:
             return Refusal('degenerate geometry', 'no three landmarks fix a pose')
         solved = _without_outliers(given, pose, used, config)
         if isinstance(solved, Refusal):
             return solved
-    fix = Fix(solved.pose, solved.covariance, used, solved)
+    fix = replace(solved, used=used)
     return _refusal(fix, given.position[used], start, config) or fix
 
 
 def _without_outliers(
     given: Bearings, pose: FloatArray, used: BoolArray, config: TriangulationConfig
-) -> Solution | Refusal:
+) -> Fix | Refusal:
     """Solve from a pose (3,); sets `used` (n,) to False for outliers."""
     while True:
         index = np.flatnonzero(used)
@@ -154,11 +111,11 @@ def _without_outliers(
         if solved.chi_square <= limit:
             return solved
         if len(index) <= 4:
+            largest = np.degrees(np.abs(solved.residual).max())
             return Refusal(
                 'bearings do not meet',
                 f'chi-square {solved.chi_square:.1f} of {len(index)} bearings, limit '
-                f'{limit:.1f}, largest residual '
-                f'{np.degrees(np.abs(solved.residual).max()):.2f} deg',
+                f'{limit:.1f}, largest residual {largest:.2f} deg',
             )
         used[index[np.argmax(w_statistics(solved))]] = False
 
@@ -206,9 +163,8 @@ def _refusal(
     if len(position) == 3:
         distance, relative = danger_distance(fix.pose[:2], position)
         if relative < _DANGER_MARGIN or distance < 3.0 * sigma:
-            return Refusal(
-                'danger circle', f'{distance:.2f} m from the circle through the three landmarks'
-            )
+            where = f'{distance:.2f} m from the circle through the three landmarks'
+            return Refusal('danger circle', where)
     if start is not None:
         spread = start.covariance + fix.covariance
         distance_sq = squared_distance(fix.pose, start.pose, spread)

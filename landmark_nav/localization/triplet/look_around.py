@@ -15,7 +15,6 @@ _OVERLAP = 0.25
 _ARRIVED_RAD = 0.03
 # A joint that has not arrived after this time, s, is stuck: the next view follows.
 _PATIENCE_S = 5.0
-
 # A pose with larger sigmas is unknown: of the position (root of the trace), of the heading.
 _LOST_SIGMA_M = 0.5
 _LOST_SIGMA_RAD = 0.5
@@ -79,14 +78,7 @@ class LookAround:
         self._left, self._target, self._since_s = [], None, None
 
     def pan_at(self, now_s: float, pan_rad: float, fov_rad: float) -> float | None:
-        """
-        Pan to turn to while the pose is unknown; None until that has lasted for `after_s`.
-
-        Parameters
-        ----------
-        now_s : float
-            Time by a monotonic clock.
-        """
+        """Pan to turn to while the pose is unknown; None until that has lasted for `after_s`."""
         if self._since_s is None:
             self._since_s = now_s
         if not self._config.enabled or now_s - self._since_s < self._config.after_s:

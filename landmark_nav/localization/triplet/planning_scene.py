@@ -53,18 +53,9 @@ def travel_s(way_rad: npt.ArrayLike, rate_rad_s: float, acceleration_rad_s2: flo
 @dataclass(frozen=True, eq=False)
 class PanWindows:
     """
-    Intervals of pan (m,) in which a landmark is whole in view, one for each turn of the axis.
+    Intervals `lower` to `upper` (m,) of pan in which a landmark is whole in view, one a turn.
 
-    Parameters
-    ----------
-    place : ndarray of int, shape (m,)
-        Index of the landmark.
-    lower, upper : ndarray, shape (m,)
-        Least and greatest pan.
-    pan_rad : float or None
-        Pan now, if the time of turns counts.
-    config : TripletConfig
-        Speed of the pan unit.
+    `place` (m,) is the index of the landmark; `pan_rad` the pan now, if the time of turns counts.
     """
 
     place: IndexArray
@@ -85,16 +76,8 @@ class PanWindows:
         """
         Windows of n landmarks, within the limits of the joint.
 
-        Parameters
-        ----------
-        azimuth_rad : ndarray, shape (n,)
-            Azimuth of the landmarks in the frame of the pan axis, within (-pi, pi].
-        reach_rad : ndarray, shape (n,)
-            Greatest difference of pan and azimuth at which the landmark is whole in view.
-        limits_rad : tuple of float
-            Least and greatest pan.
-        pan_rad, config
-            As above.
+        `azimuth_rad` (n,), within (-pi, pi], are in the frame of the pan axis; landmarks are whole
+        in view up to `reach_rad` (n,) beside them.
         """
         first, last = (round(limit / _TURN) for limit in limits_rad)
         turns = _TURN * np.arange(first - 1, last + 2)[:, None]
@@ -137,14 +120,8 @@ class CameraState:
     """
     Where the camera looks and how far it can turn.
 
-    Parameters
-    ----------
-    pan_rad : float or None
-        Pan now: turning away from it takes time. None if that does not count.
-    tilt_rad : float
-        Tilt, positive upwards.
-    limits_rad : tuple of float
-        Least and greatest pan; the same twice for a camera that does not turn.
+    Turning away from `pan_rad` takes time, unless it is None; tilt is positive upwards.
+    `limits_rad` are the same twice for a camera that does not turn.
     """
 
     pan_rad: float | None = None
@@ -154,22 +131,7 @@ class CameraState:
 
 @dataclass(frozen=True, eq=False)
 class PlanningScene:
-    """
-    A map seen from a prior pose of the base.
-
-    Parameters
-    ----------
-    prior : PoseEstimate
-        Pose of the base in map; its covariance widens the margins.
-    landmark_map : LandmarkMap
-        n landmarks.
-    camera, mount : CameraModel, PanTiltMount
-        Intrinsics and extrinsics.
-    config : TripletConfig
-        What counts as visible.
-    camera_state : CameraState
-        Where the camera looks and how far it can turn.
-    """
+    """A map seen from a prior pose of the base, whose covariance widens the margins."""
 
     prior: PoseEstimate
     landmark_map: LandmarkMap
@@ -218,14 +180,9 @@ class PlanningScene:
 
     def whole(self, corners: FloatArray, pan_rad: FloatArray) -> npt.NDArray[np.bool_]:
         """Whether views (m,) contain the corners (m, 4, 3) of their patches."""
+        tilt_rad, border_px = self.camera_state.tilt_rad, self.config.border_px
         return fully_in_view(
-            corners,
-            self.prior.pose,
-            self.camera,
-            self.mount,
-            pan_rad,
-            self.camera_state.tilt_rad,
-            self.config.border_px,
+            corners, self.prior.pose, self.camera, self.mount, pan_rad, tilt_rad, border_px
         )
 
     def expected_bearings(self, index: IndexArray) -> tuple[FloatArray, FloatArray]:

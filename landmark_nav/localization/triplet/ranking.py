@@ -29,58 +29,38 @@ _ROW = np.dtype(
 _LANDMARK = np.dtype([('id', '<u4'), ('reason', '<u1')])
 
 
-class LandmarkVisibility(IntEnum):
+class _Reason(IntEnum):
+    """A number for messages, with `words` for people."""
+
+    words: str
+
+    def __new__(cls, number: int, words: str = '') -> _Reason:
+        member = int.__new__(cls, number)
+        member._value_, member.words = number, words
+        return member
+
+
+class LandmarkVisibility(_Reason):
     """Whether a landmark can be part of a triplet, or why not."""
 
-    USABLE = 0
-    NO_IMAGE = 1
-    OUT_OF_RANGE = 2
-    OUTSIDE_AREA = 3
-    HIDDEN = 4
-    CUT = 5
-    BEYOND_LIMITS = 6
-
-    @property
-    def words(self) -> str:
-        """For people."""
-        return _WORDS[self]
+    USABLE = 0, 'usable'
+    NO_IMAGE = 1, 'without an image'
+    OUT_OF_RANGE = 2, 'too near or too far'
+    OUTSIDE_AREA = 3, 'outside the observation area'
+    HIDDEN = 4, 'behind a wall'
+    CUT = 5, 'cut by the border of the image'
+    BEYOND_LIMITS = 6, 'beyond the joint limits'
 
 
-_WORDS = {
-    LandmarkVisibility.USABLE: 'usable',
-    LandmarkVisibility.NO_IMAGE: 'without an image',
-    LandmarkVisibility.OUT_OF_RANGE: 'too near or too far',
-    LandmarkVisibility.OUTSIDE_AREA: 'outside the observation area',
-    LandmarkVisibility.HIDDEN: 'behind a wall',
-    LandmarkVisibility.CUT: 'cut by the border of the image',
-    LandmarkVisibility.BEYOND_LIMITS: 'beyond the joint limits',
-}
-
-
-class Verdict(IntEnum):
+class Verdict(_Reason):
     """Why a triplet is where it is in a ranking."""
 
-    CHOSEN = 0
-    LESS_ACCURATE = 1
-    LESS_LIKELY = 2
-    LONGER_TURN = 3
-    SLIGHTLY_WORSE = 4
-    NOT_BETTER_ENOUGH = 5
-
-    @property
-    def words(self) -> str:
-        """For people."""
-        return _VERDICTS[self]
-
-
-_VERDICTS = {
-    Verdict.CHOSEN: 'chosen',
-    Verdict.LESS_ACCURATE: 'less accurate',
-    Verdict.LESS_LIKELY: 'less likely to be found',
-    Verdict.LONGER_TURN: 'longer turn',
-    Verdict.SLIGHTLY_WORSE: 'slightly worse in all',
-    Verdict.NOT_BETTER_ENOUGH: 'not better enough to give up the one looked at',
-}
+    CHOSEN = 0, 'chosen'
+    LESS_ACCURATE = 1, 'less accurate'
+    LESS_LIKELY = 2, 'less likely to be found'
+    LONGER_TURN = 3, 'longer turn'
+    SLIGHTLY_WORSE = 4, 'slightly worse in all'
+    NOT_BETTER_ENOUGH = 5, 'not better enough to give up the one looked at'
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,24 +68,11 @@ class Ranking:
     """
     The chosen triplet, or why there is none, and the m best in order of preference.
 
-    Parameters
-    ----------
-    chosen : Triplet or Refusal
-        The best one.
-    visibility : ndarray of int, shape (n,)
-        `LandmarkVisibility` of each landmark of the map.
-    ids : ndarray of int, shape (m, 3)
-        Landmarks of the triplets.
-    covariances : ndarray, shape (m, 3, 3)
-        Predicted covariance of a fix: pan axis with the orientation of the base.
-    chance : ndarray, shape (m,)
-        Probability that all three are found.
-    travel_s : ndarray, shape (m,)
-        Time to turn to them.
-    pan_rad : ndarray, shape (m,)
-        Pan at which all three are in view.
-    score : ndarray, shape (m,)
-        Variance over chance, times the time relative to that of a look; m^2.
+    `visibility` (n,) is the `LandmarkVisibility` of each landmark of the map. Of the triplets,
+    `ids` (m, 3) are the landmarks, `covariances` (m, 3, 3) those predicted of a fix (pan axis with
+    the orientation of the base), `chance` (m,) the probability that all three are found,
+    `travel_s` (m,) the time to turn to them, `pan_rad` (m,) where all three are in view, and
+    `score` (m,) variance over chance, times the time relative to that of a look; m^2.
     """
 
     chosen: Triplet | Refusal
@@ -155,12 +122,13 @@ class Ranking:
 
     def verdicts(self) -> list[Verdict]:
         """Reason for the rank of each of the m triplets."""
-        # If none is chosen, even the best is not accurate enough.
-        refused = isinstance(self.chosen, Refusal)
-        first = Verdict.LESS_ACCURATE if refused else Verdict.CHOSEN
-        return [self._verdict(k) if k else first for k in range(len(self.score))]
+        return [self._verdict(place) for place in range(len(self.score))]
 
     def _verdict(self, place: int) -> Verdict:
+        if place == 0:
+            # If none is chosen, even the best is not accurate enough.
+            refused = isinstance(self.chosen, Refusal)
+            return Verdict.LESS_ACCURATE if refused else Verdict.CHOSEN
         if self.score[place] < self.score[0]:
             return Verdict.NOT_BETTER_ENOUGH
         sigma = self.sigma_m

@@ -136,22 +136,10 @@ def best_triplets(
     """
     Triplets with the lowest score: variance times the landmarks' factors times the cost.
 
-    Parameters
-    ----------
-    tables : PairTables
-        Of n landmarks from viewpoints (p,), over which the variance is averaged.
-    factor : ndarray, shape (n,)
-        Factor of each landmark, at least 1.
-    cost : ndarray, shape (n, n)
-        Cost of each pair, at least 1, symmetric; infinite for pairs that can't be combined. The
-        cost of a triplet is the largest of its pairs.
-
-    Returns
-    -------
-    scores : ndarray, shape (m,)
-        Ascending; fewer than `count` if there are no more.
-    triplets : ndarray of int, shape (m, 3)
-        Indices of each, ascending.
+    The variance is averaged over the viewpoints (p,) of the tables; `factor` (n,) is at least 1.
+    `cost` (n, n) of pairs is at least 1, symmetric, infinite if they can't be combined; that of a
+    triplet is the largest of its pairs. Scores (m,) and indices (m, 3) are ascending; m is
+    less than `count` if there are no more.
     """
     with np.errstate(divide='ignore', invalid='ignore'):
         least = tables.error / tables.distance
@@ -199,12 +187,10 @@ class _Search:
             with np.errstate(invalid='ignore'):
                 good = np.flatnonzero(lower * weight <= self.limit * _ROUNDING)
             i, j, k, total, weight = (a.take(good) for a in (i, j, k, total, weight))
-        found = np.sort(np.stack([i, j, k], -1), axis=1)
-        scores, triplets = total * weight, np.concatenate([self.triplets, found])
-        finite = np.isfinite(scores)
-        scores = np.concatenate([self.scores, scores])
-        finite = np.concatenate([np.ones(len(self.scores), np.bool_), finite])
-        scores, triplets = scores[finite], triplets[finite]
+        finite = np.isfinite(total * weight)
+        scores = np.concatenate([self.scores, (total * weight)[finite]])
+        found = np.sort(np.stack([i, j, k], -1)[finite], axis=1)
+        triplets = np.concatenate([self.triplets, found])
         once = first_of_each(triplets)
         best = once[np.argsort(scores[once], kind='stable')[: self._count]]
         self.scores, self.triplets = scores[best], triplets[best]

@@ -54,25 +54,13 @@ def rank_triplets(
     """
     Compare all triplets that can be seen and choose one.
 
-    Parameters
-    ----------
-    prior : PoseEstimate
-        Pose of the base in map; its covariance widens the margins, and the expected covariance is
-        averaged over it.
-    config : TripletConfig
-        What counts as visible, and what time costs.
-    camera_state : CameraState, optional
-        Where the camera looks and how far it turns; a full turn at no cost by default.
-    previous : Triplet, optional
-        The triplet looked at now; kept unless another is better by `config.hysteresis`.
-    found_rate : array_like, shape (n,), optional
-        Share of attempts in which each landmark of the map was found, (0, 1].
+    The expected covariance is averaged over that of the prior, which also widens the margins.
+    `camera_state` is a full turn at no cost by default. `previous`, the triplet looked at now, is
+    kept unless another is better by `config.hysteresis`. `found_rate` (n,) is the share of
+    attempts in which each landmark of the map was found, (0, 1].
 
-    Returns
-    -------
-    Ranking
-        In the chosen triplet, `sigma_rad` are the sigmas of the expected bearings by prior and
-        map, `covariance` is that of the base's pose, and `pan_rad` where to look.
+    In the chosen triplet, `sigma_rad` are those of the expected bearings by prior and map,
+    `covariance` is that of the base's pose, and `pan_rad` where to look.
     """
     scene = PlanningScene(
         prior, landmark_map, camera, mount, config, camera_state or CameraState()
@@ -102,10 +90,18 @@ class _TripletSearch:
 
     def judge(self, previous: Triplet | None, visibility: npt.NDArray[np.int8]) -> Ranking:
         """Find the best triplet and compare it with the one looked at now."""
-        triplets, tours, score = self._best(self._windows_of(previous))
-        favoured = score.copy()
-        favoured[self._are(previous, triplets)] /= 1.0 + self._config.hysteresis
-        order = np.argsort(favoured, kind='stable')
+        kept = np.empty((0, 3), dtype=np.intp)
+        if previous is not None:
+            # The previous triplet in all pan turns that see it.
+            ids = self._map.ids[self._index]
+            seen = product(*(np.flatnonzero(ids == k) for k in previous.ids))
+            kept = np.array(list(seen), dtype=np.intp).reshape(-1, 3)
+        triplets, tours, score = self._best(kept)
+        liked = score.copy()
+        if previous is not None:
+            ids = np.sort(self._map.ids[self._index[triplets]], axis=-1)
+            liked[(ids == np.sort(previous.ids)).all(axis=-1)] /= 1.0 + self._config.hysteresis
+        order = np.argsort(liked, kind='stable')
         order = order[np.isfinite(score[order])]
         # Each triplet once, with the pan turn that costs least.
         once = first_of_each(np.sort(self._index[triplets[order]]))
@@ -117,53 +113,23 @@ class _TripletSearch:
         return self._ranking(triplets[order], tours, score[order], visibility)
 
     def _best(self, kept: IndexArray) -> tuple[IndexArray, Tours, FloatArray]:
-        """
-        Return triplets (t, 3), with the best one and those `kept`; their tours and scores.
-
-        The search does not check whether patches are whole in view. It is repeated for more
-        triplets until all that it left out must be worse than the best one found.
-        """
+        """Return triplets (t, 3), with the best one and those `kept`; their tours and scores."""
         factor, cost = 1.0 / self._chance, self._windows.costs()
         count = _SHORTLIST
         while True:
             floor, found = best_triplets(self._tables, factor, cost, count)
             triplets = np.concatenate([kept, found])
-            tours = self._tours(triplets)
-            score = self._scores(triplets, tours)
+            tours = self._windows.tours(triplets)
+            corners = self._corners[triplets].reshape(-1, 4, 3)
+            whole = self._scene.whole(corners, np.repeat(tours.pan_rad, 3)).reshape(-1, 3)
+            tours = tours._replace(cost=np.where(whole.all(axis=1), tours.cost, np.inf))
+            chance = np.prod(self._chance[triplets], axis=-1)
+            score = mean_variance(self._tables, triplets) / chance * tours.cost
+            # The search does not check whether patches are whole in view. It is repeated for more
+            # until all that it left out must be worse than the best one found.
             if len(floor) < count or np.min(score) <= floor[-1]:
                 return triplets, tours, score
             count *= 8
-
-    def _tours(self, triplets: IndexArray) -> Tours:
-        """Tours of triplets (t, 3) that show all patches whole."""
-        tours = self._windows.tours(triplets)
-        corners = self._corners[triplets].reshape(-1, 4, 3)
-        whole = self._scene.whole(corners, np.repeat(tours.pan_rad, 3))
-        good = whole.reshape(-1, 3).all(axis=1)
-        return tours._replace(cost=np.where(good, tours.cost, np.inf))
-
-    def _scores(self, triplets: IndexArray, tours: Tours) -> FloatArray:
-        if not len(triplets):
-            return np.empty(0)
-        chance = np.prod(self._chance[triplets], axis=-1)
-        variance = mean_variance(self._tables, triplets)
-        return np.asarray(variance / chance * tours.cost)
-
-    def _windows_of(self, previous: Triplet | None) -> IndexArray:
-        """The previous triplet (t, 3) in all pan turns that see it; empty if none does."""
-        if previous is None:
-            return np.empty((0, 3), dtype=np.intp)
-        ids = self._map.ids[self._index]
-        return np.array(
-            list(product(*(np.flatnonzero(ids == k) for k in previous.ids))), dtype=np.intp
-        ).reshape(-1, 3)
-
-    def _are(self, previous: Triplet | None, triplets: IndexArray) -> npt.NDArray[np.bool_]:
-        """Whether triplets (t, 3) are the previous one."""
-        if previous is None:
-            return np.zeros(len(triplets), dtype=np.bool_)
-        ids = np.sort(self._map.ids[self._index[triplets]], axis=-1)
-        return np.asarray((ids == np.sort(previous.ids)).all(axis=-1))
 
     def _ranking(
         self,
@@ -257,8 +223,7 @@ class ActiveCamera:
     def saw(self, detections: Detections) -> None:
         """Count what was found in an image, and what was missed."""
         missed, found = (
-            (self._map.ids[:, None] == ids).any(axis=1)
-            for ids in (detections.missed, detections.ids)
+            np.isin(self._map.ids, ids) for ids in (detections.missed, detections.ids)
         )
         self.record.note(missed, found)
 

@@ -59,16 +59,8 @@ def visible_landmarks(
     tilt_rad: float,
     config: TripletConfig,
 ) -> npt.NDArray[np.intp]:
-    """
-    Landmarks expected to be whole in a given view.
-
-    Returns
-    -------
-    ndarray of int, shape (m,)
-        Their indices in the map.
-    """
-    seen = observable(axis_position(prior.pose, mount), landmark_map, config)
-    index = np.flatnonzero(seen)
+    """Indices (m,) in the map of the landmarks expected to be whole in a given view."""
+    index = np.flatnonzero(observable(axis_position(prior.pose, mount), landmark_map, config))
     inside = fully_in_view(
         landmark_map.corners[index], prior.pose, camera, mount, pan_rad, tilt_rad, config.border_px
     )
@@ -85,9 +77,8 @@ def observable(
     viewer: FloatArray, landmark_map: LandmarkMap, config: TripletConfig
 ) -> npt.NDArray[np.bool_]:
     """Which landmarks (n,) look as learned from a viewer (3,)."""
-    return np.asarray(
-        landmark_visibilities(viewer, landmark_map, config) == LandmarkVisibility.USABLE
-    )
+    visibility = landmark_visibilities(viewer, landmark_map, config)
+    return np.asarray(visibility == LandmarkVisibility.USABLE)
 
 
 def landmark_visibilities(
@@ -102,21 +93,13 @@ def landmark_visibilities(
     away = position[:, :2] - viewer[:2]
     distance = np.hypot(away[:, 0], away[:, 1])
     visibility = np.full(len(position), LandmarkVisibility.USABLE, dtype=np.int8)
-    well = observed_well(
-        position,
-        landmark_map.normals,
-        landmark_map.viewpoints,
-        viewer,
-        config.min_sampling,
-        config.max_sampling,
-    )
+    views = position, landmark_map.normals, landmark_map.viewpoints, viewer
+    well = observed_well(*views, config.min_sampling, config.max_sampling)
+    within = (distance >= config.min_range_m) & (distance <= config.max_range_m)
+    sized = landmark_map.sizes_m.min(axis=1, initial=np.inf) > 0.0
     visibility[~well] = LandmarkVisibility.OUTSIDE_AREA
-    visibility[(distance < config.min_range_m) | (distance > config.max_range_m)] = (
-        LandmarkVisibility.OUT_OF_RANGE
-    )
-    visibility[landmark_map.sizes_m.min(axis=1, initial=np.inf) <= 0.0] = (
-        LandmarkVisibility.NO_IMAGE
-    )
+    visibility[~within] = LandmarkVisibility.OUT_OF_RANGE
+    visibility[~sized] = LandmarkVisibility.NO_IMAGE
     left = np.flatnonzero(visibility == LandmarkVisibility.USABLE)
     room = landmark_map.room
     if room is not None and len(left):
