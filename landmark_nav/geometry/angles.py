@@ -40,8 +40,19 @@ def unwrap_joint(stamps_ns: npt.ArrayLike, angles_rad: npt.ArrayLike) -> npt.NDA
     Remove the jumps of a driver that reports the angle of a joint within +-pi.
 
     A step of more than half a turn is a jump if it is faster than any joint. The angles of a
-    driver that counts turns do not change, nor does the first. Angles (k,), radians, have
-    ascending or descending times (k,).
+    driver that counts turns do not change.
+
+    Parameters
+    ----------
+    stamps_ns : array_like, shape (k,)
+        Times of the angles, ascending or descending.
+    angles_rad : array_like, shape (k,)
+        Measured angles, radians.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Angles that differ from the measured ones by whole turns; the first is unchanged.
     """
     angles = np.array(angles_rad, dtype=np.float64)
     steps = np.diff(angles)

@@ -54,10 +54,18 @@ class CameraModel:
     Raises `LandmarkNavError`: unknown model, too many coefficients, values that are impossible for
     a camera, or a lens model that folds back within most of the image.
 
-    Focal lengths and principal point are in pixels. `model` is the ROS distortion model:
-    ``plumb_bob``, ``rational_polynomial`` or ``equidistant``; `distortion` has its coefficients in
-    the order of ROS and OpenCV (thin prism terms last), empty: none. `full_size` is width and
-    height of the original image, if this camera is that of a reduced one.
+    Parameters
+    ----------
+    width, height : int
+        Image size, pixels.
+    fx, fy, cx, cy : float
+        Focal lengths and principal point, pixels.
+    model : str
+        ROS distortion model: ``plumb_bob``, ``rational_polynomial`` or ``equidistant``.
+    distortion : tuple of float
+        Coefficients in the order of ROS and OpenCV (thin prism terms last); empty: none.
+    full_size : (int, int), optional
+        Width and height of the original image, if this camera is that of a reduced one.
     """
 
     width: int
@@ -452,13 +460,28 @@ class PanTiltMount:
 
     Raises `LandmarkNavError`: the lower pan limit is not below the upper one.
 
-    Lengths are in metres, angles in radians. The pan axis is at `axis_xyz` in `base_frame`, turned
-    by `axis_rpy` at pan 0. `optical_center_offset` is from the axis to the optical centre, in the
-    frame that turns with pan and tilt (x along the view, y left, z up). `camera_roll_rad` is about
-    the optical axis, clockwise in the direction of view; pi if the camera is mounted upside down.
-    The error of the measured joint angles, `pan_sigma_rad`, is common to one image. Limits, rate
-    and acceleration are those of the pan joint. `image_delay_s` is the time by which the stamps of
-    images lag those of odometry.
+    Parameters
+    ----------
+    axis_xyz : tuple of float
+        Lever arm: position of the pan axis in ``base_link``, metres.
+    axis_rpy : tuple of float
+        Orientation of the axis frame at pan 0 in ``base_link``, radians.
+    optical_center_offset : tuple of float
+        Vector from the axis to the optical centre, metres, in the frame that turns with pan and
+        tilt (x along the view, y left, z up).
+    camera_roll_rad : float
+        Rotation of the camera about its optical axis, clockwise in the direction of view; pi if it
+        is mounted upside down.
+    pan_sigma_rad : float
+        Standard deviation of the measured joint angles; the error is common to one image.
+    base_frame, pan_joint, tilt_joint : str
+        Names of the base frame and of the joints.
+    pan_min_rad, pan_max_rad : float
+        Limits of the pan joint.
+    pan_rate_rad_s, pan_acceleration_rad_s2 : float
+        Rate and acceleration of the pan joint, for the duration of moves.
+    image_delay_s : float
+        Time by which the stamps of images lag those of odometry.
     """
 
     axis_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -521,10 +544,21 @@ class PanTiltMount:
         roll_rad: npt.ArrayLike = 0.0,
     ) -> tuple[FloatArray, FloatArray]:
         """
-        Rotations (..., 3, 3) optical frame -> ``base_link``, and optical centres (..., 3), metres.
+        Pose of the optical frame in ``base_link``.
 
-        Pans (...) are positive to the left, tilts (...) upwards, in the axis frame; `roll_rad`
-        (...) is an additional rotation about the optical axis, clockwise in the direction of view.
+        Parameters
+        ----------
+        pan_rad, tilt_rad : array_like, shape (...)
+            Joint angles; pan positive to the left, tilt positive upwards, in the axis frame.
+        roll_rad : float or array_like, shape (...)
+            Additional rotation about the optical axis, clockwise in the direction of view.
+
+        Returns
+        -------
+        rotation : ndarray, shape (..., 3, 3)
+            Optical frame -> base.
+        translation : ndarray, shape (..., 3)
+            Optical centre in base, metres.
         """
         turned = self._axis_rotation @ rot_z(pan_rad) @ rot_y(np.negative(tilt_rad))
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)

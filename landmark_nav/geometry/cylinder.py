@@ -27,10 +27,18 @@ _MAX_PIXELS = 16_000_000
 @dataclass(frozen=True)
 class Cylinder:
     """
-    Geometry of a cylindrical image, whose `width` spans exactly one turn.
+    Geometry of a full-turn cylindrical image.
 
-    `fy` are pixels per unit tangent of elevation, `cx` is the column of azimuth 0 in the base
-    frame, `cy` the row of the horizon.
+    Parameters
+    ----------
+    width, height : int
+        Size, pixels; `width` spans exactly one turn.
+    fy : float
+        Pixels per unit tangent of elevation.
+    cx : float
+        Column of azimuth 0 in the base frame.
+    cy : float
+        Row of the horizon.
     """
 
     width: int

@@ -65,9 +65,16 @@ def is_upright_edge(patch: npt.NDArray[np.uint8]) -> bool:
 
 def patch_axes(normals: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """
-    Unit vectors (..., 3) to the right and down of patches on upright walls, seen from the room.
+    Unit vectors to the right and down, seen from inside the room, of patches on upright walls.
 
-    `normals` (..., 3): unit normals into the room.
+    Parameters
+    ----------
+    normals : array_like, shape (..., 3)
+        Unit normals into the room.
+
+    Returns
+    -------
+    right, down : ndarray, shape (..., 3)
     """
     n = np.asarray(normals, dtype=np.float64)
     right, down = np.zeros(n.shape), np.zeros(n.shape)
@@ -92,13 +99,24 @@ def rays_to_patch(
     center_map: npt.ArrayLike,
 ) -> FloatArray:
     """
-    Homographies (n, 3, 3) from rays of a camera to metres on patches.
+    Homographies from rays of a camera to metres on patches.
 
     A ray (x, y, 1) of the optical frame meets patch k at ``H[k] @ ray``, homogeneous
     coordinates of metres to the right and down from its centre (Hartley and Zisserman, Multiple
     View Geometry, 2004, section 13.1).
 
-    Patch centres and normals (n, 3) are in map, as is the pose of the optical frame.
+    Parameters
+    ----------
+    positions, normals : array_like, shape (n, 3)
+        Patch centres and normals in map.
+    rotation_map_camera : array_like, shape (3, 3)
+        Optical frame -> map.
+    center_map : array_like, shape (3,)
+        Optical centre in map.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3)
     """
     right, down = patch_axes(normals)
     offset = np.asarray(positions, dtype=np.float64) - np.asarray(center_map, dtype=np.float64)
@@ -118,9 +136,17 @@ def relative_sampling(
     Both images are upright cylinders, so ranges and angles of incidence are those in plan:
     ``s_v = rho0 / rho`` and ``s_h = s_v cos(beta) / cos(beta0)``.
 
-    Patch centres, unit normals into the room, and reference viewpoints are (n, 3), `viewers` are
-    (..., 3). The result, horizontal and vertical (..., n), is 1 in the reference view; the
-    horizontal one is negative behind the wall.
+    Parameters
+    ----------
+    points, normals, viewpoints : array_like, shape (n, 3)
+        Patch centres, unit normals into the room and reference viewpoints, map frame, metres.
+    viewers : array_like, shape (..., 3)
+        Viewpoints, map frame, metres.
+
+    Returns
+    -------
+    horizontal, vertical : ndarray, shape (..., n)
+        Relative sampling, 1 in the reference view; `horizontal` is negative behind the wall.
     """
     point = np.asarray(points, dtype=np.float64)[:, :2]
     normal = np.asarray(normals, dtype=np.float64)[:, :2]
@@ -144,10 +170,19 @@ def observed_well(
     maximum: float = 2.0,
 ) -> npt.NDArray[np.bool_]:
     """
-    Whether viewpoints are inside the observation areas of patches, (..., n).
+    Whether viewpoints are inside the observation areas of patches.
 
-    Relative sampling, see `relative_sampling`, is between `minimum` and `maximum`; it is not
-    behind the wall and on the wall itself.
+    Parameters
+    ----------
+    points, normals, viewpoints, viewers
+        See `relative_sampling`.
+    minimum, maximum : float
+        Accepted relative sampling, horizontal and vertical.
+
+    Returns
+    -------
+    ndarray of bool, shape (..., n)
+        False behind the wall and on the wall itself.
     """
     sampling = np.stack(relative_sampling(points, normals, viewpoints, viewers))
     return np.asarray(((sampling >= minimum) & (sampling <= maximum)).all(axis=0))

@@ -147,10 +147,21 @@ class Room:
         self, origin_xy: npt.ArrayLike, azimuth_rad: npt.ArrayLike
     ) -> tuple[FloatArray, IndexArray]:
         """
-        Distance (...) [m] to the first wall along horizontal rays, and its index (...).
+        Horizontal distance to the first wall along rays.
 
-        Rays start at `origin_xy` (..., 2) in the directions (...) in map. Where no wall is hit,
-        the distance is inf and the index -1.
+        Parameters
+        ----------
+        origin_xy : array_like, shape (..., 2)
+            Origins of the rays, map frame, metres.
+        azimuth_rad : array_like, shape (...)
+            Directions of the rays in map.
+
+        Returns
+        -------
+        distance : ndarray, shape (...)
+            Metres; inf where no wall is hit.
+        wall : ndarray of int, shape (...)
+            Index of the wall, -1 where none is hit.
         """
         azimuth = np.asarray(azimuth_rad, dtype=np.float64)
         distance = self._wall_hits(origin_xy, np.cos(azimuth), np.sin(azimuth))

@@ -33,10 +33,19 @@ def draw_observation(
 
     A thin frame is the search window. A bold frame is a match, with number and correlation, in
     another colour for the triplet; a cross is its expected centre. Labels that would overlap
-    others are left out. `chosen` are the ids of the triplet.
+    others are left out.
 
-    The image, grey (height, width) or BGR (height, width, 3), uint8, becomes BGR, of the same size
-    or twice as large if it is small.
+    Parameters
+    ----------
+    image : ndarray, shape (height, width) or (height, width, 3)
+        Observed image, grey or BGR, uint8.
+    chosen : array_like of int
+        Ids of the landmarks of the triplet.
+
+    Returns
+    -------
+    ndarray, shape (rows, columns, 3)
+        BGR image of the same size, or twice as large if the image is small.
     """
     bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     scale = 1 if bgr.shape[1] >= _WIDE_PX else 2

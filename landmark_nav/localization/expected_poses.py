@@ -70,7 +70,10 @@ class SpreadCorrection:
     The lag acts on the pose of the base, not on the transform: otherwise a correction of the
     heading would rotate the robot about the distant origin of ``odom``.
 
-    `time_constant_s`: time after which 63 % of a correction is applied; 0 applies all at once.
+    Parameters
+    ----------
+    time_constant_s : float
+        Time after which 63 % of a correction is applied; 0 applies all at once.
     """
 
     def __init__(self, time_constant_s: float) -> None:
@@ -85,9 +88,19 @@ class SpreadCorrection:
         self, stamp_ns: int, pose_map_base: FloatArray, pose_odom_base: FloatArray
     ) -> FloatArray:
         """
-        Pose (3,) of ``odom`` in ``map`` by the fused pose and that by odometry, (3,).
+        Transform at a time.
 
-        `stamp_ns` is that of both; a stamp before the last one restarts.
+        Parameters
+        ----------
+        stamp_ns : int
+            Stamp of both poses; a stamp before the last one restarts.
+        pose_map_base, pose_odom_base : ndarray, shape (3,)
+            Fused pose, and pose by odometry.
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            Pose of ``odom`` in ``map``.
         """
         shown = pose_map_base
         if self._last is not None and self.time_constant_s > 0.0 and stamp_ns >= self._last[0]:

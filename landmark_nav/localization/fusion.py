@@ -79,7 +79,12 @@ class Fusion:
     """
     Estimates pose, calibration and map errors from inputs in any order; offline and in the node.
 
-    `robot` is the calibration in ``robot.yaml``, the prior.
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        Landmarks with their joint covariance.
+    calibration : Calibration
+        Prior of mount, lens and clocks.
     """
 
     def __init__(
@@ -284,8 +289,13 @@ class Fusion:
         """
         Return the measurements of an image, of landmarks that are in the map.
 
-        Without points or joints (at the stamp) the bearings are used, with the mount of
-        `robot.yaml`, or with the calibrated one if there are points.
+        Parameters
+        ----------
+        found : Detections
+            Detections, with image points or bearings. Without points or joints the bearings are
+            used, with the mount of `robot.yaml`, or with the calibrated one if there are points.
+        joints : JointSample or CameraFrame, optional
+            Measured pan and tilt at the stamp.
         """
         found = found.chosen(self._map.has(found.ids))
         missed = self._map.indices(found.missed[self._map.has(found.missed)])

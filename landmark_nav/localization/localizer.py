@@ -47,10 +47,24 @@ class LocalizationUpdate:
     """
     All results of one image.
 
-    `used` landmarks corrected the pose; `fused` is the estimate after that, with its protection
-    `level`; ``status`` is tracking, coasting or lost, and `reason` says why for the last two.
-    `search` is the result of the relocalization, if it was run; `points` is the input of the
-    estimator, `taken` its update, or why the image was not used.
+    Parameters
+    ----------
+    observation : Observation
+        Landmarks found and refused.
+    used : int
+        Number of landmarks that corrected the pose.
+    fused : PoseEstimate
+        Estimate at the image's stamp, after the update.
+    status, reason : str
+        ``tracking``, ``coasting`` or ``lost`` after the update, and the reason for the last two.
+    search : PoseEstimate or Refusal, optional
+        Result of the relocalization, if it was run.
+    level : ProtectionLevel, optional
+        Bound of the error of `fused` at 99 %.
+    points : ImagePoints, optional
+        Input of the estimator.
+    taken : Update or Refusal, optional
+        Update of the estimator, or why the image was not used.
     """
 
     stamp_ns: int
@@ -70,8 +84,14 @@ class Localizer:
     Detection, relocalization and the estimator: what the nodes of the navigation phase do.
 
     Without `initialize`, and while it is lost or no landmark is in view, it relocalizes: it
-    collects images until only one place explains them. `calibration` is the prior; `fusion` has
-    the estimates.
+    collects images until only one place explains them.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Prior of mount, lens and clocks.
+    config : LocalizationConfig
+        Parameters of detection, odometry, relocalization and the estimator.
     """
 
     def __init__(

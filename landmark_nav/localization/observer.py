@@ -97,10 +97,21 @@ def most_informative(
     ``1 + h P h^T / r``; r includes the landmark's own error. The greedy choice gains at least 63 %
     of the optimum (Krause, Singh and Guestrin, JMLR 9, 2008).
 
-    `axis` is the expected pose of the pan axis, `index` (n,) are the candidates in the map, of
-    which some remain, in that order; `bearing_sigma` is the expected one of a measurement, rad.
-    `novelty` is a factor on the gain of each landmark of the map: one seen before repeats its
-    error.
+    Parameters
+    ----------
+    axis : PoseEstimate
+        Expected pose of the pan axis.
+    index : ndarray of int, shape (n,)
+        Indices of the candidates in the map.
+    bearing_sigma : float
+        Expected measurement sigma, rad.
+    novelty : ndarray, shape (landmarks of the map,), optional
+        Factor on the gain of each landmark: a landmark seen before repeats its error.
+
+    Returns
+    -------
+    ndarray of int, shape (min(n, count),)
+        Chosen indices in the order of the map.
     """
     if len(index) <= count:
         return index
@@ -139,8 +150,18 @@ class Observation:
     """
     Results of the detection in one image.
 
-    `refused` says why landmarks were not found, `expected` where they were searched, by id;
-    `triangulate` computes `fix` on demand. An `unusable` image was not searched at all.
+    Parameters
+    ----------
+    detections : Detections
+        Landmarks that were found.
+    refused : mapping of int to Refusal
+        Why others were not, by landmark id.
+    triangulate : callable
+        Computes `fix` on demand.
+    unusable : bool
+        Whether the image was not searched at all.
+    expected : mapping of int to Window
+        Where landmarks were searched, by id.
     """
 
     detections: Detections
@@ -183,7 +204,14 @@ class Observer:
     """
     Finds landmarks in a sequence of images.
 
-    `calibration` is the prior; `step` has the sigmas of sudden changes of camera and base.
+    Parameters
+    ----------
+    calibration : Calibration
+        Prior of mount, lens and clocks.
+    config : ImageStagesConfig
+        Parameters of the stages of detection.
+    step : EstimatorConfig
+        Sigmas of sudden changes of camera and base.
     """
 
     def __init__(

@@ -28,11 +28,15 @@ def checked_start(
 
     Sigmas are limited to those of an unknown pose, 100 m and half a turn.
 
-    `odometry_ns` are the first and last stamp of the odometry; the last counts as the present time
-    if it is later than `now_ns`.
-
     Raises `LandmarkNavError`: the pose or covariance is not finite, or the covariance is not
     positive semidefinite.
+
+    Parameters
+    ----------
+    odometry_ns : tuple of int, optional
+        First and last stamp of the odometry.
+    now_ns : int, optional
+        Present time; the stamp of the last odometry counts if it is later.
     """
     if not (np.isfinite(start.pose).all() and np.isfinite(start.covariance).all()):
         raise LandmarkNavError('start pose: x, y, heading or covariance is not a number')

@@ -117,7 +117,12 @@ def known_places(
 
     Raises `LandmarkNavError`: a source lacks the pose of a sweep, or the robot moved during one.
 
-    `given` are the poses published; without `samples` odometry is no source.
+    Parameters
+    ----------
+    given : sequence of PoseEstimate or None
+        Pose published for each sweep.
+    spans_ns, samples, config
+        As in `places_by_odometry`; without samples odometry is no source.
     """
     known = [_given_places(given)] if any(pose is not None for pose in given) else []
     if samples:
@@ -146,7 +151,12 @@ def places_by_odometry(
 
     Raises `LandmarkNavError`: odometry does not cover a sweep, or the robot moved during one.
 
-    `spans_ns` are the first and last stamp of each sweep; `samples` are in the order of time.
+    Parameters
+    ----------
+    spans_ns : sequence of tuple of int
+        First and last stamp of each sweep.
+    samples : sequence of OdometrySample
+        Odometry in the order of time, from the first sweep to the last.
     """
     for number, (begin, end) in enumerate(spans_ns, 1):
         if not samples or samples[0].stamp_ns > end or samples[-1].stamp_ns < begin:

@@ -136,9 +136,16 @@ def align(
     """
     Align a template with an image; None if it does not converge, or to a negative correlation.
 
-    Both images are float32, blurred by `for_matching`; the template's upper left corner is at
-    `start`. `search_blur` is as in `match_template`. An edge is aligned across only, with a sigma
-    of `along_px` along.
+    Parameters
+    ----------
+    search, template : ndarray
+        Float32 images, blurred by `for_matching`.
+    start : tuple of float
+        Column and row of the template's upper left corner.
+    search_blur : tuple of float
+        Gaussian sigmas of the earlier blur of the search image, pixels.
+    along_px : float
+        Sigma along the edge if the template is an edge: it is aligned across the edge only.
     """
     size = template.shape[1] - 2, template.shape[0] - 2
     rows = _rows(template)
@@ -308,10 +315,21 @@ def match_template(
     """
     Find a template by normalized cross-correlation and align it to sub-pixel.
 
-    Both images are float32; `search` (H, W) is larger by at least 4 pixels each way. The
-    correlation must reach `min_score`, that of another peak stay below `max_second_ratio` of it.
-    `search_blur` are Gaussian sigmas of the earlier blur of the search image, across and down,
-    pixels: its noise is correlated accordingly. Of an upright `edge` any row may be the right one.
+    Parameters
+    ----------
+    search : ndarray, shape (H, W)
+        Float32 image, larger than the template by at least 4 pixels each way.
+    template : ndarray, shape (h, w)
+        Float32 image.
+    min_score : float
+        Smallest correlation that counts as found.
+    max_second_ratio : float
+        Largest score of another peak, relative to the best.
+    search_blur : tuple of float
+        Gaussian sigmas of the earlier blur of the search image, across and down, pixels; its noise
+        is correlated accordingly.
+    edge : bool
+        Whether the template is an upright edge: any row of the search image may be the right one.
     """
     contrast = float(cv2.meanStdDev(template)[1][0, 0])
     if contrast < _MIN_CONTRAST:

@@ -58,9 +58,16 @@ def draw(
     """
     Render the expected appearance of landmarks in rectangles of the image.
 
-    `viewer` (3,) is the camera in map; `rays` (height, width, 2) are x/z and y/z in the optical
-    frame of the pixels of each rectangle, `rays_to_patch` (n, 3, 3) homographies from rays
-    (x, y, 1) to metres on each patch.
+    Parameters
+    ----------
+    landmarks : sequence of Landmark
+        n landmarks.
+    viewer : ndarray, shape (3,)
+        Position of the camera in map.
+    rays : sequence of ndarray, shape (height, width, 2)
+        Rays of the pixels of each rectangle: x/z and y/z in the optical frame.
+    rays_to_patch : ndarray, shape (n, 3, 3)
+        Homographies from rays (x, y, 1) to metres on each patch.
     """
     shown = [
         (k, *texture) for k, each in enumerate(landmarks) for texture in textures(each, viewer)

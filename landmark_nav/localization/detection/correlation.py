@@ -66,9 +66,13 @@ def detect_landmarks(
     """
     Find landmarks in an image.
 
-    `indices` (n,): landmarks of the map to search: those expected in this view. `blur_px2` (2,):
-    variance of the image's blur relative to the images of the map, across and down; negative if
-    the image is sharper.
+    Parameters
+    ----------
+    indices : ndarray of int, shape (n,)
+        Landmarks of the map to search: those expected in this view.
+    blur_px2 : ndarray, shape (2,)
+        Variance of the image's blur relative to the images of the map, across and down; negative
+        if the image is sharper.
     """
     refused: dict[int, Refusal] = {}
     expected: dict[int, Expectation] = {}

@@ -73,8 +73,14 @@ class RowModel(NamedTuple):
         """
         Covariance (n, n) of the rows by errors of pose, camera height and points.
 
-        `points` (n, 3, 3) are total covariances, `shared` (n, 3, F) the loadings of what of them
-        is shared.
+        Parameters
+        ----------
+        pose_covariance : ndarray, shape (3, 3)
+            Covariance of the base's pose.
+        points : ndarray, shape (n, 3, 3)
+            Covariance of each point.
+        shared : ndarray, shape (n, 3, F)
+            Loadings of the shared map factors.
         """
         by_point = np.column_stack([-self.by_pose[:, :2], self.by_height])[:, None]
         by_shared = (by_point @ shared)[:, 0]
@@ -89,9 +95,16 @@ class RowResiduals(NamedTuple):
     """
     Residuals of the rows of matches in images of one camera.
 
-    `off_px` (n,) are rows found minus rows expected, with derivatives `by_tilt_roll` (n, 2) by
-    tilt and roll of the camera, px/rad, and the covariance (n, n) by all other errors; `points`
-    (n, 3) are the landmarks in map, metres.
+    Parameters
+    ----------
+    off_px : ndarray, shape (n,)
+        Rows found minus rows expected.
+    by_tilt_roll : ndarray, shape (n, 2)
+        Their derivatives by tilt and roll of the camera, px/rad.
+    covariance : ndarray, shape (n, n)
+        Covariance of `off_px` by all errors but tilt and roll.
+    points : ndarray, shape (n, 3)
+        Positions of the landmarks in map, metres.
     """
 
     off_px: FloatArray
@@ -127,11 +140,22 @@ class RowResiduals(NamedTuple):
 
 def wrong_heights(off_px: FloatArray, covariance: FloatArray) -> npt.NDArray[np.bool_]:
     """
-    Find the matches (n,) whose row in the image is inconsistent with the others.
+    Find the matches whose row in the image is inconsistent with the others.
 
     Errors of pose, tilt and roll are common to all, as `covariance` describes. The residual of a
     match given the others is its own error; the worst match is removed while it is too large
     (Baarda, A Testing Procedure for Use in Geodetic Networks, 1968).
+
+    Parameters
+    ----------
+    off_px : ndarray, shape (n,)
+        Rows found minus rows expected.
+    covariance : ndarray, shape (n, n)
+        Covariance of these differences.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
     """
     wrong = np.zeros(len(off_px), dtype=np.bool_)
     left = np.arange(len(off_px))

@@ -72,10 +72,18 @@ def corrected(
     """
     Correct a state by the detections of an image; the new state is computed when it is called.
 
-    `state`: prediction, with own errors of all landmarks seen. `new` (m,): landmarks that were not
-    seen before: their own errors have the tail of the detections. `pan_sigma_rad`: noise of the
-    pan joint, which all detections of an image share. `freedom`: degrees of freedom of the t
-    distribution of detections; 0 means Gaussian.
+    Parameters
+    ----------
+    state : State
+        Prediction, with own errors of all landmarks seen.
+    errors : MapErrors
+        Errors of the map.
+    new : ndarray of bool, shape (m,)
+        Landmarks that were not seen before: their own errors have the tail of the detections.
+    pan_sigma_rad : float
+        Noise of the pan joint, which all detections of an image share.
+    freedom : float
+        Degrees of freedom of the t distribution of detections; 0 means Gaussian.
     """
     late = float(np.sqrt(state.covariance[DELAY, DELAY]))
     seen = replace(seen, delay_step_s=max(late, LEAST_STEP_S))

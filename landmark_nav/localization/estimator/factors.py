@@ -69,20 +69,44 @@ def image_points(
 @dataclass(frozen=True, eq=False)
 class ImagePoints:
     """
-    Landmarks found in one image, by `columns` (m,) of the map.
+    Landmarks found in one image.
 
-    `points` (m, 2) are normalised image coordinates with their covariance (m, 2, 2), seen at
-    measured `pan_rad` (m,) and `tilt_rad`. All share an error of the pan with `pan_sigma_rad`;
-    `pan_track` is the pan around the stamp, without it `pan_rate_rad_s` is used. `rows` is whether
-    y/z is measured; not for bearings. `missed` (k,) should be in view and were not found. The pan
-    may begin to turn during `delay_step_s`, the step of the derivative by the delay. `near` (3,)
-    is the pose of the base by the image itself, if the prior was uncertain: the first
-    linearization point, not a measurement. `sizes` (m, 2) are width and height of the templates:
-    one of a wrong scale fits at any of its points. `by_lens` (m, 2, 3) are derivatives of the
-    undistorted points of given pixels by focal scale, principal point and distortion; `points` are
-    linearly extrapolated to the lens of camera_info. `moved_back` (3,) is the pose of the base
-    when the image was taken, in the base at the stamp. If the pose was `lost` before, no step is
-    assumed, as another place is likelier.
+    Parameters
+    ----------
+    stamp_ns : int
+        Time of the image.
+    columns : ndarray of int, shape (m,)
+        Their indices in the map.
+    points : ndarray, shape (m, 2)
+        Normalised image coordinates.
+    covariance : ndarray, shape (m, 2, 2)
+        Covariance of each point.
+    pan_rad : ndarray, shape (m,)
+        Measured pan.
+    tilt_rad : float
+        Measured tilt.
+    pan_rate_rad_s, pan_sigma_rad : float
+        Rate of the pan, and the sigma of the measured pan, an error that all points share.
+    pan_track : PanTrack, optional
+        Pan around the stamp; without it the rate is used.
+    rows : bool
+        Whether y/z is measured; not for bearings.
+    missed : ndarray of int, shape (k,)
+        Landmarks that should be in view and were not found.
+    delay_step_s : float
+        Step of the derivative by the delay, during which the pan may begin to turn.
+    near : ndarray, shape (3,), optional
+        Pose of the base by the image itself, if the prior was uncertain: the first linearization
+        point, not a measurement.
+    sizes : ndarray, shape (m, 2), optional
+        Width and height of the templates: one of a wrong scale fits at any of its points.
+    by_lens : ndarray, shape (m, 2, 3), optional
+        Derivatives of the undistorted points of given pixels by focal scale, principal point and
+        distortion; `points` are linearly extrapolated to the lens of camera_info.
+    moved_back : ndarray, shape (3,)
+        Pose of the base when the image was taken, in the base at the stamp.
+    lost : bool
+        Whether the pose was lost before: then no step is assumed, as another place is likelier.
     """
 
     stamp_ns: int
@@ -303,9 +327,14 @@ def moved(state: FloatArray, motion: Motion) -> tuple[FloatArray, FloatArray, Fl
     """
     Return the state (CALIBRATION,) after a motion that the wheels measured, with its derivatives.
 
-    Returns `mean` (CALIBRATION,): predicted state, with the motion corrected by the errors of the
-    odometry; `by_state` (CALIBRATION, CALIBRATION): derivative by the state; `by_motion` (3, 3):
-    derivative of the pose by the motion.
+    Returns
+    -------
+    mean : ndarray, shape (CALIBRATION,)
+        Predicted state, with the motion corrected by the errors of the odometry.
+    by_state : ndarray, shape (CALIBRATION, CALIBRATION)
+        Derivative by the state.
+    by_motion : ndarray, shape (3, 3)
+        Derivative of the pose by the motion.
     """
     forward, left, turn = motion.increment.tolist()
     x, y, heading = state[:3].tolist()

@@ -110,8 +110,23 @@ class JointFilter:
     """
     Estimates pose and calibration of the robot from odometry and detections.
 
-    `calibration` is the prior, `start` the pose of the base in map. `state` may be set to an
-    earlier one; `predicted` is the prediction before the last image.
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        Positions, own covariances and shared factors.
+    calibration : Calibration
+        Prior of the mount, lens and clocks.
+    start : PoseEstimate
+        Pose of the base in map, with its covariance.
+    config : EstimatorConfig
+        Noise of floor, map and mount.
+
+    Attributes
+    ----------
+    state : State
+        The current state; it may be set to an earlier one.
+    predicted : State
+        Prediction before the last image.
     """
 
     def __init__(

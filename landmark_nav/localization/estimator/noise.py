@@ -66,8 +66,14 @@ def learned(
     """
     Return the scales after one measurement.
 
-    `innovation` (m,): measured minus predicted. `covariance` (m, m): covariance of the innovation
-    by the filter. `by_noise` (NOISES, m, m): part of that covariance by each noise.
+    Parameters
+    ----------
+    innovation : ndarray, shape (m,)
+        Measured minus predicted.
+    covariance : ndarray, shape (m, m)
+        Covariance of the innovation by the filter.
+    by_noise : ndarray, shape (NOISES, m, m)
+        Part of that covariance by each noise.
     """
     if not scales.prior_sigma:
         return scales

@@ -46,10 +46,16 @@ def smoothed_poses(
     lost: npt.NDArray[np.bool_] | None = None,
 ) -> list[PoseEstimate]:
     """
-    Return the pose at each image, in the order of time, given all of them.
+    Return the pose at each image, given all of them.
 
-    `joint` is the filter at the start, and afterwards at the last image. Before the images `lost`
-    (n,) the motion is unknown.
+    Parameters
+    ----------
+    joint : JointFilter
+        Filter at the start; afterwards it is at the last image.
+    images : sequence of ImagePoints
+        Images in the order of time.
+    lost : ndarray of bool, shape (n,), optional
+        Images before which the motion is unknown.
     """
     if not images:
         return []
@@ -123,7 +129,10 @@ class ErrorRepetition:
     multiplied by P+ inv(P-) F. The variance of a mean of squares of Gaussian errors is twice the
     mean of the squares of their correlations.
 
-    `images`: number of images; at most `_MOST_ANCHORS` of them are compared with all later ones.
+    Parameters
+    ----------
+    images : int
+        Number of images; at most `_MOST_ANCHORS` of them are compared with all later ones.
     """
 
     def __init__(self, images: int) -> None:

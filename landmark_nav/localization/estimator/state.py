@@ -103,15 +103,32 @@ class State:
 
 class Update(NamedTuple):
     """
-    Result of an update by an image with the landmarks `columns` (m,).
+    Result of an update by an image.
 
-    `residual` (m, d) is measured minus predicted, given the prior and the other detections of the
-    image, with the covariance (m, d, d) by the nominal noise of the detection; `weight` (m,) is 1
-    for an inlier, near 0 for an outlier; `log_ratios` (m,) are log likelihoods of each residual,
-    right pose against wrong pose. `log_evidence` is the log density of the image given all before,
-    which is `surprising` if the image as a whole is unlikely; `stepped` is whether a sudden change
-    of camera or base was assumed. Without a landmark the pose changes by `separation` (m, 3), and
-    its covariance increases by `without` (m, 3, 3).
+    Parameters
+    ----------
+    stamp_ns : int
+        Time of the image.
+    columns : ndarray of int, shape (m,)
+        Landmarks that were used.
+    residual : ndarray, shape (m, d)
+        Measured minus predicted, given the prior and the other detections of the image.
+    covariance : ndarray, shape (m, d, d)
+        Covariance of each residual, with the nominal noise of the detection.
+    weight : ndarray, shape (m,)
+        1 for an inlier, near 0 for an outlier.
+    log_ratios : ndarray, shape (m,)
+        Log likelihood ratio of each residual: right pose against wrong pose.
+    log_evidence : float
+        Log density of the image given all before.
+    surprising : bool
+        Whether the image as a whole is unlikely given the prediction.
+    stepped : bool
+        Whether a sudden change of camera or base before the image was assumed.
+    separation : ndarray, shape (m, 3)
+        Change of the pose if a landmark is left out.
+    without : ndarray, shape (m, 3, 3)
+        Increase of the covariance of the pose then.
     """
 
     stamp_ns: int

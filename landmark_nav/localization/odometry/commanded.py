@@ -28,10 +28,16 @@ def integrate_commands(
     stamps_ns: IntArray, commands: FloatArray, delay_s: float
 ) -> tuple[OdometrySample, ...]:
     """
-    Integrate commanded velocities from the origin; they take effect `delay_s` after the command.
+    Integrate commanded velocities from the origin; stamps are the times at which they take effect.
 
-    `commands` (n, 2) are forward [m/s] and turning [rad/s] velocity from increasing `stamps_ns`
-    (n,) on, each until the next.
+    Parameters
+    ----------
+    stamps_ns : ndarray of int, shape (n,)
+        Stamps of the commands, increasing.
+    commands : ndarray, shape (n, 2)
+        Forward [m/s] and turning [rad/s] velocity, each until the next.
+    delay_s : float
+        Time from a command to its effect.
     """
     seconds = 1e-9 * np.diff(stamps_ns)
     turn = commands[:-1, 1] * seconds
@@ -57,11 +63,19 @@ def command_delay_s(
 
     When the robot turns, bearings change by the opposite angle. The delay is the one at which the
     commanded turn best explains the change of bearings within a second. Parallax is small against
-    that and has either sign. Commands are as in `integrate_commands`; the camera is fixed on the
-    robot.
+    that and has either sign.
 
     Raises `LandmarkNavError`: too few landmarks were seen twice within a second, or the robot did
     not turn meanwhile.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray of int, shape (n,)
+        Stamps of the commands, increasing.
+    commands : ndarray, shape (n, 2)
+        Forward [m/s] and turning [rad/s] velocity, each until the next.
+    detections : sequence of Detections
+        Detections of a camera that is fixed on the robot.
     """
     ids = np.concatenate([np.empty(0, np.int64), *(seen.ids for seen in detections)])
     stamps = np.repeat([seen.stamp_ns for seen in detections], [len(seen) for seen in detections])

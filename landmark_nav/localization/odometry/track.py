@@ -131,9 +131,13 @@ class OdometryTrack:
 
     def add(self, sample: OdometrySample) -> Refusal | None:
         """
-        Append a sample; return why it was dropped, None if it was used or is a repetition.
+        Append a sample.
 
-        If `Distrusted`, the motion up to it was replaced by that of the last twist.
+        Returns
+        -------
+        Refusal or None
+            Why the sample was dropped; or, if `Distrusted`, why the motion up to it was replaced
+            by that of the last twist. None if it was used, or is an exact repetition.
         """
         pose = np.asarray(sample.pose_odom_base, dtype=np.float64)
         pose_odom = pose.tolist()

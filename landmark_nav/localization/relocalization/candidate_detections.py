@@ -192,10 +192,19 @@ def find_candidate_detections(
     tilt_sigma_rad: float = 0.0,
 ) -> CandidateDetections:
     """
-    Search every landmark in the whole image; return detections in its base frame, mostly false.
+    Search every landmark in the whole image.
 
-    The search is limited to what a `prior` of the base at that time allows; `tilt_sigma_rad`, of
-    tilt and roll of the camera, widens the bands of rows.
+    Parameters
+    ----------
+    prior : PoseEstimate, optional
+        Pose of the base at the time of the image: the search is limited to what it allows.
+    tilt_sigma_rad : float
+        Sigma of tilt and roll of the camera, which widens the bands of rows.
+
+    Returns
+    -------
+    CandidateDetections
+        In the base frame at the time of the image; most of them are false.
     """
     strip, landmarks = Strip(frame, mount, _RESOLUTION), landmark_map.landmarks
     if prior is None:

@@ -235,10 +235,19 @@ def locate(
     """
     Find the robot's place without any prior.
 
-    `detections` are possible ones in each image, found without a prior. The result is the pose of
-    the base at the last image with its evidence; or ``not unique`` if another place explains the
-    images nearly as well, ``nothing recognised`` if none does, and ``too little seen`` if there is
-    not enough evidence.
+    Parameters
+    ----------
+    carried : CarriedFrames
+        Images, and the poses of the base at each by odometry.
+    detections : sequence of Detections
+        Possible detections in each image, found without a prior.
+
+    Returns
+    -------
+    Verification or Refusal
+        The pose of the base at the last image with its evidence; or ``not unique`` if another
+        place explains the images nearly as well, ``nothing recognised`` if none does, and ``too
+        little seen`` if there is not enough evidence.
     """
     moved = [
         replace(
@@ -286,7 +295,12 @@ def best_place(places: Sequence[Verification], proposed: int) -> Verification | 
     """
     Take the first place, unless it has a rival or too few of its expected landmarks were found.
 
-    `places` are different ones, that with most landmarks first, out of so many `proposed`.
+    Parameters
+    ----------
+    places : sequence of Verification
+        Different places, the one with most landmarks first.
+    proposed : int
+        How many poses were proposed, for the message.
     """
     if not places:
         return nothing_recognised(f'none of {proposed} places shows what is to be seen there')

@@ -56,10 +56,16 @@ def shows_new(
     frame: CameraFrame, direction: FloatArray, directions: FloatArray, poses: FloatArray
 ) -> bool:
     """
-    Whether an image with a `view_direction` (2,) shows more of the room than earlier ones.
+    Whether an image shows more of the room than earlier ones.
 
-    Those looked in `directions` (n, 2), each in its own base frame; `poses` (n, 3) of the base
-    then are in the base frame of this image.
+    Parameters
+    ----------
+    direction : ndarray, shape (2,)
+        `view_direction` of the image.
+    directions : ndarray, shape (n, 2)
+        `view_direction` of earlier images, each in its own base frame.
+    poses : ndarray, shape (n, 3)
+        Poses of the base at the earlier images, in the base frame of this one.
     """
     off = np.reshape(directions, (-1, 2)) - direction
     off[:, 0] = wrap_rad(off[:, 0] + poses[:, 2])
@@ -114,8 +120,12 @@ class Relocalizer:
     """
     Collects views of the room until only one place explains them.
 
-    Then `landmark_ids` are those from which it was found, and `in_time` is the place if the joint
-    states of the last image had no delay.
+    Parameters
+    ----------
+    odometry : OdometryNoiseConfig, optional
+        Noise of the odometry.
+    stages : ImageStagesConfig, optional
+        Parameters of the detection that verifies a hypothesis.
     """
 
     def __init__(
@@ -154,9 +164,18 @@ class Relocalizer:
 
     def add_frame(self, frame: CameraFrame) -> PoseEstimate | Refusal:
         """
-        Return the pose of the base at an image's stamp, or why there is none yet.
+        Add an image.
 
-        An image that shows nothing new is not searched: the last reason is returned.
+        Parameters
+        ----------
+        frame : CameraFrame
+            Image with its joint angles.
+
+        Returns
+        -------
+        PoseEstimate or Refusal
+            Pose of the base at the image's stamp, or why there is none yet. An image that shows
+            nothing new is not searched: the last reason is returned.
         """
         if not np.isfinite([frame.pan_rad, frame.tilt_rad]).all():
             return self._outcome

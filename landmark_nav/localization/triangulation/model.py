@@ -32,10 +32,21 @@ def bearing_residuals(
     poses: npt.ArrayLike, positions: npt.ArrayLike, bearings: npt.ArrayLike
 ) -> FloatArray:
     """
-    Measured `bearings` (..., n) minus those expected of `positions` (..., n, 2), in (-pi, pi].
+    Measured minus expected bearing, wrapped to (-pi, pi].
 
-    `poses` (..., 3) are those of the pan axis. About pi where a closed form solved for the
-    opposite direction: the modulo-pi ambiguity.
+    Parameters
+    ----------
+    poses : array_like, shape (..., 3)
+        Poses of the pan axis in map.
+    positions : array_like, shape (..., n, 2)
+        Landmarks in map, metres.
+    bearings : array_like, shape (..., n)
+        Measured bearings, radians.
+
+    Returns
+    -------
+    ndarray, shape (..., n)
+        About pi where a closed form solved for the opposite direction: the modulo-pi ambiguity.
     """
     pose = np.asarray(poses, dtype=np.float64)[..., None, :]
     delta = np.asarray(positions, dtype=np.float64) - pose[..., :2]
@@ -69,10 +80,24 @@ def map_share(gradients: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def danger_distance(point: npt.ArrayLike, landmarks: npt.ArrayLike) -> tuple[float, float]:
     """
-    Distance [m] of a point (2,) from the circle through three landmarks (3, 2), [m].
+    Distance of a point from the circle through three landmarks, on which no pose can be computed.
 
-    On it no pose can be computed; that of collinear landmarks is their line. The second value is
-    relative to its radius or the range of the farthest landmark, whichever is smaller.
+    The result is finite for collinear landmarks too, whose circle is their line.
+
+    Parameters
+    ----------
+    point : array_like, shape (2,)
+        Metres.
+    landmarks : array_like, shape (3, 2)
+        Metres.
+
+    Returns
+    -------
+    distance : float
+        From the circle or line, metres.
+    relative : float
+        The same over the radius of the circle or the range of the farthest landmark, whichever is
+        smaller.
     """
     delta = np.asarray(landmarks, dtype=np.float64) - np.asarray(point, dtype=np.float64)
     square = np.sum(delta * delta, -1)
@@ -120,11 +145,21 @@ _BLOCK = 8192
 
 def triangulate_three(positions: npt.ArrayLike, bearings: npt.ArrayLike) -> FloatArray:
     """
-    Poses (..., 3) from three `bearings` (..., 3) each, to landmarks at `positions` (..., 3, 2).
+    Poses from three bearings each.
 
-    On the circle through the landmarks (`danger_distance`) the pose is undetermined: not finite
-    or, by rounding, arbitrary. The equations also hold for the opposite direction of a landmark:
-    check `bearing_residuals` before use.
+    Parameters
+    ----------
+    positions : array_like, shape (..., 3, 2)
+        Landmarks in map, metres.
+    bearings : array_like, shape (..., 3)
+        Their bearings, counter-clockwise from the robot's heading, radians.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        x, y [m] and heading [rad]. On the circle through the landmarks (`danger_distance`) the
+        pose is undetermined: not finite or, by rounding, arbitrary. The equations also hold for
+        the opposite direction of a landmark: check `bearing_residuals` before use.
     """
     position = np.asarray(positions, dtype=np.float64)
     bearing = np.asarray(bearings, dtype=np.float64)

@@ -69,9 +69,18 @@ def triangulate(
     Raises `LandmarkNavError`: arrays that do not match, values that are not finite, variances that
     are not positive.
 
-    `positions` (n, 2) are in map, with the joint covariance `map_covariance` (2n, 2n); `bearings`
-    (n,) [rad] at the pan axis have their own `variances` (n,). `start`, a prior of the pan axis,
-    is tried as a start, and the fix must be plausible beside it.
+    Parameters
+    ----------
+    positions : array_like, shape (n, 2)
+        Landmarks in map, metres.
+    bearings, variances : array_like, shape (n,)
+        Bearings at the pan axis [rad] and their own variances [rad^2].
+    map_covariance : array_like, shape (2n, 2n), optional
+        Joint covariance of `positions`, metres squared.
+    start : PoseEstimate, optional
+        Prior of the pan axis: tried as a start, and the fix must be plausible beside it.
+    config : TriangulationConfig, optional
+        Limits.
     """
     config = config or TriangulationConfig()
     given = _checked(positions, bearings, variances, map_covariance)

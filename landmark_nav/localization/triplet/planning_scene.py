@@ -53,9 +53,18 @@ def travel_s(way_rad: npt.ArrayLike, rate_rad_s: float, acceleration_rad_s2: flo
 @dataclass(frozen=True, eq=False)
 class PanWindows:
     """
-    Intervals `lower` to `upper` (m,) of pan in which a landmark is whole in view, one a turn.
+    Intervals of pan (m,) in which a landmark is whole in view, one for each turn of the axis.
 
-    `place` (m,) is the index of the landmark; `pan_rad` the pan now, if the time of turns counts.
+    Parameters
+    ----------
+    place : ndarray of int, shape (m,)
+        Index of the landmark.
+    lower, upper : ndarray, shape (m,)
+        Least and greatest pan.
+    pan_rad : float or None
+        Pan now, if the time of turns counts.
+    config : TripletConfig
+        Speed of the pan unit.
     """
 
     place: IndexArray
@@ -76,8 +85,16 @@ class PanWindows:
         """
         Windows of n landmarks, within the limits of the joint.
 
-        `azimuth_rad` (n,), within (-pi, pi], are in the frame of the pan axis; landmarks are whole
-        in view up to `reach_rad` (n,) beside them.
+        Parameters
+        ----------
+        azimuth_rad : ndarray, shape (n,)
+            Azimuth of the landmarks in the frame of the pan axis, within (-pi, pi].
+        reach_rad : ndarray, shape (n,)
+            Greatest difference of pan and azimuth at which the landmark is whole in view.
+        limits_rad : tuple of float
+            Least and greatest pan.
+        pan_rad, config
+            As above.
         """
         first, last = (round(limit / _TURN) for limit in limits_rad)
         turns = _TURN * np.arange(first - 1, last + 2)[:, None]
@@ -120,8 +137,14 @@ class CameraState:
     """
     Where the camera looks and how far it can turn.
 
-    Turning away from `pan_rad` takes time, unless it is None; tilt is positive upwards.
-    `limits_rad` are the same twice for a camera that does not turn.
+    Parameters
+    ----------
+    pan_rad : float or None
+        Pan now: turning away from it takes time. None if that does not count.
+    tilt_rad : float
+        Tilt, positive upwards.
+    limits_rad : tuple of float
+        Least and greatest pan; the same twice for a camera that does not turn.
     """
 
     pan_rad: float | None = None

@@ -68,11 +68,24 @@ class Ranking:
     """
     The chosen triplet, or why there is none, and the m best in order of preference.
 
-    `visibility` (n,) is the `LandmarkVisibility` of each landmark of the map. Of the triplets,
-    `ids` (m, 3) are the landmarks, `covariances` (m, 3, 3) those predicted of a fix (pan axis with
-    the orientation of the base), `chance` (m,) the probability that all three are found,
-    `travel_s` (m,) the time to turn to them, `pan_rad` (m,) where all three are in view, and
-    `score` (m,) variance over chance, times the time relative to that of a look; m^2.
+    Parameters
+    ----------
+    chosen : Triplet or Refusal
+        The best one.
+    visibility : ndarray of int, shape (n,)
+        `LandmarkVisibility` of each landmark of the map.
+    ids : ndarray of int, shape (m, 3)
+        Landmarks of the triplets.
+    covariances : ndarray, shape (m, 3, 3)
+        Predicted covariance of a fix: pan axis with the orientation of the base.
+    chance : ndarray, shape (m,)
+        Probability that all three are found.
+    travel_s : ndarray, shape (m,)
+        Time to turn to them.
+    pan_rad : ndarray, shape (m,)
+        Pan at which all three are in view.
+    score : ndarray, shape (m,)
+        Variance over chance, times the time relative to that of a look; m^2.
     """
 
     chosen: Triplet | Refusal

@@ -54,13 +54,25 @@ def rank_triplets(
     """
     Compare all triplets that can be seen and choose one.
 
-    The expected covariance is averaged over that of the prior, which also widens the margins.
-    `camera_state` is a full turn at no cost by default. `previous`, the triplet looked at now, is
-    kept unless another is better by `config.hysteresis`. `found_rate` (n,) is the share of
-    attempts in which each landmark of the map was found, (0, 1].
+    Parameters
+    ----------
+    prior : PoseEstimate
+        Pose of the base in map; its covariance widens the margins, and the expected covariance is
+        averaged over it.
+    config : TripletConfig
+        What counts as visible, and what time costs.
+    camera_state : CameraState, optional
+        Where the camera looks and how far it turns; a full turn at no cost by default.
+    previous : Triplet, optional
+        The triplet looked at now; kept unless another is better by `config.hysteresis`.
+    found_rate : array_like, shape (n,), optional
+        Share of attempts in which each landmark of the map was found, (0, 1].
 
-    In the chosen triplet, `sigma_rad` are those of the expected bearings by prior and map,
-    `covariance` is that of the base's pose, and `pan_rad` where to look.
+    Returns
+    -------
+    Ranking
+        In the chosen triplet, `sigma_rad` are the sigmas of the expected bearings by prior and
+        map, `covariance` is that of the base's pose, and `pan_rad` where to look.
     """
     scene = PlanningScene(
         prior, landmark_map, camera, mount, config, camera_state or CameraState()
