@@ -9,7 +9,7 @@ import subprocess
 import time
 from typing import Any
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark
 import numpy as np
 import pytest
 from std_srvs.srv import Trigger

@@ -1,5 +1,6 @@
 """Attention: feature maps, what is selected in synthetic panoramas, and what is refused."""
 
+from builders import panorama_of
 import cv2
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from landmark_nav.learning.attention.maps import (
     point_symmetry_map,
 )
 from landmark_nav.learning.attention.selection import attend, refusal
-from landmark_nav.types import Candidate, Panorama
+from landmark_nav.types import Candidate
 
 WIDTH, HEIGHT = 1601, 300
 
@@ -21,15 +22,9 @@ WIDTH, HEIGHT = 1601, 300
 def panorama(gray, mask=None):
     gray = np.clip(np.rint(gray), 0, 255).astype(np.uint8)
     height, width = gray.shape
-    return Panorama(
-        stamp_ns=0,
-        image=np.repeat(gray[..., None], 3, axis=2),
-        mask=np.ones(gray.shape, dtype=bool) if mask is None else mask,
-        cylinder=Cylinder(width, height, width / (2 * np.pi), (width - 1) / 2, height / 2),
-        center_map=np.zeros(3),
-        heading_rad=0.0,
-        covariance=np.zeros((4, 4)),
-    )
+    cylinder = Cylinder(width, height, width / (2 * np.pi), (width - 1) / 2, height / 2)
+    given = {} if mask is None else {'mask': mask}
+    return panorama_of(np.repeat(gray[..., None], 3, axis=2), cylinder, **given)
 
 
 def plaster(rng, noise=2.0, height=HEIGHT, width=WIDTH):

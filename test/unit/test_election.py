@@ -1,6 +1,6 @@
 from dataclasses import replace
 
-from bare_landmarks import patch_points
+from builders import patch_points
 import numpy as np
 import pytest
 from scenes import draw_panorama, rectangle_room, textured_room

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark
 import cv2
 import numpy as np
 import pytest

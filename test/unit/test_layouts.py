@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 import xml.etree.ElementTree as ElementTree
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark
 import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype

@@ -3,6 +3,7 @@
 from copy import deepcopy
 from dataclasses import replace
 
+from builders import panorama_of, random_map, walls_of
 import numpy as np
 import pytest
 from wire import assert_same, both, FACTORY, MOUNT, over_the_wire, STAMP
@@ -11,8 +12,6 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import INTRINSICS
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.patches import PatchView
-from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import (
     DETECTIONS,
@@ -27,10 +26,8 @@ from landmark_nav.messages.clouds import (
 from landmark_nav.types import (
     Detections,
     JointSample,
-    Landmark,
     LandmarkMap,
     OdometrySample,
-    Panorama,
     PoseEstimate,
     Triplet,
 )
@@ -47,15 +44,11 @@ def test_joints_come_back_and_foreign_joints_are_none(deliver):
 
 def some_panorama():
     rng = np.random.default_rng(3)
-    return Panorama(
-        STAMP,
-        rng.integers(0, 256, (40, 200, 3)).astype(np.uint8),
-        rng.random((40, 200)) > 0.3,
-        Cylinder(200, 40, 31.0, 99.5, 19.0),
-        np.array([1.0, 2.0, 1.1]),
-        -2.0,
-        np.diag([1.0, 2.0, 3.0, 4.0]) + 0.5,
-    )
+    return panorama_of(
+        rng.integers(0, 256, (40, 200, 3)).astype(np.uint8), Cylinder(200, 40, 31.0, 99.5, 19.0),
+        stamp_ns=STAMP, mask=rng.random((40, 200)) > 0.3, center_map=np.array([1.0, 2.0, 1.1]),
+        heading_rad=-2.0, covariance=np.diag([1.0, 2.0, 3.0, 4.0]) + 0.5,
+    )  # fmt: skip
 
 
 def calibrated_panorama():
@@ -70,40 +63,8 @@ def calibrated_panorama():
 
 
 def some_map(count, factors):
-    rng = np.random.default_rng(4)
-    walls = (
-        Wall('south', (0.0, 0.0), (5.0, 0.0), 2.5),
-        Wall('ost-süd', (5.0, 0.0), (5.0, 4.0), 2.5),
-        Wall('diagonal', (5.0, 4.0), (0.0, 0.0), 2.5),
-    )
-    landmarks = []
-    for k in range(count):
-        root = rng.normal(size=(3, 3)) * 0.01
-        shared = rng.normal(size=(3, factors)) * 1e-3
-        angle = rng.random() * 6
-        landmarks.append(
-            Landmark(
-                id=3 * k + 1,
-                position=rng.normal(size=3),
-                covariance=root @ root.T + shared @ shared.T + 1e-6 * np.eye(3),
-                shared_loading=shared,
-                normal=np.array([np.cos(angle), np.sin(angle), 0.0]),
-                width_m=0.2,
-                height_m=0.3,
-                patch=rng.integers(0, 256, (20 + k, 300)).astype(np.uint8),
-                viewpoint=rng.normal(size=3),
-                threshold=0.7,
-                wall_id=walls[k % 3].id,
-                saliency=0.5,
-                views=tuple(
-                    PatchView(
-                        rng.normal(size=3), rng.integers(0, 256, (9, 8 + view)).astype(np.uint8)
-                    )
-                    for view in range(k % 3)
-                ),
-            )
-        )
-    return LandmarkMap(tuple(landmarks), 'map', walls)
+    walls = walls_of([(0, 0), (5, 0), (5, 4)], ('south', 'ost-süd', 'diagonal'))
+    return random_map(4, count, factors, walls, widest_px=300)
 
 
 def learned_map(count, factors):
@@ -418,7 +379,7 @@ def landmarks(**changed):
 @pytest.mark.parametrize(
     'changed',
     [
-        {'id': 4},
+        {'id': 7},
         {'position': np.array([np.nan, 0.0, 0.0])},
         {'position': np.array([1e30, 0.0, 0.0])},
         {'normal': np.zeros(3)},

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark
 from drawn_drives import driven, MOUNT, NS, simulated
 from hypothesis import given
 from hypothesis import strategies as st

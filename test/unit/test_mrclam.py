@@ -4,7 +4,7 @@ from itertools import combinations
 import json
 import re
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark
 import numpy as np
 import pytest
 

@@ -1,6 +1,6 @@
 from dataclasses import replace
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark
 import numpy as np
 import pytest
 

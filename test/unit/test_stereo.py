@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bare_landmarks import patch_points
+from builders import patch_points
 import numpy as np
 import pytest
 from scenes import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import combinations
 from typing import Any
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -1,7 +1,7 @@
 from dataclasses import replace
 import re
 
-from bare_landmarks import patch_points
+from builders import patch_points
 import cv2
 import numpy as np
 import pytest
