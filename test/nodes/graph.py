@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from typing import Any, TypeVar
 
@@ -10,7 +11,10 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
+from landmark_nav.demo.supervisor import node_environment
 from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.messages import encode
+from landmark_nav.ros.topics import ros_factory
 
 Made = TypeVar('Made', bound=Any)
 
@@ -63,3 +67,24 @@ def is_right(client, truth):
         return False
     away_m, turned_rad = off(fused, truth)
     return away_m < 0.05 and turned_rad < np.radians(1.0)
+
+
+def map_sender(client):
+    """Publishes maps as the learner does."""
+    publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
+
+    def send(landmark_map, stamp_ns=1):
+        messages = encode.landmark_map(ros_factory, landmark_map, stamp_ns)
+        for publisher, message in zip(publishers, messages, strict=False):
+            publisher.publish(message)
+
+    return send
+
+
+def output_of(command, domain_id, timeout_s=120):
+    """Exit status and lines of a command that ends by itself."""
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=timeout_s,
+        env=node_environment(domain_id), check=False,
+    )  # fmt: skip
+    return done.returncode, done.stdout.strip().splitlines()

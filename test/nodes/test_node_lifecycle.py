@@ -1,18 +1,17 @@
 """Nodes as processes start, report, end cleanly and by status; clocks of their timers."""
 
-import os
 from pathlib import Path
 import signal
-import subprocess
 import sys
 
+from graph import output_of
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import get_typestore, Stores
 
-from landmark_nav.demo.supervisor import node_command, node_commands, node_environment
+from landmark_nav.demo.supervisor import node_command, node_commands
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.robot_client import ServiceDiscovery
 
@@ -49,30 +48,10 @@ def test_all_start_and_end_cleanly(start, supervisor, client, setup_files, tmp_p
     ],
 )
 def test_what_cannot_run_states_why(node, arguments, words, domain_id):
-    reported = output_of(arguments, domain_id, node)
-    assert len(reported) == 1
-    assert words in reported[0]
-
-
-def output_of(arguments, domain_id, node='sweep_capture'):
-    """Lines of a node that cannot run."""
     command = [sys.executable, '-m', f'landmark_nav.nodes.{node}', '--ros-args', *arguments]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, env=environment)
-    assert done.returncode == 1
-    return done.stderr.strip().splitlines()
-
-
-def played(bag, domain_id):
-    """Exit status and output of the player of a bag."""
-    done = subprocess.run(
-        node_command('bag_player', bag=str(bag)),
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env={**os.environ, **node_environment(domain_id)},
-    )
-    return done.returncode, done.stdout + done.stderr
+    status, (line,) = output_of(command, domain_id)
+    assert status == 1
+    assert words in line
 
 
 def test_a_bag_of_ros_1_is_played(tmp_path, domain_id):
@@ -81,9 +60,10 @@ def test_a_bag_of_ros_1_is_played(tmp_path, domain_id):
     with Writer(tmp_path / 'notes.bag') as bag:
         notes = bag.add_connection('/note', kind, typestore=store)
         bag.write(notes, 5, store.serialize_ros1(store.types[kind]('a'), kind))
-    status, reported = played(tmp_path / 'notes.bag', domain_id)
+    command = node_command('bag_player', bag=str(tmp_path / 'notes.bag'))
+    status, reported = output_of(command, domain_id)
     assert status == 0, reported
-    assert 'is played' in reported
+    assert 'is played' in '\n'.join(reported)
 
 
 FUSION, LEARNER = 'odometry_fusion', 'landmark_learner'

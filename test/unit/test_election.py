@@ -64,14 +64,17 @@ def elect_from(panoramas, patches, adjustment=None, config=None, scores=None, fr
         for patch, score in zip(patches, scores, strict=True)
     ]
     return elect(
-        patches,
-        measurements,
-        adjustment or perfect(patches),
-        free or perfect(patches),
-        panoramas,
-        ROOM,
-        config or ElectionConfig(),
-    )
+        patches, measurements, adjustment or perfect(patches), free or perfect(patches), panoramas,
+        ROOM, config or ElectionConfig(),
+    )  # fmt: skip
+
+
+def check_texture(patch, image, texel_m, within):
+    """An image shows the texture of the wall where the patch is."""
+    points = patch_points(patch.position, patch.normal, image.shape, texel_m)
+    inwards = np.broadcast_to(-patch.normal, points.shape)
+    truth = SCENE.look(points + 0.1 * patch.normal, inwards)[0][..., 0]
+    assert np.abs(image - truth).mean() < within
 
 
 def test_a_good_patch_becomes_a_landmark(panoramas):
@@ -83,11 +86,7 @@ def test_a_good_patch_becomes_a_landmark(panoramas):
     np.testing.assert_allclose(landmark.covariance, np.eye(3) * (0.004**2 + 0.003**2))
     np.testing.assert_allclose(landmark.shared_loading, np.eye(3) * 0.003)
     np.testing.assert_array_equal(landmark.viewpoint, CENTERS[0])
-    # Its texture is the wall's.
-    points = patch_points(patch.position, patch.normal, (30, 30), 0.015)
-    inwards = np.broadcast_to(-patch.normal, points.shape)
-    truth = SCENE.look(points + 0.1 * patch.normal, inwards)[0][..., 0]
-    assert np.abs(landmark.patch - truth).mean() < 3.0
+    check_texture(patch, landmark.patch, 0.015, 3.0)
 
 
 @pytest.mark.parametrize('off_m', [(0.0, 0.0, 0.0), (0.02, -0.01, 0.02)])
@@ -105,10 +104,7 @@ def test_a_landmark_keeps_what_the_other_panoramas_show_of_it(panoramas, off_m):
     texel = landmark.width_m / columns
     assert texel == pytest.approx(reach / off.cylinder.fy, rel=0.05)
     assert rows * texel == pytest.approx(landmark.height_m, abs=texel)
-    points = patch_points(patch.position, patch.normal, view.patch.shape, texel)
-    inwards = np.broadcast_to(-patch.normal, points.shape)
-    truth = SCENE.look(points + 0.1 * patch.normal, inwards)[0][..., 0]
-    assert np.abs(view.patch - truth).mean() < 4.0
+    check_texture(patch, view.patch, texel, 4.0)
 
 
 GOOD = patch_at((6.0, 2.4, 1.2))
@@ -155,15 +151,10 @@ def test_on_a_plane_of_its_own_a_patch_needs_a_bearing_only(panoramas, sigma_m, 
     turn[:2, :2] = se2.rotation(float(np.arctan2(away[1], away[0])))
     own = turn @ np.diag(sigma_m) ** 2 @ turn.T
     found = perfect([patch], own_covariance=own[None], off_wall_m=np.array([0.5]))
-    (outcome,) = elect_from(
-        panoramas, [patch], found, ElectionConfig(max_range_share=share), free=found
-    )
-    if refused:
-        assert isinstance(outcome, Refusal)
-        assert outcome.reason == refused
-    else:
-        assert isinstance(outcome, Landmark)
-        assert outcome.wall_id == ''
+    config = ElectionConfig(max_range_share=share)
+    (outcome,) = elect_from(panoramas, [patch], found, config, free=found)
+    assert isinstance(outcome, Refusal if refused else Landmark)
+    assert (outcome.reason if refused else outcome.wall_id) == (refused or '')
 
 
 @pytest.mark.parametrize(('apart_m', 'elected'), [(0.1, 1), (0.24, 1), (0.3, 2), (0.6, 2)])

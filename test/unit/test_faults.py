@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+from builders import pose_error
 import numpy as np
 import pytest
 from rendered_drives import (
     camera_image,
     drive,
-    error_of,
     FRAME_NS,
     MAP,
     MOUNT,
@@ -122,7 +122,7 @@ def run(
         update = localizer.add_frame(frame)
         assert isinstance(update, LocalizationUpdate)
         assert np.isfinite(update.fused.pose).all()
-        error = error_of(update.fused, step.pose)
+        error = pose_error(update.fused, step.pose)
         sigma = np.sqrt(np.diag(update.fused.covariance))
         yield Moment(seconds, update.status, update.reason, error, sigma, update, refused)
 

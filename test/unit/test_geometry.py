@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from builders import walls_of
 import cv2
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -140,15 +141,7 @@ def test_a_cylinder_too_large_to_hold_is_refused(px_per_rad):
 CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 2.0), (3.0, 2.0), (3.0, 4.0), (0.0, 4.0)]
 
 
-def outline(corners):
-    ends = corners[1:] + corners[:1]
-    return tuple(
-        Wall(str(k), start, end, 2.5)
-        for k, (start, end) in enumerate(zip(corners, ends, strict=True))
-    )
-
-
-ROOM = Room(outline(CORNERS))
+ROOM = Room(walls_of(CORNERS))
 
 
 INSIDE = st.tuples(st.floats(0.01, 2.99), st.floats(0.01, 3.99)) | st.tuples(
@@ -178,21 +171,21 @@ def test_nearest_wall_measures_to_the_segment_not_its_line():
 
 
 def test_a_room_shares_a_wall_with_itself_measured_again_and_none_with_another():
-    again = outline([(1.03 * x, 0.97 * y) for x, y in CORNERS])
+    again = walls_of([(1.03 * x, 0.97 * y) for x, y in CORNERS])
     assert ROOM.shares_wall(again, 0.3)
     assert ROOM.shares_wall([again[4]], 0.3)
     # Parallel walls from the same corner are not the same.
-    assert not ROOM.shares_wall(outline([(0.0, 0.0), (5.0, 0.0), (5.0, 3.2), (0.0, 3.2)]), 0.3)
+    assert not ROOM.shares_wall(walls_of([(0.0, 0.0), (5.0, 0.0), (5.0, 3.2), (0.0, 3.2)]), 0.3)
     assert not ROOM.shares_wall((), 0.3)
 
 
 def test_two_walls_are_no_room():
     with pytest.raises(LandmarkNavError, match='room has 2 walls: a closed outline needs 3'):
-        Room(outline(CORNERS)[:2])
+        Room(walls_of(CORNERS)[:2])
 
 
 def test_an_open_outline_names_the_wall_and_the_gap():
-    corners = outline(CORNERS)
+    corners = walls_of(CORNERS)
     moved = Wall('2', (6.0, 2.3), (3.0, 2.0), 2.5)
     with pytest.raises(LandmarkNavError, match=r'open: wall 1 ends at \(6, 2\).*0\.3 m away'):
         Room((*corners[:2], moved, *corners[3:]))
@@ -201,12 +194,12 @@ def test_an_open_outline_names_the_wall_and_the_gap():
 def test_crossing_walls_are_named():
     bow_tie = [(0.0, 0.0), (4.0, 3.0), (4.0, 0.0), (0.0, 3.0)]
     with pytest.raises(LandmarkNavError, match='walls 0 and 2 cross'):
-        Room(outline(bow_tie))
+        Room(walls_of(bow_tie))
 
 
 def test_walls_that_run_clockwise_are_refused():
     with pytest.raises(LandmarkNavError, match=r'to the left.*swap start and end'):
-        Room(outline(CORNERS[::-1]))
+        Room(walls_of(CORNERS[::-1]))
 
 
 @pytest.mark.parametrize(
@@ -219,7 +212,7 @@ def test_walls_that_run_clockwise_are_refused():
 )
 def test_a_wall_that_is_none_is_refused(wall, message):
     with pytest.raises(LandmarkNavError, match=message):
-        Room((wall, *outline(CORNERS)[1:]))
+        Room((wall, *walls_of(CORNERS)[1:]))
 
 
 BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -4,11 +4,12 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
+from builders import detections_of, pose_error
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from rendered_drives import camera_image, drive, error_of, FRAME_NS, LENS, MAP, MOUNT, start_of
+from rendered_drives import camera_image, drive, FRAME_NS, LENS, MAP, MOUNT, start_of
 from scenes import rectangle_room, textured_room, true_landmark
 
 from landmark_nav.calibration import Calibration
@@ -26,7 +27,6 @@ from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import (
-    Detections,
     FloatArray,
     LandmarkMap,
     OdometrySample,
@@ -62,7 +62,7 @@ def localize(seed=1, seconds=9.0, config=None):
         frame = replace(camera_image(step.pose, pan, rng), stamp_ns=step.stamp_ns)
         update = localizer.add_frame(frame)
         assert isinstance(update, LocalizationUpdate)
-        error = error_of(update.fused, step.pose)
+        error = pose_error(update.fused, step.pose)
         updates.append(update)
         errors.append(error)
         nees.append(error @ np.linalg.solve(update.fused.covariance, error))
@@ -81,7 +81,7 @@ def run():
 
 def test_fixes_err_as_their_covariances_say(run):
     assert len(run.fixes) > 10
-    errors = np.array([error_of(fix, pose) for fix, pose in run.fixes])
+    errors = np.array([pose_error(fix, pose) for fix, pose in run.fixes])
     sigma = np.array([np.sqrt(np.diag(fix.covariance)) for fix, _ in run.fixes])
     assert np.abs(errors / sigma).max() < 4.5
     assert np.mean((errors / sigma) ** 2) < 2.5
@@ -101,15 +101,7 @@ def observation(found, refused):
     ids = [*found, *refused]
     places = {number: expected(60.0 + 90.0 * k, 120.0) for k, number in enumerate(ids)}
     uv = np.array([places[k].uv + off for k, off in found.items()]).reshape(-1, 2)
-    count = len(found)
-    detections = Detections(
-        0,
-        np.array(list(found), dtype=np.int64),
-        np.zeros(count),
-        np.ones(count),
-        np.full(count, 0.93),
-        uv,
-    )
+    detections = detections_of(0, list(found), np.zeros(len(found)), uv_px=uv)
     reasons = {number: Refusal(reason) for number, reason in refused.items()}
     return Observation(detections, reasons, lambda: Refusal('too few'), expected=places)
 

@@ -72,22 +72,17 @@ def test_a_log_is_read_plain_and_packed(folder, packed):
     assert not posts.landmarks[0].patch.size
 
 
-@pytest.mark.parametrize(
-    ('name', 'content', 'complaint'),
-    [
-        ('Robot2_Odometry.dat', None, 'Robot2_Odometry.dat: not there'),
-        ('Barcodes.dat', b'1 2 3\n', 'is 3 columns wide, not 2'),
-        ('Robot2_Measurement.dat', b'1248444175.2 5 3.0 0.1\n', 'no landmark was seen'),
-    ],
-)
-def test_bad_files_are_named(folder, name, content, complaint):
-    (folder / name).unlink()
-    if content is not None:
-        (folder / name).write_bytes(content)
-    with pytest.raises(LandmarkNavError, match=complaint):
-        read_mrclam(folder, 2, SIGMA)
+def test_bad_files_are_named(folder):
     with pytest.raises(LandmarkNavError, match='no folder there'):
         read_mrclam(folder / 'nothing', 2, SIGMA)
+    for name, content, complaint in (
+        ('Robot2_Measurement.dat', b'1248444175.2 5 3.0 0.1\n', 'no landmark was seen'),
+        ('Barcodes.dat', b'1 2 3\n', 'is 3 columns wide, not 2'),
+        ('Barcodes.dat', None, 'Barcodes.dat: not there'),
+    ):
+        (folder / name).write_bytes(content) if content else (folder / name).unlink()
+        with pytest.raises(LandmarkNavError, match=complaint):
+            read_mrclam(folder, 2, SIGMA)
 
 
 BEGIN_S = 1_248_444_187.0
@@ -228,7 +223,7 @@ def test_the_estimator_finds_places_and_beacons(beacons, readings):
     resting, true = np.median(bearings.reshape(9, 200, 4), axis=1), places[::200]
     corners = LandmarkMap(
         tuple(
-            bare_landmark(k, np.array([*place, 0.0]), 0.1**2 * np.eye(3))
+            bare_landmark(k, [*place, 0.0], 0.1**2 * np.eye(3))
             for k, place in enumerate(beacons[:, :2])
         )
     )

@@ -194,32 +194,30 @@ def without_number(message):
 
 @pytest.mark.parametrize('spoil', [without_stamp, without_number])
 def test_a_lone_message_that_cannot_be_used_is_left_out(tmp_path, spoil):
-    seen = iter(range(1000))
+    seen, warnings = iter(range(1000)), []
 
     def changed(topic, message):
         if topic == '/odom' and next(seen) == 7:
             spoil(message)
         yield topic, message
 
-    warnings = []
     bag = Bag(rewritten(tmp_path, changed), warnings.append)
-    events = list(sensor_events(bag, MOUNT))
-    assert sum(isinstance(e, OdometrySample) for e in events) == 39
+    assert sum(isinstance(e, OdometrySample) for e in sensor_events(bag, MOUNT)) == 39
     assert '1 of 40 messages left out' in warnings[0]
     assert '/odom' in warnings[0]
 
 
 def test_topics_of_other_names_are_given(tmp_path):
-    other = {
-        '/camera/image_raw/compressed': '/cam0/image',
-        '/camera/camera_info': '/cam0/info',
-        '/odom': '/wheels',
-        '/joint_states': '/head/angles',
-    }
-    path = rewritten(tmp_path, lambda t, m: [(t, m)], lambda topic: other.get(topic, topic))
     # A compressed image needs no other name than a raw one.
-    names = ('camera/image_raw', 'camera/camera_info', 'odom', 'joint_states')
-    topics = dict(zip(names, other.values(), strict=True))
+    topics = {
+        'camera/image_raw': '/cam0/image',
+        'camera/camera_info': '/cam0/info',
+        'odom': '/wheels',
+        'joint_states': '/head/angles',
+    }
+    other = {f'/{name}': given for name, given in topics.items()}
+    other['/camera/image_raw/compressed'] = other.pop('/camera/image_raw')
+    path = rewritten(tmp_path, lambda t, m: [(t, m)], lambda topic: other.get(topic, topic))
     found, warnings = pans(path, topics=topics)
     np.testing.assert_allclose(found, PANS)
     assert warnings == []

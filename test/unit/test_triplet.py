@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import combinations
 from typing import Any
 
-from builders import bare_landmark
+from builders import bare_landmark, walls_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -13,7 +13,6 @@ import pytest
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.walls import Wall
 from landmark_nav.localization.triangulation import triangulate
 from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triplet import (
@@ -42,15 +41,7 @@ CAMERA = CameraModel(512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', (-0.1, 0
 MOUNT = PanTiltMount(axis_xyz=(0.08, 0.0, 1.1))
 CONFIG = TripletConfig()
 PRIOR = PoseEstimate(42, np.array([3.0, 2.0, 0.3]), np.diag([0.01, 0.01, 0.005]) ** 2)
-ROOM = tuple(
-    Wall(name, start, end, 2.6)
-    for name, start, end in (
-        ('south', (0.0, 0.0), (WIDTH, 0.0)),
-        ('east', (WIDTH, 0.0), (WIDTH, DEPTH)),
-        ('north', (WIDTH, DEPTH), (0.0, DEPTH)),
-        ('west', (0.0, DEPTH), (0.0, 0.0)),
-    )
-)
+ROOM = walls_of([(0, 0), (WIDTH, 0), (WIDTH, DEPTH), (0, DEPTH)], height=2.6)
 
 
 def select_triplet(*given: Any, **options: Any) -> Triplet | Refusal:

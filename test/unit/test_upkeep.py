@@ -1,7 +1,7 @@
 from dataclasses import replace
 import re
 
-from builders import patch_points
+from builders import bare_landmark, patch_points, walls_of
 import cv2
 import numpy as np
 import pytest
@@ -10,18 +10,12 @@ from landmark_nav.cli.main import main
 from landmark_nav.cli.map import describe_comparison
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import save_map
-from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.types import LandmarkMap, PoseEstimate
 from landmark_nav.upkeep.comparison import compare_maps, problems_of_map, Texture
 from landmark_nav.upkeep.frames import align_frames, FrameAlignment, in_frame_of, merge_maps
 
-WALLS = (
-    Wall('south', (0.0, 0.0), (6.0, 0.0), 2.6),
-    Wall('east', (6.0, 0.0), (6.0, 4.0), 2.6),
-    Wall('north', (6.0, 4.0), (0.0, 4.0), 2.6),
-    Wall('west', (0.0, 4.0), (0.0, 0.0), 2.6),
-)
+WALLS = walls_of([(0, 0), (6, 0), (6, 4), (0, 4)], ('south', 'east', 'north', 'west'), 2.6)
 TEXEL_M = 0.01
 SIGMA_M = 0.004
 
@@ -47,20 +41,12 @@ def landmark(identity, true_xz, *, texel_m=TEXEL_M, error_m=(0.0, 0.0), paper=0)
         cv2.INTER_LINEAR,
     )
     loading = np.array([[1e-3, 0.0], [0.0, 1e-3], [0.0, 0.0]])
-    return Landmark(
-        id=identity,
-        position=center + np.array([-error_m[0], 0.0, -error_m[1]]),
-        covariance=np.eye(3) * SIGMA_M**2,
-        shared_loading=loading,
-        normal=normal,
-        width_m=count * texel_m,
-        height_m=count * texel_m,
-        patch=np.clip(patch, 0, 255).astype(np.uint8),
-        viewpoint=np.array([3.0, 2.0, 1.2]),
-        threshold=0.7,
-        wall_id='south',
-        saliency=0.5,
-    )
+    return bare_landmark(
+        identity, center - [error_m[0], 0.0, error_m[1]], np.eye(3) * SIGMA_M**2,
+        shared_loading=loading, normal=normal, width_m=count * texel_m, height_m=count * texel_m,
+        patch=np.clip(patch, 0, 255).astype(np.uint8), viewpoint=np.array([3.0, 2.0, 1.2]),
+        wall_id='south', saliency=0.5,
+    )  # fmt: skip
 
 
 def make_map(*landmarks, stamp_ns=1):
