@@ -61,17 +61,13 @@ def landmark_map(count: int = 6) -> LandmarkMap:
     rng = np.random.default_rng(0)
     landmarks = tuple(
         bare_landmark(
-            k,
-            np.array([0.5 + 0.6 * k, 0.0, 1.1]),
-            np.diag([1e-4, 1e-5, 1e-4]),
-            normal=np.array([0.0, 1.0, 0.0]),
-            height_m=0.15,
+            k, np.array([0.5 + 0.6 * k, 0.0, 1.1]), np.diag([1e-4, 1e-5, 1e-4]),
+            normal=np.array([0.0, 1.0, 0.0]), height_m=0.15,
             patch=rng.integers(0, 255, (15, 20), dtype=np.uint8),
-            viewpoint=np.array([2.0, 1.5, 1.1]),
-            wall_id='south',
+            viewpoint=np.array([2.0, 1.5, 1.1]), wall_id='south',
         )
         for k in range(count)
-    )
+    )  # fmt: skip
     return LandmarkMap(landmarks)
 
 

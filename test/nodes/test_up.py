@@ -58,12 +58,9 @@ def test_a_robot_is_brought_up_called_driven_and_ended(robot, domain_id, tmp_pat
         keyboard, terminal = pty.openpty()
         os.set_blocking(keyboard, False)
         driver = subprocess.Popen(
-            [*COMMAND, 'drive'],
-            env=node_environment(domain_id),
-            stdin=terminal,
-            stdout=terminal,
+            [*COMMAND, 'drive'], env=node_environment(domain_id), stdin=terminal, stdout=terminal,
             stderr=terminal,
-        )
+        )  # fmt: skip
         try:
 
             def turned():

@@ -144,13 +144,10 @@ def _toward_eight(seconds: float, pose: FloatArray) -> Motion:
 def _panned(seconds: float, count: int, sigma: float) -> ImagePoints:
     """An image of a camera that looks to and fro, without its points."""
     return ImagePoints(
-        round(seconds * NS),
-        np.arange(count),
-        np.zeros((count, 2)),
+        round(seconds * NS), np.arange(count), np.zeros((count, 2)),
         np.tile(max(sigma, 1e-9) ** 2 * np.eye(2), (count, 1, 1)),
-        np.full(count, 2.0 * np.sin(0.5 * seconds)),
-        pan_rate_rad_s=np.cos(0.5 * seconds),
-    )
+        np.full(count, 2.0 * np.sin(0.5 * seconds)), pan_rate_rad_s=np.cos(0.5 * seconds),
+    )  # fmt: skip
 
 
 @dataclass

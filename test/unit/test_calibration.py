@@ -35,15 +35,12 @@ def reported(sweep, focal=1.0, scale=1.0, tilt=0.0, roll=0.0):
         sweep,
         frames=tuple(
             replace(
-                frame,
-                camera=camera,
-                pan_rad=frame.pan_rad * scale,
-                tilt_rad=frame.tilt_rad + tilt,
-                roll_rad=frame.roll_rad + roll,
+                frame, camera=camera, pan_rad=frame.pan_rad * scale,
+                tilt_rad=frame.tilt_rad + tilt, roll_rad=frame.roll_rad + roll,
             )
             for frame in sweep.frames
         ),
-    )
+    )  # fmt: skip
 
 
 def used(found):

@@ -35,12 +35,9 @@ def matches():
         pans.append(pan)
     joints = np.array(pans)
     return Matches(
-        np.concatenate(before),
-        np.concatenate(after),
-        np.concatenate(pairs),
-        joints,
+        np.concatenate(before), np.concatenate(after), np.concatenate(pairs), joints,
         np.zeros_like(joints),
-    )
+    )  # fmt: skip
 
 
 def lens(**change):

@@ -37,6 +37,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.patches import PatchView
+from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.localization.detection import detect_landmarks, DetectionConfig, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals, wrong_heights
@@ -138,10 +139,9 @@ def test_an_image_that_was_rehung_higher_is_refused():
 @pytest.mark.parametrize('over', [{'tilt_rad': 0.006}, {'roll_rad': 0.006}], ids=str)
 def test_a_floor_that_is_tilted_moves_all_heights_and_refuses_none(over):
     # By 2.4 pixels in the middle, or at one focal length aside.
-    frame = replace(draw_frame(SCENE, LENS, MOUNT, HERE), tilt_rad=over.get('tilt_rad', 0.0))
-    if 'roll_rad' in over:
-        tilted = replace(MOUNT, camera_roll_rad=over['roll_rad'])
-        frame = draw_frame(SCENE, LENS, tilted, HERE)
+    tilted = replace(MOUNT, camera_roll_rad=over.get('roll_rad', 0.0))
+    frame = draw_frame(SCENE, LENS, tilted, HERE)
+    frame = replace(frame, tilt_rad=over.get('tilt_rad', 0.0))
     assert len(detect(frame, HERE).detections) == 4
 
 
@@ -178,20 +178,13 @@ def test_derivatives_are_those_of_the_camera(camera, spread, mounted_rad, hung_r
     def rows(pose, tilt_rad, roll_rad, higher_m):
         turn, _ = mount.camera_pose_base(PAN, tilt_rad, roll_rad)
         _, center = mount.camera_pose_map(pose, PAN, tilt_rad)
-        heading = np.eye(3)
-        heading[:2, :2] = [[np.cos(pose[2]), -np.sin(pose[2])], [np.sin(pose[2]), np.cos(pose[2])]]
-        rotation = heading @ turn
         raised = points + np.array([0.0, 0.0, higher_m])
-        return camera.project((raised - center) @ rotation)[:, 1]
+        return camera.project((raised - center) @ (rot_z(pose[2]) @ turn))[:, 1]
 
-    step = 1e-5 * np.eye(6)
+    at = np.array([*POSE, TILT, 0.0, 0.0])
     by = [
-        (
-            rows(POSE + s[:3], TILT + s[3], s[4], s[5])
-            - rows(POSE - s[:3], TILT - s[3], -s[4], -s[5])
-        )
-        / 2e-5
-        for s in step
+        (rows(up[:3], *up[3:]) - rows(down[:3], *down[3:])) / 2e-5
+        for up, down in ((at + s, at - s) for s in 1e-5 * np.eye(6))
     ]
     np.testing.assert_allclose(model.by_pose.T, by[:3], rtol=1e-3, atol=0.05)
     np.testing.assert_allclose(model.by_tilt_roll.T, by[3:5], rtol=1e-3, atol=0.05)
@@ -274,30 +267,23 @@ def test_a_height_that_was_measured_wrongly_is_no_tilt():
 
 BARE_ROOM = rectangle_room(6.0, 5.0)
 # Doors from floor to ceiling: wall, middle along it (m), width (m).
-DOORS = [
-    (0, 1.5, 0.8),
-    (0, 4.0, 0.7),
-    (1, 1.2, 0.9),
-    (1, 3.6, 0.75),
-    (2, 2.5, 0.85),
-    (3, 2.0, 0.7),
-]
+DOORS = [(0, 1.5, 0.8), (0, 4.0, 0.7), (1, 1.2, 0.9), (1, 3.6, 0.75), (2, 2.5, 0.85), (3, 2, 0.7)]
 
 
 def bare_room():
-    walls = [
-        wall_board(wall, flat_texture((g, g, g)))
+    def grey(value):
+        return flat_texture((value, value, value))
+
+    boards = [
+        wall_board(wall, grey(g))
         for wall, g in zip(BARE_ROOM.walls, (150, 165, 140, 155), strict=True)
     ]
-    doors = []
     for k, (index, along_m, width_m) in enumerate(DOORS):
         wall = BARE_ROOM.walls[index]
-        center = np.array([*(np.array(wall.start) + along_m * wall.along), wall.height / 2.0])
-        grey = 60.0 + 12.0 * k
-        color = flat_texture((grey, grey, grey))
-        place = center + 1e-4 * wall.normal
-        doors.append(Board(place, wall.normal, width_m, wall.height, color))
-    return Scene((*walls, *doors))
+        middle = np.array([*(wall.start + along_m * wall.along), wall.height / 2.0])
+        place = middle + 1e-4 * wall.normal
+        boards.append(Board(place, wall.normal, width_m, wall.height, grey(60.0 + 12.0 * k)))
+    return Scene(tuple(boards))
 
 
 def edges_xy():
@@ -312,8 +298,7 @@ def edges_xy():
 
 @pytest.fixture(scope='module')
 def learned():
-    rng = np.random.default_rng(1)
-    scene = bare_room()
+    rng, scene = np.random.default_rng(1), bare_room()
     places = [((2.2, 2.0, 1.1), 0.4), ((3.6, 2.9, 1.1), -2.0)]
     panoramas = [draw_panorama(scene, np.array(c), h, rng=rng) for c, h in places]
     return learn_from_panoramas(panoramas, BARE_ROOM, LearningConfig()).map

@@ -60,13 +60,9 @@ def drive():
     pan = np.sin(0.9 * seconds) + 0.5 * np.sin(2.3 * seconds)
     before = np.arange(0.0, 30.0, 0.2)
     motion = Motion(
-        before,
-        before + 0.2,
-        np.zeros(len(before)),
-        Track(seconds, pan[:, None]),
-        Track(seconds, np.stack([x, y, yaw], -1)),
-        (0.1, 0.0),
-    )
+        before, before + 0.2, np.zeros(len(before)), Track(seconds, pan[:, None]),
+        Track(seconds, np.stack([x, y, yaw], -1)), (0.1, 0.0),
+    )  # fmt: skip
     return replace(motion, turns_rad=measured_anew(motion, 5))
 
 

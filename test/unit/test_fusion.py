@@ -47,15 +47,10 @@ def arriving(drive, shift_ns=0):
 def seen(image, stamp_ns):
     pan, right = image.pan_rad[0] if len(image) else 0.0, image.points[:, 0]
     found = Detections(
-        stamp_ns,
-        image.columns.astype(np.int64),
-        MOUNT.azimuth_base_rad(pan) - np.arctan(right),
-        np.full(len(image), 2e-4**2),
-        np.ones(len(image)),
-        np.zeros((len(image), 2)),
-        points=image.points,
-        point_covariance=image.covariance,
-    )
+        stamp_ns, image.columns.astype(np.int64), MOUNT.azimuth_base_rad(pan) - np.arctan(right),
+        np.full(len(image), 2e-4**2), np.ones(len(image)), np.zeros((len(image), 2)),
+        points=image.points, point_covariance=image.covariance,
+    )  # fmt: skip
     return found, JointSample(stamp_ns, float(pan), 0.0, image.pan_rate_rad_s)
 
 

@@ -254,14 +254,9 @@ def test_landmark_errors_are_those_of_the_adjustment():
     places = joint_covariance(views, LARGE_ROOM, DEFAULT.reference_area)
     done = adjust(measurements, list(walls), points, views, places, LARGE_ROOM, config)
     own, loading = landmark_errors(
-        azimuth,
-        np.linalg.norm(delta, axis=-1),
+        azimuth, np.linalg.norm(delta, axis=-1),
         np.full((3, 24), 1.0 / (sigma**2 + config.azimuth_sigma_rad**2)),
-        LARGE_ROOM.normals[walls, :2],
-        walls,
-        np.ones(24),
-        joined(spread, by_papers),
-        config,
-    )
+        LARGE_ROOM.normals[walls, :2], walls, np.ones(24), joined(spread, by_papers), config,
+    )  # fmt: skip
     expected = joint(done.own_covariance[:, :2, :2], done.shared_loading[:, :2])
     np.testing.assert_allclose(joint(own, loading), expected, rtol=2e-2, atol=5e-7)

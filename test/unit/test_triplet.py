@@ -50,14 +50,11 @@ def select_triplet(*given: Any, **options: Any) -> Triplet | Refusal:
 
 def landmark(k: int, xy: tuple[float, float], normal: tuple[float, float], z: float) -> Landmark:
     return bare_landmark(
-        100 + k,
-        np.array([*xy, z]),
-        np.diag([0.006, 0.006, 0.01]) ** 2,
+        100 + k, np.array([*xy, z]), np.diag([0.006, 0.006, 0.01]) ** 2,
         shared_loading=np.vstack([0.004 * np.eye(2), np.zeros((1, 2))]),
-        normal=np.array([*normal, 0.0]),
-        width_m=0.25,
+        normal=np.array([*normal, 0.0]), width_m=0.25,
         viewpoint=np.array([WIDTH / 2.0, DEPTH / 2.0, 1.1]),
-    )
+    )  # fmt: skip
 
 
 def random_map(n: int, seed: int = 0) -> LandmarkMap:

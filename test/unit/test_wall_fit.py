@@ -31,14 +31,11 @@ def placed(south, along, shared_m=0.001):
     loading[:, 1] = shared_m
     return Adjustment(
         positions=np.column_stack([x, y, np.full(count, 1.5)]),
-        own_covariance=np.tile(np.eye(3) * 0.003**2, (count, 1, 1)),
-        shared_loading=loading,
-        poses=np.zeros((2, 4)),
-        pose_covariance=np.zeros((2, 4, 4)),
-        off_wall_m=np.where(np.arange(count) < len(along), y, 4.0 - y),
-        chi_square=np.zeros(count),
+        own_covariance=np.tile(np.eye(3) * 0.003**2, (count, 1, 1)), shared_loading=loading,
+        poses=np.zeros((2, 4)), pose_covariance=np.zeros((2, 4, 4)),
+        off_wall_m=np.where(np.arange(count) < len(along), y, 4.0 - y), chi_square=np.zeros(count),
         noise=np.ones(4),
-    )
+    )  # fmt: skip
 
 
 def check(south, along, **options):
