@@ -82,7 +82,6 @@ class Host:
         )
         self.address, self.id = address, str(self._holder.pid)
         self.enter = ['nsenter', f'--target={self.id}', '--net', '--mount', '--']
-        assert self._holder.stdout is not None
         if self._holder.stdout.readline() != 'up\n':
             pytest.skip(f'no network namespaces here: {self._holder.communicate()[1].strip()}')
 

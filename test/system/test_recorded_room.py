@@ -28,8 +28,7 @@ from landmark_nav.storage.setup_files import load_robot, load_room
 @pytest.fixture(scope='module')
 def figures(recorded):
     """What `learn` and `evaluate` measure, by the names of expected.json, and the map."""
-    learned = json.loads((recorded / 'learn.json').read_text())
-    run = json.loads((recorded / 'run.json').read_text())
+    learned, run = (json.loads((recorded / f'{k}.json').read_text()) for k in ('learn', 'run'))
     return {
         'landmarks': learned['elected'],
         'walls': len(learned['landmarks_per_wall']),

@@ -195,7 +195,6 @@ def texture():
 )
 def test_what_could_be_mistaken_is_refused(kind):
     found = judge(pattern(kind))
-    assert found is not None
     assert found.reason == AMBIGUOUS
 
 
@@ -205,7 +204,6 @@ def test_an_upright_edge_is_distinct_across_unless_another_is_near():
     gray[:, 330:] = 60.0
     gray[:, 345:] = 200.0
     found = judge(gray, edge=True)
-    assert found is not None
     assert found.reason == AMBIGUOUS
 
 
@@ -214,7 +212,6 @@ def test_a_copy_is_found_near_by_round_the_seam_but_not_far_away():
     patch = gray[84:116, 0:32].copy()
     gray[84:116, 560:592] = patch
     found = judge(gray, 15.5, 99.5)
-    assert found is not None
     assert '-40 columns' in found.detail
     assert judge(gray, 15.5, 99.5, neighborhood_columns_px=30) is None
 

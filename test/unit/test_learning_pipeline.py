@@ -178,7 +178,6 @@ def test_height_and_tilt_by_the_papers_are_used(rise_m, lean_deg):
     assert np.abs(error[:2]).max() < 0.015
     assert abs(error[2]) < 4.0 * np.sqrt(panorama.covariance[2, 2])
     found = panorama.calibration
-    assert found is not None
     for name, angle in zip(('axis_roll', 'axis_pitch'), np.radians(lean_deg), strict=True):
         assert abs(found[name][0] - angle) < 3.5 * found[name][1]
     height = [NAMES.index(name) for name in ('axis_z', 'center_z')]

@@ -32,7 +32,6 @@ from landmark_nav.types import (
     OdometrySample,
     PoseEstimate,
     Refusal,
-    Triplet,
 )
 
 EXACT = Calibration.exact(MOUNT)
@@ -61,7 +60,6 @@ def localize(seed=1, seconds=9.0, config=None):
             continue
         frame = replace(camera_image(step.pose, pan, rng), stamp_ns=step.stamp_ns)
         update = localizer.add_frame(frame)
-        assert isinstance(update, LocalizationUpdate)
         error = pose_error(update.fused, step.pose)
         updates.append(update)
         errors.append(error)
@@ -69,7 +67,6 @@ def localize(seed=1, seconds=9.0, config=None):
         if isinstance(update.observation.fix, PoseEstimate):
             fixes.append((update.observation.fix, step.pose))
         chosen = camera.choose(update.fused, LENS, CameraState(pan)).chosen
-        assert isinstance(chosen, Triplet)
         pan = chosen.pan_rad
     return Run(updates, np.array(errors), np.array(nees), fixes)
 
@@ -216,20 +213,17 @@ def track():
 @pytest.mark.parametrize('stamp', [0, 333_000_000, 500_000_000, 1_200_000_000, -300_000_000])
 def test_moved_to_the_stamp_by_its_own_speeds(track, stamp):
     prior = track.at(stamp)
-    assert isinstance(prior, PoseEstimate)
     assert prior.stamp_ns == stamp
     np.testing.assert_allclose(prior.pose, circle(stamp), atol=1e-9)
 
 
 def test_too_far_in_time(track):
     refusal = track.at(1_600_000_000)
-    assert isinstance(refusal, Refusal)
     assert '+0.60 s' in refusal.detail
 
 
 def test_what_is_recent(track):
     newest = track.recent(1_500_000_000)
-    assert newest is not None
     assert newest.stamp_ns == 10**9
     assert track.recent(1_500_000_001) is None
     # The clock was set back, and nothing was fused since.
@@ -247,7 +241,6 @@ def test_a_clock_set_back_begins_anew(track):
     fused(200_000_000, 8.0)
     assert before, 'another thread may be reading them'
     found = track.at(600_000_000)
-    assert isinstance(found, PoseEstimate)
     assert found.pose[0] == 8.0
 
 

@@ -193,7 +193,6 @@ def readings(shared_data):
     places, bearings = [], []
     for path in sorted((shared_data / 'roh').glob('(X*.csv')):
         match = re.fullmatch(r'\(X([\d.]+),Y([\d.]+)\)', path.stem)
-        assert match is not None
         rows = np.radians(np.loadtxt(path, delimiter=','))
         places.append(np.tile([float(match[1]), float(match[2])], (len(rows), 1)))
         bearings.append(rows)
