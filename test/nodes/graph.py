@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from typing import Any, TypeVar
 
+from builders import bare_landmark
 import numpy as np
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
-from landmark_nav.demo.supervisor import node_environment
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.messages import encode
 from landmark_nav.ros.topics import ros_factory
+from landmark_nav.types import LandmarkMap
 
 Made = TypeVar('Made', bound=Any)
 
@@ -81,10 +81,6 @@ def map_sender(client):
     return send
 
 
-def output_of(command, domain_id, timeout_s=120):
-    """Exit status and lines of a command that ends by itself."""
-    done = subprocess.run(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=timeout_s,
-        env=node_environment(domain_id), check=False,
-    )  # fmt: skip
-    return done.returncode, done.stdout.strip().splitlines()
+def small_map():
+    places = [[1.0 + k, 0.0, 1.5] for k in range(4)]
+    return LandmarkMap(tuple(bare_landmark(k, p, 1e-4 * np.eye(3)) for k, p in enumerate(places)))

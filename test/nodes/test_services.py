@@ -9,8 +9,7 @@ import subprocess
 import time
 from typing import Any
 
-from builders import bare_landmark
-from graph import map_sender
+from graph import map_sender, small_map
 import numpy as np
 import pytest
 from std_srvs.srv import Trigger
@@ -24,14 +23,7 @@ from landmark_nav.ros.robot_client import ServiceDiscovery
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import JointSample, LandmarkMap, OdometrySample
-
-
-def small_map():
-    places = [np.array([1.0 + k, 0.0, 1.5]) for k in range(4)]
-    return LandmarkMap(
-        tuple(bare_landmark(k, place, 1e-4 * np.eye(3)) for k, place in enumerate(places))
-    )
+from landmark_nav.types import JointSample, OdometrySample
 
 
 def test_learner_states_what_is_missing(start, client, setup_files, tmp_path):

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 
-from graph import output_of
 import pytest
 
 from landmark_nav.cli.main import main
@@ -21,6 +20,15 @@ NODES = [
     *('landmark_learner', 'odometry_fusion', 'panorama_synthesizer', 'room_simulator'),
     *('sweep_capture', 'triangulation_localizer', 'triplet_selector'),
 ]
+
+
+def output_of(command, domain_id):
+    """Exit status and lines of a command that ends by itself."""
+    done = subprocess.run(
+        [*COMMAND, *command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        timeout=120, env=node_environment(domain_id), check=False,
+    )  # fmt: skip
+    return done.returncode, done.stdout.strip().splitlines()
 
 
 @pytest.fixture
@@ -43,12 +51,12 @@ def test_a_robot_is_brought_up_called_driven_and_ended(robot, domain_id, tmp_pat
     reported: list[str] = []
     while reported != NODES and time.monotonic() < deadline:
         assert robot.poll() is None, (tmp_path / 'up.log').read_text()
-        _, lines = output_of([*COMMAND, 'status'], domain_id)
+        _, lines = output_of(['status'], domain_id)
         reported = [line.split()[0] for line in lines if line[0] != ' ']
     assert reported == NODES
 
     # No sweep was taken: refused, with a reason, in one line.
-    code, lines = output_of([*COMMAND, 'call', 'learn_landmarks'], domain_id)
+    code, lines = output_of(['call', 'learn_landmarks'], domain_id)
     assert (code, len(lines)) == (1, 1)
 
     from landmark_nav.ros.robot_client import RobotClient
