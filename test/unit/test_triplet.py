@@ -108,14 +108,16 @@ class TestSelection:
 
     def test_hysteresis(self):
         landmark_map = random_map(40)
-        first = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
         moved = PoseEstimate(43, PRIOR.pose + np.array([-0.1, 0.0, 0.0]), PRIOR.covariance)
-        kept = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, CONFIG, previous=first))
-        assert set(kept.ids) == set(first.ids)
-        fresh = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, CONFIG))
+
+        def ids(prior, config=CONFIG, previous=None):
+            given = prior, landmark_map, CAMERA, MOUNT, config
+            return chosen(select_triplet(*given, previous=previous))
+
+        first, fresh = ids(PRIOR), ids(moved)
         assert set(fresh.ids) != set(first.ids)
-        go = TripletConfig(hysteresis=0.0)
-        changed = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, go, previous=first))
+        assert set(ids(moved, previous=first).ids) == set(first.ids)
+        changed = ids(moved, TripletConfig(hysteresis=0.0), first)
         assert set(changed.ids) == set(fresh.ids)
 
     def test_landmarks_that_are_seldom_found_are_avoided(self):
@@ -127,28 +129,27 @@ class TestSelection:
         assert first.ids[0] not in other.ids
 
 
-class TestRefusal:
-    def test_empty_map(self):
-        found = select_triplet(PRIOR, LandmarkMap(()), CAMERA, MOUNT, CONFIG)
-        assert 'fewer than three' in found.reason
-        view = visible_landmarks(PRIOR, LandmarkMap(()), CAMERA, MOUNT, 0.0, 0.0, CONFIG)
-        assert len(view) == 0
+SPREAD = LandmarkMap(
+    (
+        landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),
+        landmark(1, (3.0, DEPTH), (0.0, -1.0), 1.2),
+        landmark(2, (0.0, 2.0), (1.0, 0.0), 1.2),
+    )
+)
 
-    def test_three_that_fit_no_view(self):
-        spread = LandmarkMap(
-            (
-                landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),
-                landmark(1, (3.0, DEPTH), (0.0, -1.0), 1.2),
-                landmark(2, (0.0, 2.0), (1.0, 0.0), 1.2),
-            )
-        )
-        found = select_triplet(PRIOR, spread, CAMERA, MOUNT, CONFIG)
-        assert 'fit one view' in found.reason
 
-    def test_a_triplet_above_the_greatest_sigma_is_refused(self):
-        strict = TripletConfig(max_sigma_m=1e-4)
-        found = select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, strict)
-        assert 'accurate enough' in found.reason
+@pytest.mark.parametrize(
+    ('landmarks', 'config', 'reason'),
+    [
+        (LandmarkMap(()), CONFIG, 'fewer than three'),
+        (SPREAD, CONFIG, 'fit one view'),
+        (random_map(40), TripletConfig(max_sigma_m=1e-4), 'accurate enough'),
+    ],
+)
+def test_no_triplet_is_refused(landmarks, config, reason):
+    assert reason in select_triplet(PRIOR, landmarks, CAMERA, MOUNT, config).reason
+    view = visible_landmarks(PRIOR, LandmarkMap(()), CAMERA, MOUNT, 0.0, 0.0, CONFIG)
+    assert len(view) == 0
 
 
 class TestGeometry:
